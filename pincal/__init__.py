@@ -1,7 +1,8 @@
-"""Calibrate a serial robot into a measuring instrument: from a URDF and measured poses to a true robot model.
+"""Calibrate a serial robot into a measuring instrument: from a URDF and measured poses to a true
+robot model.
 
-Names are imported when they are first used, from where ``__init__.pyi`` says: Pinocchio, Numba and SciPy take longer to load
-than most commands to run.
+Names are imported when they are first used, from where ``__init__.pyi`` says: Pinocchio, Numba and
+SciPy take longer to load than most commands to run.
 
 Example:
     >>> import pincal
@@ -34,12 +35,16 @@ _RENAMED = {
 def _homes() -> dict[str, str]:
     """Return the module of each public name."""
     stub = Path(__file__).with_name("__init__.pyi").read_text(encoding="utf-8")
-    return {name: module for module, name in re.findall(r"^from (\S+) import (\w+)", stub, re.MULTILINE)}
+    return {
+        name: module for module, name in re.findall(r"^from (\S+) import (\w+)", stub, re.MULTILINE)
+    }
 
 
 def __getattr__(name: str) -> Any:
     if name in _RENAMED:
-        warnings.warn(f"pincal.{name} is now pincal.{_RENAMED[name]}", DeprecationWarning, stacklevel=2)
+        warnings.warn(
+            f"pincal.{name} is now pincal.{_RENAMED[name]}", DeprecationWarning, stacklevel=2
+        )
         name = _RENAMED[name]
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("pincal")

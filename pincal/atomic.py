@@ -1,7 +1,7 @@
 """Atomic writing of files and folders.
 
-A draft is in the same folder as its destination and locked by the process that writes it. A killed process leaves its draft
-unlocked; the next one that writes to the same path removes it.
+A draft is in the same folder as its destination and locked by the process that writes it. A killed
+process leaves its draft unlocked; the next one that writes to the same path removes it.
 """
 
 from __future__ import annotations
@@ -23,18 +23,22 @@ fcntl: ModuleType | None
 try:
     import fcntl
 except ImportError:
-    # Without locks it is unknown whether the process that wrote a draft still runs: none is removed.
+    # Without locks it is unknown whether the process that wrote a draft still runs: none is
+    # removed.
     fcntl = None
 
 ELSEWHERE = "choose a folder that exists and is writable"
 
-# renameat2(2): paths relative to the working directory, and both names exchanged. renamex_np(2) of macOS: likewise.
-_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+# renameat2(2): paths relative to the working directory, and both names exchanged. renamex_np(2) of
+# macOS: likewise.
+_AT_FDCWD = -100
+_RENAME_EXCHANGE = 2
 
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str], *, advice: str = ELSEWHERE) -> Iterator[Path]:
-    """Yield a draft in the folder of ``path`` that replaces it on success; after an error ``path`` is unchanged.
+    """Yield a draft in the folder of ``path`` that replaces it on success; after an error ``path``
+    is unchanged.
 
     Args:
         path: the file to write.
@@ -63,10 +67,14 @@ def replacing(path: str | os.PathLike[str], *, advice: str = ELSEWHERE) -> Itera
             yield draft
             os.replace(draft, path)
     except OSError as error:
-        raise OutputError(f"{path}: can't be written ({error.strerror or error}); {advice}") from None
+        raise OutputError(
+            f"{path}: can't be written ({error.strerror or error}); {advice}"
+        ) from None
 
 
-def write_atomic(path: str | os.PathLike[str], content: str | bytes, *, advice: str = ELSEWHERE) -> None:
+def write_atomic(
+    path: str | os.PathLike[str], content: str | bytes, *, advice: str = ELSEWHERE
+) -> None:
     """Write a file atomically; text as UTF-8 with unchanged line ends.
 
     Raises:
@@ -78,7 +86,8 @@ def write_atomic(path: str | os.PathLike[str], content: str | bytes, *, advice: 
 
 @contextlib.contextmanager
 def drafted(place: Path, name: str, *, is_folder: bool = False) -> Iterator[Path]:
-    """Yield an empty, locked file or folder in ``place``, and remove it afterwards if it still exists.
+    """Yield an empty, locked file or folder in ``place``, and remove it afterwards if it still
+    exists.
 
     Drafts of the same name that killed processes left there are removed first.
 
@@ -91,8 +100,11 @@ def drafted(place: Path, name: str, *, is_folder: bool = False) -> Iterator[Path
         with contextlib.suppress(FileNotFoundError):
             if is_folder:
                 draft.mkdir()
-            lock = os.open(draft, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-            # Another process may have removed it as a leftover before it was locked; then the next name is tried.
+            lock = os.open(
+                draft, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666
+            )
+            # Another process may have removed it as a leftover before it was locked; then the next
+            # name is tried.
             if _locked(lock) is not False and draft.exists():
                 break
             os.close(lock)
@@ -106,7 +118,9 @@ def drafted(place: Path, name: str, *, is_folder: bool = False) -> Iterator[Path
 
 
 def exchanged(one: Path, other: Path) -> bool:
-    """Exchange the names of two folders in one step; return False, without a change, where the system can't."""
+    """Exchange the names of two folders in one step; return False, without a change, where the
+    system can't.
+    """
     try:
         libc = ctypes.CDLL(None, use_errno=True)
         paths = os.fsencode(one), os.fsencode(other)
@@ -119,7 +133,9 @@ def exchanged(one: Path, other: Path) -> bool:
 
 @contextlib.contextmanager
 def one_at_a_time(folder: Path) -> Iterator[None]:
-    """Let only one process at a time enter this context for a folder, where the system has locks."""
+    """Let only one process at a time enter this context for a folder, where the system
+    has locks.
+    """
     if fcntl is None:
         yield
         return

@@ -8,7 +8,8 @@ _KUKA = "kuka_kr125_2.urdf"
 
 
 def kuka_urdf_path() -> Path:
-    """Return the path of the built-in URDF of the KUKA KR 125/2 (Table I of the paper, nominal values).
+    """Return the path of the built-in URDF of the KUKA KR 125/2 (Table I of the paper, nominal
+    values).
 
     Raises:
         RobotFileError: if the installation lacks the file.
@@ -22,4 +23,6 @@ def kuka_urdf_path() -> Path:
     for path in places:
         if path.is_file():
             return path
-    raise RobotFileError(f"built-in robot {_KUKA} not found at {' or '.join(map(str, places))}; reinstall pincal")
+    raise RobotFileError(
+        f"built-in robot {_KUKA} not found at {' or '.join(map(str, places))}; reinstall pincal"
+    )

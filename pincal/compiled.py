@@ -1,7 +1,7 @@
 """Compiled loops, cached on each machine and recompiled if the cache is damaged.
 
-Numba trusts the machine code in its cache: a truncated file ends the program, and other bytes may crash it or give wrong
-results.
+Numba trusts the machine code in its cache: a truncated file ends the program, and other bytes may
+crash it or give wrong results.
 """
 
 from __future__ import annotations
@@ -72,11 +72,17 @@ class _Cache(FunctionCache):
         self._cache_file._source_stamp = (self._cache_file._source_stamp, *changed)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Return the cached loop; None if there is none, or if it is damaged, which empties the cache."""
+        """Return the cached loop; None if there is none, or if it is damaged, which empties the
+        cache.
+        """
         try:
             return super().load_overload(signature, context)
         except Exception as error:
-            log.info("the cache of compiled loops is damaged; recompiling: %s: %r", self.cache_path, error)
+            log.info(
+                "the cache of compiled loops is damaged; recompiling: %s: %r",
+                self.cache_path,
+                error,
+            )
             with suppress(OSError):
                 self.flush()
             return None
@@ -105,13 +111,18 @@ def announce(module: str) -> None:
 
 
 class _Compiling(event.Listener):
-    """Logs once that the loops of a module are being compiled, for which the first command on a machine waits.
+    """Logs once that the loops of a module are being compiled, for which the first command on a
+    machine waits.
 
-    Garbage collection, which would take a sixth of the time and find nothing, is disabled meanwhile.
+    Garbage collection, which would take a sixth of the time and find nothing, is disabled
+    meanwhile.
     """
 
     def __init__(self, module: str) -> None:
-        self._module, self._is_due, self._depth, self._collects = module, True, 0, False
+        self._module = module
+        self._is_due = True
+        self._depth = 0
+        self._collects = False
 
     def on_start(self, event: event.Event) -> None:
         """Log the first loop, and disable garbage collection."""

@@ -1,7 +1,7 @@
 """Errors and warnings.
 
-A message states what is wrong, where (file, row, column, joint), what was found, what was expected and what to do next. The
-exit code of the command follows from the class.
+A message states what is wrong, where (file, row, column, joint), what was found, what was expected
+and what to do next. The exit code of the command follows from the class.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ def printable(text: str, most: int | None = None) -> str:
         ('joint \\x1b[2J', 'aaaaaaaa ... aaaaaaa')
     """
     if not text.isprintable():
-        text = "".join(c if c in "\n\t" or unicodedata.category(c)[0] != "C" else ascii(c)[1:-1] for c in text)
+        text = "".join(
+            c if c in "\n\t" or unicodedata.category(c)[0] != "C" else ascii(c)[1:-1] for c in text
+        )
     content = text.encode("utf-8")
     if most is None or len(content) <= most:
         return text
@@ -121,7 +123,9 @@ class AccuracyGateError(PincalError):
 
 
 class ChangedRobotError(PincalError):
-    """Measurements that contradict a calibrated robot for any pose of the instrument: it has changed, or is another one."""
+    """Measurements that contradict a calibrated robot for any pose of the instrument: it has
+    changed, or is another one.
+    """
 
     exit_code = Exit.CHANGED
 
@@ -138,7 +142,9 @@ class PincalWarning(UserWarning):
 
 
 @contextmanager
-def needed(package: str, what: str, *, install: str = "", error: type[BadInputError] = BadInputError) -> Iterator[None]:
+def needed(
+    package: str, what: str, *, install: str = "", error: type[BadInputError] = BadInputError
+) -> Iterator[None]:
     """Import an optional package, without which only the feature that needs it is refused.
 
     Args:
@@ -173,7 +179,9 @@ def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:
 
     def likeness(name: str) -> float:
         name = name.casefold()[:_COMPARED]
-        best = max((difflib.SequenceMatcher(None, other, name).ratio() for other in folded), default=0.0)
+        best = max(
+            (difflib.SequenceMatcher(None, other, name).ratio() for other in folded), default=0.0
+        )
         return best if best >= _SIMILAR else 0.0
 
     return sorted(dict.fromkeys(known), key=likeness, reverse=True)

@@ -19,7 +19,8 @@ class Note(msgspec.Struct, frozen=True, omit_defaults=True):
     """A message to the user; ``str()`` gives the text.
 
     Attributes:
-        severity: "doubt", which comes first in all output and prevents the verdict "adequate", or "note".
+        severity: "doubt", which comes first in all output and prevents the verdict "adequate", or
+            "note".
         text: in words.
         rows: lines of the rows concerned, if any.
     """
@@ -45,7 +46,9 @@ def doubts_first(notes: Iterable[Note | str]) -> tuple[Note, ...]:
         >>> [(note.severity.value, note.text) for note in notes]
         [('doubt', 'the target was touched'), ('note', 'three rows are left out')]
     """
-    unique = dict.fromkeys(Note(Severity.NOTE, note) if isinstance(note, str) else note for note in notes)
+    unique = dict.fromkeys(
+        Note(Severity.NOTE, note) if isinstance(note, str) else note for note in notes
+    )
     return tuple(sorted(unique, key=lambda note: not note.is_doubt))
 
 

@@ -1,12 +1,12 @@
 r"""Named parameters, and estimates of them: values with covariance, looked up by name.
 
-A fit of several stations has a robot's parameters once and each station's own parameters (instrument pose, targets) once per
-station. Their joint covariance
+A fit of several stations has a robot's parameters once and each station's own parameters
+(instrument pose, targets) once per station. Their joint covariance
 
 .. math:: C = A A^T + \operatorname{diag}(K_1, K_2, \ldots)
 
-has one row of A per parameter and one block K per station, and is never stored as a dense matrix: shared parameters
-correlate all stations, the rest correlates only the parameters of one.
+has one row of A per parameter and one block K per station, and is never stored as a dense matrix:
+shared parameters correlate all stations, the rest correlates only the parameters of one.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class Parameter:
     """One number that a fit may estimate.
 
     Attributes:
-        name: ``<element>.<symbol>``, e.g. ``joint_2.s_x``; unique within a fit: ``<station>/<element>.<symbol>`` for a
-            parameter of one of several stations.
+        name: ``<element>.<symbol>``, e.g. ``joint_2.s_x``; unique within a fit:
+            ``<station>/<element>.<symbol>`` for a parameter of one of several stations.
         unit: "rad", "m" or "rad/(N m)".
         effect: name of the effect that owns it.
         nominal: value in the URDF; a fit estimates the deviation from it.
@@ -62,8 +62,12 @@ class Parameter:
 
     @property
     def moment_power(self) -> int:
-        """Power with which it scales with all masses if the robot is unchanged: 1 for masses, -1 for compliances."""
-        return _MOMENT_POWERS.get(self.unit.partition("/")[2], 0) or int(self.unit in ("kg", "kg m"))
+        """Power with which it scales with all masses if the robot is unchanged: 1 for masses, -1
+        for compliances.
+        """
+        return _MOMENT_POWERS.get(self.unit.partition("/")[2], 0) or int(
+            self.unit in ("kg", "kg m")
+        )
 
     @property
     def is_compliance(self) -> bool:
@@ -76,7 +80,9 @@ class Parameter:
         return self.size == ANYWHERE
 
     def at(self, station: str) -> Parameter:
-        """Return the parameter as one of a station among several; unchanged if the station has no name."""
+        """Return the parameter as one of a station among several; unchanged if the station has no
+        name.
+        """
         return replace(self, name=f"{station}/{self.name}", station=station) if station else self
 
     @property
@@ -104,9 +110,10 @@ def split_name(name: str) -> tuple[str, str]:
 def root_of(covariance: np.ndarray) -> np.ndarray:
     """Return a matrix L with L L^T = C for a covariance C; both of shape (n, n).
 
-    It is the symmetric root of the correlation matrix: variances differ by twelve orders of magnitude, and rounding must not
-    carry large ones into small ones. It does not depend on the signs and the order of eigenvectors, so samples drawn with
-    one seed are the same on every machine.
+    It is the symmetric root of the correlation matrix: variances differ by twelve orders of
+    magnitude, and rounding must not carry large ones into small ones. It does not depend on the
+    signs and the order of eigenvectors, so samples drawn with one seed are the same on every
+    machine.
     """
     sigma = np.sqrt(np.diag(covariance))
     scale = np.where(sigma > 0.0, sigma, 1.0)
@@ -165,7 +172,9 @@ class Covariance:
         return np.asarray(found)
 
     def take(self, places: np.ndarray) -> Covariance:
-        """Return the covariance of the parameters at indices ``places``, shape (m,), in this order, each at most once."""
+        """Return the covariance of the parameters at indices ``places``, shape (m,), in this order,
+        each at most once.
+        """
         where = np.full(len(self), -1)
         where[places] = np.arange(len(places))
         groups = []
@@ -221,11 +230,15 @@ class Estimate:
         return self._index[name]
 
     def places(self, names: Iterable[str]) -> np.ndarray:
-        """Return the indices of parameters, shape (n,); a KeyError if there is none of one of the names."""
+        """Return the indices of parameters, shape (n,); a KeyError if there is none of one of the
+        names.
+        """
         return np.array([self._index[name] for name in names], int)
 
     def frame(self, element: str) -> np.ndarray:
-        """Return the coordinates of a frame, shape (6,) [m, rad]; zero where they are not among the parameters."""
+        """Return the coordinates of a frame, shape (6,) [m, rad]; zero where they are not among the
+        parameters.
+        """
         names = [f"{element}.{symbol}" for symbol in FRAME_SYMBOLS]
         return np.array([self[name] if name in self._index else 0.0 for name in names])
 
@@ -248,7 +261,9 @@ class Estimate:
         return found
 
     def take(self, names: Iterable[str]) -> Estimate:
-        """Return the estimate of some parameters, in the order of ``names``; a KeyError if there is none of one of them."""
+        """Return the estimate of some parameters, in the order of ``names``; a KeyError if there is
+        none of one of them.
+        """
         return self._at(self.places(names))
 
     def drop(self, names: Iterable[str]) -> Estimate:
@@ -268,18 +283,26 @@ class Estimate:
         )
 
 
-def estimate_of(parameters: Sequence[Parameter], values: np.ndarray, covariance: np.ndarray) -> Estimate:
+def estimate_of(
+    parameters: Sequence[Parameter], values: np.ndarray, covariance: np.ndarray
+) -> Estimate:
     """Return an estimate of P parameters from values and covariance, shapes (P,) and (P, P).
 
     A parameter of zero variance counts as not fitted; values are deviations from the nominal.
     """
     free = np.diag(covariance) > 0.0
     prior = np.array([parameter.size for parameter in parameters])
-    return Estimate(tuple(parameters), values, free, Covariance.of(covariance[np.ix_(free, free)]), prior)
+    return Estimate(
+        tuple(parameters), values, free, Covariance.of(covariance[np.ix_(free, free)]), prior
+    )
 
 
-def carried_over(values: np.ndarray, index: dict[str, int], parameters: Sequence[Parameter]) -> np.ndarray:
-    """Return the entries of a vector by parameter name, shape (n,); zero (or False) for names not in ``index``."""
+def carried_over(
+    values: np.ndarray, index: dict[str, int], parameters: Sequence[Parameter]
+) -> np.ndarray:
+    """Return the entries of a vector by parameter name, shape (n,); zero (or False) for names not
+    in ``index``.
+    """
     found = np.zeros(len(parameters), values.dtype)
     for i, parameter in enumerate(parameters):
         if parameter.name in index:

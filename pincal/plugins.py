@@ -1,7 +1,8 @@
 """Registries of classes by name, extended by installed packages and by modules that the user names.
 
-Files never make pincal import code: custom classes in a model file have to be installed with an entry point, or their module
-named by the user, with ``--plugin`` on the command line or :func:`load_plugin` in Python.
+Files never make pincal import code: custom classes in a model file have to be installed with an
+entry point, or their module named by the user, with ``--plugin`` on the command line or
+:func:`load_plugin` in Python.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ _origins: list[str] = []
 
 
 class Registry(Generic[_T]):
-    """The classes of one kind by name: pincal's own, those of plugins, and those that a user registers.
+    """The classes of one kind by name: pincal's own, those of plugins, and those that a user
+    registers.
 
     Example:
         >>> class Hose:
@@ -39,13 +41,19 @@ class Registry(Generic[_T]):
     """
 
     def __init__(
-        self, kind: str, *, group: str, name_of: Callable[[type[_T]], str], check: Callable[[type[_T]], None] | None = None
+        self,
+        kind: str,
+        *,
+        group: str,
+        name_of: Callable[[type[_T]], str],
+        check: Callable[[type[_T]], None] | None = None,
     ) -> None:
         """Create an empty registry.
 
         Args:
             kind: of its classes, for messages: "effect", "sensor".
-            group: entry points by which installed packages declare classes, or modules that register them.
+            group: entry points by which installed packages declare classes, or modules that
+                register them.
             name_of: returns the name of a class.
             check: raises ``TypeError`` for an incomplete class.
         """
@@ -69,7 +77,8 @@ class Registry(Generic[_T]):
         # A module that is run and imported, or loaded again, defines its classes twice.
         if there is not None and there.__qualname__ != cls.__qualname__:
             raise TypeError(
-                f"{self.kind} {name!r} of {cls.__module__} has the name of {there.__module__}.{there.__qualname__}; "
+                f"{self.kind} {name!r} of {cls.__module__} has the name of "
+                f"{there.__module__}.{there.__qualname__}; "
                 "choose another name"
             )
         self._classes[name] = cls
@@ -105,15 +114,21 @@ def load_plugin(name: str) -> ModuleType:
     """Import a module that registers effects or sensors.
 
     Args:
-        name: its dotted name, on Python's path or in the current folder, or the path of a ``.py`` file.
+        name: its dotted name, on Python's path or in the current folder, or the path of a ``.py``
+            file.
 
     Raises:
         BadInputError: if there is no such module, it fails, or it registers nothing.
     """
-    path, before = Path(name), len(_origins)
+    path = Path(name)
+    before = len(_origins)
     if not name:
-        raise BadInputError("plugin '': expected the name of a module, or a file such as my_effects.py")
-    folder, module = (path.parent.resolve(), path.stem) if path.suffix == ".py" else (Path.cwd(), name)
+        raise BadInputError(
+            "plugin '': expected the name of a module, or a file such as my_effects.py"
+        )
+    folder, module = (
+        (path.parent.resolve(), path.stem) if path.suffix == ".py" else (Path.cwd(), name)
+    )
     # After all other places, as modules of the same name there have precedence.
     sys.path.append(os.fspath(folder))
     importlib.invalidate_caches()
@@ -121,18 +136,24 @@ def load_plugin(name: str) -> ModuleType:
         found = importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name is None or not (module == error.name or module.startswith(error.name + ".")):
-            raise BadInputError(f"plugin {name!r} needs the module {error.name!r}, which is not installed") from error
+            raise BadInputError(
+                f"plugin {name!r} needs the module {error.name!r}, which is not installed"
+            ) from error
         raise BadInputError(
-            f"plugin {name!r}: no such module; expected the name of an installed one, or a file such as my_effects.py"
+            f"plugin {name!r}: no such module; expected the name of an installed one, or "
+            "a file such as my_effects.py"
         ) from None
     except Exception as error:
         raise BadInputError(f"plugin {name!r} fails: {type(error).__name__}: {error}") from error
     finally:
         sys.path.remove(os.fspath(folder))
     # A module that was already imported has registered its classes before.
-    if not any(i >= before or f"{origin}.".startswith(f"{module}.") for i, origin in enumerate(_origins)):
+    if not any(
+        i >= before or f"{origin}.".startswith(f"{module}.") for i, origin in enumerate(_origins)
+    ):
         raise BadInputError(
-            f"plugin {name!r}: registers neither an effect nor a sensor; expected a module with a class under "
+            f"plugin {name!r}: registers neither an effect nor a sensor; expected a "
+            "module with a class under "
             "@register_effect or @register_sensor"
         )
     _loaded[os.fspath(path.resolve()) if path.suffix == ".py" else name] = None
@@ -140,5 +161,7 @@ def load_plugin(name: str) -> ModuleType:
 
 
 def loaded_plugins() -> tuple[str, ...]:
-    """Return the modules loaded by :func:`load_plugin`, as names for loading them in another process."""
+    """Return the modules loaded by :func:`load_plugin`, as names for loading them in another
+    process.
+    """
     return tuple(_loaded)

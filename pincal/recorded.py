@@ -1,4 +1,6 @@
-"""Variables recorded with each pose in addition to joints and readings: tables, models and reports use these entries."""
+"""Variables recorded with each pose in addition to joints and readings: tables, models and reports
+use these entries.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ class Variable:
     Attributes:
         quantity: physical quantity, see :data:`pincal.units.UNITS`.
         unit: in the library; empty for a plain number.
-        column: its column in a table: its name, or ``name_<joint>``, unless the reader derives it from other columns.
+        column: its column in a table: its name, or ``name_<joint>``, unless the reader derives it
+            from other columns.
         of_joints: whether each joint has one.
         instead: another source of it, in words.
         unknown: the value for poses where it is unknown; None if there is no such value.
@@ -45,26 +48,65 @@ class Recorded:
 
     approach: Annotated[
         np.ndarray | None,
-        Variable("number", "", "approach_<joint>", True, _IN_ORDER, unknown=0.0, label="direction of approach of {}"),
+        Variable(
+            "number",
+            "",
+            "approach_<joint>",
+            True,
+            _IN_ORDER,
+            unknown=0.0,
+            label="direction of approach of {}",
+        ),
     ] = None
     """Direction from which each joint arrived: -1, 0 (unknown) or 1, shape (N, n)."""
-    temperature: Annotated[np.ndarray | None, Variable("temperature", "deg C", "temperature")] = None
+    temperature: Annotated[np.ndarray | None, Variable("temperature", "deg C", "temperature")] = (
+        None
+    )
     """Temperature [deg C], shape (N,)."""
-    time: Annotated[np.ndarray | None, Variable("time", "s", "time", has_own_zero=True, shown="h")] = None
+    time: Annotated[
+        np.ndarray | None, Variable("time", "s", "time", has_own_zero=True, shown="h")
+    ] = None
     """Time [s], shape (N,)."""
     droop: Annotated[
         np.ndarray | None,
-        Variable("angle", "rad", "commanded_<joint>", True, label="commanded minus read back of {}", shown="mrad"),
+        Variable(
+            "angle",
+            "rad",
+            "commanded_<joint>",
+            True,
+            label="commanded minus read back of {}",
+            shown="mrad",
+        ),
     ] = None
     """Commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n)."""
     move: Annotated[
         np.ndarray | None,
-        Variable("number", "rad", "time", True, _IN_ORDER, unknown=0.0, label="last move of {}", shown="deg"),
+        Variable(
+            "number",
+            "rad",
+            "time",
+            True,
+            _IN_ORDER,
+            unknown=0.0,
+            label="last move of {}",
+            shown="deg",
+        ),
     ] = None
-    """Last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n)."""
+    """Last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape
+    (N, n).
+    """
     velocity: Annotated[
         np.ndarray | None,
-        Variable("angular rate", "rad/s", "time", True, _IN_MOTION, unknown=0.0, label="speed of {}", shown="deg/s"),
+        Variable(
+            "angular rate",
+            "rad/s",
+            "time",
+            True,
+            _IN_MOTION,
+            unknown=0.0,
+            label="speed of {}",
+            shown="deg/s",
+        ),
     ] = None
     """Velocity of each joint [rad/s], prismatic [m/s], shape (N, n); None where poses were held."""
 
@@ -78,13 +120,17 @@ class Moving:
     """Motion of an arm about the times of N poses, as far as readings depend on it.
 
     Attributes:
-        inertial: shape (N, n, 6), inertial loads on the joints, as in ``pincal.Conditions``; None for none.
-        q: shape (N, K, n), joint positions at K moments about each time [rad or m]; None where readings are instantaneous.
+        inertial: shape (N, n, 6), inertial loads on the joints, as in ``pincal.Conditions``; None
+            for none.
+        q: shape (N, K, n), joint positions at K moments about each time [rad or m]; None where
+            readings are instantaneous.
         velocity: shape (N, K, n), velocities there.
         loads: shape (N, K, n, 6), inertial loads there; None for none.
-        clock: offset added to the instrument's stamps [s], their drift [1], and the stamp about which they drift [s].
+        clock: offset added to the instrument's stamps [s], their drift [1], and the stamp about
+            which they drift [s].
         delay: time by which an IMU's stamps of rates were assumed to be too early [s].
-        scatter: noise of an IMU's forces [m/s^2] and rates [rad/s] by their scatter within the windows of rows.
+        scatter: noise of an IMU's forces [m/s^2] and rates [rad/s] by their scatter within the
+            windows of rows.
     """
 
     inertial: np.ndarray | None = None
@@ -105,7 +151,9 @@ class Moving:
         return self.inertial, self.q, self.velocity, self.loads
 
     def __getitem__(self, rows: slice | np.ndarray) -> Moving:
-        inertial, q, velocity, loads = (None if array is None else array[rows] for array in self._arrays)
+        inertial, q, velocity, loads = (
+            None if array is None else array[rows] for array in self._arrays
+        )
         return replace(self, inertial=inertial, q=q, velocity=velocity, loads=loads)
 
     def of_joints(self, order: Sequence[int]) -> Moving:
@@ -121,11 +169,21 @@ class Moving:
     def joined(self, others: Sequence[Moving]) -> Moving:
         """Return this motion concatenated with others of the same session."""
         parts = zip(*(each._arrays for each in (self, *others)), strict=True)
-        inertial, q, velocity, loads = (None if part[0] is None else np.concatenate(part) for part in parts)
+        inertial, q, velocity, loads = (
+            None if part[0] is None else np.concatenate(part) for part in parts
+        )
         return replace(self, inertial=inertial, q=q, velocity=velocity, loads=loads)
 
 
 _HINTS = get_type_hints(Recorded, include_extras=True)
-RECORDED: Mapping[str, Variable] = {each.name: _HINTS[each.name].__metadata__[0] for each in fields(Recorded)}
-RECORDABLE = {"approach": RECORDED["approach"], "payload": Variable("mass", "kg", "payload"), **RECORDED}
-"""All variables on which an effect may depend in addition to joint positions and moments, including a payload of 0."""
+RECORDED: Mapping[str, Variable] = {
+    each.name: _HINTS[each.name].__metadata__[0] for each in fields(Recorded)
+}
+RECORDABLE = {
+    "approach": RECORDED["approach"],
+    "payload": Variable("mass", "kg", "payload"),
+    **RECORDED,
+}
+"""All variables on which an effect may depend in addition to joint positions and moments, including
+a payload of 0.
+"""

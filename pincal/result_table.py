@@ -36,7 +36,9 @@ class Kind(Enum):
     STATUS = "status"
     """Short text in the colour of its row."""
     REMARK = "remark"
-    """Long text, often the same in several rows: numbered footnotes on a terminal, a column elsewhere."""
+    """Long text, often the same in several rows: numbered footnotes on a terminal, a column
+    elsewhere.
+    """
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,13 @@ _WIDTH = 100
 # Names are not broken up to this fraction of the width.
 _NARROWEST = 4
 _STYLES: dict[str, str] = {"": "", "good": "", "care": "yellow", "bad": "red", "mute": "dim"}
-_CLASSES = {Kind.LABEL: "nw", Kind.NAME: "name", Kind.NUMBER: "n", Kind.STATUS: "nw status", Kind.REMARK: "wide mute"}
+_CLASSES = {
+    Kind.LABEL: "nw",
+    Kind.NAME: "name",
+    Kind.NUMBER: "n",
+    Kind.STATUS: "nw status",
+    Kind.REMARK: "wide mute",
+}
 
 
 @dataclass(frozen=True, repr=False)
@@ -109,12 +117,18 @@ class Table:
 
     def texts(self) -> list[list[str]]:
         """Return all cells as formatted text."""
-        return [[column.show(cell) for column, cell in zip(self.columns, row, strict=True)] for row in self.rows]
+        return [
+            [column.show(cell) for column, cell in zip(self.columns, row, strict=True)]
+            for row in self.rows
+        ]
 
     def records(self) -> list[dict[str, Any]]:
         """Return the rows as dictionaries by heading, quantities as numbers in SI units."""
         return [
-            {c.heading: x.value if isinstance(x, Quantity) else x for c, x in zip(self.columns, row, strict=True)}
+            {
+                c.heading: x.value if isinstance(x, Quantity) else x
+                for c, x in zip(self.columns, row, strict=True)
+            }
             for row in self.rows
         ]
 
@@ -132,11 +146,15 @@ class Table:
         return replace(self, rows=self.rows[k : k + 1]).records()[0]
 
     def to_csv(self) -> str:
-        """Return the data as comma-separated values with a line of headings; quantities in SI units, full precision."""
+        """Return the data as comma-separated values with a line of headings; quantities in SI
+        units, full precision.
+        """
         written = io.StringIO()
         writer = csv.writer(written, lineterminator="\n")
         writer.writerow(column.heading for column in self.columns)
-        writer.writerows(["" if x is None else x for x in record.values()] for record in self.records())
+        writer.writerows(
+            ["" if x is None else x for x in record.values()] for record in self.records()
+        )
         return written.getvalue()
 
     def to_pandas(self) -> pd.DataFrame:
@@ -149,7 +167,10 @@ class Table:
         """Return the data as a polars frame."""
         import polars
 
-        columns = {column.heading: [record[column.heading] for record in self.records()] for column in self.columns}
+        columns = {
+            column.heading: [record[column.heading] for record in self.records()]
+            for column in self.columns
+        }
         return polars.DataFrame(columns, strict=False)
 
     def to_html(self, *, caption: bool = True) -> str:
@@ -183,8 +204,12 @@ class Table:
             console.print(self)
         return "\n".join(line.rstrip() for line in written.get().splitlines()).strip("\n")
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[RenderableType]:
-        """Yield the table with remarks as footnotes: with lines and colours on a terminal, as plain text elsewhere."""
+    def __rich_console__(
+        self, console: Console, options: ConsoleOptions
+    ) -> Iterator[RenderableType]:
+        """Yield the table with remarks as footnotes: with lines and colours on a terminal, as plain
+        text elsewhere.
+        """
         yield from _rendered(self, width=options.max_width, is_terminal=console.is_terminal)
 
 
@@ -203,7 +228,9 @@ def _html_row(tag: str, tone: str, columns: Sequence[Column], texts: Sequence[st
     if tag == "th":
         classes = ["n" if name == "n" else "" for name in classes]
     marks = [f' class="{name}"' if name else "" for name in classes]
-    cells = "".join(f"<{tag}{mark}>{html.escape(text)}</{tag}>" for mark, text in zip(marks, texts, strict=True))
+    cells = "".join(
+        f"<{tag}{mark}>{html.escape(text)}</{tag}>" for mark, text in zip(marks, texts, strict=True)
+    )
     return f'<tr class="{tone}">{cells}</tr>' if tone else f"<tr>{cells}</tr>"
 
 
@@ -223,10 +250,15 @@ def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[Render
     )
     shown = [i for i, column in enumerate(table.columns) if column.kind is not Kind.REMARK]
     texts = table.texts()
-    # Headings of many columns, such as one per joint, are broken at underscores rather than truncated, and before units
-    # where the cells need the space.
+    # Headings of many columns, such as one per joint, are broken at underscores rather than
+    # truncated, and before units where the cells need the space.
     is_wide = sum(len(table.columns[i].heading) + 2 for i in shown) > width
-    is_full = sum(max(map(len, [table.columns[i].heading, *(row[i] for row in texts)])) + 3 for i in shown) > width
+    is_full = (
+        sum(
+            max(map(len, [table.columns[i].heading, *(row[i] for row in texts)])) + 3 for i in shown
+        )
+        > width
+    )
     for i in shown:
         column = table.columns[i]
         heading = column.heading.replace("_", "_\n") if is_wide else column.heading
@@ -235,12 +267,18 @@ def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[Render
             Text(heading.replace(" [", "\n[") if is_full else heading),
             justify="right" if column.kind is Kind.NUMBER else "left",
             no_wrap=column.kind in (Kind.LABEL, Kind.NUMBER, Kind.STATUS),
-            min_width=min(max(words, default=0), width // _NARROWEST) if column.kind is Kind.NAME else None,
+            min_width=min(max(words, default=0), width // _NARROWEST)
+            if column.kind is Kind.NAME
+            else None,
             overflow="fold",
         )
     # Footnotes, numbered in the order of first occurrence.
-    remarks = [" ".join(row[i] for i in range(len(row)) if i not in shown and row[i]) for row in texts]
-    footnotes = {remark: f"({i})" for i, remark in enumerate(dict.fromkeys(filter(None, remarks)), 1)}
+    remarks = [
+        " ".join(row[i] for i in range(len(row)) if i not in shown and row[i]) for row in texts
+    ]
+    footnotes = {
+        remark: f"({i})" for i, remark in enumerate(dict.fromkeys(filter(None, remarks)), 1)
+    }
     for row, remark, tone in zip(texts, remarks, table.tones or [""] * len(table), strict=True):
         cells = [Text(one_line(row[i])) for i in shown]
         cells[-1].append(f" {footnotes[remark]}" if remark else "")

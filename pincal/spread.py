@@ -1,9 +1,10 @@
 """Parallel evaluation of a function over many items, in this process, in others or on a cluster.
 
-Any ``concurrent.futures`` executor can be used: a pool of threads or processes, ``mpi4py.futures.MPIPoolExecutor``, or a
-Dask cluster by its ``client.get_executor()``. The data of a function, often a whole calibration, are sent to each worker
-once, not with each item. Results are in the order of the items and identical to the last bit on all workers if the function
-depends only on its item: a draw has its own seed.
+Any ``concurrent.futures`` executor can be used: a pool of threads or processes,
+``mpi4py.futures.MPIPoolExecutor``, or a Dask cluster by its ``client.get_executor()``. The data of
+a function, often a whole calibration, are sent to each worker once, not with each item. Results are
+in the order of the items and identical to the last bit on all workers if the function depends only
+on its item: a draw has its own seed.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ _R = TypeVar("_R")
 
 # Functions that a worker keeps: the current one, and earlier ones.
 _KEPT = 4
-# A pool with a dead process is broken. A cluster continues, unless its scheduler is gone, or several workers died at one
-# task, for which Dask raises this error.
+# A pool with a dead process is broken. A cluster continues, unless its scheduler is gone, or
+# several workers died at one task, for which Dask raises this error.
 _BROKEN = (BrokenExecutor, CancelledError)
 _GIVEN_UP = ("KilledWorker",)
 # Interval at which a wait for workers can be interrupted [s].
@@ -47,9 +48,14 @@ log = logging.getLogger(__name__)
 
 
 def spread(
-    function: Callable[[_T], _R], items: Iterable[_T], *, label: str, executor: Executor | None = None
+    function: Callable[[_T], _R],
+    items: Iterable[_T],
+    *,
+    label: str,
+    executor: Executor | None = None,
 ) -> Iterator[_R]:
-    """Return a function's results in the order of the items; with an executor, all tasks are submitted at once.
+    """Return a function's results in the order of the items; with an executor, all tasks are
+    submitted at once.
 
     Args:
         function: the function with all its data; picklable, if the executor needs that.
@@ -66,12 +72,17 @@ def spread(
         [1, 2]
     """
     tasks = list(items)
-    begun = map(function, tasks) if executor is None else _Sender(function, executor, label).begun(function, tasks, label)
+    begun = (
+        map(function, tasks)
+        if executor is None
+        else _Sender(function, executor, label).begun(function, tasks, label)
+    )
     return _logged(begun, label, len(tasks))
 
 
 def wake(executor: Executor, count: int, module: str) -> None:
-    """Start the workers for ``count`` tasks and load a module, which takes processes seconds, in advance.
+    """Start the workers for ``count`` tasks and load a module, which takes processes seconds, in
+    advance.
 
     Example:
         >>> with ThreadPoolExecutor(1) as pool:
@@ -85,7 +96,8 @@ def wake(executor: Executor, count: int, module: str) -> None:
 def end_with_parent() -> None:
     """End this process when its parent has ended in any way: an initializer for a pool.
 
-    Otherwise a worker of ``concurrent.futures`` waits forever for its next task, as it holds both ends of the pipe.
+    Otherwise a worker of ``concurrent.futures`` waits forever for its next task, as it holds both
+    ends of the pipe.
 
     Example:
         >>> from concurrent.futures import ProcessPoolExecutor
@@ -97,7 +109,9 @@ def end_with_parent() -> None:
 
     parent = parent_process()
     if parent is not None:
-        threading.Thread(target=_end_after, args=(parent.sentinel,), name="end with parent", daemon=True).start()
+        threading.Thread(
+            target=_end_after, args=(parent.sentinel,), name="end with parent", daemon=True
+        ).start()
 
 
 class _Deaf(SpawnProcess):
@@ -155,8 +169,11 @@ def _logged(results: Iterator[_R], label: str, of: int) -> Iterator[_R]:
         yield result
 
 
-def spread_again(function: Callable[[_T], _R], items: Iterable[_T], *, label: str, executor: Executor) -> Iterator[_R]:
-    """Return the results of :func:`spread` for a function in repeated use: workers keep it as long as it exists here.
+def spread_again(
+    function: Callable[[_T], _R], items: Iterable[_T], *, label: str, executor: Executor
+) -> Iterator[_R]:
+    """Return the results of :func:`spread` for a function in repeated use: workers keep it as long
+    as it exists here.
 
     The function is identified by ``id``, as objects without their own equality.
     """
@@ -175,7 +192,8 @@ class _Sender:
         self.executor = executor
         # The client of an executor from Dask's ``Client.get_executor``.
         of_dask = type(executor).__module__ == "distributed.cfexecutor"
-        self._client, self._file = vars(executor)["_client"] if of_dask else None, None
+        self._client = vars(executor)["_client"] if of_dask else None
+        self._file = None
         if isinstance(executor, ThreadPoolExecutor):
             return
         if self._client is not None:
@@ -189,13 +207,19 @@ class _Sender:
         if isinstance(self.executor, ThreadPoolExecutor):
             return self.executor.map(function, tasks)
         if self._client is not None:
-            return _results([self._client.submit(_call, self._held, task, pure=False) for task in tasks], label)
+            return _results(
+                [self._client.submit(_call, self._held, task, pure=False) for task in tasks], label
+            )
         with _losses(label):
-            return _results([self.executor.submit(_call, self._held, task) for task in tasks], label, self._file)
+            return _results(
+                [self.executor.submit(_call, self._held, task) for task in tasks], label, self._file
+            )
 
 
 # Functions in repeated use, and their senders.
-_AT_WORKERS: weakref.WeakKeyDictionary[Callable[[Any], Any], list[_Sender]] = weakref.WeakKeyDictionary()
+_AT_WORKERS: weakref.WeakKeyDictionary[Callable[[Any], Any], list[_Sender]] = (
+    weakref.WeakKeyDictionary()
+)
 
 
 def _results(futures: Sequence[Future[_R]], label: str, *needed: object) -> Iterator[_R]:
@@ -203,7 +227,8 @@ def _results(futures: Sequence[Future[_R]], label: str, *needed: object) -> Iter
     try:
         for future in futures:
             with _losses(label):
-                # An unlimited wait ignores Ctrl-C where a library makes signals restart system calls, as polars does.
+                # An unlimited wait ignores Ctrl-C where a library makes signals restart system
+                # calls, as polars does.
                 while not future.done():
                     with suppress(TimeoutError):
                         future.exception(timeout=_GLANCE)
@@ -223,8 +248,10 @@ def _losses(label: str) -> Iterator[None]:
         if not isinstance(error, _BROKEN) and type(error).__name__ not in _GIVEN_UP:
             raise
         raise WorkersLostError(
-            f"{label}: workers died, usually for lack of memory; use fewer at once, or a Dask cluster, which survives the "
-            'loss of one. A script that starts processes needs its own code under if __name__ == "__main__"'
+            f"{label}: workers died, usually for lack of memory; use fewer at once, or a "
+            "Dask cluster, which survives the "
+            "loss of one. A script that starts processes needs its own code under if "
+            '__name__ == "__main__"'
         ) from error
 
 
@@ -243,7 +270,9 @@ class _Sent:
     content: bytes | Path = field(compare=False)
 
     def itself(self) -> _Sent:
-        """Return itself: the task by which a cluster gets it, again if the workers with it have died."""
+        """Return itself: the task by which a cluster gets it, again if the workers with it have
+        died.
+        """
         return self
 
 
@@ -261,7 +290,8 @@ def _received(sent: _Sent) -> Callable[[Any], Any]:
         content = sent.content if isinstance(sent.content, bytes) else sent.content.read_bytes()
     except FileNotFoundError as error:
         raise BadInputError(
-            f"{platform.node()}: no file {error.filename}; workers on other machines need a shared folder for temporary "
+            f"{platform.node()}: no file {error.filename}; workers on other machines need "
+            "a shared folder for temporary "
             "files: set TMPDIR"
         ) from error
     found: Callable[[Any], Any] = pickle.loads(content)
@@ -280,7 +310,9 @@ class _File:
 
 
 def _held_by_dask(client: Any, function: Callable[[Any], Any]) -> Any:
-    """Send a function to a Dask cluster by its client, as futures of its executor wait forever for lost data."""
+    """Send a function to a Dask cluster by its client, as futures of its executor wait forever for
+    lost data.
+    """
     import cloudpickle
 
     sent = _Sent(uuid.uuid4().hex, loaded_plugins(), cloudpickle.dumps(function))

@@ -1,4 +1,5 @@
-"""Units for input and output, and the formatting of numbers; the only place with conversion factors.
+"""Units for input and output, and the formatting of numbers; the only place with conversion
+factors.
 
 The library computes in SI units throughout; factors are applied where a number is read or shown.
 """
@@ -15,7 +16,8 @@ if TYPE_CHECKING:
 LARGEST = 1e7
 """Largest plausible quantity of a robot cell in SI units.
 
-Some cells are placed in national grids, which extend that far; beyond, a double does not resolve a nanometre.
+Some cells are placed in national grids, which extend that far; beyond, a double does not resolve a
+nanometre.
 """
 SMALLEST = 1e-12
 """Smallest plausible positive quantity in SI units: a picometre is a hundredth of an atom."""
@@ -43,7 +45,9 @@ _SIZES_OF = {"acceleration": {"g": STANDARD_GRAVITY, "mg": 1e-3 * STANDARD_GRAVI
 SIZES = {unit: size for sizes in _SIZES.values() for unit, size in sizes.items()} | {"urad": 1e-6}
 """Sizes of units in SI units (temperatures: in deg C)."""
 UNITS = {quantity: (*sizes, *_SIZES_OF.get(quantity, ())) for quantity, sizes in _SIZES.items()}
-"""The possible units of a column by its quantity, the SI unit first; without a unit in the header it is in SI units."""
+"""The possible units of a column by its quantity, the SI unit first; without a unit in the header
+it is in SI units.
+"""
 
 
 def unit_sizes(*units: str) -> dict[str, float]:
@@ -58,12 +62,16 @@ def unit_sizes(*units: str) -> dict[str, float]:
 
 # Offsets of units, added after scaling.
 _OFFSETS = {"K": -273.15}
-# Quantities of any size, such as counts and times, which some clocks count in nanoseconds from 1970; their limit.
-_UNBOUNDED, _LARGEST_COUNT = ("time", "number", "name"), 1e20
+# Quantities of any size, such as counts and times, which some clocks count in nanoseconds from
+# 1970; their limit.
+_UNBOUNDED = ("time", "number", "name")
+_LARGEST_COUNT = 1e20
 
 
 def is_possible(values: np.ndarray, quantity: str) -> np.ndarray:
-    """Return which values of a quantity in SI units are plausible: finite, and no larger than anything about a robot."""
+    """Return which values of a quantity in SI units are plausible: finite, and no larger than
+    anything about a robot.
+    """
     import numpy as np
 
     return np.asarray(np.abs(values) <= (_LARGEST_COUNT if quantity in _UNBOUNDED else LARGEST))
@@ -92,18 +100,21 @@ def size_of(unit: str, quantity: str = "") -> float:
 
 def in_si(values: np.ndarray, unit: str, quantity: str = "") -> np.ndarray:
     """Return values of a quantity in SI units; an empty unit is SI."""
-    size, offset = size_of(unit, quantity), _OFFSETS.get(unit, 0.0)
+    size = size_of(unit, quantity)
+    offset = _OFFSETS.get(unit, 0.0)
     return values if (size, offset) == (1.0, 0.0) else values * size + offset
 
 
 def in_unit(values: np.ndarray, unit: str) -> np.ndarray:
     """Return values in SI units in another unit; an empty one is SI."""
-    size, offset = SIZES.get(unit, 1.0), _OFFSETS.get(unit, 0.0)
+    size = SIZES.get(unit, 1.0)
+    offset = _OFFSETS.get(unit, 0.0)
     return values if (size, offset) == (1.0, 0.0) else (values - offset) / size
 
 
 # Plausible gravity other than zero [m/s^2], from orbit to a hundred times that on earth.
-_LEAST_GRAVITY, _MOST_GRAVITY = 1e-6, 1e3
+_LEAST_GRAVITY = 1e-6
+_MOST_GRAVITY = 1e3
 GRAVITIES = f"0 0 0, or a vector of {_LEAST_GRAVITY:g} to {_MOST_GRAVITY:g} m/s^2"
 """Plausible gravity in words."""
 
@@ -120,7 +131,8 @@ def is_gravity(vector: Sequence[float]) -> bool:
 
 
 def plain_number(text: str) -> float:
-    """Return a number written in decimal digits; Python alone would also accept ``1_0`` or Arabic digits.
+    """Return a number written in decimal digits; Python alone would also accept ``1_0`` or Arabic
+    digits.
 
     Raises:
         ValueError: for any other text.
@@ -152,11 +164,17 @@ def size_in(text: str, unit: str) -> float:
         >>> size_in("0.5mm", "m"), size_in("0.2 urad/Nm", "rad/(N m)"), size_in("inf", "rad")
         (0.0005, 2e-07, inf)
     """
-    (of, _, per), kinds = unit.partition("/"), [kind for kind in UNITS.values() if unit.partition("/")[0] in kind]
+    (of, _, per), kinds = (
+        unit.partition("/"),
+        [kind for kind in UNITS.values() if unit.partition("/")[0] in kind],
+    )
     number, divided, below = text.replace(" ", "").partition("/")
     if divided and below.strip("()") != per.replace(" ", "").strip("()"):
         raise ValueError(f"{text!r}; expected a number in {unit}")
-    known = {name: SIZES[name] / SIZES[of] for name in (*(kinds[0] if kinds else ()), *(("urad",) if of == "rad" else ()))}
+    known = {
+        name: SIZES[name] / SIZES[of]
+        for name in (*(kinds[0] if kinds else ()), *(("urad",) if of == "rad" else ()))
+    }
     for name in (*sorted(known, key=len, reverse=True), ""):
         if number.endswith(name) and not (per and name and not divided):
             try:
@@ -197,7 +215,8 @@ _SMALL = {
 
 
 def readable_unit(unit: str) -> Unit:
-    """Return the unit for showing parameters and errors given in an SI unit; an unknown unit is unchanged.
+    """Return the unit for showing parameters and errors given in an SI unit; an unknown unit is
+    unchanged.
 
     Example:
         >>> readable_unit("m"), readable_unit("kg")
@@ -237,12 +256,14 @@ def format_small(value: float, unit: str) -> str:
     factor, name = small_unit(unit)
     scaled = value * factor
     if abs(scaled) >= 1000.0 and name in ("µrad", "µm"):
-        scaled, name = scaled / 1000.0, name.replace("µ", "m")
+        scaled = scaled / 1000.0
+        name = name.replace("µ", "m")
     return f"{format_digits(scaled)} {name}"
 
 
 def format_digits(value: float) -> str:
-    """Return a number with at least two significant digits, without an exponent where it is of ordinary size.
+    """Return a number with at least two significant digits, without an exponent where it is of
+    ordinary size.
 
     Example:
         >>> format_digits(21.3), format_digits(3.21), format_digits(0.0312), format_digits(12345.0), format_digits(2e-9)
@@ -252,7 +273,11 @@ def format_digits(value: float) -> str:
         return "0"
     if not 1e-4 <= abs(value) < 1e6:
         return f"{value:.1e}"
-    return f"{value:.0f}" if abs(value) >= 10.0 else f"{float(f'{value:.2g}'):.{2 if abs(value) >= 0.1 else 4}g}"
+    return (
+        f"{value:.0f}"
+        if abs(value) >= 10.0
+        else f"{float(f'{value:.2g}'):.{2 if abs(value) >= 0.1 else 4}g}"
+    )
 
 
 # Cells of tables
@@ -277,7 +302,9 @@ def fixed(places: int) -> Callable[[Any], str]:
         >>> fixed(2)(1.005), fixed(2)(None), fixed(2)("")
         ('1.00', '-', '')
     """
-    return lambda value: show_plainly(value) if value is None or isinstance(value, str) else f"{value:z.{places}f}"
+    return lambda value: (
+        show_plainly(value) if value is None or isinstance(value, str) else f"{value:z.{places}f}"
+    )
 
 
 def show_percent(share: float | None) -> str:

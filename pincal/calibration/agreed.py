@@ -1,4 +1,6 @@
-"""A fit to tables that agrees with them: the check after the fit, for the command and for Python."""
+"""A fit to tables that agrees with them: the check after the fit, for the command and
+for Python.
+"""
 
 from __future__ import annotations
 

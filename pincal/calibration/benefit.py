@@ -1,22 +1,25 @@
-r"""Whether a calibration makes a robot better than its URDF, expected before anyone measures it again.
+r"""Whether a calibration makes a robot better than its URDF, expected before anyone measures it
+again.
 
-Priors of millimetres and milliradians hold for any robot. Many are better than that, and then readings of a few poses with
-much noise put the noise into the geometry: the calibrated robot fits them, and is worse than its URDF elsewhere. How far
-this robot is from its URDF shows in the readings as well. Let s scale all its priors, from zero to one. With the information
-H of the readings and their gradient b at the nominal robot, the evidence of s is (MacKay 1992, Bayesian Interpolation,
-Neural Computation 4, section 4)
+Priors of millimetres and milliradians hold for any robot. Many are better than that, and then
+readings of a few poses with much noise put the noise into the geometry: the calibrated robot fits
+them, and is worse than its URDF elsewhere. How far this robot is from its URDF shows in the
+readings as well. Let s scale all its priors, from zero to one. With the information H of the
+readings and their gradient b at the nominal robot, the evidence of s is (MacKay 1992, Bayesian
+Interpolation, Neural Computation 4, section 4)
 
 .. math:: 2 \log E(s) = b^T A^{-1} b - \log\det A - \log\det P, \quad A = H + P^{-1}, \quad P \propto s^2 ,
 
-and given s the deviations are distributed about :math:`m = A^{-1} b` with covariance :math:`C = A^{-1}`. A robot that is
-said to deviate by x is then off by
+and given s the deviations are distributed about :math:`m = A^{-1} b` with covariance
+:math:`C = A^{-1}`. A robot that is said to deviate by x is then off by
 
 .. math:: (x - m)^T W (x - m) + \mathrm{tr}(W C)
 
-in the mean square over random poses, whose Jacobians make W, instrument and target placed as well as possible. The average
-over s, weighted by the evidence, is the expected error of the calibrated robot for its x, and of the URDF for x = 0. Where
-the noise is unknown, it is the most likely one for each s. Noise alone sometimes looks like a robot that deviates, so that
-the decision is made by an average in which the URDF is given odds beforehand.
+in the mean square over random poses, whose Jacobians make W, instrument and target placed as well
+as possible. The average over s, weighted by the evidence, is the expected error of the calibrated
+robot for its x, and of the URDF for x = 0. Where the noise is unknown, it is the most likely one
+for each s. Noise alone sometimes looks like a robot that deviates, so that the decision is made by
+an average in which the URDF is given odds beforehand.
 """
 
 from __future__ import annotations
@@ -43,25 +46,32 @@ from pincal.identify.station import Station
 from pincal.measure.extrinsics import sample_rows
 from pincal.model.conditions import Conditions
 
-# Factors on the priors that are compared: the URDF as it is (for the arithmetic, a thousandth), then up to the usual priors.
-_NONE, _LEAST, _STEP = 1e-3, 1e-2, 10.0**0.125
+# Factors on the priors that are compared: the URDF as it is (for the arithmetic, a thousandth),
+# then up to the usual priors.
+_NONE = 1e-3
+_LEAST = 1e-2
+_STEP = 10.0**0.125
 # Standard deviation of parameters without a prior [m or rad].
 _ANYWHERE = 10.0
 # Measured poses at most at which errors are compared.
 _MEASURED = 500
-# Ratio of the noise of the nominal robot to that of the fit beyond which the fit is taken to have none.
+# Ratio of the noise of the nominal robot to that of the fit beyond which the fit is taken to have
+# none.
 _MOST = 1e4
 
 
 class Benefit(NamedTuple):
-    """Expected rms position errors within the joint limits, with instrument and target placed: of the URDF, and calibrated.
+    """Expected rms position errors within the joint limits, with instrument and target placed: of
+    the URDF, and calibrated.
 
     Attributes:
         nominal_mm: with the robot as in its URDF [mm].
         calibrated_mm: with the robot as calibrated [mm].
-        scale: factor on the usual priors by which the robot deviates from its URDF, rms over its evidence.
+        scale: factor on the usual priors by which the robot deviates from its URDF, rms over its
+            evidence.
         spread: factor on the usual priors with which the URDF is as uncertain as ``nominal_mm``.
-        is_worth_it: whether also those who expect the URDF to be right expect the calibrated robot to be better.
+        is_worth_it: whether also those who expect the URDF to be right expect the calibrated robot
+            to be better.
     """
 
     nominal_mm: float
@@ -72,7 +82,9 @@ class Benefit(NamedTuple):
 
 
 def without_harm(fit: Fit) -> Fit:
-    """Return a fit that is expected to be better than the URDF: itself, or one with the robot as in its URDF."""
+    """Return a fit that is expected to be better than the URDF: itself, or one with the robot as in
+    its URDF.
+    """
     found = benefit_of(fit)
     return fit if found is None or found.is_worth_it else at_nominal(fit, found)
 
@@ -81,17 +93,22 @@ def findings_on_benefit(fit: ModelFit) -> Iterator[Caveat]:
     """Yield that the robot stays as in its URDF because the readings do not improve it."""
     if fit.is_kept:
         assert fit.options.kept is not None
-        figures = {"nominal": fit.options.kept.nominal_mm, "calibrated": fit.options.kept.calibrated_mm}
+        figures = {
+            "nominal": fit.options.kept.nominal_mm,
+            "calibrated": fit.options.kept.calibrated_mm,
+        }
         yield Caveat(CaveatKind.NOT_IMPROVED, figures)
 
 
 def benefit_of(fit: ModelFit) -> Benefit | None:
     """Return what a calibration is expected to improve; None where this is not judged.
 
-    It is not where an earlier fit or the user says how far the robot deviates, where nothing of the robot is fitted, and
-    where no instrument observes positions, as priors are then estimated anyway.
+    It is not where an earlier fit or the user says how far the robot deviates, where nothing of the
+    robot is fitted, and where no instrument observes positions, as priors are then estimated
+    anyway.
     """
-    options, problem = fit.options, fit.problem
+    options = fit.options
+    problem = fit.problem
     is_judged = options.earlier is None and options.prior_scale is None and observes_places(fit)
     scaled = _deviating(fit) & fit.solution.free
     if not is_judged or not scaled.any():
@@ -108,24 +125,34 @@ def benefit_of(fit: ModelFit) -> Benefit | None:
     mean_squares = weights @ losses
     nominal, calibrated = 1e3 * np.sqrt(mean_squares)
     scale = float(np.sqrt(weights @ scales**2))
-    # Deviations that are left at zero though readings move their means are off by these means as well.
-    spread = next((given.scale for given in found if given.uncertainty(W) >= mean_squares[0]), found[-1].scale)
+    # Deviations that are left at zero though readings move their means are off by these means as
+    # well.
+    spread = next(
+        (given.scale for given in found if given.uncertainty(W) >= mean_squares[0]), found[-1].scale
+    )
     # To leave a robot as it is costs a gain; to make it worse costs trust.
     odds = np.zeros(len(found))
     odds[0] = np.log(CRITERIA.as_described * (len(found) - 1))
     doubted = _weights(evidences + odds)
     anywhere = _ratio(doubted @ losses)
-    # A plan may show what matters at its poses, such as those of three joints, and little of the rest.
+    # A plan may show what matters at its poses, such as those of three joints, and little of the
+    # rest.
     measured = at.conditions.select(sample_rows(len(at), _MEASURED))
     W_measured = _weight(fit, shared, at, measured)
-    losses_measured = np.array([[given.loss(W_measured, 0.0 * x), given.loss(W_measured, x)] for given in found])
+    losses_measured = np.array(
+        [[given.loss(W_measured, 0.0 * x), given.loss(W_measured, x)] for given in found]
+    )
     at_measured = _ratio(doubted @ losses_measured)
-    is_worth_it = anywhere < CRITERIA.worth_it or (at_measured < CRITERIA.worth_it and anywhere < CRITERIA.no_worse)
+    is_worth_it = anywhere < CRITERIA.worth_it or (
+        at_measured < CRITERIA.worth_it and anywhere < CRITERIA.no_worse
+    )
     return Benefit(float(nominal), float(calibrated), scale, spread, is_worth_it)
 
 
 def _ratio(mean_squares: np.ndarray) -> float:
-    """Return the expected error of the calibrated robot over that of its URDF, from the mean squares of both."""
+    """Return the expected error of the calibrated robot over that of its URDF, from the mean
+    squares of both.
+    """
     of_nominal, of_calibrated = np.sqrt(mean_squares)
     return float(of_calibrated / of_nominal)
 
@@ -137,17 +164,28 @@ def _weights(logarithms: np.ndarray) -> np.ndarray:
 
 
 def at_nominal(fit: Fit, benefit: Benefit) -> Fit:
-    """Return a fit of base, target and instrument alone, in which the robot's parameters are nominal, and uncertain.
+    """Return a fit of base, target and instrument alone, in which the robot's parameters are
+    nominal, and uncertain.
 
     Further fits with its options have priors as wide as the robot deviates.
     """
-    scale, spread = benefit.scale, benefit.spread
-    problem, free, nominal = fit.problem, fit.solution.free, fit.nominal
+    scale = benefit.scale
+    spread = benefit.spread
+    problem = fit.problem
+    free = fit.solution.free
+    nominal = fit.nominal
     deviating = _deviating(fit)
     sizes = np.where(deviating, spread * fit.priors.sizes, fit.priors.sizes)
     at = Linearised(problem, nominal.values, free, nominal.weights, sizes)
-    solution = replace(nominal, posterior=at.posterior(nominal.sigma), free=free, at_bound=np.zeros(len(free), bool))
-    names = tuple(p.name for p, is_kept in zip(problem.parameters, deviating & free, strict=True) if is_kept)
+    solution = replace(
+        nominal,
+        posterior=at.posterior(nominal.sigma),
+        free=free,
+        at_bound=np.zeros(len(free), bool),
+    )
+    names = tuple(
+        p.name for p, is_kept in zip(problem.parameters, deviating & free, strict=True) if is_kept
+    )
     kept = Kept(names, benefit.nominal_mm, benefit.calibrated_mm)
     options = replace(fit.options, prior_scale=PriorScale(scale, scale, scale, scale), kept=kept)
     return replace(fit, solution=solution, priors=replace(fit.priors, sizes=sizes), options=options)
@@ -158,11 +196,15 @@ def _deviating(fit: ModelFit) -> np.ndarray:
     problem = fit.problem
     robots = set(fit.names_of(effect for effect in problem.effects if effect.scope == "robot"))
     is_robots = np.array([parameter.name in robots for parameter in problem.parameters], bool)
-    return np.asarray(np.any(deviations(problem, fit.options), axis=0) & is_robots & problem.is_shared)
+    return np.asarray(
+        np.any(deviations(problem, fit.options), axis=0) & is_robots & problem.is_shared
+    )
 
 
 class _Given(NamedTuple):
-    """The deviations given a scale of the priors: its log evidence, their mean, shape (F,), and covariance, shape (F, F)."""
+    """The deviations given a scale of the priors: its log evidence, their mean, shape (F,), and
+    covariance, shape (F, F).
+    """
 
     scale: float
     log_evidence: float
@@ -215,7 +257,8 @@ class _Evidence(NamedTuple):
         b = form.g + form.H @ x
         squares = _squares(fit, sigma) + float(x @ (form.g + b))
         sizes = np.minimum(fit.priors.sizes[shared], _ANYWHERE)
-        readings, most = 0.0, 1.0
+        readings = 0.0
+        most = 1.0
         if not fit.is_declared:
             readings = float(fit.problem.readings(solution.weights).sum()) - fit.nominal.effective
             # With the usual priors the noise is that of the fit.
@@ -230,7 +273,9 @@ class _Evidence(NamedTuple):
         return [given for given in found if given.scale < _STEP**0.5]
 
     def at(self, scale: float) -> _Given:
-        """Return the deviations with priors scaled; those of an unknown noise relative to it, which follows."""
+        """Return the deviations with priors scaled; those of an unknown noise relative to it, which
+        follows.
+        """
         sizes = self.sizes * np.where(self.scaled, scale, 1.0)
         factor = Factor.of(self.H + np.diag(sizes**-2.0))
         half = factor.half(self.b)
@@ -241,7 +286,9 @@ class _Evidence(NamedTuple):
             return _Given(scale, 0.5 * (gain - determinants), factor.back(half), covariance)
         variance = max(self.squares - gain, 1e-300) / self.readings
         log_evidence = -0.5 * (self.readings * np.log(variance) + determinants)
-        return _Given(scale * float(np.sqrt(variance)), log_evidence, factor.back(half), variance * covariance)
+        return _Given(
+            scale * float(np.sqrt(variance)), log_evidence, factor.back(half), variance * covariance
+        )
 
 
 def _squares(fit: ModelFit, sigma: np.ndarray) -> float:
@@ -255,12 +302,16 @@ def _squares(fit: ModelFit, sigma: np.ndarray) -> float:
 
 
 def _weight(fit: ModelFit, shared: np.ndarray, at: Station, conditions: Conditions) -> np.ndarray:
-    """Return the matrix of the mean square position error over poses of a station's robot, shape (F, F) [m^2]."""
+    """Return the matrix of the mean square position error over poses of a station's robot, shape
+    (F, F) [m^2].
+    """
     model = CalibratedModel.of(fit, station=at.name)
     poses, J = model.model.linearise(model.model_values, model.of_its_day(conditions))
     along = unplaced(J[:, :3], poses)
     places = {name: k for k, name in enumerate(model.model.names)}
-    names = [p.name for p, is_shared in zip(fit.problem.parameters, shared, strict=True) if is_shared]
+    names = [
+        p.name for p, is_shared in zip(fit.problem.parameters, shared, strict=True) if is_shared
+    ]
     columns = np.zeros((*along.shape[:2], len(names)))
     known = [k for k, name in enumerate(names) if name in places]
     columns[:, :, known] = along[:, :, [places[names[k]] for k in known]]

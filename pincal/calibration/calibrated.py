@@ -38,7 +38,9 @@ _PIECE = 4096
 
 
 class Calibrated(ABC):
-    """What can be done with a calibrated robot of one station or more, fitted or read from a file."""
+    """What can be done with a calibrated robot of one station or more, fitted or read
+    from a file.
+    """
 
     @property
     @abstractmethod
@@ -47,7 +49,9 @@ class Calibrated(ABC):
 
     @abstractmethod
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write ``model.json``, from which :func:`pincal.load_model` returns the calibrated model."""
+        """Write ``model.json``, from which :func:`pincal.load_model` returns the
+        calibrated model.
+        """
 
     @property
     @abstractmethod
@@ -72,15 +76,20 @@ class Calibrated(ABC):
         names = self.names
         if station is None:
             if len(names) > 1:
-                several = f"there are {len(names)}: {', '.join(names)}; choose one with fit.at(NAME)"
+                several = (
+                    f"there are {len(names)}: {', '.join(names)}; choose one with fit.at(NAME)"
+                )
                 raise BadInputError(f"this needs a single station, and {several}")
             station = names[0]
         elif station not in names and names == ("",):
             raise BadInputError(
-                f"station {station!r} is not in the model, which was calibrated at a single one; omit the name"
+                f"station {station!r} is not in the model, which was calibrated at a "
+                "single one; omit the name"
             )
         elif station not in names:
-            raise BadInputError(f"station {station!r} is not in the model; expected one of {', '.join(names)}")
+            raise BadInputError(
+                f"station {station!r} is not in the model; expected one of {', '.join(names)}"
+            )
         return self.models[station]
 
     def to_model(self) -> CalibratedModel:
@@ -88,7 +97,8 @@ class Calibrated(ABC):
         return self.at()
 
     def robot_model(self, kind: str | None = None) -> CalibratedModel:
-        """Return the model of the first station, with the coverage of all stations, which share the robot.
+        """Return the model of the first station, with the coverage of all stations, which share the
+        robot.
 
         Args:
             kind: kind of sensor; the first station with such a sensor is taken, if there is any.
@@ -107,7 +117,9 @@ class Calibrated(ABC):
         """The estimate of the robot's own parameters: ``Options.earlier`` of a further fit."""
         first = next(iter(self.models.values()))
         effects = (effect for effect in first.model.effects if effect.scope == "robot")
-        return first.estimate.take(p.name for effect in effects for p in effect.parameters(first.model.chain))
+        return first.estimate.take(
+            p.name for effect in effects for p in effect.parameters(first.model.chain)
+        )
 
     @overload
     def predict(
@@ -137,20 +149,21 @@ class Calibrated(ABC):
         target: str | None = None,
         return_sigma: bool = False,
     ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
-        """Return the target's poses in the instrument's frame (of contacts: in the robot's base frame).
+        """Return the target's poses in the instrument's frame (of contacts: in the robot's base
+        frame).
 
         Args:
-            at: joint positions, shape (N, n) or (n,) [rad, prismatic m], or the conditions of N poses, for models that need
-                temperature, time or the direction of approach. Missing temperatures and times are taken to be the means of
-                the calibration's rows. Or a table, whose joints are matched by name, with its
-                payloads and targets.
+            at: joint positions, shape (N, n) or (n,) [rad, prismatic m], or the conditions of N
+                poses, for models that need temperature, time or the direction of approach. Missing
+                temperatures and times are taken to be the means of the calibration's rows. Or a
+                table, whose joints are matched by name, with its payloads and targets.
             payload: mass at the tip [kg]; only with joint positions.
             target: name of the target; default: the first one; only with joint positions.
             return_sigma: whether to also return the standard deviation of the position.
 
         Returns:
-            Rotation and translation [m], shape (N, 3, 4), and with ``return_sigma`` the standard deviation of the position,
-            shape (N, 3) [m], see :meth:`position_sigma`.
+            Rotation and translation [m], shape (N, 3, 4), and with ``return_sigma`` the standard
+            deviation of the position, shape (N, 3) [m], see :meth:`position_sigma`.
 
         Raises:
             BadInputError: if the joint positions have another shape, or there is no such target.
@@ -171,13 +184,18 @@ class Calibrated(ABC):
         return (poses, self.position_sigma(conditions)) if return_sigma else poses
 
     def position_sigma(self, conditions: Conditions) -> np.ndarray:
-        r"""Return the standard deviation of the predicted position, shape (N, 3) [m], in the instrument's axes.
+        r"""Return the standard deviation of the predicted position, shape (N, 3) [m], in the
+        instrument's axes.
 
-        :math:`\sqrt{\mathrm{diag}(J C J^T)}`, the uncertainty of the calibration, without measurement noise; plus, where an
-        effect depends on a temperature or time that the conditions lack, its variation over the calibration's rows.
+        :math:`\sqrt{\mathrm{diag}(J C J^T)}`, the uncertainty of the calibration, without
+          measurement noise; plus, where an
+        effect depends on a temperature or time that the conditions lack, its variation over the
+        calibration's rows.
         """
         found = self.at()
-        lacking, conditions, n = found.unrecorded(conditions), found.of_its_day(conditions), found.model.n_parameters
+        lacking = found.unrecorded(conditions)
+        conditions = found.of_its_day(conditions)
+        n = found.model.n_parameters
         out = np.empty((len(conditions), 3))
         for start in range(0, len(conditions), _PIECE):
             rows = slice(start, start + _PIECE)
@@ -188,11 +206,14 @@ class Calibrated(ABC):
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of the values, shape (P, P); zero rows and columns for parameters that were not fitted."""
+        """Covariance of the values, shape (P, P); zero rows and columns for parameters that were
+        not fitted.
+        """
         return self.at().dense_covariance
 
     def export_urdf(self, path: str | os.PathLike[str] | None = None) -> UrdfExport:
-        """Return the robot's URDF with the calibrated geometry, and write it to a file if one is named.
+        """Return the robot's URDF with the calibrated geometry, and write it to a file if one is
+        named.
 
         Raises:
             RobotFileError: if the model has no URDF.
@@ -205,7 +226,9 @@ class Calibrated(ABC):
         return export
 
     def to_pinocchio(self) -> pin.Model:
-        """Return the robot's Pinocchio model with the calibrated geometry, without elastic effects."""
+        """Return the robot's Pinocchio model with the calibrated geometry, without
+        elastic effects.
+        """
         found = self.robot_model()
         return pinocchio_model(found.model, found.model_values)
 
@@ -232,7 +255,9 @@ class CalibratedModel(StationModel, Calibrated):
     """
 
     @classmethod
-    def of(cls, fit: ModelFit, provenance: dict[str, Any] | None = None, *, station: str | None = None) -> CalibratedModel:
+    def of(
+        cls, fit: ModelFit, provenance: dict[str, Any] | None = None, *, station: str | None = None
+    ) -> CalibratedModel:
         """Return the calibrated model of a fit.
 
         Args:
@@ -245,7 +270,8 @@ class CalibratedModel(StationModel, Calibrated):
         """
         name = fit.station.name if station is None else station
         k = [found.name for found in fit.problem.stations].index(name)
-        at, options = fit.problem.stations[k], fit.options.at(name)
+        at = fit.problem.stations[k]
+        options = fit.options.at(name)
         own = tuple(fit.problem.parameters[i].name for i in fit.problem.places[k])
         # Stations that share only the robot need no list of names.
         table_names = own if at.shares_setup else ()
@@ -253,7 +279,9 @@ class CalibratedModel(StationModel, Calibrated):
         estimate, places = estimate_at(fit.estimate, name, at.model, own)
         return cls(
             model=at.model,
-            estimate=replace(estimate, prior=np.array([parameter.size for parameter in estimate.parameters])),
+            estimate=replace(
+                estimate, prior=np.array([parameter.size for parameter in estimate.parameters])
+            ),
             sensor_kind=at.sensor.kind,
             payload_centre=np.array(options.payload_centre, float),
             covered=Covered.of(at.conditions),
@@ -297,13 +325,18 @@ class CalibratedModel(StationModel, Calibrated):
         robot = self.model.chain.robot
         effects = ", ".join(dict.fromkeys(effect.name for effect in self.model.effects))
         return (
-            f"{robot.name}, {robot.n_joints} joints from {robot.base} to {robot.tip}, calibrated with {self.sensor_kind} "
-            f"measurements\n{int(self.estimate.free.sum())} of {len(self.estimate)} parameters fitted: {effects}"
+            f"{robot.name}, {robot.n_joints} joints from {robot.base} to {robot.tip}, "
+            f"calibrated with {self.sensor_kind} "
+            f"measurements\n{int(self.estimate.free.sum())} of {len(self.estimate)} "
+            f"parameters fitted: {effects}"
         )
 
 
-def estimate_at(estimate: Estimate, station: str, model: Model, names: Sequence[str] = ()) -> tuple[Estimate, np.ndarray]:
-    """Return the estimate of one station's parameters by their names within it, and their indices among all, shape (P,).
+def estimate_at(
+    estimate: Estimate, station: str, model: Model, names: Sequence[str] = ()
+) -> tuple[Estimate, np.ndarray]:
+    """Return the estimate of one station's parameters by their names within it, and their indices
+    among all, shape (P,).
 
     Args:
         estimate: of all parameters.
@@ -313,7 +346,9 @@ def estimate_at(estimate: Estimate, station: str, model: Model, names: Sequence[
     """
     if not names:
         of_sensor = [p.name for p in estimate.parameters if p.station == station]
-        of_model = [f"{station}/{n}" if f"{station}/{n}" in estimate.names else n for n in model.names]
+        of_model = [
+            f"{station}/{n}" if f"{station}/{n}" in estimate.names else n for n in model.names
+        ]
         names = [*of_model, *(n for n in of_sensor if n not in of_model)]
     found = estimate.take(names)
     local = tuple(replace(p, name=p.local_name, station="") for p in found.parameters)

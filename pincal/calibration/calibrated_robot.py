@@ -17,7 +17,13 @@ import numpy as np
 from pincal.calibration.agreed import AgreedFit, fit_agreed
 from pincal.calibration.calibrated import Calibrated, CalibratedModel, estimate_at
 from pincal.calibration.information import RobotInformation
-from pincal.calibration.model_file import MeasuredEntry, ModelFile, StationsFile, read_model, write_model_file
+from pincal.calibration.model_file import (
+    MeasuredEntry,
+    ModelFile,
+    StationsFile,
+    read_model,
+    write_model_file,
+)
 from pincal.calibration.result_tables import (
     estimate_table,
     parameter_rows,
@@ -49,7 +55,8 @@ class CalibratedRobot(Calibrated):
     """A calibrated robot as stored in files, with one station or more.
 
     Attributes:
-        stations: the calibrated model of each station, by the station's name, of a single one under "".
+        stations: the calibrated model of each station, by the station's name, of a single one under
+            "".
         estimate: the robot's parameters, then those of each station under its name.
         nominal_values: shape (P,), the values with only base and tool fitted.
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
@@ -71,12 +78,19 @@ class CalibratedRobot(Calibrated):
         """Return the calibrated robot of a fit."""
         names = [station.name for station in fit.problem.stations]
         models = {name: CalibratedModel.of(fit, provenance, station=name) for name in names}
-        models[names[0]] = replace(models[names[0]], left_by=left_by, information_by=partial(RobotInformation.of, fit))
+        models[names[0]] = replace(
+            models[names[0]], left_by=left_by, information_by=partial(RobotInformation.of, fit)
+        )
         prior = np.array([parameter.size for parameter in fit.problem.parameters])
-        return cls(models, replace(fit.estimate, prior=prior), fit.nominal.values, dict(provenance or {}))
+        return cls(
+            models, replace(fit.estimate, prior=prior), fit.nominal.values, dict(provenance or {})
+        )
 
     def __repr__(self) -> str:
-        return f"CalibratedRobot({self.robot_model().model.chain.robot.name!r}: stations {' '.join(self.names)})"
+        return (
+            f"CalibratedRobot({self.robot_model().model.chain.robot.name!r}: stations "
+            f"{' '.join(self.names)})"
+        )
 
     @property
     def models(self) -> Mapping[str, CalibratedModel]:
@@ -96,31 +110,42 @@ class CalibratedRobot(Calibrated):
         """
         if len(self.stations) == 1:
             return self.at().save(path)
-        write_model_file(path, lambda: StationsFile.of_stations(self.stations, self.estimate, self.nominal_values))
+        write_model_file(
+            path,
+            lambda: StationsFile.of_stations(self.stations, self.estimate, self.nominal_values),
+        )
 
 
 def load_stations(path: str | os.PathLike[str]) -> CalibratedRobot:
     """Read ``model.json`` with one station, then without a name, or several.
 
     Raises:
-        ModelFileError: if the file can't be read, is cut off or newer than this version, or a value is invalid.
+        ModelFileError: if the file can't be read, is cut off or newer than this version, or a value
+            is invalid.
     """
     file = read_model(path)
     if isinstance(file, ModelFile):
-        estimate = estimate_of([entry.parameter() for entry in file.parameters], file.values, file.covariance)
-        known, origin = file.nominal_values, file.provenance
+        estimate = estimate_of(
+            [entry.parameter() for entry in file.parameters], file.values, file.covariance
+        )
+        known = file.nominal_values
+        origin = file.provenance
         only = _read(file, file.model.model(), estimate, nominal_values=known, provenance=origin)
         nominal = np.full(len(only.values), np.nan) if known is None else known
         return CalibratedRobot({"": only}, estimate, nominal, origin)
     parameters = tuple(entry.parameter() for entry in file.parameters)
     prior = np.array([parameter.size for parameter in parameters])
-    estimate = Estimate(parameters, file.values, np.array(file.fitted, bool), file.covariance.covariance(), prior)
+    estimate = Estimate(
+        parameters, file.values, np.array(file.fitted, bool), file.covariance.covariance(), prior
+    )
     models = {}
     for k, entry in enumerate(file.stations):
         model = file.model(k)
         local, places = estimate_at(estimate, entry.name, model, entry.table_names)
         nominal = file.nominal_values[places]
-        models[entry.name] = _read(entry, model, local, nominal_values=nominal, provenance=file.provenance)
+        models[entry.name] = _read(
+            entry, model, local, nominal_values=nominal, provenance=file.provenance
+        )
     return CalibratedRobot(models, estimate, file.nominal_values, file.provenance)
 
 
@@ -139,19 +164,37 @@ def load_model(path: str | os.PathLike[str]) -> CalibratedModel:
     if len(found.stations) > 1:
         names = ", ".join(found.names)
         raise ModelFileError(
-            f"{os.fspath(path)}: holds several stations: {names}; expected one: choose it by load_stations(path).at(name)"
+            f"{os.fspath(path)}: holds several stations: {names}; expected one: choose it "
+            "by load_stations(path).at(name)"
         )
     return found.at()
 
 
 def _read(
-    entry: MeasuredEntry, model: Model, estimate: Estimate, *, nominal_values: np.ndarray | None, provenance: dict[str, Any]
+    entry: MeasuredEntry,
+    model: Model,
+    estimate: Estimate,
+    *,
+    nominal_values: np.ndarray | None,
+    provenance: dict[str, Any],
 ) -> CalibratedModel:
     """Return the calibrated model of a station of a file."""
-    measured = {name: getattr(entry, name) for name in MeasuredEntry.__struct_fields__ if name != "sensor_module"}
-    found = measured | {"setup": entry.setup.setup(), "nominal_values": nominal_values, "provenance": provenance}
+    measured = {
+        name: getattr(entry, name)
+        for name in MeasuredEntry.__struct_fields__
+        if name != "sensor_module"
+    }
+    found = measured | {
+        "setup": entry.setup.setup(),
+        "nominal_values": nominal_values,
+        "provenance": provenance,
+    }
     return CalibratedModel(
-        model=model, estimate=estimate, left_by=found.pop("left"), information_by=found.pop("information"), **found
+        model=model,
+        estimate=estimate,
+        left_by=found.pop("left"),
+        information_by=found.pop("information"),
+        **found,
     )
 
 
@@ -165,12 +208,16 @@ _NAMED_STATIONS = 3
 
 @dataclass(frozen=True, repr=False)
 class Fit(identified.ModelFit, Calibrated):
-    """A calibrated robot with its problem and solution; otherwise used like a :class:`pincal.CalibratedModel`."""
+    """A calibrated robot with its problem and solution; otherwise used like a
+    :class:`pincal.CalibratedModel`.
+    """
 
     @classmethod
     def of(cls, found: identified.ModelFit) -> Fit:
         """Return an identified fit with the methods of a calibrated model."""
-        return cls(**{field.name: getattr(found, field.name) for field in fields(identified.ModelFit)})
+        return cls(
+            **{field.name: getattr(found, field.name) for field in fields(identified.ModelFit)}
+        )
 
     def __repr__(self) -> str:
         robot = self.problem.stations[0].model.chain.robot.name
@@ -192,8 +239,11 @@ class Fit(identified.ModelFit, Calibrated):
         """The calibrated model of each station by its name, of a single one under ""."""
         return self._robot().stations
 
-    def save(self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None) -> None:
-        """Write ``model.json``, with all stations if there are several; see :func:`pincal.load_model`.
+    def save(
+        self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None
+    ) -> None:
+        """Write ``model.json``, with all stations if there are several; see
+        :func:`pincal.load_model`.
 
         Args:
             path: the file; an existing one is replaced only when the new one is complete.
@@ -205,23 +255,33 @@ class Fit(identified.ModelFit, Calibrated):
         self._robot(provenance).save(path)
 
     def information(self) -> RobotInformation:
-        """Return the information of the rows on the robot, with base, targets and instrument eliminated."""
+        """Return the information of the rows on the robot, with base, targets and instrument
+        eliminated.
+        """
         return RobotInformation.of(self)
 
     def to_stations(self) -> CalibratedRobot:
         """Return the robot with its stations; deprecated, as a fit has them itself."""
-        warnings.warn("fit.to_stations() is the fit itself: fit.models, fit.at(NAME)", DeprecationWarning, stacklevel=2)
+        warnings.warn(
+            "fit.to_stations() is the fit itself: fit.models, fit.at(NAME)",
+            DeprecationWarning,
+            stacklevel=2,
+        )
         return self._robot()
 
     @cached_property
     def log_likelihood(self) -> float:
         """Log-likelihood of the readings, without outliers, given the values and the noise."""
         weights = [self.solution.weights[rows] for rows in self.problem.rows]
-        return float(sum(map(self._log_density, range(len(weights)), self.problem.stations, weights)))
+        return float(
+            sum(map(self._log_density, range(len(weights)), self.problem.stations, weights))
+        )
 
     @property
     def aic(self) -> float:
-        """Akaike's information criterion; a parameter counts as far as readings, not its prior, determine it."""
+        """Akaike's information criterion; a parameter counts as far as readings, not its prior,
+        determine it.
+        """
         return 2.0 * self.solution.effective - 2.0 * self.log_likelihood
 
     @property
@@ -230,8 +290,11 @@ class Fit(identified.ModelFit, Calibrated):
         n = int(self.problem.readings(self.solution.weights).sum())
         return float(self.solution.effective * np.log(n)) - 2.0 * self.log_likelihood
 
-    def score(self, measurements: Measurements | str | os.PathLike[str], *, station: str = "") -> float:
-        """Return the mean log-likelihood per reading of other rows, given the values and the noise; larger is better.
+    def score(
+        self, measurements: Measurements | str | os.PathLike[str], *, station: str = ""
+    ) -> float:
+        """Return the mean log-likelihood per reading of other rows, given the values and the noise;
+        larger is better.
 
         Args:
             measurements: the rows, or their file.
@@ -240,15 +303,24 @@ class Fit(identified.ModelFit, Calibrated):
         robot = self.problem.chain.robot
         table = _tables(robot, measurements)
         if not isinstance(table, Measurements):
-            raise BadInputError(f"{len(table)} tables; expected one, which is scored at one station")
+            raise BadInputError(
+                f"{len(table)} tables; expected one, which is scored at one station"
+            )
         table = admit_test(robot, table, self.options.at(station).setup)
-        rows, k = self.readings(table, station=station), self.names.index(station)
+        rows = self.readings(table, station=station)
+        k = self.names.index(station)
         return self._log_density(k, rows, np.ones(len(table))) / (len(table) * rows.reading_size)
 
     def _log_density(self, k: int, rows: Station, weights: np.ndarray) -> float:
-        """Return the log-likelihood of rows at the k-th station, with robust weights of shape (N,), 0 for outliers."""
-        sigma = np.repeat(self.solution.sigma[self.problem.block_spans[k]], rows.block_sizes)[:, None]
-        residuals = rows.whitened(rows.residuals(self.values[self.problem.places[k]])) * (scale := rows.weights / sigma)
+        """Return the log-likelihood of rows at the k-th station, with robust weights of shape (N,),
+        0 for outliers.
+        """
+        sigma = np.repeat(self.solution.sigma[self.problem.block_spans[k]], rows.block_sizes)[
+            :, None
+        ]
+        residuals = rows.whitened(rows.residuals(self.values[self.problem.places[k]])) * (
+            scale := rows.weights / sigma
+        )
         counted = weights > 0.0
         # The covariance of correlated noise has another determinant than that of white noise.
         constant = float(np.sum(np.log(2.0 * np.pi / scale[:, counted] ** 2)))
@@ -259,7 +331,11 @@ class Fit(identified.ModelFit, Calibrated):
     @property
     def parameters(self) -> Table:
         """Value and standard deviation of each parameter; of one station also status and reason."""
-        return estimate_table(self.estimate) if len(self.names) > 1 else parameter_table(parameter_rows(self))
+        return (
+            estimate_table(self.estimate)
+            if len(self.names) > 1
+            else parameter_table(parameter_rows(self))
+        )
 
     @property
     def residuals(self) -> Table:
@@ -275,8 +351,10 @@ class Fit(identified.ModelFit, Calibrated):
         state = "converged" if self.solution.converged else "did not converge"
         rank = self.solution.posterior.identifiable_rank
         return (
-            f"{super().summary()}\n{len(self.problem)} rows, {state} after {self.iterations} iterations; "
-            f"{rank} combinations of {int(self.solution.free.sum())} parameters determined; noise {'; '.join(self._noise())}"
+            f"{super().summary()}\n{len(self.problem)} rows, {state} after "
+            f"{self.iterations} iterations; "
+            f"{rank} combinations of {int(self.solution.free.sum())} parameters "
+            f"determined; noise {'; '.join(self._noise())}"
         )
 
     def _noise(self) -> Iterator[str]:
@@ -289,7 +367,11 @@ class Fit(identified.ModelFit, Calibrated):
 
 
 def calibrate(
-    robot: Robot, measurements: Tables | Files, options: Options | None = None, *, executor: Executor | None = None
+    robot: Robot,
+    measurements: Tables | Files,
+    options: Options | None = None,
+    *,
+    executor: Executor | None = None,
 ) -> Fit:
     """Calibrate a robot from measured poses.
 
@@ -298,13 +380,13 @@ def calibrate(
     that a joint has another sign or zero than described, the fit is of the robot so corrected
     (``fit.problem.chain.robot``), and a warning says so.
 
-    Several tables are several stations: set-ups of an instrument and its targets, of the same kind or not. Each has its own
-    base, targets and noise, and all share the robot.
+    Several tables are several stations: set-ups of an instrument and its targets, of the same kind
+    or not. Each has its own base, targets and noise, and all share the robot.
 
     Args:
         robot: the arm.
-        measurements: training rows, one table or several, optionally by the names of their stations, or their files; hold
-            rows out before the call to validate on them.
+        measurements: training rows, one table or several, optionally by the names of their
+            stations, or their files; hold rows out before the call to validate on them.
         options: how to calibrate; defaults as documented there.
         executor: evaluates the stations in parallel; default: sequentially.
 
@@ -363,11 +445,20 @@ def fitted(robot: Robot, measurements: Tables, options: Options | None = None) -
 
 
 def _tables(robot: Robot, measurements: Tables | Files) -> Tables:
-    """Return the tables of this robot, reading files; several files are stations named after them."""
-    several = [measurements] if isinstance(measurements, Measurements | str | os.PathLike) else measurements
+    """Return the tables of this robot, reading files; several files are stations named
+    after them.
+    """
+    several = (
+        [measurements]
+        if isinstance(measurements, Measurements | str | os.PathLike)
+        else measurements
+    )
     named = isinstance(several, Mapping)
-    tables, sessions = list[tuple[str, Measurements]](), list[Session]()
-    for name, of in several.items() if isinstance(several, Mapping) else (("", of) for of in several):
+    tables = list[tuple[str, Measurements]]()
+    sessions = list[Session]()
+    for name, of in (
+        several.items() if isinstance(several, Mapping) else (("", of) for of in several)
+    ):
         if isinstance(of, Measurements):
             tables.append((name or f"station_{len(tables) + 1}", of))
         elif joints_of_session(of) is not None:
@@ -379,11 +470,14 @@ def _tables(robot: Robot, measurements: Tables | Files) -> Tables:
     return stations_of(tables) if named or len(tables) > 1 else tables[0][1]
 
 
-def calibrate_parts(robot: Robot, parts: Iterable[Measurements], options: Options | None = None) -> Fit:
+def calibrate_parts(
+    robot: Robot, parts: Iterable[Measurements], options: Options | None = None
+) -> Fit:
     """Calibrate a robot from more rows than memory holds, one part of them at a time.
 
-    Each part is fitted with the information of the previous ones, see ``Options.earlier``, with its own base, targets and
-    noise, as a station. Where parts are similar, as parts of a table in random order are, no accuracy is lost.
+    Each part is fitted with the information of the previous ones, see ``Options.earlier``, with its
+    own base, targets and noise, as a station. Where parts are similar, as parts of a table in
+    random order are, no accuracy is lost.
 
     Args:
         robot: the arm.
@@ -399,8 +493,8 @@ def calibrate_parts(robot: Robot, parts: Iterable[Measurements], options: Option
 
     Example::
 
-        rows = (pincal.read_measurements(path, robot.joint_names, part=part) for part in pincal.row_parts(path))
-        fit = pincal.calibrate_parts(robot, rows)
+        rows = (pincal.read_measurements(path, robot.joint_names, part=part) for part in
+        pincal.row_parts(path)) fit = pincal.calibrate_parts(robot, rows)
     """
     fit = None
     rows = 0

@@ -53,8 +53,8 @@ class Calibration:
         fit: the calibrated model.
         result: parameters, errors, warnings.
         notes: the warnings among them that are on robot and tables, not on the fit.
-        validated: the errors of the fitted readings by fits without their folds; None where rows were held out for good, or
-            whole stations in turn.
+        validated: the errors of the fitted readings by fits without their folds; None where rows
+            were held out for good, or whole stations in turn.
     """
 
     robot: Robot
@@ -65,15 +65,21 @@ class Calibration:
     validated: Validated | None = None
 
     def __repr__(self) -> str:
-        rows, errors = self.result.rows, self.result.error["calibrated"]
+        rows = self.result.rows
+        errors = self.result.error["calibrated"]
         found = errors["test" if "test" in errors else "train"]
         mean = found[f"mean_{(unit := leading_unit(found))}"]
-        counts = f"{rows['train']} rows fitted" + (f", {rows['test']} held out" if self.validated is None else "")
+        counts = f"{rows['train']} rows fitted" + (
+            f", {rows['test']} held out" if self.validated is None else ""
+        )
         return f"Calibration({self.robot.name!r}: {counts}, mean error {mean:.4g} {unit})"
 
     def _repr_html_(self) -> str:
-        doubts = "".join(f"<p><b>doubt: {html.escape(note.text)}</b></p>" for note in self.result.doubts)
-        errors, parameters = error_table(self.result.error).to_html(), self.fit.parameters.to_html()
+        doubts = "".join(
+            f"<p><b>doubt: {html.escape(note.text)}</b></p>" for note in self.result.doubts
+        )
+        errors = error_table(self.result.error).to_html()
+        parameters = self.fit.parameters.to_html()
         return f"{doubts}<p>{html.escape(repr(self))}</p>{errors}{parameters}"
 
     @property
@@ -81,7 +87,10 @@ class Calibration:
         """The rows of the only station; BadInputError if there are several."""
         if len(self.stations) > 1:
             names = ", ".join(rows.name for rows in self.stations)
-            raise BadInputError(f"this needs a single station, and there are several: {names}; use the rows of one station")
+            raise BadInputError(
+                f"this needs a single station, and there are several: {names}; use the "
+                "rows of one station"
+            )
         return self.stations[0]
 
     @property
@@ -95,8 +104,12 @@ class Calibration:
         return self.station.test
 
     def n_poses(self, *parts: str) -> int:
-        """Return the number of poses, each with one reading or more, of "train", "test", or both."""
-        q = np.vstack([getattr(rows, part).q for rows in self.stations for part in parts or ("train", "test")])
+        """Return the number of poses, each with one reading or more, of "train",
+        "test", or both.
+        """
+        q = np.vstack(
+            [getattr(rows, part).q for rows in self.stations for part in parts or ("train", "test")]
+        )
         return len(np.unique(q, axis=0))
 
 
@@ -111,22 +124,26 @@ def run_calibration(
     holdout: Tables | None = None,
     executor: Executor | None = None,
 ) -> Calibration:
-    """Check tables, calibrate on all rows, and state errors by cross-validation: each pose predicted by a fit without it.
+    """Check tables, calibrate on all rows, and state errors by cross-validation: each pose
+    predicted by a fit without it.
 
-    The covariance includes that masses in a URDF are a few per cent off, which :func:`pincal.calibrate` takes as exact.
+    The covariance includes that masses in a URDF are a few per cent off, which
+    :func:`pincal.calibrate` takes as exact.
 
     Args:
         robot: the arm.
         measurements: one table or several, as :func:`pincal.calibrate` takes them.
         options: how to calibrate.
-        test_fraction: part of each station's poses to hold out for good instead; ignored with ``holdout``.
-        split: how poses are divided into folds, or chosen; with "both" each pose is predicted by a fit without its region of
-            joint space and by one without its stretch of consecutive rows (of several sessions, also without its session),
-            the headline being the way that is predicted worse; with "station" each station in turn is predicted by a model
-            of the others, only its own frames fitted to it.
+        test_fraction: part of each station's poses to hold out for good instead; ignored with
+            ``holdout``.
+        split: how poses are divided into folds, or chosen; with "both" each pose is predicted by a
+            fit without its region of joint space and by one without its stretch of consecutive rows
+            (of several sessions, also without its session), the headline being the way that is
+            predicted worse; with "station" each station in turn is predicted by a model of the
+            others, only its own frames fitted to it.
         seed: of the division.
-        holdout: other measurements to validate on; then all rows of ``measurements`` are fitted. Of several stations the
-            rows name theirs.
+        holdout: other measurements to validate on; then all rows of ``measurements`` are fitted. Of
+            several stations the rows name theirs.
         executor: fits the models that leave a station out; default: sequentially, here.
 
     Raises:
@@ -134,12 +151,22 @@ def run_calibration(
         IdentificationError: if nothing can be identified.
     """
     begun = time.perf_counter()
-    fitted = fit_admitted(robot, measurements, options, test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
+    fitted = fit_admitted(
+        robot,
+        measurements,
+        options,
+        test_fraction=test_fraction,
+        split=split,
+        seed=seed,
+        holdout=holdout,
+    )
     log.info("assessing the fit")
     fitted = replace(fitted, fit=with_masses_unsure(without_harm(fitted.fit)))
     left_out: Iterable[LeftOut] = ()
     if split == "station":
-        left_out = leave_out_stations(fitted.robot, fitted.admitted, fitted.options, executor=executor)
+        left_out = leave_out_stations(
+            fitted.robot, fitted.admitted, fitted.options, executor=executor
+        )
     validated = Validated.of(fitted.fit, fitted.stations, fitted.folds)
     result = result_of(
         fitted.fit,
@@ -161,8 +188,8 @@ class FittedTables:
         stations: the rows of each station.
         fit: the calibrated model.
         notes: on robot and tables.
-        folds: the division of the fitted poses by which errors are stated; None where rows were held out for good, or
-            whole stations in turn.
+        folds: the division of the fitted poses by which errors are stated; None where rows were
+            held out for good, or whole stations in turn.
         admitted: the tables as they were admitted, by station.
         options: how they were fitted.
     """
@@ -199,7 +226,9 @@ def fit_admitted(
     admitted = admit(robot, tables, setup_of, holdout=held)
     with noted() as split_notes:
         if holdout is None:
-            parts = split_rows(admitted.tables, setup_of, fraction=test_fraction, split=split, seed=seed)
+            parts = split_rows(
+                admitted.tables, setup_of, fraction=test_fraction, split=split, seed=seed
+            )
         else:
             parts = with_holdout(robot, admitted.tables, holdout, setup_of)
     trained = {part.name: part.measured[0] for part in parts}
@@ -210,13 +239,27 @@ def fit_admitted(
     for text in corrected:
         warn(text)
     parts = screened(fit, parts)
-    rows = tuple(replace(part, name=at.name) for part, at in zip(parts, fit.problem.stations, strict=True))
-    notes = [*corrected, *robot.notes, *dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
+    rows = tuple(
+        replace(part, name=at.name) for part, at in zip(parts, fit.problem.stations, strict=True)
+    )
+    notes = [
+        *corrected,
+        *robot.notes,
+        *dict.fromkeys((*admitted.notes, *split_notes)),
+        *admitted.idle,
+    ]
     # What the sensor of one station can't observe, that of another may.
     unseen = [list(unobservable_notes(train, setup_of(name))) for name, train in trained.items()]
     notes += [note for note in unseen[0] if all(note in other for other in unseen)]
-    chosen, first = fit.options.moment_frame, options.first_frame
+    chosen = fit.options.moment_frame
+    first = options.first_frame
     if chosen != first:
-        notes.append(f"moments are computed as with --moment-frame {chosen}, which fits better than {first}")
-    folds = Folds.of(fit.problem, WAYS[split], seed=seed) if holdout is None and not test_fraction else None
+        notes.append(
+            f"moments are computed as with --moment-frame {chosen}, which fits better than {first}"
+        )
+    folds = (
+        Folds.of(fit.problem, WAYS[split], seed=seed)
+        if holdout is None and not test_fraction
+        else None
+    )
     return FittedTables(robot, rows, fit, doubts_first(notes), folds, admitted.tables, options)

@@ -25,15 +25,20 @@ from pincal.validate.midway import change_in
 from pincal.validate.misfit import MISFIT, is_informative
 from pincal.validate.outcome import MovedParameter
 
-# A held-out row is far off if its error is this many times the median: 15 standard deviations of a normal error in 3D.
+# A held-out row is far off if its error is this many times the median: 15 standard deviations of a
+# normal error in 3D.
 _FAR = 10.0
 # Lines that a note lists.
 _LISTED = 8
-# Rank correlation of a joint's positions with the row order above which the joint moved steadily; the fewest rows for that.
-_STEADY, _ROWS = 0.95, 20
-# Residuals of an IMU that exceed noise, in units of its scatter within a window and of the usual noise: sound logs reach
-# 1.6, including arms with ripple and friction that no effect describes; commanded instead of measured joints give 10.
-_UNLIKE, _USUAL = 4.0, 2.0
+# Rank correlation of a joint's positions with the row order above which the joint moved steadily;
+# the fewest rows for that.
+_STEADY = 0.95
+_ROWS = 20
+# Residuals of an IMU that exceed noise, in units of its scatter within a window and of the usual
+# noise: sound logs reach 1.6, including arms with ripple and friction that no effect describes;
+# commanded instead of measured joints give 10.
+_UNLIKE = 4.0
+_USUAL = 2.0
 # Fraction of the rows above which outliers are no exceptions; real tables have some percent.
 _MANY = 0.25
 
@@ -42,132 +47,183 @@ class CaveatKind(Enum):
     """What is noteworthy; the values are the messages, with their figures in braces."""
 
     FEW_READINGS = (
-        "{poses} training poses give {readings} readings for {parameters} parameters, {left:.0f} more than "
-        "they determine: too few to detect residuals of twice the noise, and the result is dominated by the prior; "
+        "{poses} training poses give {readings} readings for {parameters} parameters, "
+        "{left:.0f} more than "
+        "they determine: too few to detect residuals of twice the noise, and the result "
+        "is dominated by the prior; "
         "measure more poses"
     )
     SPARE_READINGS = (
-        "{poses} training poses give {readings} readings for {parameters} parameters: the result relies on "
+        "{poses} training poses give {readings} readings for {parameters} parameters: the "
+        "result relies on "
         "the prior; measure more poses"
     )
     NOT_IMPROVED = (
-        "these readings are too few or too noisy to improve the robot safely: within the joint limits its URDF is expected "
-        "to be off by {nominal:.2g} mm rms, the geometry that they suggest by {calibrated:.2g} mm. It stays as in its URDF; "
+        "these readings are too few or too noisy to improve the robot safely: within the "
+        "joint limits its URDF is expected "
+        "to be off by {nominal:.2g} mm rms, the geometry that they suggest by "
+        "{calibrated:.2g} mm. It stays as in its URDF; "
         "only instrument and target are calibrated. Measure more poses, or with less noise"
     )
     CONTRADICTED = "{what}"
-    NOT_CONVERGED = "the fit did not converge ({how}); check the noise, and look for rows that do not belong to this robot"
+    NOT_CONVERGED = (
+        "the fit did not converge ({how}); check the noise, and look for rows that do not "
+        "belong to this robot"
+    )
     NOISE_EXCEEDED = (
-        "the residuals are {ratio:.2f} times the declared noise (p {p_value:.1g}): the model is incomplete or the declared "
+        "the residuals are {ratio:.2f} times the declared noise (p {p_value:.1g}): the "
+        "model is incomplete or the declared "
         "noise is too small; uncertainties are scaled up accordingly"
     )
     ARRIVALS = (
-        "the residuals are {ratio:.2f} times the declared noise of the instrument, as of drives that all stop to "
-        "{size} from pose to pose (one standard deviation): neighbouring poses have unrelated errors. No "
-        "calibration improves this; measure ten poses three times each, arriving anew, to judge the model by it"
+        "the residuals are {ratio:.2f} times the declared noise of the instrument, as of "
+        "drives that all stop to "
+        "{size} from pose to pose (one standard deviation): neighbouring poses have "
+        "unrelated errors. No "
+        "calibration improves this; measure ten poses three times each, arriving anew, to "
+        "judge the model by it"
     )
-    NOISE_OVERSTATED = "the residuals are smaller than the declared noise allows: the declared noise is too large"
+    NOISE_OVERSTATED = (
+        "the residuals are smaller than the declared noise allows: the declared noise is too large"
+    )
     NO_INSTRUMENT = (
-        "no instrument measured the robot, so what its readings do not determine keeps its nominal value; priors are as "
-        "wide as the readings require: {lengths:g} times the usual for lengths, {angles:g} for angles, {drives:g} for drive "
-        "compliances, {bearings:g} for others. Elsewhere the standard deviation of a predicted position falls {how}"
+        "no instrument measured the robot, so what its readings do not determine keeps "
+        "its nominal value; priors are as "
+        "wide as the readings require: {lengths:g} times the usual for lengths, "
+        "{angles:g} for angles, {drives:g} for drive "
+        "compliances, {bearings:g} for others. Elsewhere the standard deviation of a "
+        "predicted position falls {how}"
     )
     UNSEEN_DIRECTION = (
-        "all readings are within 10 degrees of {where} in the axes of {base}: nothing was measured perpendicular to it; "
+        "all readings are within 10 degrees of {where} in the axes of {base}: nothing was "
+        "measured perpendicular to it; "
         "vary the directions of contact"
     )
     BLIND = (
-        "these readings hardly determine {link}: the standard deviation of its predicted position in its workspace was "
+        "these readings hardly determine {link}: the standard deviation of its predicted "
+        "position in its workspace was "
         "{before:.2g} mm and is now {after:.2g} mm; do not use the model to correct its positions"
     )
     MOUNT_MOVED = (
-        "the readings alone move the mount of {joint} by {moved:.3g} mm, with a standard deviation of {sigma:.2g} mm: they "
+        "the readings alone move the mount of {joint} by {moved:.3g} mm, with a standard "
+        "deviation of {sigma:.2g} mm: they "
         "do not determine it. Measure in more directions and at more places, or with an instrument"
     )
     MASSES_FOUND = (
-        "the robot description has no usable masses for {links} links: they were estimated with the compliances, "
-        "{mass:.3g} kg in total (standard deviation {percent:.0f} %); predictions do not depend on their common factor"
+        "the robot description has no usable masses for {links} links: they were "
+        "estimated with the compliances, "
+        "{mass:.3g} kg in total (standard deviation {percent:.0f} %); predictions do not "
+        "depend on their common factor"
     )
     IMPLAUSIBLE = (
-        "{how}: too large for any calibrated arm, so this is not a model of this robot; check table, URDF and tip. If "
+        "{how}: too large for any calibrated arm, so this is not a model of this robot; "
+        "check table, URDF and tip. If "
         "the instrument is that noisy, declare it (--noise, or a column sigma)"
     )
     OWN_POSE = (
-        "with only base and tool fitted, {left} remain: no instrument is that accurate, so these are the controller's own "
-        "poses, computed from the joints (or simulated without noise). They contain nothing about the robot's errors; "
+        "with only base and tool fitted, {left} remain: no instrument is that accurate, "
+        "so these are the controller's own "
+        "poses, computed from the joints (or simulated without noise). They contain "
+        "nothing about the robot's errors; "
         "supply the readings of an instrument, or name their columns (--columns)"
     )
     OWN_MODEL = (
-        "the calibration leaves {left}: no instrument is that accurate, so these are poses that a controller computed with "
-        "its own parameters (or simulated without noise). The result is these parameters, not the robot's errors"
+        "the calibration leaves {left}: no instrument is that accurate, so these are "
+        "poses that a controller computed with "
+        "its own parameters (or simulated without noise). The result is these parameters, "
+        "not the robot's errors"
     )
     MANY_OUTLIERS = (
-        "{count} of {rows} rows do not fit the others, so the calibration is rejected: {common}; find the cause "
+        "{count} of {rows} rows do not fit the others, so the calibration is rejected: "
+        "{common}; find the cause "
         "before using the model. Lines {lines}"
     )
-    STEP = "from line {line} on {what} If so, make the rows before and after it two stations (column station)"
+    STEP = (
+        "from line {line} on {what} If so, make the rows before and after it two stations "
+        "(column station)"
+    )
     BETWEEN_VISITS = "{what}; the means of poses do not show it, and intervals do not include it"
     VISITS_APART = (
-        "visits of the same pose differ by more than the means of poses about the model allow ({test}): something changed "
-        "between visits, such as a load, the direction of approach, or the set-up; measure in one set-up, or record it in "
+        "visits of the same pose differ by more than the means of poses about the model "
+        "allow ({test}): something changed "
+        "between visits, such as a load, the direction of approach, or the set-up; "
+        "measure in one set-up, or record it in "
         "a column"
     )
     VISITS_SCATTER = (
-        "visits of the same pose differ by {scatter}, which is more than the declared noise of {declared} and drives that "
-        "arrive within {arrival:g} mrad explain (p {p_value:.1g}): the robot repeats poorly, the target is loose, or the "
+        "visits of the same pose differ by {scatter}, which is more than the declared "
+        "noise of {declared} and drives that "
+        "arrive within {arrival:g} mrad explain (p {p_value:.1g}): the robot repeats "
+        "poorly, the target is loose, or the "
         "declared noise is too small"
     )
     NOISY_REPEATS = (
-        "repeated readings within a stop differ by {scatter} and the declared noise is {declared} (p {p_value:.1g}): the "
+        "repeated readings within a stop differ by {scatter} and the declared noise is "
+        "{declared} (p {p_value:.1g}): the "
         "declared noise is too small, or the arm was not yet at rest"
     )
     DEPENDENT_ROWS = (
-        "the residuals depend on the order of the rows: {what}; rows were weighted accordingly; look for what changed "
-        "during the measurement: the instrument's set-up, temperature, the clamping of robot and target"
+        "the residuals depend on the order of the rows: {what}; rows were weighted "
+        "accordingly; look for what changed "
+        "during the measurement: the instrument's set-up, temperature, the clamping of "
+        "robot and target"
     )
     LEFT_IN_MOTION = (
-        "the residuals follow the motion: {what}; rows were weighted accordingly; the model lacks an effect of the arm, "
-        "which pincal discover can identify, or the instrument's set-up or a clock changed during the session"
+        "the residuals follow the motion: {what}; rows were weighted accordingly; the "
+        "model lacks an effect of the arm, "
+        "which pincal discover can identify, or the instrument's set-up or a clock "
+        "changed during the session"
     )
     UNLIKE_ITS_SCATTER = (
-        "residuals of the {what} are {ratio:.2g} times the scatter within a tenth of a second: were the joints commanded "
+        "residuals of the {what} are {ratio:.2g} times the scatter within a tenth of a "
+        "second: were the joints commanded "
         "instead of measured, was the IMU polled or its range too small, or is its filter too slow?"
     )
     BLOCKS = (
-        "the errors of consecutive rows are correlated: standard deviations are {factor:.3g} times those of independent "
+        "the errors of consecutive rows are correlated: standard deviations are "
+        "{factor:.3g} times those of independent "
         "rows; look for what changed during the measurement"
     )
     SORTED = (
-        "{joint} moved steadily along the rows, so drift with time can't be distinguished from effects of this joint; "
+        "{joint} moved steadily along the rows, so drift with time can't be distinguished "
+        "from effects of this joint; "
         "measure the poses in random order, or repeat some of them at the end"
     )
     GATHERED = (
-        "{count} of the {rows} rows rejected as outliers cluster {where}: the robot has an error there that the model does "
+        "{count} of the {rows} rows rejected as outliers cluster {where}: the robot has "
+        "an error there that the model does "
         "not describe, or the instrument misread; lines {lines}"
     )
     BUMP = (
-        "where {joint} is {low:.4g} to {high:.4g} {unit}, {count} rows share an error of {size:.3g} m{per} of this joint: "
-        "its drive has a local error that the model does not describe; measure more poses there. Lines {lines}"
+        "where {joint} is {low:.4g} to {high:.4g} {unit}, {count} rows share an error of "
+        "{size:.3g} m{per} of this joint: "
+        "its drive has a local error that the model does not describe; measure more poses "
+        "there. Lines {lines}"
     )
     MOVED = (
-        "{what} since the first station: a single value for all stations is wrong at each; calibrate each separately, or "
+        "{what} since the first station: a single value for all stations is wrong at "
+        "each; calibrate each separately, or "
         "run pincal discover on all of them, which names what changed"
     )
     MISREAD = (
-        "the residuals depend on the instrument's own axes ({effect}, p {p_value:.1g}): it misreads, or the robot has an "
-        "equivalent error, and intervals do not include it; run pincal discover, or measure the same poses with the "
+        "the residuals depend on the instrument's own axes ({effect}, p {p_value:.1g}): "
+        "it misreads, or the robot has an "
+        "equivalent error, and intervals do not include it; run pincal discover, or "
+        "measure the same poses with the "
         "instrument elsewhere"
     )
     OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
     NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
     NOT_LEFT_OUT = "not predicted by the model of the other stations: {why}"
     FAR_OFF = (
-        "{count} of {rows} held-out rows are off by up to {largest:.3g} mm, the others by {mean:.4f} mm on average: wrong "
+        "{count} of {rows} held-out rows are off by up to {largest:.3g} mm, the others by "
+        "{mean:.4f} mm on average: wrong "
         "readings, or poses outside what the model covers; see lines {lines}"
     )
     LACK_OF_FIT = "lack of fit against replicates: {test}"
     NOISY_REPLICATES = (
-        "replicates scatter as much as the residuals do ({test}): the declared noise is too small or the robot repeats "
+        "replicates scatter as much as the residuals do ({test}): the declared noise is "
+        "too small or the robot repeats "
         "poorly; the model is not at fault"
     )
 
@@ -196,7 +252,8 @@ class Caveat:
 
     Attributes:
         kind: what was found.
-        figures: its figures by the names in the message; ``count`` and ``lines`` follow from the rows.
+        figures: its figures by the names in the message; ``count`` and ``lines`` follow from the
+            rows.
         station: name of the station concerned; "" for all of them.
         rows: lines of the rows concerned, if any.
     """
@@ -223,7 +280,8 @@ class Readings:
 
     Attributes:
         poses: number of distinct poses of the fitted rows.
-        readings: number of readings; a repeated pose counts once, and a pose for at most six coordinates.
+        readings: number of readings; a repeated pose counts once, and a pose for at most six
+            coordinates.
         degrees: readings beyond the parameters that they determine.
     """
 
@@ -233,8 +291,11 @@ class Readings:
 
     @classmethod
     def of(cls, fit: ModelFit, replicates: Iterable[np.ndarray]) -> Readings:
-        """Count the readings of a calibration; ``replicates`` are each station's pose numbers of the fitted rows."""
-        readings, n_poses = 0, 0
+        """Count the readings of a calibration; ``replicates`` are each station's pose numbers of
+        the fitted rows.
+        """
+        readings = 0
+        n_poses = 0
         for (station, places, _), numbers in zip(fit.stations, replicates, strict=True):
             distinct = len(np.unique(numbers))
             poses = min(len(np.unique(station.conditions.q, axis=0)), distinct)
@@ -245,31 +306,48 @@ class Readings:
 
 
 def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
-    """Return whether the readings are few for the parameters, and whether they contradict given values."""
+    """Return whether the readings are few for the parameters, and whether they contradict given
+    values.
+    """
     found = [Caveat(CaveatKind.CONTRADICTED, {"what": what}) for what in doubts_of_known(fit)]
     released = int(fit.solution.free.sum())
     figures = {"poses": read.poses, "readings": read.readings, "parameters": released}
     if not is_informative(read.degrees):
         return [Caveat(CaveatKind.FEW_READINGS, figures | {"left": max(read.degrees, 0.0)}), *found]
-    return [Caveat(CaveatKind.SPARE_READINGS, figures), *found] if read.readings < 2 * released else found
+    return (
+        [Caveat(CaveatKind.SPARE_READINGS, figures), *found]
+        if read.readings < 2 * released
+        else found
+    )
 
 
 def findings_on_moves(fit: ModelFit, moves: Sequence[Sequence[MovedParameter]]) -> Iterator[Caveat]:
-    """Yield moves that the model's one value for all stations does not describe, of the moves at each station."""
+    """Yield moves that the model's one value for all stations does not describe, of the moves at
+    each station.
+    """
     effects = (effect for station in fit.problem.stations for effect in station.model.effects)
-    own = {p.name for e in effects if e.locus.station is not None for p in e.parameters(fit.problem.chain)}
+    own = {
+        p.name
+        for e in effects
+        if e.locus.station is not None
+        for p in e.parameters(fit.problem.chain)
+    }
     for station, here in zip(fit.problem.stations, moves, strict=False):
         least = CHANGES.matters * len(station) * station.reading_size
         some = [
             f"{move['name']} moved by {format_readable(move['change'], move['unit'])}"
             for move in here
-            if move["moved"] and move["name"] not in own and (move["change"] / move["sigma"]) ** 2 > least
+            if move["moved"]
+            and move["name"] not in own
+            and (move["change"] / move["sigma"]) ** 2 > least
         ]
         if some:
             yield Caveat(CaveatKind.MOVED, {"what": " and ".join(some)}, station.name)
 
 
-def findings_on_fit(fit: ModelFit, p_value: float | None, arrivals: float | None = None) -> list[Caveat]:
+def findings_on_fit(
+    fit: ModelFit, p_value: float | None, arrivals: float | None = None
+) -> list[Caveat]:
     """Return the findings of the fit itself.
 
     Args:
@@ -277,13 +355,19 @@ def findings_on_fit(fit: ModelFit, p_value: float | None, arrivals: float | None
         p_value: of chi-square against the declared noise; None without any.
         arrivals: to what all drives stop, if that explains what exceeds the declared noise [rad].
     """
-    found = [] if fit.solution.converged else [Caveat(CaveatKind.NOT_CONVERGED, {"how": fit.solution.exit.value})]
+    found = (
+        []
+        if fit.solution.converged
+        else [Caveat(CaveatKind.NOT_CONVERGED, {"how": fit.solution.exit.value})]
+    )
     if p_value is not None and p_value < MISFIT:
         ratio = float(np.sqrt(fit.solution.cost))
         if arrivals is None:
             found.append(Caveat(CaveatKind.NOISE_EXCEEDED, {"ratio": ratio, "p_value": p_value}))
         else:
-            found.append(Caveat(CaveatKind.ARRIVALS, {"ratio": ratio, "size": format_small(arrivals, "rad")}))
+            found.append(
+                Caveat(CaveatKind.ARRIVALS, {"ratio": ratio, "size": format_small(arrivals, "rad")})
+            )
     if p_value is not None and p_value > 1.0 - MISFIT:
         found.append(Caveat(CaveatKind.NOISE_OVERSTATED))
     if fit.solution.of_blocks > 1.0:
@@ -291,7 +375,10 @@ def findings_on_fit(fit: ModelFit, p_value: float | None, arrivals: float | None
     if (moments := found_moments(fit)) is not None:
         percent = 100.0 * moments.factor_sigma
         found.append(
-            Caveat(CaveatKind.MASSES_FOUND, {"links": len(moments.links), "mass": moments.mass, "percent": percent})
+            Caveat(
+                CaveatKind.MASSES_FOUND,
+                {"links": len(moments.links), "mass": moments.mass, "percent": percent},
+            )
         )
     return found
 
@@ -300,27 +387,42 @@ def findings_on_scatter(fit: ModelFit) -> Iterator[Caveat]:
     """Yield IMU readings whose residuals exceed their scatter by far."""
     for station, _, blocks in fit.stations:
         scatter = () if station.conditions.around is None else station.conditions.around.scatter
-        for block, noise, expected in zip(station.sensor.blocks, fit.solution.estimated[blocks], scatter, strict=False):
-            # A filter in the sensor reduces the scatter; the residuals are then still those of any IMU.
+        for block, noise, expected in zip(
+            station.sensor.blocks, fit.solution.estimated[blocks], scatter, strict=False
+        ):
+            # A filter in the sensor reduces the scatter; the residuals are then still those of any
+            # IMU.
             if noise > max(_UNLIKE * expected, _USUAL * block.noise):
                 figures = {"what": block.name.replace("_", " "), "ratio": noise / expected}
                 yield Caveat(CaveatKind.UNLIKE_ITS_SCATTER, figures, station.name)
 
 
 def findings_on_order(station: Station) -> list[Caveat]:
-    """Return whether the noise of a station's rows depends on their order, and whether a joint moved in that order."""
-    found, serial, n = [], station.serial, len(station)
+    """Return whether the noise of a station's rows depends on their order, and whether a joint
+    moved in that order.
+    """
+    found = []
+    serial = station.serial
+    n = len(station)
     # The windows of an IMU overlap by design.
     if serial is not None and station.sensor.reads_place:
         rows = 1.0 / (1.0 - float(np.max(serial.phi)))
         lasts = f"for about {rows:.0f} rows" if rows < n else "over all rows"
         error = "an error" if serial.turns is None else "an error of the target's place on the tool"
-        what = f"{100 * np.max(serial.share):.0f} % of their variance is {error} that persists {lasts}"
-        kind = CaveatKind.LEFT_IN_MOTION if station.conditions.are_in_motion else CaveatKind.DEPENDENT_ROWS
+        what = (
+            f"{100 * np.max(serial.share):.0f} % of their variance is {error} that persists {lasts}"
+        )
+        kind = (
+            CaveatKind.LEFT_IN_MOTION
+            if station.conditions.are_in_motion
+            else CaveatKind.DEPENDENT_ROWS
+        )
         found.append(Caveat(kind, {"what": what}, station.name))
     if station.position is not None and n >= _ROWS:
         # Blocks of different loads are judged separately: what differs between them may be elastic.
-        loads = (station.conditions.payload == load for load in np.unique(station.conditions.payload))
+        loads = (
+            station.conditions.payload == load for load in np.unique(station.conditions.payload)
+        )
         parts = [station.select(rows) for rows in loads if rows.sum() >= _ROWS] or [station]
         steady = np.full(station.conditions.q.shape[1], np.inf)
         for q, position in ((part.conditions.q, part.position) for part in parts):
@@ -334,10 +436,16 @@ def findings_on_order(station: Station) -> list[Caveat]:
 
 
 def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> list[Caveat]:
-    """Return the stations at which the residuals are larger or smaller than those of any real arm."""
+    """Return the stations at which the residuals are larger or smaller than those of
+    any real arm.
+    """
     kinds = (CaveatKind.OWN_MODEL, CaveatKind.OWN_POSE)
-    own = [Caveat(kinds[is_nominal], {"left": left}, name) for name, is_nominal, left in computed(fit)]
-    return [Caveat(CaveatKind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit, tables)] + own
+    own = [
+        Caveat(kinds[is_nominal], {"left": left}, name) for name, is_nominal, left in computed(fit)
+    ]
+    return [
+        Caveat(CaveatKind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit, tables)
+    ] + own
 
 
 def findings_on_outliers(
@@ -349,10 +457,12 @@ def findings_on_outliers(
     rejected: np.ndarray,
     lines: Sequence[int] | None = None,
 ) -> list[Caveat]:
-    """Return which of a station's fitted rows were rejected, and where the instrument was moved between rows.
+    """Return which of a station's fitted rows were rejected, and where the instrument was moved
+    between rows.
 
-    Its parameters have values, shape (P,), and ``free``, shape (P,), were fitted; ``rejected``, shape (N,), is a mask, and
-    ``lines`` are those of all rejected readings as measured; default: of the rejected rows.
+    Its parameters have values, shape (P,), and ``free``, shape (P,), were fitted; ``rejected``,
+    shape (N,), is a mask, and ``lines`` are those of all rejected readings as measured; default: of
+    the rejected rows.
     """
 
     def about(kind: CaveatKind, some: np.ndarray, **figures: Any) -> Caveat:
@@ -364,19 +474,32 @@ def findings_on_outliers(
         common = in_common(station, values, table, rejected) or "no common cause was found"
         found = [about(CaveatKind.MANY_OUTLIERS, rejected, rows=len(table), common=common)]
     elif (gathered := gathering_of(station, rejected)) is not None:
-        where, unit = "in one stretch of the table", _unit_of(station, gathered)
+        where = "in one stretch of the table"
+        unit = _unit_of(station, gathered)
         if unit:
-            low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
-            where = f"where {gathered.variable} is {low:.4g} to {high:.4g} {'deg' if unit == 'rad' else unit}"
-        found.append(about(CaveatKind.GATHERED, gathered.rows, rows=int(rejected.sum()), where=where))
+            low, high = (
+                (np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high)
+            )
+            where = (
+                f"where {gathered.variable} is {low:.4g} to {high:.4g} "
+                f"{'deg' if unit == 'rad' else unit}"
+            )
+        found.append(
+            about(CaveatKind.GATHERED, gathered.rows, rows=int(rejected.sum()), where=where)
+        )
     if (bump := bump_in(station, values)) is not None:
         assert bump.size is not None
-        per, turns = _unit_of(station, bump), _unit_of(station, bump) == "rad"
+        per = _unit_of(station, bump)
+        turns = _unit_of(station, bump) == "rad"
         low, high = ((float(np.degrees(x)) if turns else 1e3 * x) for x in (bump.low, bump.high))
         span = {"joint": bump.variable, "low": low, "high": high, "unit": "deg" if turns else "mm"}
         found.append(about(CaveatKind.BUMP, bump.rows, size=1e3 * abs(bump.size), per=per, **span))
     if change := change_in(station, values, free, table.rows):
-        found.append(Caveat(CaveatKind.STEP, {"line": change.line, "what": change}, station.name, (change.line,)))
+        found.append(
+            Caveat(
+                CaveatKind.STEP, {"line": change.line, "what": change}, station.name, (change.line,)
+            )
+        )
     return found
 
 
@@ -386,15 +509,20 @@ def _unit_of(station: Station, gathered: Gathering) -> str:
     return dict(zip(robot.joint_names, robot.joint_units, strict=True)).get(gathered.variable, "")
 
 
-def findings_on_held_out(test: Station | None, values: np.ndarray, table: Measurements) -> list[Caveat]:
-    """Return whether some held-out rows of a station have errors far beyond all others, which dominate a mean."""
+def findings_on_held_out(
+    test: Station | None, values: np.ndarray, table: Measurements
+) -> list[Caveat]:
+    """Return whether some held-out rows of a station have errors far beyond all others, which
+    dominate a mean.
+    """
     if test is None:
         return []
     return far_off(next(iter(pose_error_sizes(test, values).values())), table, test.name)
 
 
 def far_off(errors: np.ndarray, table: Measurements, station: str) -> list[Caveat]:
-    """Return whether some rows, not used by the fit that predicts them, have errors far beyond all others.
+    """Return whether some rows, not used by the fit that predicts them, have errors far beyond all
+    others.
 
     Args:
         errors: shape (N,), their magnitudes [mm].
@@ -404,12 +532,18 @@ def far_off(errors: np.ndarray, table: Measurements, station: str) -> list[Cavea
     far = errors > _FAR * np.median(errors)
     if not far.any():
         return []
-    figures = {"rows": len(errors), "largest": float(errors.max()), "mean": float(errors[~far].mean())}
+    figures = {
+        "rows": len(errors),
+        "largest": float(errors.max()),
+        "mean": float(errors[~far].mean()),
+    }
     return [Caveat(CaveatKind.FAR_OFF, figures, station, tuple(table.rows[far].tolist()))]
 
 
 def findings_on_replicates(lack: LackOfFit | None, p_value: float | None) -> list[Caveat]:
-    """Return what replicates show of model and noise; ``p_value`` as for :func:`findings_on_fit`."""
+    """Return what replicates show of model and noise; ``p_value`` as for
+    :func:`findings_on_fit`.
+    """
     if lack is not None and lack.is_significant:
         return [Caveat(CaveatKind.LACK_OF_FIT, {"test": lack})]
     is_noisy = lack is not None and p_value is not None and p_value < MISFIT

@@ -1,8 +1,10 @@
-"""The coverage of a calibration's rows: the range within which the model is validated, and the conditions of the day.
+"""The coverage of a calibration's rows: the range within which the model is validated, and the
+conditions of the day.
 
-Where other rows lack temperature, time or move, an effect of it is evaluated at the column's mean over the calibration's
-rows, and the prediction is uncertain by its variation there. Directions of approach and commanded positions belong to each
-pose, not to the day; rows that lack them are refused.
+Where other rows lack temperature, time or move, an effect of it is evaluated at the column's mean
+over the calibration's rows, and the prediction is uncertain by its variation there. Directions of
+approach and commanded positions belong to each pose, not to the day; rows that lack them are
+refused.
 """
 
 from __future__ import annotations
@@ -22,8 +24,10 @@ from pincal.model.model import Model
 from pincal.parameters import Estimate
 from pincal.robot.robot import Robot
 
-# Margin beyond the training rows that counts as covered: a fraction of their range, and a constant [rad, m or kg].
-_MARGIN_PART, _MARGIN = 0.02, 1e-3
+# Margin beyond the training rows that counts as covered: a fraction of their range, and a constant
+# [rad, m or kg].
+_MARGIN_PART = 0.02
+_MARGIN = 1e-3
 # Points per piece of a curve at which its uncertainty is evaluated.
 _POINTS = 4
 # Columns that describe the day, not the pose.
@@ -31,7 +35,9 @@ OF_THE_DAY = ("temperature", "time", "move")
 
 
 class Outside(NamedTuple):
-    """A value beyond the training rows: row index, joint name or "payload", the value and their range [rad, m or kg]."""
+    """A value beyond the training rows: row index, joint name or "payload", the value and their
+    range [rad, m or kg].
+    """
 
     row: int
     name: str
@@ -41,9 +47,11 @@ class Outside(NamedTuple):
 
 
 class OutsideCurve(NamedTuple):
-    """Number of rows beyond the range, lower to upper, of a curve of a variable; there it keeps its end value.
+    """Number of rows beyond the range, lower to upper, of a curve of a variable; there it keeps its
+    end value.
 
-    The variable is a joint's name, "time", "temperature" or "payload", and over all rows between lowest and highest.
+    The variable is a joint's name, "time", "temperature" or "payload", and over all rows between
+    lowest and highest.
     """
 
     effect: str
@@ -57,7 +65,9 @@ class OutsideCurve(NamedTuple):
 
 
 class CurveGap(NamedTuple):
-    """Number of rows in a range, lower to upper, where the training rows do not determine a curve: it is interpolated."""
+    """Number of rows in a range, lower to upper, where the training rows do not determine a curve:
+    it is interpolated.
+    """
 
     effect: str
     joint: str
@@ -68,7 +78,9 @@ class CurveGap(NamedTuple):
 
 
 class Turned(NamedTuple):
-    """Number of rows with a joint a whole turn or more outside the range of a curve, which is taken to be periodic."""
+    """Number of rows with a joint a whole turn or more outside the range of a curve, which is taken
+    to be periodic.
+    """
 
     effect: str
     joint: str
@@ -82,8 +94,8 @@ class Covered(Record, frozen=True):
     Attributes:
         q: shape (n, 2), least and largest joint positions [rad or m].
         payload: shape (2,), least and largest payload [kg].
-        days: mean and standard deviation of temperature [deg C], time [s] and moves [rad or m] over these rows, as far as
-            they were recorded.
+        days: mean and standard deviation of temperature [deg C], time [s] and moves [rad or m] over
+            these rows, as far as they were recorded.
     """
 
     q: Annotated[Matrix, ArrayShape("joints", 2)]
@@ -93,25 +105,44 @@ class Covered(Record, frozen=True):
     @classmethod
     def of(cls, conditions: Conditions) -> Covered:
         """Return the coverage of some rows."""
-        q, payload, days = conditions.q, conditions.payload, dict[str, tuple[float, float]]()
+        q = conditions.q
+        payload = conditions.payload
+        days = dict[str, tuple[float, float]]()
         for name in OF_THE_DAY:
             if (x := conditions.column(name)) is not None:
                 # Moves of all joints have mean zero.
                 is_move = name == "move"
-                days[name] = 0.0 if is_move else float(np.mean(x)), _rms(x) if is_move else float(np.std(x))
-        return cls(np.column_stack([q.min(axis=0), q.max(axis=0)]), np.array([payload.min(), payload.max()]), days)
+                days[name] = (
+                    0.0 if is_move else float(np.mean(x)),
+                    _rms(x) if is_move else float(np.std(x)),
+                )
+        return cls(
+            np.column_stack([q.min(axis=0), q.max(axis=0)]),
+            np.array([payload.min(), payload.max()]),
+            days,
+        )
 
     def over(self, other: Covered) -> Covered:
-        """Return the coverage of the rows of both; a column that is constant on the second day is not counted."""
-        spans = [np.stack([one, two]) for one, two in ((self.q, other.q), (self.payload, other.payload))]
-        q, payload = (np.stack([both[..., 0].min(axis=0), both[..., 1].max(axis=0)], axis=-1) for both in spans)
+        """Return the coverage of the rows of both; a column that is constant on the second day is
+        not counted.
+        """
+        spans = [
+            np.stack([one, two]) for one, two in ((self.q, other.q), (self.payload, other.payload))
+        ]
+        q, payload = (
+            np.stack([both[..., 0].min(axis=0), both[..., 1].max(axis=0)], axis=-1)
+            for both in spans
+        )
         days = dict(self.days)
         for name, (mean, spread) in other.days.items():
             if name not in days:
                 days[name] = mean, spread
             elif spread > 0.0:
                 means, spreads = zip(days[name], (mean, spread), strict=True)
-                days[name] = float(np.mean(means)), float(np.hypot(_rms(np.array(spreads)), np.std(means)))
+                days[name] = (
+                    float(np.mean(means)),
+                    float(np.hypot(_rms(np.array(spreads)), np.std(means))),
+                )
         return Covered(q, payload, days)
 
     def carries(self, payload: np.ndarray) -> np.ndarray:
@@ -127,12 +158,15 @@ class Covered(Record, frozen=True):
         beyond = _beyond(np.column_stack([at, conditions.payload]), lower, upper)
         named = (*robot.joint_names, "payload")
         return [
-            Outside(int(i), named[j], float(values[i, j]), float(lower[j]), float(upper[j])) for i, j in np.argwhere(beyond)
+            Outside(int(i), named[j], float(values[i, j]), float(lower[j]), float(upper[j]))
+            for i, j in np.argwhere(beyond)
         ]
 
 
 class SeenCurve(NamedTuple):
-    """A curve of a model at some rows: its variable as recorded, and shifted by whole turns into its span."""
+    """A curve of a model at some rows: its variable as recorded, and shifted by whole turns into
+    its span.
+    """
 
     effect: Effect
     joint: str
@@ -149,16 +183,20 @@ class SeenCurve(NamedTuple):
     def gaps(self, chain: Chain, estimate: Estimate) -> np.ndarray:
         """Return where in its range the training rows do not determine it, shape (G, 2).
 
-        There the variance of its deviation from its mean (the mean is the joint offset's) is reduced by less than 3/4.
+        There the variance of its deviation from its mean (the mean is the joint offset's) is
+        reduced by less than 3/4.
         """
-        effect, members = self.effect, self.effect.parameters(chain)
+        effect = self.effect
+        members = self.effect.parameters(chain)
         if not isinstance(effect, Curve) or (belief := effect.belief(members)) is None:
             return np.zeros((0, 2))
         x = np.linspace(*self.span, _POINTS * effect.resolution + 1)
         basis = effect.basis(x)
         basis = basis - basis.mean(axis=1, keepdims=True)
         C = estimate.take([member.name for member in members]).dense_covariance()
-        known, believed = (np.sum(basis * (part @ basis), axis=0) for part in (C, np.linalg.inv(belief)))
+        known, believed = (
+            np.sum(basis * (part @ basis), axis=0) for part in (C, np.linalg.inv(belief))
+        )
         is_open = np.concatenate([[False], known > CHANGES.curve_seen**2 * believed, [False]])
         edges = np.flatnonzero(is_open[1:] != is_open[:-1]).reshape(-1, 2)
         return np.asarray(x[np.minimum(edges, len(x) - 1)])
@@ -179,12 +217,16 @@ def curves_at(model: Model, conditions: Conditions) -> Iterator[SeenCurve]:
         if at.span is None or at.follows is None or at.joint is None:
             continue
         spans = (None, at.span)
-        recorded, x = (recorded_variable(model.chain, conditions, at.follows, joint=at.joint, span=s) for s in spans)
+        recorded, x = (
+            recorded_variable(model.chain, conditions, at.follows, joint=at.joint, span=s)
+            for s in spans
+        )
         yield SeenCurve(effect, at.joint, at.follows, at.span, recorded, x)
 
 
 def _beyond(x: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.ndarray:
-    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    low = np.asarray(lower, float)
+    high = np.asarray(upper, float)
     margin = _MARGIN_PART * (high - low) + _MARGIN
     return np.asarray((x < low - margin) | (x > high + margin))
 

@@ -1,13 +1,14 @@
 r"""What the calibrated model itself expects of its position error away from the measured poses.
 
-Held-out poses resemble the fitted ones, so their error says nothing of the rest of the workspace. The covariance C of the
-parameters does: the predicted position of a pose with Jacobian J has the error :math:`e \sim N(0, J C J^T)`. Its expected
-length is
+Held-out poses resemble the fitted ones, so their error says nothing of the rest of the workspace.
+The covariance C of the parameters does: the predicted position of a pose with Jacobian J has the
+error :math:`e \sim N(0, J C J^T)`. Its expected length is
 
 .. math:: E|e| = \sqrt{8/\pi} \; \mathrm{mean}_u \sqrt{u^T J C J^T u}
 
-over all directions u, since a normal vector in 3D is a direction times an independent length of mean sqrt(8 / pi). What the
-data leave open is as large in C as the priors are wide. Errors that the model does not describe are not in it.
+over all directions u, since a normal vector in 3D is a direction times an independent length of
+mean sqrt(8 / pi). What the data leave open is as large in C as the priors are wide. Errors that the
+model does not describe are not in it.
 """
 
 from __future__ import annotations
@@ -30,26 +31,33 @@ from pincal.robot.robot import Robot
 from pincal.validate.outcome import Elsewhere
 
 # Random poses, more of which change the mean by a few per cent only, and their seed.
-_DRAWN, _SEED = 400, 0
+_DRAWN = 400
+_SEED = 0
 # Directions over which lengths are averaged: exact to 1 % for the flattest covariance.
 _DIRECTIONS = 60
 # Ends of the ranges of a joint that are compared: every twelfth of the poses.
 _PARTS = 12
-# Fewest poses that are divided by ranges, and the least share of the variance of the expected errors that a range has to
-# explain before it is named; below, it is combinations of joints that are missing, not the range of one.
-_FEWEST, _EXPLAINED = 48, 0.1
-# Of the number of measured poses in a range to that of evenly spread ones, below which the range is hardly covered.
+# Fewest poses that are divided by ranges, and the least share of the variance of the expected
+# errors that a range has to explain before it is named; below, it is combinations of joints that
+# are missing, not the range of one.
+_FEWEST = 48
+_EXPLAINED = 0.1
+# Of the number of measured poses in a range to that of evenly spread ones, below which the range is
+# hardly covered.
 _SPARSE = 0.5
 
 
 def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere | None:
-    """Return the expected position error at random poses within the joint limits, or at those of a task.
+    """Return the expected position error at random poses within the joint limits, or at those of a
+    task.
 
-    Loads and all else that is recorded are those of measured poses at random; a task has its own as far as it names them.
+    Loads and all else that is recorded are those of measured poses at random; a task has its own as
+    far as it names them.
 
     Args:
         fit: a calibration.
-        task: joint positions that matter, of the first target unless they name another; default: random ones.
+        task: joint positions that matter, of the first target unless they name another; default:
+            random ones.
 
     Returns:
         The expected error; None if no instrument observed any position.
@@ -63,10 +71,17 @@ def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere |
         conditions = random_conditions(at)
     else:
         targets = model.model.chain.targets
-        named = replace(task, target=np.where(np.isin(task.target, targets), task.target, targets[0]))
-        conditions = _recorded_as(at.conditions, model.conditions(named), np.random.default_rng(_SEED))
-    expected = 1e3 * expected_lengths(_covariances(model, conditions, placed=at.position is not None))
-    robot, measured = fit.problem.chain.robot, np.vstack([station.conditions.q for station in stations])
+        named = replace(
+            task, target=np.where(np.isin(task.target, targets), task.target, targets[0])
+        )
+        conditions = _recorded_as(
+            at.conditions, model.conditions(named), np.random.default_rng(_SEED)
+        )
+    expected = 1e3 * expected_lengths(
+        _covariances(model, conditions, placed=at.position is not None)
+    )
+    robot = fit.problem.chain.robot
+    measured = np.vstack([station.conditions.q for station in stations])
     return Elsewhere(
         mean_mm=float(expected.mean()),
         worst_mm=float(expected.max()),
@@ -77,7 +92,8 @@ def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere |
 
 
 def expected_lengths(covariances: np.ndarray) -> np.ndarray:
-    """Return the expected lengths of normal vectors about zero, shape (N,), from covariances of shape (N, 3, 3).
+    """Return the expected lengths of normal vectors about zero, shape (N,), from covariances of
+    shape (N, 3, 3).
 
     Example:
         >>> expected_lengths(np.array([np.eye(3), np.diag([1.0, 0.0, 0.0])])).round(2)
@@ -93,36 +109,50 @@ def expected_lengths(covariances: np.ndarray) -> np.ndarray:
 
 
 def random_conditions(station: Station) -> Conditions:
-    """Return random poses within the joint limits, of the first target, in the conditions of measured poses."""
-    rng, measured = np.random.default_rng(_SEED), station.conditions
+    """Return random poses within the joint limits, of the first target, in the conditions of
+    measured poses.
+    """
+    rng = np.random.default_rng(_SEED)
+    measured = station.conditions
     q = station.model.chain.robot.random_configurations(_DRAWN, rng)
     conditions = Conditions.at(q, payload_centre=measured.payload_centre)
     payload = measured.payload[rng.integers(len(measured), size=_DRAWN)]
     return _recorded_as(measured, replace(conditions, payload=payload), rng)
 
 
-def _recorded_as(measured: Conditions, conditions: Conditions, rng: np.random.Generator) -> Conditions:
-    """Return conditions with what they lack, such as directions of approach, taken from measured poses at random."""
+def _recorded_as(
+    measured: Conditions, conditions: Conditions, rng: np.random.Generator
+) -> Conditions:
+    """Return conditions with what they lack, such as directions of approach, taken from measured
+    poses at random.
+    """
     rows = rng.integers(len(measured), size=len(conditions))
     lacking = [name for name in (*RECORDED, "sighted") if getattr(conditions, name) is None]
-    columns: dict[str, Any] = {name: of[rows] for name in lacking if (of := getattr(measured, name)) is not None}
+    columns: dict[str, Any] = {
+        name: of[rows] for name in lacking if (of := getattr(measured, name)) is not None
+    }
     return replace(conditions, **columns)
 
 
 def _covariances(model: CalibratedModel, conditions: Conditions, *, placed: bool) -> np.ndarray:
     """Return the covariances of predicted positions, shape (N, 3, 3) [m^2].
 
-    Where readings are positions in the instrument's frame, ``placed``, so are these. Other readings may not determine that
-    frame; these are then the covariances that remain with instrument and target placed as well as possible.
+    Where readings are positions in the instrument's frame, ``placed``, so are these. Other readings
+    may not determine that frame; these are then the covariances that remain with instrument and
+    target placed as well as possible.
     """
     n = model.model.n_parameters
     poses, J = model.model.linearise(model.model_values, model.of_its_day(conditions))
     along = J[:, :3] if placed else unplaced(J[:, :3], poses)
-    return np.asarray(np.einsum("nip,pq,njq->nij", along, model.dense_covariance[:n, :n], along, optimize=True))
+    return np.asarray(
+        np.einsum("nip,pq,njq->nij", along, model.dense_covariance[:n, :n], along, optimize=True)
+    )
 
 
 class _Range(NamedTuple):
-    """A range of a joint: the share of the variance that it explains, the joint, both ends, and which of them are open."""
+    """A range of a joint: the share of the variance that it explains, the joint, both ends, and
+    which of them are open.
+    """
 
     explained: float
     joint: int
@@ -133,23 +163,34 @@ class _Range(NamedTuple):
 
 
 def _where(robot: Robot, q: np.ndarray, expected: np.ndarray, measured: np.ndarray) -> str:
-    """Return in which range of which joint the expected errors are largest, and how it was covered; "" if in none."""
+    """Return in which range of which joint the expected errors are largest, and how it was covered;
+    "" if in none.
+    """
     if len(q) < _FEWEST or not np.ptp(expected) > 0.0:
         return ""
-    ranges = (found for joint in range(q.shape[1]) for found in _ranges(joint, q[:, joint], expected))
+    ranges = (
+        found for joint in range(q.shape[1]) for found in _ranges(joint, q[:, joint], expected)
+    )
     worst = max(ranges, key=lambda found: found.explained, default=None)
     if worst is None or worst.explained < _EXPLAINED:
         return ""
     turns = robot.joint_units[worst.joint] == "rad"
     unit = "deg" if turns else "mm"
-    low, high = (f"{np.degrees(end) if turns else 1e3 * end:z.0f}" for end in (worst.low, worst.high))
+    low, high = (
+        f"{np.degrees(end) if turns else 1e3 * end:z.0f}" for end in (worst.low, worst.high)
+    )
     ends = f"below {high} {unit}" if worst.is_lowest else f"{low} to {high} {unit}"
     ends = f"above {low} {unit}" if worst.is_highest else ends
-    return f"{robot.joint_names[worst.joint]} is {ends}{_coverage(worst, q[:, worst.joint], measured[:, worst.joint])}"
+    return (
+        f"{robot.joint_names[worst.joint]} is "
+        f"{ends}{_coverage(worst, q[:, worst.joint], measured[:, worst.joint])}"
+    )
 
 
 def _coverage(worst: _Range, q: np.ndarray, measured: np.ndarray) -> str:
-    """Return how many measured poses are in a range, in words; "" if it was covered like the others."""
+    """Return how many measured poses are in a range, in words; "" if it was covered like the
+    others.
+    """
     there = int(np.sum((measured >= worst.low) & (measured <= worst.high)))
     share = np.mean((q >= worst.low) & (q <= worst.high))
     if there == 0:
@@ -162,7 +203,9 @@ def _ranges(joint: int, q: np.ndarray, expected: np.ndarray) -> Iterator[_Range]
     edges = np.unique(np.quantile(q, np.linspace(0.0, 1.0, _PARTS + 1)))
     parts = np.clip(np.searchsorted(edges, q, side="right") - 1, 0, len(edges) - 2)
     counts = np.concatenate([[0], np.cumsum(np.bincount(parts, minlength=len(edges) - 1))])
-    sums = np.concatenate([[0.0], np.cumsum(np.bincount(parts, expected, minlength=len(edges) - 1))])
+    sums = np.concatenate(
+        [[0.0], np.cumsum(np.bincount(parts, expected, minlength=len(edges) - 1))]
+    )
     last = len(edges) - 1
     total = float(np.sum((expected - expected.mean()) ** 2))
     for low in range(last):
@@ -175,4 +218,11 @@ def _ranges(joint: int, q: np.ndarray, expected: np.ndarray) -> Iterator[_Range]
             excess = within / inside - (sums[-1] - within) / outside
             if excess > 0.0:
                 explained = inside * outside / len(q) * excess**2 / total
-                yield _Range(float(explained), joint, float(edges[low]), float(edges[high]), low == 0, high == last)
+                yield _Range(
+                    float(explained),
+                    joint,
+                    float(edges[low]),
+                    float(edges[high]),
+                    low == 0,
+                    high == last,
+                )

@@ -1,8 +1,9 @@
 """The rows of a calibration, station by station, and its errors at rows that a fit has not seen.
 
-All rows are fitted, and their errors stated by cross-validation (:mod:`pincal.identify.folds`), unless rows are held out for
-good or whole stations in turn. An error is that of a reading: the means of poses are fitted, but one visit of a pose has
-more noise than their mean. Each pose counts once in the statistics, however often it was visited.
+All rows are fitted, and their errors stated by cross-validation (:mod:`pincal.identify.folds`),
+unless rows are held out for good or whole stations in turn. An error is that of a reading: the
+means of poses are fitted, but one visit of a pose has more noise than their mean. Each pose counts
+once in the statistics, however often it was visited.
 """
 
 from __future__ import annotations
@@ -57,8 +58,10 @@ class StationRows:
         train: fitted poses, the mean of the readings of each.
         test: held-out poses; may be empty.
         measured: the rows of both as measured.
-        ways: for each of two ways of holding rows out its held-out poses, shape (test,); empty for one way.
-        wrong: lines of readings that others of their pose show to be wrong, which are in none of these tables.
+        ways: for each of two ways of holding rows out its held-out poses, shape (test,); empty for
+            one way.
+        wrong: lines of readings that others of their pose show to be wrong, which are in none of
+            these tables.
         screened_from: the rows of both with these readings; default: there are none.
     """
 
@@ -77,9 +80,15 @@ class StationRows:
 
     @classmethod
     def of(
-        cls, name: str, train: Measurements, test: Measurements | None = None, ways: Mapping[Way, np.ndarray] | None = None
+        cls,
+        name: str,
+        train: Measurements,
+        test: Measurements | None = None,
+        ways: Mapping[Way, np.ndarray] | None = None,
     ) -> StationRows:
-        """Return the rows of a station by pose, from rows to fit, held-out rows, and lines held out in each way."""
+        """Return the rows of a station by pose, from rows to fit, held-out rows, and lines held out
+        in each way.
+        """
         test = train.select(slice(0)) if test is None else test
         poses = by_pose(test)
         of_ways = {way: np.isin(poses.rows, lines) for way, lines in (ways or {}).items()}
@@ -90,7 +99,9 @@ class StationRows:
         return fit.readings(self.test, station=self.name) if len(self.test) else None
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the fitted poses, shape (..., poses), for each fitted row as measured, shape (..., N)."""
+        """Return values of the fitted poses, shape (..., poses), for each fitted row as measured,
+        shape (..., N).
+        """
         rows, _ = self.measured
         return values if self.train is rows else values[..., self.pose]
 
@@ -101,7 +112,9 @@ class StationRows:
 
     @cached_property
     def share(self) -> np.ndarray:
-        """The weight of each fitted row in statistics, shape (N,): those of a pose's readings add up to 1."""
+        """The weight of each fitted row in statistics, shape (N,): those of a pose's readings add
+        up to 1.
+        """
         if self.train is self.measured[0]:
             return np.ones(len(self.train))
         return np.asarray(1.0 / np.bincount(self.pose)[self.pose])
@@ -113,8 +126,8 @@ class LeftOut:
 
     Attributes:
         station: its name.
-        sizes: model -> unit ("mm", ...) -> shape (N,), error magnitude at each row, of the "nominal", "geometric" and
-            "calibrated" robot; empty if it can't be predicted.
+        sizes: model -> unit ("mm", ...) -> shape (N,), error magnitude at each row, of the
+            "nominal", "geometric" and "calibrated" robot; empty if it can't be predicted.
         obstacle: why not; empty otherwise.
     """
 
@@ -124,13 +137,23 @@ class LeftOut:
 
 
 def split_rows(
-    tables: Mapping[str, Measurements], setup_of: Callable[[str], Setup], *, fraction: float, split: SplitBy, seed: int
+    tables: Mapping[str, Measurements],
+    setup_of: Callable[[str], Setup],
+    *,
+    fraction: float,
+    split: SplitBy,
+    seed: int,
 ) -> tuple[StationRows, ...]:
-    """Hold out a part of each station's rows, none with the split "station"; arguments as of :func:`run_calibration`."""
+    """Hold out a part of each station's rows, none with the split "station"; arguments as of
+    :func:`run_calibration`.
+    """
     if split == "station":
         return tuple(StationRows.of(name, table) for name, table in tables.items())
     if not fraction:
-        return tuple(StationRows.of(name, usable_rows(table, setup_of(name))) for name, table in tables.items())
+        return tuple(
+            StationRows.of(name, usable_rows(table, setup_of(name)))
+            for name, table in tables.items()
+        )
     found = []
     for name, table in tables.items():
         setup = setup_of(name)
@@ -139,7 +162,8 @@ def split_rows(
             held = ways_held_out(table, fraction, seed=seed)
             ways = {way: table.rows[rows] for way, rows in held.items() if rows.any()}
             is_held = np.any(list(held.values()), axis=0)
-            train, test = table.select(~is_held), table.select(is_held)
+            train = table.select(~is_held)
+            test = table.select(is_held)
         else:
             train, test = hold_out(table, fraction, split=split, seed=seed)
         train = usable_rows(train, setup)
@@ -148,7 +172,10 @@ def split_rows(
 
 
 def with_holdout(
-    robot: Robot, tables: Mapping[str, Measurements], holdout: Tables, setup_of: Callable[[str], Setup]
+    robot: Robot,
+    tables: Mapping[str, Measurements],
+    holdout: Tables,
+    setup_of: Callable[[str], Setup],
 ) -> tuple[StationRows, ...]:
     """Return the rows of each station with the held-out rows of other tables.
 
@@ -160,21 +187,33 @@ def with_holdout(
         held = dict(zip(tables, held.values(), strict=True))
     for name in held.keys() - tables.keys():
         raise BadInputError(
-            f"{held[name].source}: validation rows of an unknown station, {name!r}; expected one of "
-            f"{', '.join(map(repr, tables))}: name it in a column station, or hold rows out by --test-fraction"
+            f"{held[name].source}: validation rows of an unknown station, {name!r}; "
+            "expected one of "
+            f"{', '.join(map(repr, tables))}: name it in a column station, or hold rows "
+            "out by --test-fraction"
         )
-    tests = {name: admit_test(robot, held[name], setup_of(name).over(tables[name])) for name in tables if name in held}
+    tests = {
+        name: admit_test(robot, held[name], setup_of(name).over(tables[name]))
+        for name in tables
+        if name in held
+    }
     return tuple(StationRows.of(name, table, tests.get(name)) for name, table in tables.items())
 
 
 def as_measured(fit: ModelFit, rows: Sequence[StationRows]) -> ModelFit:
-    """Return a fit over the fitted rows as measured, where means of poses were fitted; else itself."""
+    """Return a fit over the fitted rows as measured, where means of poses were fitted;
+    else itself.
+    """
     if all(part.train is part.measured[0] for part in rows):
         return fit
     stations = tuple(
-        fit.readings(part.measured[0], station=at.name) for part, at in zip(rows, fit.problem.stations, strict=True)
+        fit.readings(part.measured[0], station=at.name)
+        for part, at in zip(rows, fit.problem.stations, strict=True)
     )
-    weights = [part.by_row(fit.solution.weights[of]) for part, of in zip(rows, fit.problem.rows, strict=True)]
+    weights = [
+        part.by_row(fit.solution.weights[of])
+        for part, of in zip(rows, fit.problem.rows, strict=True)
+    ]
     return fit.over(stations, np.concatenate(weights))
 
 
@@ -183,7 +222,8 @@ class LeftOutErrors:
     """Errors of the fitted readings of one station, each predicted by a fit without its fold.
 
     Attributes:
-        residuals: shape (m, N), reading minus prediction; nan where nothing else determines its target or point.
+        residuals: shape (m, N), reading minus prediction; nan where nothing else determines its
+            target or point.
         sizes: unit ("mm", ...) -> shape (N,), magnitude of the error.
         counted: shape (N,), readings that are neither outliers nor undetermined.
         share: shape (N,), weight of each reading in statistics.
@@ -203,7 +243,8 @@ class LeftOutErrors:
 def left_out_errors(
     fit: ModelFit, solution: Solution, rows: Sequence[StationRows], folds: Folds
 ) -> dict[Way, list[LeftOutErrors]]:
-    """Return the errors of all fitted readings by fits without their folds, way by way, station by station.
+    """Return the errors of all fitted readings by fits without their folds, way by way, station by
+    station.
 
     Args:
         fit: the fit of all rows.
@@ -216,7 +257,9 @@ def left_out_errors(
     for way, fold in folds.of_way.items():
         by_station = left_out_residuals(fit, solution, fold)
         found[way] = []
-        for k, (left_out, (station, pose, share)) in enumerate(zip(by_station, as_read, strict=True)):
+        for k, (left_out, (station, pose, share)) in enumerate(
+            zip(by_station, as_read, strict=True)
+        ):
             values = solution.values[fit.problem.places[k]]
             weights = fit.solution.weights[fit.problem.rows[k]]
             # Without the fold all readings of a pose are predicted elsewhere by the same vector.
@@ -229,7 +272,9 @@ def left_out_errors(
 
 
 def _as_read(fit: ModelFit, k: int, part: StationRows) -> tuple[Station, np.ndarray, np.ndarray]:
-    """Return a station of a fit over its readings, the fitted row of each, shape (N,), and its share in statistics."""
+    """Return a station of a fit over its readings, the fitted row of each, shape (N,), and its
+    share in statistics.
+    """
     station = fit.problem.stations[k]
     table = part.measured[0]
     n = len(station)
@@ -242,7 +287,9 @@ def _as_read(fit: ModelFit, k: int, part: StationRows) -> tuple[Station, np.ndar
 def statistics_of(parts: Sequence[LeftOutErrors]) -> dict[str, float]:
     """Return the error statistics of several stations together; empty where nothing counts."""
     parts = [part for part in parts if part.counted.any()]
-    return error_statistics([part.counted_sizes for part in parts], shares=[part.share[part.counted] for part in parts])
+    return error_statistics(
+        [part.counted_sizes for part in parts], shares=[part.share[part.counted] for part in parts]
+    )
 
 
 def errors_held_out(
@@ -250,11 +297,15 @@ def errors_held_out(
 ) -> dict[str, dict[str, float]]:
     """Return the error statistics of rows that a fit has not seen, of all stations together.
 
-    See :func:`pincal.validate.accuracy.error_statistics`. They are of each way of the folds ("regions", "stretches",
-    ...); of rows that were held out for good also of all of them, "test". Arguments as for :func:`left_out_errors`.
+    See :func:`pincal.validate.accuracy.error_statistics`. They are of each way of the folds
+    ("regions", "stretches", ...); of rows that were held out for good also of all of them, "test".
+    Arguments as for :func:`left_out_errors`.
     """
     if folds is not None:
-        of_way = {way: statistics_of(parts) for way, parts in left_out_errors(fit, solution, rows, folds).items()}
+        of_way = {
+            way: statistics_of(parts)
+            for way, parts in left_out_errors(fit, solution, rows, folds).items()
+        }
         return {way: found for way, found in of_way.items() if found}
     sizes: dict[str, list[dict[str, np.ndarray]]] = {}
     for part, places in zip(rows, fit.problem.places, strict=True):
@@ -265,12 +316,17 @@ def errors_held_out(
         sizes.setdefault("test", []).append(found)
         for way, mask in part.ways.items():
             if mask.any():
-                sizes.setdefault(way, []).append({unit: of_unit[mask] for unit, of_unit in found.items()})
+                sizes.setdefault(way, []).append(
+                    {unit: of_unit[mask] for unit, of_unit in found.items()}
+                )
     return {name: error_statistics(parts) for name, parts in sizes.items()}
 
 
-def nominal_errors(fit: ModelFit, rows: Sequence[StationRows], folds: Folds) -> dict[str, dict[str, float]]:
-    """Return the error statistics with only base and tool fitted, by each way of the folds; see :func:`errors_held_out`.
+def nominal_errors(
+    fit: ModelFit, rows: Sequence[StationRows], folds: Folds
+) -> dict[str, dict[str, float]]:
+    """Return the error statistics with only base and tool fitted, by each way of the folds; see
+    :func:`errors_held_out`.
 
     They are the same for a table whatever the noise of a fit to it is found to be.
     """
@@ -279,12 +335,17 @@ def nominal_errors(fit: ModelFit, rows: Sequence[StationRows], folds: Folds) -> 
 
 def _by_independent_rows(fit: ModelFit) -> ModelFit:
     """Return a fit whose rows have independent noise of the same size in all directions."""
-    plain = (replace(station, whitening=None, serial=None, arrival=None) for station in fit.problem.stations)
+    plain = (
+        replace(station, whitening=None, serial=None, arrival=None)
+        for station in fit.problem.stations
+    )
     return fit.over(plain)
 
 
 def headline_of(errors: Mapping[str, Mapping[str, float]]) -> str:
-    """Return which of the errors of :func:`errors_held_out` is the headline: the way in which predictions are worse."""
+    """Return which of the errors of :func:`errors_held_out` is the headline: the way in which
+    predictions are worse.
+    """
     ways = [name for name in errors if name in get_args(Way)]
     return max(ways, key=lambda way: next(iter(errors[way].values())), default="test")
 
@@ -302,7 +363,9 @@ class Validated:
     of_model: dict[str, dict[Way, list[LeftOutErrors]]]
 
     @classmethod
-    def of(cls, fit: ModelFit, rows: Sequence[StationRows], folds: Folds | None) -> Validated | None:
+    def of(
+        cls, fit: ModelFit, rows: Sequence[StationRows], folds: Folds | None
+    ) -> Validated | None:
         """Return the errors by some folds; None if no reading can be predicted by others."""
         if folds is None or not len(folds):
             return None
@@ -328,7 +391,9 @@ class Validated:
         return self.leading("calibrated")
 
     def leading(self, model: str) -> list[LeftOutErrors]:
-        """Return the errors of a model in the way in which its predictions are worse, station by station."""
+        """Return the errors of a model in the way in which its predictions are worse, station by
+        station.
+        """
         return self.of_model[model][self.way_of(model)]
 
     def errors(self, model: str) -> dict[str, dict[str, float]]:
@@ -348,7 +413,9 @@ class Validated:
 
 
 FitOthers = Callable[[Robot, dict[str, Measurements], Options], CalibratedFit]
-"""Calibrates a robot from the tables of some stations and options; picklable if an executor needs that."""
+"""Calibrates a robot from the tables of some stations and options; picklable if an executor needs
+that.
+"""
 
 
 def leave_out_stations(
@@ -361,8 +428,8 @@ def leave_out_stations(
 ) -> Iterator[LeftOut]:
     """Predict each station by the model of the others, only its own frames fitted.
 
-    This is the accuracy to expect at a new set-up: held-out rows of a station share its frames, day and temperature with
-    the fitted ones.
+    This is the accuracy to expect at a new set-up: held-out rows of a station share its frames, day
+    and temperature with the fitted ones.
 
     The model is fitted by ``fit_others``, for each station in parallel if there is an executor.
 
@@ -379,13 +446,22 @@ def require_several(tables: Mapping[str, Measurements]) -> None:
     if len(tables) < 2:
         source = ", ".join(table.source for table in tables.values())
         raise BadInputError(
-            f"{source}: only one station, so none can be left out; expected two tables or more, or a column station"
+            f"{source}: only one station, so none can be left out; expected two tables or "
+            "more, or a column station"
         )
 
 
-def _left_out(robot: Robot, tables: dict[str, Measurements], options: Options, fit_others: FitOthers, name: str) -> LeftOut:
+def _left_out(
+    robot: Robot,
+    tables: dict[str, Measurements],
+    options: Options,
+    fit_others: FitOthers,
+    name: str,
+) -> LeftOut:
     others = {other: table for other, table in tables.items() if other != name}
-    options = replace(options, stations={other: own for other, own in options.stations.items() if other in others})
+    options = replace(
+        options, stations={other: own for other, own in options.stations.items() if other in others}
+    )
     geometric = replace(options, effects=GEOMETRIC)
     sizes: dict[str, Mapping[str, list[float]]] = {}
     try:
@@ -395,7 +471,9 @@ def _left_out(robot: Robot, tables: dict[str, Measurements], options: Options, f
         found["nominal"] = fitted(robot, others, replace(options, effects=()))
         for model, fit in found.items():
             placed = place_station(fit, tables[name])
-            sizes[model] = {unit: list(s) for unit, s in pose_error_sizes(placed.station, placed.values).items()}
+            sizes[model] = {
+                unit: list(s) for unit, s in pose_error_sizes(placed.station, placed.values).items()
+            }
     except BadInputError as error:
         return LeftOut(name, obstacle=str(error))
     return LeftOut(name, sizes)

@@ -1,8 +1,10 @@
-r"""Improvement of predictions by a calibration: standard deviations of positions before and after, by region.
+r"""Improvement of predictions by a calibration: standard deviations of positions before and after,
+by region.
 
-P and C are the prior and posterior covariances of the robot's parameters. The placement of an instrument that sees the end
-of a path, and of its target, takes up part of their effect: with J the derivative of the end's positions at many poses by
-the parameters and B the derivative by the placement, the positions have the covariances :math:`J_\perp P J_\perp^T` and
+P and C are the prior and posterior covariances of the robot's parameters. The placement of an
+instrument that sees the end of a path, and of its target, takes up part of their effect: with J the
+derivative of the end's positions at many poses by the parameters and B the derivative by the
+placement, the positions have the covariances :math:`J_\perp P J_\perp^T` and
 :math:`J_\perp C J_\perp^T`, with :math:`J_\perp = J - B B^+ J`.
 """
 
@@ -23,44 +25,68 @@ from pincal.model.chain import MOUNT_SYMBOLS
 from pincal.validate.outcome import Improvement
 
 # Random poses within the joints' limits, measured poses at most, and the seed of both.
-_DRAWN, _MEASURED, _SEED = 400, 200, 0
+_DRAWN = 400
+_MEASURED = 200
+_SEED = 0
 _MEASURED_POSES = "measured poses"
 
 
 def improvements(fit: ModelFit) -> tuple[Improvement, ...]:
-    """Return the improvement of predictions, for each link at which a reading begins or ends, region by region."""
-    stations, robot = fit.problem.stations, fit.problem.chain.robot
-    ends = dict.fromkeys(link for s in stations for link in (s.model.chain.path.start, s.model.chain.path.tip))
+    """Return the improvement of predictions, for each link at which a reading begins or ends,
+    region by region.
+    """
+    stations = fit.problem.stations
+    robot = fit.problem.chain.robot
+    ends = dict.fromkeys(
+        link for s in stations for link in (s.model.chain.path.start, s.model.chain.path.tip)
+    )
     return tuple(found for link in ends if link != robot.base for found in _of_link(fit, link))
 
 
 def unseen_directions(fit: ModelFit) -> tuple[np.ndarray, ...]:
-    """Return the directions, each of shape (3,), in the axes of the robot's base link, along which nothing was measured."""
-    squares, axes = np.linalg.eigh(sum(_directions(station, fit.values[places]) for station, places, _ in fit.stations))
+    """Return the directions, each of shape (3,), in the axes of the robot's base link, along which
+    nothing was measured.
+    """
+    squares, axes = np.linalg.eigh(
+        sum(_directions(station, fit.values[places]) for station, places, _ in fit.stations)
+    )
     return tuple(axes[:, squares < CRITERIA.unseen_direction * squares.sum()].T)
 
 
 def _directions(station: Station, values: np.ndarray) -> np.ndarray:
-    """Return the sum of d d^T over the directions d in which a station's rows measure, shape (3, 3)."""
+    """Return the sum of d d^T over the directions d in which a station's rows measure, shape (3,
+    3).
+    """
     of_model, own = station.split(values)
-    poses, size = station.model.predict(of_model, station.conditions), station.sensor.twist_rows
+    poses = station.model.predict(of_model, station.conditions)
+    size = station.sensor.twist_rows
     units = np.zeros((3, size, len(station)))
     units[[0, 1, 2], [0, 1, 2]] = 1.0
     along = station.sensor.jacobian(poses, units, own)[:3, : station.sensor.blocks[0].size]
-    robot, path = station.model.chain.robot, station.model.chain.path
+    robot = station.model.chain.robot
+    path = station.model.chain.path
     if path.start != robot.base:
-        turned = robot.forward_kinematics(station.conditions.q, robot.between(robot.base, path.start, at_rest=True))
+        turned = robot.forward_kinematics(
+            station.conditions.q, robot.between(robot.base, path.start, at_rest=True)
+        )
         along = np.einsum("nij,jmn->imn", turned[:, :3, :3], along)
     return np.asarray(np.einsum("imn,jmn->ij", along, along))
 
 
 def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) -> Iterator[Caveat]:
-    """Yield what readings without an instrument leave undetermined, including mounts that they moved."""
+    """Yield what readings without an instrument leave undetermined, including mounts that they
+    moved.
+    """
     if not improved:
         return
-    robot, falls = fit.problem.chain.robot, list[str]()
+    robot = fit.problem.chain.robot
+    falls = list[str]()
     for link in dict.fromkeys(region.link for region in improved):
-        regions = [region for region in improved if region.link == link and region.region != _MEASURED_POSES]
+        regions = [
+            region
+            for region in improved
+            if region.link == link and region.region != _MEASURED_POSES
+        ]
         sizes = np.array([(region.before_mm, region.after_mm) for region in regions])
         before, after = (float(size) for size in np.sqrt(np.mean(sizes**2, axis=0)))
         falls.append(f"from {before:.2g} to {after:.2g} mm at {link}")
@@ -73,11 +99,15 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
     estimate = fit.estimate
     for joint in dict.fromkeys(name.partition(".")[0] for name in fit.problem.chain.mounts):
         lengths = [
-            k for k, name in enumerate(estimate.names) if name in {f"{joint}.{symbol}" for symbol in (*MOUNT_SYMBOLS, "d")}
+            k
+            for k, name in enumerate(estimate.names)
+            if name in {f"{joint}.{symbol}" for symbol in (*MOUNT_SYMBOLS, "d")}
         ]
         moved, sigma = (float(np.linalg.norm(of[lengths])) for of in (fit.values, estimate.sigma))
         if moved > CRITERIA.mount_moved and sigma > CRITERIA.mount_held * moved:
-            yield Caveat(CaveatKind.MOUNT_MOVED, {"joint": joint, "moved": 1e3 * moved, "sigma": 1e3 * sigma})
+            yield Caveat(
+                CaveatKind.MOUNT_MOVED, {"joint": joint, "moved": 1e3 * moved, "sigma": 1e3 * sigma}
+            )
 
 
 def _within(unseen: tuple[np.ndarray, ...]) -> str:
@@ -93,21 +123,37 @@ def _within(unseen: tuple[np.ndarray, ...]) -> str:
 
 def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
     """Yield the improvement of the predicted positions of a link, region by region."""
-    found, robot = CalibratedModel.of(fit, station=fit.problem.stations[0].name), fit.problem.chain.robot
-    rng, stations = np.random.default_rng(_SEED), fit.problem.stations
-    measured = np.vstack([s.conditions.q for s in stations if link in (s.model.chain.path.start, s.model.chain.path.tip)])
+    found = CalibratedModel.of(fit, station=fit.problem.stations[0].name)
+    robot = fit.problem.chain.robot
+    rng = np.random.default_rng(_SEED)
+    stations = fit.problem.stations
+    measured = np.vstack(
+        [
+            s.conditions.q
+            for s in stations
+            if link in (s.model.chain.path.start, s.model.chain.path.tip)
+        ]
+    )
     q = np.vstack([rng.permutation(measured)[:_MEASURED], robot.random_configurations(_DRAWN, rng)])
     seen = np.arange(len(q)) < len(q) - _DRAWN
     chain = replace(found.model.chain, ends=robot.between(robot.base, link, at_rest=True))
-    model = found.model.with_chain(chain.with_references(np.eye(3), np.tile(np.eye(3), (len(chain.targets), 1, 1))))
-    robots, names = ~model.of_station, model.names
-    tips, J = model.linearise(np.where(robots, found.model_values, 0.0), found.of_its_day(found.conditions_at(q)))
+    model = found.model.with_chain(
+        chain.with_references(np.eye(3), np.tile(np.eye(3), (len(chain.targets), 1, 1)))
+    )
+    robots = ~model.of_station
+    names = model.names
+    tips, J = model.linearise(
+        np.where(robots, found.model_values, 0.0), found.of_its_day(found.conditions_at(q))
+    )
     J = unplaced(J[:, :3, robots], tips)
     estimate = fit.estimate.names
     places = [estimate.index(name) for name, own in zip(names, robots, strict=True) if own]
-    free, prior = fit.solution.free[places], fit.priors.sizes[places]
+    free = fit.solution.free[places]
+    prior = fit.priors.sizes[places]
     known = np.where(free & np.isfinite(prior), prior, 0.0)
-    covariance = found.estimate.take(name for name, own in zip(names, robots, strict=True) if own).dense_covariance()
+    covariance = found.estimate.take(
+        name for name, own in zip(names, robots, strict=True) if own
+    ).dense_covariance()
     before = np.sum((J * known) ** 2, axis=(1, 2))
     after = np.einsum("nip,pq,niq->n", J, covariance, J)
     for region, rows in _regions(tips[:, :, 3], seen):
@@ -116,20 +162,27 @@ def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
 
 
 def unplaced(J: np.ndarray, tips: np.ndarray) -> np.ndarray:
-    """Return derivatives of positions, shape (N, 3, P), with the placement of instrument and target projected out."""
-    n, parts = len(J), np.zeros((len(J), 3, 9))
+    """Return derivatives of positions, shape (N, 3, P), with the placement of instrument and target
+    projected out.
+    """
+    n = len(J)
+    parts = np.zeros((len(J), 3, 9))
     parts[:, :, :3], parts[:, :, 6:] = np.eye(3), tips[:, :, :3]
     for k, axis in enumerate(np.eye(3)):
         parts[:, :, 3 + k] = np.cross(axis, tips[:, :, 3])
-    B, flat = np.linalg.qr(parts.reshape(3 * n, 9))[0], J.reshape(3 * n, -1)
+    B = np.linalg.qr(parts.reshape(3 * n, 9))[0]
+    flat = J.reshape(3 * n, -1)
     return np.asarray((flat - B @ (B.T @ flat)).reshape(J.shape))
 
 
 def _regions(p: np.ndarray, seen: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the regions of positions, shape (N, 3) in the base link's axes, and masks of the positions in each."""
+    """Yield the regions of positions, shape (N, 3) in the base link's axes, and masks of the
+    positions in each.
+    """
     yield _MEASURED_POSES, seen
     far = np.hypot(p[:, 0], p[:, 1])
-    is_far, is_high = far > np.median(far[~seen]), p[:, 2] > np.median(p[~seen, 2])
+    is_far = far > np.median(far[~seen])
+    is_high = p[:, 2] > np.median(p[~seen, 2])
     for distance, by_distance in (("near", ~is_far), ("far", is_far)):
         for height, by_height in (("low", ~is_high), ("high", is_high)):
             rows = ~seen & by_distance & by_height

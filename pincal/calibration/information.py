@@ -1,4 +1,6 @@
-"""Additive information of readings on a robot, from stations, days and sites that do not share their tables."""
+"""Additive information of readings on a robot, from stations, days and sites that do not share
+their tables.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,21 @@ from pincal.robot.robot import Robot
 _DIGITS = 9
 # Asymmetry of a matrix, relative to its largest entry, that rounding explains.
 _ROUNDING = 1e-9
-_FILE = FileKind("an information file", ModelFileError, whole="a file written by save() of pincal's RobotInformation")
+_FILE = FileKind(
+    "an information file",
+    ModelFileError,
+    whole="a file written by save() of pincal's RobotInformation",
+)
 
 
 class RobotInformation(Record, frozen=True, kw_only=True):
-    """Information of readings on the parameters of one robot, a quadratic about its nominal without any prior, and its file.
+    """Information of readings on the parameters of one robot, a quadratic about its nominal without
+    any prior, and its file.
 
-    In units of the noise it is square - 2 g x + x H x over deviations x of the robot's parameters, an information form
-    (Bierman 1977), see :mod:`pincal.identify.quadratic`. ``a + b`` is the information of the rows of both: that of a joint
-    fit, linearised where each was fitted. Base, targets and instrument of each station are eliminated.
+    In units of the noise it is square - 2 g x + x H x over deviations x of the robot's parameters,
+    an information form (Bierman 1977), see :mod:`pincal.identify.quadratic`. ``a + b`` is the
+    information of the rows of both: that of a joint fit, linearised where each was fitted. Base,
+    targets and instrument of each station are eliminated.
 
     Attributes:
         format: what the file is.
@@ -48,8 +56,8 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         whole: shape (F,), the diagonal of H before base, targets and instrument were eliminated.
         square: the sum of squares at the nominal.
         degrees: number of readings minus number of eliminated parameters.
-        priors: shape (F,), standard deviations of the priors that they had [their own units]: of a compliance by the moments
-            of these poses; not in files of earlier versions.
+        priors: shape (F,), standard deviations of the priors that they had [their own units]: of a
+            compliance by the moments of these poses; not in files of earlier versions.
     """
 
     format: Literal["pincal-information"]
@@ -74,27 +82,43 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         if np.any(self.whole < 0.0) or np.any(np.diag(self.H) < -_ROUNDING * self.whole):
             raise Fault("has a negative entry on its diagonal", "an information matrix", key=".H")
         if self.priors is not None and np.any(self.priors <= 0.0):
-            raise Fault("holds a standard deviation that is not positive", "standard deviations above 0", key=".priors")
+            raise Fault(
+                "holds a standard deviation that is not positive",
+                "standard deviations above 0",
+                key=".priors",
+            )
 
     @classmethod
     def of(cls, fit: ModelFit) -> RobotInformation:
         """Return the information of the rows of all stations of a fit on the robot."""
-        problem, robot = fit.problem, fit.problem.chain.robot
+        problem = fit.problem
+        robot = fit.problem.chain.robot
         form = reduce(add, (information_at(fit, k).form for k in range(len(problem.stations))))
-        known = {p.name: (p, value) for p, value in zip(problem.parameters, fit.values, strict=True)}
+        known = {
+            p.name: (p, value) for p, value in zip(problem.parameters, fit.values, strict=True)
+        }
         nominal = form.at(-np.array([known[name][1] for name in form.names]))
         sizes = np.array([p.size for p in problem.parameters]) / problem.largest_basis[0]
-        priors = {p.name: (p, float(size)) for p, size in zip(problem.parameters, sizes, strict=True)}
+        priors = {
+            p.name: (p, float(size)) for p, size in zip(problem.parameters, sizes, strict=True)
+        }
         return cls.of_form(nominal, robot.name, geometry_of(robot), priors)
 
     @classmethod
     def of_form(
-        cls, form: Quadratic, robot: str, geometry: int, known: Mapping[str, tuple[Parameter, float]]
+        cls,
+        form: Quadratic,
+        robot: str,
+        geometry: int,
+        known: Mapping[str, tuple[Parameter, float]],
     ) -> RobotInformation:
-        """Return information given as a form about the nominal, with its parameters and their priors by name."""
-        # Sums and projections are symmetric, and positive semidefinite, only up to rounding, which may dominate what is left
-        # of frames that nearly parallel axes hardly distinguish.
-        H, scale = 0.5 * (form.H + form.H.T), np.sqrt(np.maximum(form.whole, 1e-300))[:, None]
+        """Return information given as a form about the nominal, with its parameters and their
+        priors by name.
+        """
+        # Sums and projections are symmetric, and positive semidefinite, only up to rounding, which
+        # may dominate what is left of frames that nearly parallel axes hardly distinguish.
+        H = 0.5 * (form.H + form.H.T)
+        scale = np.sqrt(np.maximum(form.whole, 1e-300))[:, None]
         if np.any(np.diag(H) < 0.0):
             values, axes = np.linalg.eigh(H / (scale * scale.T))
             H = (scale * axes * np.maximum(values, 0.0)) @ (scale * axes).T
@@ -119,7 +143,9 @@ class RobotInformation(Record, frozen=True, kw_only=True):
     def form(self) -> Quadratic:
         """The quadratic by the names of its parameters."""
         names = tuple(parameter.name for parameter in self.parameters)
-        return Quadratic(self.H, self.g, self.whole, names=names, square=self.square, degrees=self.degrees)
+        return Quadratic(
+            self.H, self.g, self.whole, names=names, square=self.square, degrees=self.degrees
+        )
 
     def __add__(self, other: RobotInformation) -> RobotInformation:
         """Return the information of the rows of both.
@@ -129,15 +155,22 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         """
         if self.geometry != other.geometry:
             raise BadInputError(
-                f"information on {self.robot!r} and on {other.robot!r} can't be added: their nominal geometries differ; "
+                f"information on {self.robot!r} and on {other.robot!r} can't be added: "
+                "their nominal geometries differ; "
                 "calibrate both with the same URDF, base and tip"
             )
-        return self.of_form(self.form + other.form, self.robot, self.geometry, {**other.known, **self.known})
+        return self.of_form(
+            self.form + other.form, self.robot, self.geometry, {**other.known, **self.known}
+        )
 
     def estimate(self) -> Estimate:
-        """Return the posterior mode of the parameters and their covariance, the priors of the model counted once."""
+        """Return the posterior mode of the parameters and their covariance, the priors of the model
+        counted once.
+        """
         parameters = [p for p, _ in self.known.values()]
-        form = self.form + Quadratic.of_prior(self.form.names, np.array([p.size for p in parameters]))
+        form = self.form + Quadratic.of_prior(
+            self.form.names, np.array([p.size for p in parameters])
+        )
         values, covariance = form.estimate(np.arange(len(form.names)), ROUNDING)
         return estimate_of(parameters, values, covariance)
 
@@ -155,8 +188,13 @@ class RobotInformation(Record, frozen=True, kw_only=True):
 
 
 def geometry_of(robot: Robot) -> int:
-    """Return the checksum of a robot's nominal geometry, the same for the same joints and link frames."""
-    frames = np.round(np.concatenate([robot.frames.T_base_link, robot.frames.T_last_tip[None]]), _DIGITS) + 0.0
+    """Return the checksum of a robot's nominal geometry, the same for the same joints and link
+    frames.
+    """
+    frames = (
+        np.round(np.concatenate([robot.frames.T_base_link, robot.frames.T_last_tip[None]]), _DIGITS)
+        + 0.0
+    )
     return zlib.crc32(" ".join(robot.joint_names).encode() + frames.tobytes())
 
 
@@ -169,7 +207,9 @@ def information_of(text: str, source: str) -> RobotInformation:
     return built(text.encode(), RobotInformation, _FILE, file=source, hook=restoring())
 
 
-def load_information(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> RobotInformation:
+def load_information(
+    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+) -> RobotInformation:
     """Return the information on a robot from a file, or the sum of several.
 
     Raises:

@@ -1,11 +1,13 @@
 """Initial poses of the robots of a cell relative to each other, found from the readings.
 
-An instrument that sees two robots without being moved has both in its frame. A point of one robot that is held at a point of
-the other, p on its hand (R_i, p_i) and s on the other's hand (S_i, s_i), satisfies
+An instrument that sees two robots without being moved has both in its frame. A point of one robot
+that is held at a point of the other, p on its hand (R_i, p_i) and s on the other's hand (S_i, s_i),
+satisfies
 
     R (R_i p + p_i) + t = S_i s + s_i
 
-with (R, t) the pose of the first relative to the second: linear in t, p and s, so that only R has to be searched for.
+with (R, t) the pose of the first relative to the second: linear in t, p and s, so that only R has
+to be searched for.
 """
 
 from __future__ import annotations
@@ -30,19 +32,24 @@ from pincal.robot.se3 import transform
 from pincal.robot.urdf_file import parse_urdf
 
 # Contacts used to search for a rotation at most, and the fewest degrees of freedom.
-_MOST, _SPARE = 300, 12
-# Largest ratio of the best pose's residuals to the next best's to be accepted, and how far apart two poses are [rad].
-_CLEAR, _ELSEWHERE = 0.5, 0.2
+_MOST = 300
+_SPARE = 12
+# Largest ratio of the best pose's residuals to the next best's to be accepted, and how far apart
+# two poses are [rad].
+_CLEAR = 0.5
+_ELSEWHERE = 0.2
 
 
 def located(
     robot: Robot, others: Sequence[Beside], tables: Mapping[str, Measurements], options: Options
 ) -> tuple[Beside, ...]:
-    """Return the robots of a cell other than the first with their poses, unknown ones as far as the readings determine them.
+    """Return the robots of a cell other than the first with their poses, unknown ones as far as the
+    readings determine them.
 
     In the cell, ``robot``, those of unknown pose coincide with the first robot.
     """
-    found, unknown = [], [of for of in others if of.place is None]
+    found = []
+    unknown = [of for of in others if of.place is None]
     for of in others:
         T = None if of.place is not None else _seen(robot, of, tables, options, unknown)
         if T is not None:
@@ -53,9 +60,15 @@ def located(
 
 
 def _seen(
-    robot: Robot, of: Beside, tables: Mapping[str, Measurements], options: Options, unknown: Sequence[Beside]
+    robot: Robot,
+    of: Beside,
+    tables: Mapping[str, Measurements],
+    options: Options,
+    unknown: Sequence[Beside],
 ) -> np.ndarray | None:
-    """Return the pose of a robot, shape (4, 4), if an instrument sees it and another one, or contacts join them."""
+    """Return the pose of a robot, shape (4, 4), if an instrument sees it and another one, or
+    contacts join them.
+    """
     tree = parse_urdf(robot.urdf, source=robot.source)
     holders = {link: {joint.name for joint in tree.above(link)} for link in tree.links}
     nowhere = {one.joint for one in unknown}
@@ -65,9 +78,11 @@ def _seen(
         its = holders[link] & nowhere
         return None if its - {of.joint} else bool(its)
 
-    setups, contacts = dict[str, dict[bool, str]](), list[tuple[Station, list[str]]]()
+    setups = dict[str, dict[bool, str]]()
+    contacts = list[tuple[Station, list[str]]]()
     for name, table in tables.items():
-        links, sensor = links_of(table, robot.path), table.sensor
+        links = links_of(table, robot.path)
+        sensor = table.sensor
         sides = [robot_of(link) for link in links]
         if sensor is None or None in sides:
             continue
@@ -80,36 +95,56 @@ def _seen(
             setups.setdefault(table.setup, {}).setdefault(bool(sides[1]), name)
     for both in setups.values():
         if len(both) == 2:
-            first, second = (base_seen(robot, {both[k]: tables[both[k]]}, options) for k in (False, True))
+            first, second = (
+                base_seen(robot, {both[k]: tables[both[k]]}, options) for k in (False, True)
+            )
             return np.asarray(np.linalg.inv(first) @ second)
-    return _touched(robot, *max(contacts, key=lambda contact: len(contact[0]))) if contacts else None
+    return (
+        _touched(robot, *max(contacts, key=lambda contact: len(contact[0]))) if contacts else None
+    )
 
 
 def _touched(robot: Robot, station: Station, links: Sequence[str]) -> np.ndarray | None:
-    """Return the pose of a robot by contacts of its own link, the first, with the second; None if undetermined."""
+    """Return the pose of a robot by contacts of its own link, the first, with the second; None if
+    undetermined.
+    """
     rows = np.unique(np.linspace(0, len(station) - 1, _MOST).astype(int))
     few = station.select(rows)
     of_sensor = isinstance(few.sensor, Coincidences) and few.sensor.index
     is_tip = few.model.chain.path.tip == links[0]
-    points = [np.unique(of, return_inverse=True)[1] for of in (few.conditions.target, of_sensor)][:: 1 if is_tip else -1]
-    T, S = (robot.forward_kinematics(few.conditions.q, robot.between(robot.base, link, at_rest=True)) for link in links)
+    points = [np.unique(of, return_inverse=True)[1] for of in (few.conditions.target, of_sensor)][
+        :: 1 if is_tip else -1
+    ]
+    T, S = (
+        robot.forward_kinematics(few.conditions.q, robot.between(robot.base, link, at_rest=True))
+        for link in links
+    )
     onehot = [np.eye(of.max() + 1)[of] for of in points]
-    n, of_other = len(rows), np.einsum("nij,nk->nikj", S[:, :3, :3], onehot[1]).reshape(3 * len(rows), -1)
+    n = len(rows)
+    of_other = np.einsum("nij,nk->nikj", S[:, :3, :3], onehot[1]).reshape(3 * len(rows), -1)
     free = np.tile(np.eye(3), (n, 1))
 
     def solved(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         R = Rotation.from_rotvec(turn).as_matrix()
         own = np.einsum("il,nlj,nk->nikj", R, T[:, :3, :3], onehot[0]).reshape(3 * n, -1)
-        A, b = np.hstack([free, own, -of_other]), (S[:, :3, 3] - T[:, :3, 3] @ R.T).ravel()
+        A = np.hstack([free, own, -of_other])
+        b = (S[:, :3, 3] - T[:, :3, 3] @ R.T).ravel()
         x = np.linalg.lstsq(A, b)[0]
         return b - A @ x, x
 
     if 3 * n < 6 + 3 * sum(of.shape[1] for of in onehot) + _SPARE:
         return None
-    found = [least_squares(lambda turn: solved(turn)[0], start) for start in Rotation.create_group("O").as_rotvec()]
+    found = [
+        least_squares(lambda turn: solved(turn)[0], start)
+        for start in Rotation.create_group("O").as_rotvec()
+    ]
     best = min(found, key=lambda one: float(one.cost))
     here = Rotation.from_rotvec(best.x)
-    others = [one.cost for one in found if (here.inv() * Rotation.from_rotvec(one.x)).magnitude() > _ELSEWHERE]
+    others = [
+        one.cost
+        for one in found
+        if (here.inv() * Rotation.from_rotvec(one.x)).magnitude() > _ELSEWHERE
+    ]
     if others and best.cost > _CLEAR * min(others):
         return None
     return transform(here.as_matrix(), solved(best.x)[1][:3])

@@ -1,8 +1,10 @@
-"""Parameters of a robot that moved between stations, found from a fit in which all stations share them.
+"""Parameters of a robot that moved between stations, found from a fit in which all stations share
+them.
 
-The parameter that explains most is released first, then the others are tested given it, until none is significant. The curve
-of a drive counts as one. Where the model lacks curves, and these would explain more than log n per coefficient, n readings,
-or some of them changed, everything is tested given curves shared by all stations.
+The parameter that explains most is released first, then the others are tested given it, until none
+is significant. The curve of a drive counts as one. Where the model lacks curves, and these would
+explain more than log n per coefficient, n readings, or some of them changed, everything is tested
+given curves shared by all stations.
 """
 
 from __future__ import annotations
@@ -37,18 +39,23 @@ from pincal.validate.outcome import MovedParameter
 # Stations at most: work and memory grow with their square.
 _MOST_STATIONS = 100
 # Rows and stations at most in a search for curves.
-_ROWS, _STATIONS = 2000, 20
-# Parts of a station's rows between which a parameter differs by chance, at most, with the fewest rows of each; for curves.
-_MOST_PARTS, _ROWS_EACH, _PARTS = 8, 12, 2
+_ROWS = 2000
+_STATIONS = 20
+# Parts of a station's rows between which a parameter differs by chance, at most, with the fewest
+# rows of each; for curves.
+_MOST_PARTS = 8
+_ROWS_EACH = 12
+_PARTS = 2
 # Tolerance on a constant function.
 _CONSTANT = 1e-6
 
 
 def moves_of(fit: ModelFit) -> tuple[tuple[MovedParameter, ...], ...]:
-    """Return, for each of several stations, the parameters of the robot that differ between stations.
+    """Return, for each of several stations, the parameters of the robot that differ between
+    stations.
 
-    The curve of a drive that the model lacks is one of them, named JOINT.curve; its change is the rms over the station's
-    rows, without its mean.
+    The curve of a drive that the model lacks is one of them, named JOINT.curve; its change is the
+    rms over the station's rows, without its mean.
     """
     n = len(fit.problem.stations)
     own = [list(_of_station(fit, k)) for k in range(n)]
@@ -56,19 +63,31 @@ def moves_of(fit: ModelFit) -> tuple[tuple[MovedParameter, ...], ...]:
         return tuple(map(tuple, own))
     shared = SharedInformation.of(fit)
     if (curves := _with_curves(fit)) is not None:
-        information, apart, chosen = curves.information, curves.apart, curves.moved
+        information = curves.information
+        apart = curves.apart
+        chosen = curves.moved
     else:
-        same, singles = np.eye(len(shared.parameters)), [(p,) for p in range(len(shared.parameters))]
-        information, apart = shared.together(same), None
+        same = np.eye(len(shared.parameters))
+        singles = [(p,) for p in range(len(shared.parameters))]
+        information = shared.together(same)
+        apart = None
         chosen = information.moved(singles)
         parts = min(_MOST_PARTS, min(map(len, fit.problem.stations)) // _ROWS_EACH)
-        if chosen and parts > 1 and not any(station.sensor.is_whole for station in fit.problem.stations):
+        if (
+            chosen
+            and parts > 1
+            and not any(station.sensor.is_whole for station in fit.problem.stations)
+        ):
             apart = Apart.of(SharedInformation.of(fit, parts, in_order=True), same, parts)
             chosen = information.moved(singles, apart=apart)
     for group in chosen:
         shape = None if curves is None else curves.shapes.get(group)
         parameter = shared.parameters[group[0]] if shape is None else shape.parameter
-        noise = 1.0 if apart is None else apart.noise([other for other in chosen if other != group], group)[0]
+        noise = (
+            1.0
+            if apart is None
+            else apart.noise([other for other in chosen if other != group], group)[0]
+        )
         for k, change, sigma, moved in _course(information, chosen, group, noise, shape):
             own[k].append(_entry(parameter, change, sigma, moved))
     return tuple(map(tuple, own))
@@ -91,8 +110,13 @@ class _Shape:
     @classmethod
     def of(cls, curve: Curve, fit: ModelFit) -> Self:
         """Return the shape of a curve at the rows of a fit."""
-        chain, joint, span = fit.problem.chain, str(curve.locus.joint), curve.locus.span
-        positions = [recorded_variable(chain, station.conditions, joint, span=span) for station in fit.problem.stations]
+        chain = fit.problem.chain
+        joint = str(curve.locus.joint)
+        span = curve.locus.span
+        positions = [
+            recorded_variable(chain, station.conditions, joint, span=span)
+            for station in fit.problem.stations
+        ]
         bases = [curve.basis(x) for x in positions]
         basis = np.concatenate(bases, axis=1)
         constant, *_ = np.linalg.lstsq(basis.T, np.ones(basis.shape[1]))
@@ -102,7 +126,9 @@ class _Shape:
         return cls(parameter, T, tuple(T.T @ basis for basis in bases))
 
     def size(self, k: int, values: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-        """Return the rms of a curve over the rows of a station that determine it, and its standard deviation."""
+        """Return the rms of a curve over the rows of a station that determine it, and its standard
+        deviation.
+        """
         at = self.at[k]
         variance = np.einsum("in,ij,jn->n", at, covariance, at)
         seen = variance < (CHANGES.curve_seen * self.parameter.size) ** 2
@@ -132,20 +158,34 @@ class _WithCurves:
     price: float
 
     @classmethod
-    def of(cls, fit: ModelFit, curves: Sequence[Curve], rows: dict[int, np.ndarray], parts: int = 1) -> Self:
-        """Return the information of some rows, in so many parts of each station, with some curves."""
+    def of(
+        cls, fit: ModelFit, curves: Sequence[Curve], rows: dict[int, np.ndarray], parts: int = 1
+    ) -> Self:
+        """Return the information of some rows, in so many parts of each station, with
+        some curves.
+        """
         wide, _ = fit_with(fit, curves, rows)
-        shared, shapes = SharedInformation.of(wide, parts), [_Shape.of(curve, wide) for curve in curves]
+        shared = SharedInformation.of(wide, parts)
+        shapes = [_Shape.of(curve, wide) for curve in curves]
         place = {parameter.name: i for i, parameter in enumerate(shared.parameters)}
         spans = [[place[p.name] for p in curve.parameters(fit.problem.chain)] for curve in curves]
         base = np.delete(np.arange(len(place)), np.concatenate(spans))
-        T = block_diag(np.eye(len(base)), *(shape.T for shape in shapes))[np.argsort(np.concatenate([base, *spans]))]
+        T = block_diag(np.eye(len(base)), *(shape.T for shape in shapes))[
+            np.argsort(np.concatenate([base, *spans]))
+        ]
         ends = np.cumsum([len(base), *(shape.T.shape[1] for shape in shapes)]).tolist()
         groups = [tuple(range(*span)) for span in pairwise(ends)]
         readings = sum(len(station) * station.reading_size for station in wide.problem.stations)
         whole = shared.joined(parts)
-        apart, without = Apart.of(shared, T, parts), whole.together(T[:, : len(base)])
-        return cls(apart.joined, apart, without, dict(zip(groups, shapes, strict=True)), float(np.log(readings)))
+        apart = Apart.of(shared, T, parts)
+        without = whole.together(T[:, : len(base)])
+        return cls(
+            apart.joined,
+            apart,
+            without,
+            dict(zip(groups, shapes, strict=True)),
+            float(np.log(readings)),
+        )
 
     @cached_property
     def singles(self) -> list[Together]:
@@ -155,33 +195,44 @@ class _WithCurves:
     @cached_property
     def moved(self) -> tuple[Together, ...]:
         """The groups that differ between stations, given shared curves."""
-        return self.information.moved([*self.singles, *self.shapes], price=self.price, apart=self.apart)
+        return self.information.moved(
+            [*self.singles, *self.shapes], price=self.price, apart=self.apart
+        )
 
     @property
     def cost(self) -> float:
-        """Cost of curves less what they explain: of the shared ones, if negative, and of changes."""
+        """Cost of curves less what they explain: of the shared ones, if negative, and
+        of changes.
+        """
         found = self.information
         changed = [group for group in self.moved if group in self.shapes]
         others = [group for group in self.moved if group not in self.shapes]
         without = self.without.explained + self.without.gain(self.without.moved(self.singles))
-        shared = self.price * sum(map(len, self.shapes)) - found.explained - found.gain(others) + without
+        shared = (
+            self.price * sum(map(len, self.shapes)) - found.explained - found.gain(others) + without
+        )
         gain = found.gain(self.moved) - found.gain(others)
         return min(shared, 0.0) + self.price * sum(map(found.degrees, changed)) - gain
 
 
 def _with_curves(fit: ModelFit) -> _WithCurves | None:
-    """Return the information of stations with the drive curves that a model lacks, in the resolution that explains most.
+    """Return the information of stations with the drive curves that a model lacks, in the
+    resolution that explains most.
 
     None if it lacks none, and of IMUs, arms in motion, and many stations.
     """
-    problem, stations = fit.problem, fit.problem.stations
+    problem = fit.problem
+    stations = fit.problem.stations
     if not 1 < len(stations) <= _STATIONS or any(
         not station.sensor.reads_place or station.conditions.are_in_motion for station in stations
     ):
         return None
-    rows = {k: sample_rows(len(station), _ROWS // len(stations)) for k, station in enumerate(stations)}
+    rows = {
+        k: sample_rows(len(station), _ROWS // len(stations)) for k, station in enumerate(stations)
+    }
     some = [stations[k].conditions.select(kept) for k, kept in rows.items()]
-    names, of_size = {p.name for p in problem.parameters}, dict[int, list[Curve]]()
+    names = {p.name for p in problem.parameters}
+    of_size = dict[int, list[Curve]]()
     for candidate in testable(PoseSet(problem.chain, joined_conditions(some)), {"drive"}):
         for curve in candidate.forms:
             if not isinstance(curve, Curve) or curve.locus.joint != curve.locus.follows:
@@ -199,31 +250,55 @@ def _with_curves(fit: ModelFit) -> _WithCurves | None:
 
 
 def _course(
-    found: StationsInformation, chosen: Sequence[Together], group: Together, noise: float, shape: _Shape | None
+    found: StationsInformation,
+    chosen: Sequence[Together],
+    group: Together,
+    noise: float,
+    shape: _Shape | None,
 ) -> Iterator[tuple[int, float, float, bool]]:
-    """Yield station, change since the first, its standard deviation, and whether it moved since the previous station."""
+    """Yield station, change since the first, its standard deviation, and whether it moved since the
+    previous station.
+    """
     station, values, covariance = found.own_values(chosen, group)
     covariance = noise * covariance
     for k in station[:1]:
         yield int(k), 0.0, 0.0, False
     for i in range(1, len(station)):
-        change, of_change = values[i] - values[0], difference(covariance, i, 0)
-        step, of_step = values[i] - values[i - 1], difference(covariance, i, i - 1)
-        moved = chdtrc(len(group), step @ np.linalg.solve(of_step, step)) < CHANGES.moved / (len(station) - 1)
-        size, sigma = (change[0], np.sqrt(of_change[0, 0])) if shape is None else shape.size(station[i], change, of_change)
+        change = values[i] - values[0]
+        of_change = difference(covariance, i, 0)
+        step = values[i] - values[i - 1]
+        of_step = difference(covariance, i, i - 1)
+        moved = chdtrc(len(group), step @ np.linalg.solve(of_step, step)) < CHANGES.moved / (
+            len(station) - 1
+        )
+        size, sigma = (
+            (change[0], np.sqrt(of_change[0, 0]))
+            if shape is None
+            else shape.size(station[i], change, of_change)
+        )
         yield int(station[i]), float(size), float(sigma), bool(moved)
 
 
 def _of_station(fit: ModelFit, k: int) -> Iterator[MovedParameter]:
     """Yield the model's own effects of joints at a single station."""
-    station, places = fit.problem.stations[k], fit.problem.places[k]
-    model, sigma = station.model, fit.estimate.fitted_sigma
+    station = fit.problem.stations[k]
+    places = fit.problem.places[k]
+    model = station.model
+    sigma = fit.estimate.fitted_sigma
     for effect, span in zip(model.effects, model.spans, strict=True):
         if effect.locus.station is not None and effect.locus.joint is not None:
             for local in range(span.start, span.stop):
                 place = places[local]
-                yield _entry(model.parameters[local], float(fit.values[place]), float(sigma[place]), True)
+                yield _entry(
+                    model.parameters[local], float(fit.values[place]), float(sigma[place]), True
+                )
 
 
 def _entry(parameter: Parameter, change: float, sigma: float, moved: bool) -> MovedParameter:
-    return {"name": parameter.name, "unit": parameter.unit, "change": change, "sigma": sigma, "moved": moved}
+    return {
+        "name": parameter.name,
+        "unit": parameter.unit,
+        "change": change,
+        "sigma": sigma,
+        "moved": moved,
+    }

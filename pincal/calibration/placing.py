@@ -1,7 +1,8 @@
 """A calibrated robot at a new set-up: instrument and targets located from its rows.
 
-The robot's own parameters are held fixed; base frame, targets, the instrument's systematic errors and other parameters of
-the sensor are estimated. Effects of another station (a drift, a scale) are not transferred.
+The robot's own parameters are held fixed; base frame, targets, the instrument's systematic errors
+and other parameters of the sensor are estimated. Effects of another station (a drift, a scale) are
+not transferred.
 """
 
 from __future__ import annotations
@@ -38,10 +39,13 @@ from pincal.robot.se3 import rotation_vectors
 from pincal.units import format_readable
 from pincal.validate.misfit import Misfit, misfit_at
 
-# Standard deviation of a prediction, in units of the noise, above which rows do not determine instrument and target.
+# Standard deviation of a prediction, in units of the noise, above which rows do not determine
+# instrument and target.
 _UNDETERMINED = 100.0
-# Multiple of its noise at which a block of readings tells nothing, and halvings of the range of a noise.
-_NO_INFORMATION, _HALVINGS = 1e4, 12
+# Multiple of its noise at which a block of readings tells nothing, and halvings of the range of a
+# noise.
+_NO_INFORMATION = 1e4
+_HALVINGS = 12
 # Poses of the calibrated range at which it is evaluated.
 _EVALUATED = 64
 
@@ -51,7 +55,8 @@ class FrameShift:
     """How far instrument and targets moved from one station to another.
 
     Attributes:
-        instrument: displacement of its origin in the robot's base frame [m]; None where readings don't determine it.
+        instrument: displacement of its origin in the robot's base frame [m]; None where readings
+            don't determine it.
         turned: angle by which it turned [rad]; likewise.
         target: largest displacement of a common target on the tool [m]; None if there is none.
     """
@@ -62,7 +67,11 @@ class FrameShift:
 
     def to_dict(self) -> dict[str, float | None]:
         """Return the entries of files: ``moved_mm``, ``turned_mrad``, ``target_moved_mm``."""
-        shifts = {"moved_mm": self.instrument, "turned_mrad": self.turned, "target_moved_mm": self.target}
+        shifts = {
+            "moved_mm": self.instrument,
+            "turned_mrad": self.turned,
+            "target_moved_mm": self.target,
+        }
         return {name: None if shift is None else 1e3 * shift for name, shift in shifts.items()}
 
     def __str__(self) -> str:
@@ -71,7 +80,11 @@ class FrameShift:
             ("it turned by", self.turned, "rad"),
             ("the target moved by", self.target, "m"),
         )
-        known = [f"{words} {format_readable(shift, unit, '.4g')}" for words, shift, unit in shifts if shift is not None]
+        known = [
+            f"{words} {format_readable(shift, unit, '.4g')}"
+            for words, shift, unit in shifts
+            if shift is not None
+        ]
         return ", ".join(known) or "how far they moved is unknown"
 
 
@@ -112,9 +125,11 @@ class Placed:
 
     @cached_property
     def shared(self) -> SharedNoise | None:
-        """Noise that coordinates and targets of a stop, and stops at a pose, share; None where none is known.
+        """Noise that coordinates and targets of a stop, and stops at a pose, share; None where none
+        is known.
 
-        What targets share is estimated from the residuals: if the robot has changed it is too large, which is cautious.
+        What targets share is estimated from the residuals: if the robot has changed it is too
+        large, which is cautious.
         """
         plan = self.stops.plan
         sizes = self.station.block_sizes
@@ -138,29 +153,41 @@ class Placed:
         return found if found.of_drives or of_pose else None
 
     def misfit_of(self, rows: np.ndarray) -> Misfit:
-        """Return the residuals of some of the rows, a mask of shape (N,), against what is allowed."""
-        known, found, robust = self.model, self.solution.free, rows.astype(float)
+        """Return the residuals of some of the rows, a mask of shape (N,), against what
+        is allowed.
+        """
+        known = self.model
+        found = self.solution.free
+        robust = rows.astype(float)
         at = self.station, self.values
-        return misfit_at(*at, covariance=known.covariance, sigma=known.sigma, robust=robust, found=found)
+        return misfit_at(
+            *at, covariance=known.covariance, sigma=known.sigma, robust=robust, found=found
+        )
 
     @cached_property
     def misfit(self) -> Misfit:
-        """The residuals against what noise and the calibration's uncertainty allow; outliers left out."""
+        """The residuals against what noise and the calibration's uncertainty allow; outliers left
+        out.
+        """
         return self.misfit_of(self.solution.weights > 0.0)
 
 
 def place_station(
-    calibrated: Calibrated, measurements: Measurements | StopRows, *, sigma_orientation: float | None = None
+    calibrated: Calibrated,
+    measurements: Measurements | StopRows,
+    *,
+    sigma_orientation: float | None = None,
 ) -> Placed:
     """Locate instrument and targets of a new station; the robot is held as calibrated.
 
     Readings of a target in one stop share the arrival of the drives, so that their mean is one row.
 
     Args:
-        calibrated: the calibrated robot; of several stations, displacements refer to the first with such readings.
+        calibrated: the calibrated robot; of several stations, displacements refer to the first with
+            such readings.
         measurements: rows of the new station, with any instrument.
-        sigma_orientation: noise of orientations [rad]; default: that of the calibration, or, of a model without any,
-            estimated from the rows.
+        sigma_orientation: noise of orientations [rad]; default: that of the calibration, or, of a
+            model without any, estimated from the rows.
 
     Returns:
         The robot at the new station. Outliers are left out.
@@ -186,18 +213,24 @@ def place_station(
     measurements = stops.table
     known = calibrated.robot_model(measurements.kind)
     # Other named points belong to other stations.
-    points = () if measurements.point_names is None else map(str, np.unique(measurements.point_names))
+    points = (
+        () if measurements.point_names is None else map(str, np.unique(measurements.point_names))
+    )
     setup = replace(known.setup, points={name: known.setup.points.get(name) for name in points})
     check_placeable(measurements, setup)
     measurements, as_recorded = known.of_its_day(measurements), measurements
     reads = measurements.position is not None
 
     def comes_along(effect: Effect) -> bool:
-        return effect.scope == "robot" or (reads and effect.is_sighted and effect.locus.station is None)
+        return effect.scope == "robot" or (
+            reads and effect.is_sighted and effect.locus.station is None
+        )
 
     arm = known.with_effects(comes_along)
     options = known.options(setup=setup)
-    ((station, start),) = place_arm(arm.model, arm.model_values, {"": measurements}, options=options)
+    ((station, start),) = place_arm(
+        arm.model, arm.model_values, {"": measurements}, options=options
+    )
     problem = Problem((station,))
     free = station.is_own.copy()
     station.split(free)[1][:] = ~station.sensor.fixed
@@ -213,8 +246,12 @@ def place_station(
         sigma_orientation=sigma_orientation,
     )
     if unknown:
-        noise = replace(noise, sigma=np.where(in_metres, np.hypot(noise.sigma, unknown), noise.sigma))
-    priors = Priors(np.array([parameter.size for parameter in station.parameters]), bounds_of(problem, options))
+        noise = replace(
+            noise, sigma=np.where(in_metres, np.hypot(noise.sigma, unknown), noise.sigma)
+        )
+    priors = Priors(
+        np.array([parameter.size for parameter in station.parameters]), bounds_of(problem, options)
+    )
     solution = solve(problem, start, free, priors, Noise(noise.declared))
     model = replace(
         known,
@@ -232,21 +269,34 @@ def place_station(
     return Placed(model, station, solution, moved(known, model), stops, noise, notes)
 
 
-def _beyond_uncertainty(model: CalibratedModel, station: Station, solution: Solution, block: int) -> np.ndarray:
-    """Return the noise, shape (blocks,), with that of one block reduced by what the calibration's uncertainty explains.
+def _beyond_uncertainty(
+    model: CalibratedModel, station: Station, solution: Solution, block: int
+) -> np.ndarray:
+    """Return the noise, shape (blocks,), with that of one block reduced by what the calibration's
+    uncertainty explains.
 
-    Residuals of readings that a calibration did not have, such as orientations, are partly its own uncertainty.
+    Residuals of readings that a calibration did not have, such as orientations, are partly its own
+    uncertainty.
     """
     robust = (solution.weights > 0.0).astype(float)
 
     def at(size: float) -> Misfit:
         sigma = model.sigma.copy()
         sigma[block] = size
-        return misfit_at(station, model.values, covariance=model.covariance, sigma=sigma, robust=robust, found=solution.free)
+        return misfit_at(
+            station,
+            model.values,
+            covariance=model.covariance,
+            sigma=sigma,
+            robust=robust,
+            found=solution.free,
+        )
 
     largest = float(model.sigma[block])
     without = at(_NO_INFORMATION * largest)
-    expected = float(station.block_sizes[block] * robust.sum()) - (at(largest).found - without.found)
+    expected = float(station.block_sizes[block] * robust.sum()) - (
+        at(largest).found - without.found
+    )
     low = 0.0
     high = largest
     for _ in range(_HALVINGS):
@@ -261,7 +311,9 @@ def _beyond_uncertainty(model: CalibratedModel, station: Station, solution: Solu
 def _scatter(
     known: CalibratedModel, station: Station, values: np.ndarray, stops: StopRows, setup: Setup
 ) -> StopScatter | None:
-    """Return the scatter of the single readings behind a station's rows; None where none was repeated."""
+    """Return the scatter of the single readings behind a station's rows; None where none was
+    repeated.
+    """
     if not stops.of_readings.is_repeated:
         return None
     readings = known.of_its_day(stops.readings)
@@ -272,9 +324,11 @@ def _scatter(
 def _of_another_session(
     known: CalibratedModel, station: Station, rows: Measurements, along: set[Effect]
 ) -> tuple[float, tuple[str, ...]]:
-    """Return the additional uncertainty of rows of another day or set-up, per axis [m], and notes on it.
+    """Return the additional uncertainty of rows of another day or set-up, per axis [m], and notes
+    on it.
 
-    It is what effects that are not transferred, and effects of columns that the rows lack, did to the target.
+    It is what effects that are not transferred, and effects of columns that the rows lack, did to
+    the target.
     """
     lacking = set(known.unrecorded(rows))
     untransferred = [
@@ -289,14 +343,22 @@ def _of_another_session(
             and effect not in along
         )
     ]
-    at = known.of_its_day(replace(station.conditions, target=np.zeros(len(station), int))) if untransferred else None
+    at = (
+        known.of_its_day(replace(station.conditions, target=np.zeros(len(station), int)))
+        if untransferred
+        else None
+    )
     days = set(known.covered.days)
-    found = [known.note_on(effect, rows.source, at if set(effect.needs) <= days else None) for effect in untransferred]
+    found = [
+        known.note_on(effect, rows.source, at if set(effect.needs) <= days else None)
+        for effect in untransferred
+    ]
     return float(np.sqrt(sum(size**2 / 3.0 for size, _ in found))), tuple(note for _, note in found)
 
 
 def fitted_rows(marks: str, model: CalibratedModel, stops: StopRows) -> np.ndarray:
-    """Return which single readings a model was fitted to, alone or in a mean of their stop or pose, shape (N,).
+    """Return which single readings a model was fitted to, alone or in a mean of their stop or pose,
+    shape (N,).
 
     Args:
         marks: fingerprints of the rows that it was fitted to.
@@ -318,12 +380,16 @@ def fitted_rows(marks: str, model: CalibratedModel, stops: StopRows) -> np.ndarr
 def _estimate(station: Station, solution: Solution, arm: Estimate) -> Estimate:
     r"""Return the estimate of all parameters, the station's own conditional on the arm's.
 
-    With K their covariance for a known arm, L their derivatives by the arm's parameters and C the covariance of these, they
-    have the covariance :math:`K + L C L^T`, and :math:`-L C` with the arm's.
+    With K their covariance for a known arm, L their derivatives by the arm's parameters and C the
+    covariance of these, they have the covariance :math:`K + L C L^T`, and :math:`-L C` with the
+    arm's.
     """
-    own, robots = solution.free, ~station.is_own
+    own = solution.free
+    robots = ~station.is_own
     covariance = np.zeros((len(own),) * 2)
-    covariance[np.ix_(robots, robots)] = arm.take(p.name for p in compress(station.parameters, robots)).dense_covariance()
+    covariance[np.ix_(robots, robots)] = arm.take(
+        p.name for p in compress(station.parameters, robots)
+    ).dense_covariance()
     known = np.diag(covariance) > 0.0
     free = own | known
     form = accumulate(station, solution.values, free, solution.weights).at(solution.sigma)
@@ -336,32 +402,53 @@ def _estimate(station: Station, solution: Solution, arm: Estimate) -> Estimate:
     return estimate_of(station.parameters, solution.values, covariance)
 
 
-def _refuse_undetermined(model: CalibratedModel, station: Station, solution: Solution, *, source: str) -> None:
-    """Refuse rows that do not determine instrument and target: predictions in other poses would be arbitrary."""
+def _refuse_undetermined(
+    model: CalibratedModel, station: Station, solution: Solution, *, source: str
+) -> None:
+    """Refuse rows that do not determine instrument and target: predictions in other poses would be
+    arbitrary.
+    """
     if station.sensor.blocks[0].unit != "m":
         return
-    rng, (lower, upper) = np.random.default_rng(0), model.covered.q.T
+    rng = np.random.default_rng(0)
+    (lower, upper) = model.covered.q.T
     rows = station.select(np.resize(np.arange(len(station)), _EVALUATED))
     there = replace(rows.conditions, q=rng.uniform(lower, upper, (len(rows), len(lower))))
-    size, K = station.sensor.blocks[0].size, solution.posterior.covariance
+    size = station.sensor.blocks[0].size
+    K = solution.posterior.covariance
     pieces = replace(rows, conditions=there).linearise(solution.values, solution.free)
-    worst = max(float(np.einsum("imn,ij,jmn->mn", J[:, :size], K, J[:, :size]).max()) for _, _, J in pieces) ** 0.5
+    worst = (
+        max(
+            float(np.einsum("imn,ij,jmn->mn", J[:, :size], K, J[:, :size]).max())
+            for _, _, J in pieces
+        )
+        ** 0.5
+    )
     if worst > _UNDETERMINED * solution.sigma[0]:
         raise BadInputError(
-            f"{source}: {len(station)} rows do not determine the pose of instrument and target: predictions in other "
-            f"poses are uncertain by {1e3 * worst:.3g} mm; add rows in different poses and with the tool turned in "
+            f"{source}: {len(station)} rows do not determine the pose of instrument and "
+            "target: predictions in other "
+            f"poses are uncertain by {1e3 * worst:.3g} mm; add rows in different poses "
+            "and with the tool turned in "
             "different ways"
         )
 
 
-def without_absent(calibrated: CalibratedModel, rows: Measurements) -> tuple[CalibratedModel, tuple[str, ...]]:
-    """Return the model without effects of its station that rows can't evaluate, such as a drift without times, and notes.
+def without_absent(
+    calibrated: CalibratedModel, rows: Measurements
+) -> tuple[CalibratedModel, tuple[str, ...]]:
+    """Return the model without effects of its station that rows can't evaluate, such as a drift
+    without times, and notes.
 
     Effects of a column whose mean the model contains are kept and evaluated at that mean.
     """
     days = set(calibrated.covered.days)
     lacking = calibrated.unrecorded(rows)
-    gone = [effect for effect in lacking if effect.scope == "station" and not set(of_the_day(effect)) <= days]
+    gone = [
+        effect
+        for effect in lacking
+        if effect.scope == "station" and not set(of_the_day(effect)) <= days
+    ]
     notes = tuple(calibrated.note_on(effect, rows.source, None)[1] for effect in gone)
     found = calibrated.with_effects(lambda effect: effect not in gone) if gone else calibrated
     return found, (*notes, *found.notes_on_day(rows))
@@ -371,11 +458,15 @@ def moved(before: CalibratedModel, after: CalibratedModel) -> FrameShift:
     """Return the displacement of instrument and targets between two stations of the same robot."""
     both = set(before.estimate.names) & set(after.estimate.names)
     instrument = turned = target = None
-    links = [(model.model.chain.path.start, model.model.chain.path.tip) for model in (before, after)]
+    links = [
+        (model.model.chain.path.start, model.model.chain.path.tip) for model in (before, after)
+    ]
     if links[0] != links[1]:
         # An instrument on another link has not moved, and another hand has other targets.
         return FrameShift(None, None, None)
-    T_instrument_base = [frame_at(m.model.chain.base_rotation, m.estimate.frame("base")) for m in (before, after)]
+    T_instrument_base = [
+        frame_at(m.model.chain.base_rotation, m.estimate.frame("base")) for m in (before, after)
+    ]
     if {f"base.{symbol}" for symbol in FRAME_SYMBOLS[:3]} <= both:
         origins = [np.linalg.inv(T)[:3, 3] for T in T_instrument_base]
         instrument = float(np.linalg.norm(origins[1] - origins[0]))

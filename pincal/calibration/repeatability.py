@@ -15,18 +15,23 @@ from pincal.io.strict_json import Fault
 
 
 class Repeatability(Record, frozen=True, kw_only=True):
-    """Standard deviations by moments of one component of each block of a calibration's readings, shape (blocks,) each.
+    """Standard deviations by moments of one component of each block of a calibration's readings,
+    shape (blocks,) each.
 
     Attributes:
-        within_stop: of a reading about the mean of its stop [m, rad, px]; 0 where nothing was repeated in a stop.
-        between_stops: of a stop about the mean of its pose, without that of its readings; 0 where no pose was revisited.
+        within_stop: of a reading about the mean of its stop [m, rad, px]; 0 where nothing was
+            repeated in a stop.
+        between_stops: of a stop about the mean of its pose, without that of its readings; 0 where
+            no pose was revisited.
         within_degrees: degrees of freedom of the first.
         between_degrees: degrees of freedom of the second.
         readings: number of readings of a target in a stop behind each row that was fitted.
         stops: number of stops behind each row that was fitted.
-        shared: factor by which noise that readings of a stop share, its arrival, increases the variances of the parameters.
+        shared: factor by which noise that readings of a stop share, its arrival, increases the
+            variances of the parameters.
         drives: fraction of the variance of a row that follows the levers of the drives.
-        of_single: whether the noise of the model is that of a single reading in a single stop; else of such a row.
+        of_single: whether the noise of the model is that of a single reading in a single stop; else
+            of such a row.
     """
 
     within_stop: Annotated[Numbers, ArrayShape("blocks")]
@@ -53,7 +58,9 @@ class Repeatability(Record, frozen=True, kw_only=True):
     @classmethod
     def of(cls, found: StopScatter) -> Repeatability:
         """Return the record of the scatter of a table's readings."""
-        return cls.like(found, within_stop=np.sqrt(found.within), between_stops=np.sqrt(found.between))
+        return cls.like(
+            found, within_stop=np.sqrt(found.within), between_stops=np.sqrt(found.between)
+        )
 
     @property
     def scatter(self) -> StopScatter:

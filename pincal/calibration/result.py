@@ -1,4 +1,6 @@
-"""The result of a calibration: parameters with uncertainty, status and reason; errors before and after; reservations."""
+"""The result of a calibration: parameters with uncertainty, status and reason; errors before and
+after; reservations.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,13 @@ from pincal.identify.visit_weights import ScatterByLevel, scatter_by_level
 from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.measure.stops import plan_of
 from pincal.notes import Note, doubts_first, doubts_of
-from pincal.validate.accuracy import Replicates, error_statistics, error_summary, iso9283, pose_error_sizes
+from pincal.validate.accuracy import (
+    Replicates,
+    error_statistics,
+    error_summary,
+    iso9283,
+    pose_error_sizes,
+)
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
 from pincal.validate.misfit import NoiseTest, Verdict, is_informative, judge
 from pincal.validate.outcome import (
@@ -69,7 +77,8 @@ from pincal.validate.outcome import (
     noise_key,
 )
 
-# Absolute correlation above which a pair is listed: the two parameters share four fifths of their variance.
+# Absolute correlation above which a pair is listed: the two parameters share four fifths of their
+# variance.
 _CORRELATED = 0.9
 # Pairs listed at most, the strongest first.
 _MOST_CORRELATIONS = 20
@@ -85,7 +94,9 @@ class Result(Outcome):
     shift: str = ""
     """Where readings shift from some line on, as if of two set-ups; empty if they do not."""
     arrivals: float | None = None
-    """To what all drives stop, if that explains what exceeds the declared noise of the instrument [rad]."""
+    """To what all drives stop, if that explains what exceeds the declared noise of the instrument
+    [rad].
+    """
 
     @property
     def doubts(self) -> tuple[Note, ...]:
@@ -101,42 +112,78 @@ class Result(Outcome):
     def noise_test(self) -> NoiseTest | None:
         """The residuals against a noise that is known without the model; None if there is none.
 
-        Where poses were repeated it is their scatter, which includes the robot's repeatability. A declared noise of the
-        instrument is none where the drives scatter more than it.
+        Where poses were repeated it is their scatter, which includes the robot's repeatability. A
+        declared noise of the instrument is none where the drives scatter more than it.
         """
-        lacks = [self.lack_of_fit] if self.stations is UNSET else [record.get("lack_of_fit") for record in self.stations]
-        known = [test for lack in lacks if lack is not None and (test := lack.noise_test) is not None]
+        lacks = (
+            [self.lack_of_fit]
+            if self.stations is UNSET
+            else [record.get("lack_of_fit") for record in self.stations]
+        )
+        known = [
+            test for lack in lacks if lack is not None and (test := lack.noise_test) is not None
+        ]
         if known and len(known) == len(lacks):
             return min(known, key=lambda test: test.p_value)
         if self.chi2_p_value is None or self.arrivals is not None:
             return None
-        return NoiseTest("the declared noise of the instrument", self.chi2_reduced**0.5, self.chi2_p_value)
+        return NoiseTest(
+            "the declared noise of the instrument", self.chi2_reduced**0.5, self.chi2_p_value
+        )
 
     def verdict_of(self, *, incomplete: bool = False) -> Verdict:
-        """Return whether the model explains the data; ``incomplete`` is the finding of a search that it does not."""
-        unusable, few = bool(self.doubt) or not self.converged, not is_informative(self.degrees)
-        return judge(self.noise_test, self.doubts, unusable=unusable, incomplete=incomplete, few=few)
+        """Return whether the model explains the data; ``incomplete`` is the finding of a search
+        that it does not.
+        """
+        unusable = bool(self.doubt) or not self.converged
+        few = not is_informative(self.degrees)
+        return judge(
+            self.noise_test, self.doubts, unusable=unusable, incomplete=incomplete, few=few
+        )
 
     @property
     def left_out_mm(self) -> tuple[float, float] | None:
-        """Mean error of stations by the model of the others [mm], and by their geometric model; None without any."""
-        every = [] if self.stations is UNSET else [record for record in self.stations if "left_out" in record]
+        """Mean error of stations by the model of the others [mm], and by their geometric model;
+        None without any.
+        """
+        every = (
+            []
+            if self.stations is UNSET
+            else [record for record in self.stations if "left_out" in record]
+        )
         records = [record for record in every if "mean_mm" in record["left_out"]]
         if not records:
             return None
         rows = [record["rows"]["train"] for record in records]
-        found = ([record[name]["mean_mm"] for record in records] for name in ("left_out", "left_out_geometric"))
+        found = (
+            [record[name]["mean_mm"] for record in records]
+            for name in ("left_out", "left_out_geometric")
+        )
         calibrated, geometric = (float(np.average(means, weights=rows)) for means in found)
         return calibrated, geometric
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of ``result.json``."""
-        perhaps = ("iso9283", "lack_of_fit", "stations", "improvement", "clocks", "validation", "repeatability", "elsewhere")
+        perhaps = (
+            "iso9283",
+            "lack_of_fit",
+            "stations",
+            "improvement",
+            "clocks",
+            "validation",
+            "repeatability",
+            "elsewhere",
+        )
         absent = {name for name in perhaps if getattr(self, name) in (None, UNSET)}
         contents = {
-            name: value for name, value in asdict(self).items() if name not in {*absent, "doubt", "shift", "arrivals"}
+            name: value
+            for name, value in asdict(self).items()
+            if name not in {*absent, "doubt", "shift", "arrivals"}
         }
-        contents |= {"parameters": [row.to_dict() for row in self.parameters], "warnings": to_builtins(self.warnings)}
+        contents |= {
+            "parameters": [row.to_dict() for row in self.parameters],
+            "warnings": to_builtins(self.warnings),
+        }
         return contents | {"verdict": self.verdict_of().value}
 
 
@@ -166,10 +213,10 @@ def result_of(
 ) -> Result:
     """Assemble the result of a calibration that took some seconds, with the rows of each station.
 
-    Notes on robot and data are listed before others of their severity. Errors by cross-validation are
-    ``validated``; if stations were predicted by models of the others, ``left_out``, these are the held-out errors.
-    ``arrivals`` is to what all drives stop, if a search has shown that this explains what exceeds the declared
-    noise [rad].
+    Notes on robot and data are listed before others of their severity. Errors by cross-validation
+    are ``validated``; if stations were predicted by models of the others, ``left_out``, these are
+    the held-out errors. ``arrivals`` is to what all drives stop, if a search has shown that this
+    explains what exceeds the declared noise [rad].
     """
     solution = fit.solution
     parameters = parameter_rows(fit)
@@ -205,16 +252,27 @@ def result_of(
     ]
     found = joined_with_means(found)
     is_judged = fit.is_declared or any(lack is not None for _, lack in again)
-    if is_judged and not any(n.kind in DOUBTS for n in found) and (misread := instruments_error(fit)) is not None:
+    if (
+        is_judged
+        and not any(n.kind in DOUBTS for n in found)
+        and (misread := instruments_error(fit)) is not None
+    ):
         station, effect, chance = misread
         found.append(Caveat(CaveatKind.MISREAD, {"effect": effect, "p_value": chance}, station))
-    if len(on_replicates) == len(seen) and all(n.kind is CaveatKind.NOISY_REPLICATES for n in on_replicates):
+    if len(on_replicates) == len(seen) and all(
+        n.kind is CaveatKind.NOISY_REPLICATES for n in on_replicates
+    ):
         # The scatter between replicates, already reported, is what exceeds the declared noise.
         found = [n for n in found if n.kind is not CaveatKind.NOISE_EXCEEDED]
     # What changed between visits is what makes them differ.
-    changed = {n.station for n in found if n.kind is CaveatKind.BETWEEN_VISITS or "lines" in n.figures}
-    found = [n for n in found if n.kind is not CaveatKind.NOISY_REPLICATES or n.station not in changed]
-    # A change midway explains the other findings, so it precedes them and replaces "not this robot".
+    changed = {
+        n.station for n in found if n.kind is CaveatKind.BETWEEN_VISITS or "lines" in n.figures
+    }
+    found = [
+        n for n in found if n.kind is not CaveatKind.NOISY_REPLICATES or n.station not in changed
+    ]
+    # A change midway explains the other findings, so it precedes them and replaces "not this
+    # robot".
     stepped = {n.station for n in found if n.kind is CaveatKind.STEP}
     found = [n for n in found if n.kind is not CaveatKind.IMPLAUSIBLE or n.station not in stepped]
     found.sort(key=lambda n: n.kind is not CaveatKind.STEP)
@@ -226,7 +284,9 @@ def result_of(
     if alone:
         for model, by_part in error.items():
             by_part["test"] = error_statistics(one.sizes[model] for one in alone)
-        held = sum(len(part.parts["train"]) for part, one in zip(seen, left_out, strict=True) if one.sizes)
+        held = sum(
+            len(part.parts["train"]) for part, one in zip(seen, left_out, strict=True) if one.sizes
+        )
     apart = left_out or [LeftOut(part.rows.name) for part in seen]
     return Result(
         noise=_noise(fit),
@@ -252,7 +312,9 @@ def result_of(
         lack_of_fit=lack,
         repeatability=scatter[0] or UNSET if len(seen) == 1 else UNSET,
         validation=_validation(validated, error),
-        stations=tuple(_records(fit, seen, apart, again, scatter, moves, validated)) if len(seen) > 1 else UNSET,
+        stations=tuple(_records(fit, seen, apart, again, scatter, moves, validated))
+        if len(seen) > 1
+        else UNSET,
         improvement=improved or UNSET,
         clocks=tuple(_clocks(fit, rows)) or UNSET,
         elsewhere=elsewhere_of(fit) or UNSET,
@@ -265,7 +327,8 @@ class _Seen:
 
     Attributes:
         rows: its rows.
-        parts: the calibrated model over the fitted rows, "train", and over the held-out ones, "test", if there are any.
+        parts: the calibrated model over the fitted rows, "train", and over the held-out ones,
+            "test", if there are any.
         values: its parameters with only base and tool fitted ("nominal"), and "calibrated".
         blocks: its blocks of readings among all.
         weights: robust weights of the fitted rows.
@@ -281,8 +344,10 @@ class _Seen:
 
     @classmethod
     def of(cls, fit: ModelFit, k: int, rows: StationRows) -> _Seen:
-        problem, test = fit.problem, rows.held(fit)
-        places, of_rows = problem.places[k], problem.rows[k]
+        problem = fit.problem
+        test = rows.held(fit)
+        places = problem.places[k]
+        of_rows = problem.rows[k]
         return cls(
             rows=rows,
             parts={"train": problem.stations[k]} | ({} if test is None else {"test": test}),
@@ -293,7 +358,9 @@ class _Seen:
         )
 
     def fitted_errors(self, fit: ModelFit, model: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Return the error magnitudes of the fitted readings that are no outliers, by unit, and their shares."""
+        """Return the error magnitudes of the fitted readings that are no outliers, by unit, and
+        their shares.
+        """
         table = self.rows.measured[0]
         station = self.parts["train"]
         if self.rows.train is not table:
@@ -324,14 +391,18 @@ def _validation(validated: Validated | None, error: Errors) -> ValidationWay | U
 
 
 def _errors(fit: ModelFit, seen: Sequence[_Seen], validated: Validated | None) -> Errors:
-    """Return the errors of all stations together, by model and part; of several ways the worse is "test"."""
+    """Return the errors of all stations together, by model and part; of several ways the worse is
+    "test".
+    """
     rows = [part.rows for part in seen]
     found: Errors = {}
     solutions = {"nominal": fit.nominal, "calibrated": fit.solution}
     for model, solution in solutions.items():
         fitted = [part.fitted_errors(fit, model) for part in seen]
         sizes, shares = zip(*fitted, strict=True)
-        unseen = errors_held_out(fit, solution, rows) if validated is None else validated.errors(model)
+        unseen = (
+            errors_held_out(fit, solution, rows) if validated is None else validated.errors(model)
+        )
         found[model] = {"train": error_statistics(sizes, shares=shares)} | unseen
     for of_model in found.values():
         lead = headline_of(of_model)
@@ -351,7 +422,9 @@ def _records(
 ) -> Iterator[StationRecord]:
     """Yield the records of several stations."""
     first = CalibratedModel.of(fit, station=seen[0].rows.name)
-    for k, (station, one, (iso, lack), moves) in enumerate(zip(seen, left_out, again, moved_there, strict=True)):
+    for k, (station, one, (iso, lack), moves) in enumerate(
+        zip(seen, left_out, again, moved_there, strict=True)
+    ):
         record: StationRecord = {
             "name": station.rows.name,
             "kind": station.parts["train"].sensor.kind,
@@ -368,7 +441,11 @@ def _records(
             if validated is not None and (found := validated.at_station(k, model)):
                 record["rows"]["test"] = record["rows"]["train"]
                 by_part["test"] = found
-        displacement = moved(first, CalibratedModel.of(fit, station=station.rows.name)).instrument if k else None
+        displacement = (
+            moved(first, CalibratedModel.of(fit, station=station.rows.name)).instrument
+            if k
+            else None
+        )
         if displacement is not None:
             record["moved_mm"] = 1e3 * displacement
         if one.sizes:
@@ -387,28 +464,42 @@ def _records(
 
 def _clocks(fit: ModelFit, rows: Sequence[StationRows]) -> Iterator[ClockRecord]:
     """Yield the clocks of the stations in motion: alignment plus fitted correction."""
-    values = dict(zip(fit.estimate.names, zip(fit.values, fit.estimate.sigma, strict=True), strict=True))
+    values = dict(
+        zip(fit.estimate.names, zip(fit.values, fit.estimate.sigma, strict=True), strict=True)
+    )
     for part, station in zip(rows, fit.problem.stations, strict=True):
         if (moving := part.measured[0].moving) is None:
             continue
         mark = f"{station.name}/" if station.name else ""
-        (offset, offset_sigma), (drift, drift_sigma) = (values[f"{mark}clock.{name}"] for name in ("offset", "drift"))
+        (offset, offset_sigma), (drift, drift_sigma) = (
+            values[f"{mark}clock.{name}"] for name in ("offset", "drift")
+        )
         late, sigma = values.get(f"{mark}imu.gyro_delay", (None, None))
         yield ClockRecord(
             part.name,
             *(moving.clock[0] + float(offset), float(offset_sigma)),
             *(1e6 * (moving.clock[1] + float(drift)), 1e6 * float(drift_sigma)),
             moving.middle,
-            *(None if late is None else moving.delay + float(late), None if sigma is None else float(sigma)),
+            *(
+                None if late is None else moving.delay + float(late),
+                None if sigma is None else float(sigma),
+            ),
         )
 
 
-def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut], validated: Validated | None) -> Iterator[Caveat]:
+def _on_rows(
+    seen: Sequence[_Seen], left_out: Sequence[LeftOut], validated: Validated | None
+) -> Iterator[Caveat]:
     """Yield the findings on the fitted rows of each station, then on the held-out ones."""
     for part in seen:
-        train, values, rejected = part.parts["train"], part.values["calibrated"], part.weights == 0.0
-        table, lines = part.rows.train, part.outliers
-        yield from findings_on_outliers(train, values, part.free, table=table, rejected=rejected, lines=lines)
+        train = part.parts["train"]
+        values = part.values["calibrated"]
+        rejected = part.weights == 0.0
+        table = part.rows.train
+        lines = part.outliers
+        yield from findings_on_outliers(
+            train, values, part.free, table=table, rejected=rejected, lines=lines
+        )
         yield from findings_on_order(train)
     if not left_out and validated is None and not any("test" in part.parts for part in seen):
         yield Caveat(CaveatKind.NOT_HELD_OUT)
@@ -416,35 +507,56 @@ def _on_rows(seen: Sequence[_Seen], left_out: Sequence[LeftOut], validated: Vali
         if one.obstacle:
             yield Caveat(CaveatKind.NOT_LEFT_OUT, {"why": one.obstacle}, one.station)
     for part in seen:
-        yield from findings_on_held_out(part.parts.get("test"), part.values["calibrated"], part.rows.test)
+        yield from findings_on_held_out(
+            part.parts.get("test"), part.values["calibrated"], part.rows.test
+        )
     for part, found in zip(seen, [] if validated is None else validated.lead, strict=False):
         if found.counted.any():
-            table = part.rows.measured[0] if len(found.counted) == len(part.rows.measured[0]) else part.rows.train
+            table = (
+                part.rows.measured[0]
+                if len(found.counted) == len(part.rows.measured[0])
+                else part.rows.train
+            )
             sizes = found.counted_sizes
-            yield from far_off(next(iter(sizes.values())), table.select(found.counted), part.rows.name)
+            yield from far_off(
+                next(iter(sizes.values())), table.select(found.counted), part.rows.name
+            )
 
 
 def _replicates(
     fit: ModelFit, k: int, seen: _Seen, validated: Validated | None
 ) -> tuple[dict[str, Any] | None, LackOfFit | None]:
-    """Return accuracy and repeatability by ISO 9283, and the test of lack of fit; None without repeated poses.
+    """Return accuracy and repeatability by ISO 9283, and the test of lack of fit; None without
+    repeated poses.
 
     Accuracy is that at poses which a fit has not seen, where there are any.
     """
     (train, test), (train_poses, test_poses) = seen.rows.measured, seen.poses
-    if len(np.unique(np.concatenate([train_poses, test_poses]))) == len(train_poses) + len(test_poses):
+    if len(np.unique(np.concatenate([train_poses, test_poses]))) == len(train_poses) + len(
+        test_poses
+    ):
         return None, None
     at = fit.problem.stations[k].name
     counted = seen.rows.by_row(seen.weights) > 0.0
     found = [Replicates("train", train, fit.readings(train, station=at), train_poses, counted)]
     if "test" in seen.parts:
-        found.append(Replicates("test", test, fit.readings(test, station=at), test_poses, np.ones(len(test), bool)))
-    solution, is_alone = fit.solution, len(fit.problem.stations) == 1
+        found.append(
+            Replicates(
+                "test", test, fit.readings(test, station=at), test_poses, np.ones(len(test), bool)
+            )
+        )
+    solution = fit.solution
+    is_alone = len(fit.problem.stations) == 1
     spent = solution.effective if is_alone else spent_at(fit, k)
     visits = by_visit(fit, at, found)
     lack = lack_of_fit(visits, seen.values["calibrated"], solution.sigma[seen.blocks], spent=spent)
-    if lack is not None and lack.is_significant and not any(plan_of(part.table).is_revisited for part in found):
-        # Readings within stops show the instrument's noise alone: what exceeds it may be the arrival of the drives.
+    if (
+        lack is not None
+        and lack.is_significant
+        and not any(plan_of(part.table).is_revisited for part in found)
+    ):
+        # Readings within stops show the instrument's noise alone: what exceeds it may be the
+        # arrival of the drives.
         lack = None
     if validated is None or len(validated.lead[k].counted) != len(train):
         return iso9283(found, seen.values), lack
@@ -455,7 +567,9 @@ def _replicates(
 
 
 def _repeatability(fit: ModelFit, k: int, seen: _Seen) -> ScatterByLevel | None:
-    """Return how the readings of a station scatter, level by level; None where none was repeated."""
+    """Return how the readings of a station scatter, level by level; None where none was
+    repeated.
+    """
     table = seen.rows.measured[0]
     if seen.rows.train is table:
         return None
@@ -464,34 +578,52 @@ def _repeatability(fit: ModelFit, k: int, seen: _Seen) -> ScatterByLevel | None:
 
 
 def _noise(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:
-    """Return the noise of some blocks of readings, the root mean square over the readings of each unit."""
+    """Return the noise of some blocks of readings, the root mean square over the readings of each
+    unit.
+    """
     stated = declared_noise(fit.problem, fit.options).declared
-    of_blocks = zip(fit.problem.blocks, fit.solution.sigma, stated, fit.solution.estimated, strict=True)
-    rows = np.repeat([len(station) for station in fit.problem.stations], [b.stop - b.start for b in fit.problem.block_spans])
+    of_blocks = zip(
+        fit.problem.blocks, fit.solution.sigma, stated, fit.solution.estimated, strict=True
+    )
+    rows = np.repeat(
+        [len(station) for station in fit.problem.stations],
+        [b.stop - b.start for b in fit.problem.block_spans],
+    )
     found: dict[str, list[tuple[float, float]]] = {}
     for (block, sigma, declared, estimated), n in list(zip(of_blocks, rows, strict=True))[blocks]:
         weight = float(n * block.size)
-        found.setdefault(noise_key(block.unit), []).append((float(sigma if declared is None else declared), weight))
+        found.setdefault(noise_key(block.unit), []).append(
+            (float(sigma if declared is None else declared), weight)
+        )
         found.setdefault(f"residual_{noise_key(block.unit)}", []).append((float(estimated), weight))
     noise = {}
     for name, sizes in found.items():
         values, weights = np.array(sizes).T
-        noise[name] = float(values[0] if len(values) == 1 else np.sqrt(np.average(values**2, weights=weights)))
+        noise[name] = float(
+            values[0] if len(values) == 1 else np.sqrt(np.average(values**2, weights=weights))
+        )
     return cast(NoiseRecord, {"source": "declared" if fit.is_declared else "estimated", **noise})
 
 
 def _correlations(fit: ModelFit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation, ...]:
-    """Return the strongest correlations between identified parameters other than those of base and tool."""
+    """Return the strongest correlations between identified parameters other than those of base and
+    tool.
+    """
     C = fit.solution.known.covariance
     sd = np.sqrt(np.diag(C))
     correlation = C / np.outer(sd, sd)
     shared = fit.solution.free & fit.problem.is_shared
-    parameters = [p for p, is_shared in zip(fit.problem.parameters, shared, strict=True) if is_shared]
+    parameters = [
+        p for p, is_shared in zip(fit.problem.parameters, shared, strict=True) if is_shared
+    ]
     identified = {row.name for row in rows if row.status == "identified"}
     inner = np.array([not p.is_extrinsic and p.name in identified for p in parameters], bool)
     pairs = [
         (float(correlation[i, j]), parameters[i].name, parameters[j].name)
-        for i, j in zip(*np.nonzero(np.triu(np.abs(correlation) > _CORRELATED, 1) & np.outer(inner, inner)), strict=True)
+        for i, j in zip(
+            *np.nonzero(np.triu(np.abs(correlation) > _CORRELATED, 1) & np.outer(inner, inner)),
+            strict=True,
+        )
     ]
     pairs.sort(key=lambda pair: -abs(pair[0]))
     return tuple({"parameters": [a, b], "correlation": r} for r, a, b in pairs[:_MOST_CORRELATIONS])

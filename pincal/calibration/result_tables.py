@@ -1,4 +1,6 @@
-"""The tables of a calibration: errors, parameters with status and reason, correlations, accuracy and repeatability."""
+"""The tables of a calibration: errors, parameters with status and reason, correlations, accuracy
+and repeatability.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,8 @@ INTERVAL = 1.96
 _MOST_MOVED = 40
 # Moves named in one line.
 _MOST_NAMED = 3
-# Coordinates of named points beyond which they are omitted from printed tables; result.json has them.
+# Coordinates of named points beyond which they are omitted from printed tables; result.json has
+# them.
 _MOST_POINTS = 24
 _STATISTICS = {"mean": "mean", "median": "median", "rms": "rms", "p95": "95 %", "max": "max"}
 _MODELS = {"nominal": "nominal, base and tool fitted", "calibrated": "calibrated"}
@@ -66,7 +69,8 @@ class ParameterRecord:
         nominal: value of the URDF.
         value: the estimate that replaces the nominal.
         sigma: its standard deviation; that of the prior if unobservable, null for a given value.
-        status: "identified"; "prior" (dominated by the prior); "fixed"; "unidentifiable"; "at bound".
+        status: "identified"; "prior" (dominated by the prior); "fixed"; "unidentifiable"; "at
+            bound".
         reason: why it is not identified; empty where it is.
     """
 
@@ -85,7 +89,8 @@ class ParameterRow(ParameterRecord):
 
     Attributes:
         reason: why it is not identified, as data.
-        effect: to which it belongs; "named_point" for coordinates of sockets, anchors and points of an object.
+        effect: to which it belongs; "named_point" for coordinates of sockets, anchors and points of
+            an object.
     """
 
     reason: Reason  # type: ignore[assignment]
@@ -94,7 +99,10 @@ class ParameterRow(ParameterRecord):
     def to_dict(self) -> dict[str, Any]:
         """Return the entry of ``result.json``, the reason in words."""
         names = (field.name for field in fields(ParameterRecord))
-        return {name: getattr(self, name) for name in names} | {"status": str(self.status), "reason": str(self.reason)}
+        return {name: getattr(self, name) for name in names} | {
+            "status": str(self.status),
+            "reason": str(self.reason),
+        }
 
 
 def parameter_rows(fit: ModelFit) -> tuple[ParameterRow, ...]:
@@ -102,7 +110,10 @@ def parameter_rows(fit: ModelFit) -> tuple[ParameterRow, ...]:
     values = fit.values + np.array([p.nominal for p in fit.problem.parameters])
     for station, local in zip(fit.problem.stations, fit.problem.places, strict=True):
         chain = station.model.chain
-        references = {"base": chain.base_rotation, **dict(zip(chain.targets, chain.tool_rotations, strict=True))}
+        references = {
+            "base": chain.base_rotation,
+            **dict(zip(chain.targets, chain.tool_rotations, strict=True)),
+        }
         for element, rotation in references.items():
             names = {f"{element}.r{axis}" for axis in "xyz"}
             places = [i for i, p in zip(local, station.parameters, strict=True) if p.name in names]
@@ -122,7 +133,12 @@ def parameter_rows(fit: ModelFit) -> tuple[ParameterRow, ...]:
             effect=parameter.effect,
         )
         for parameter, value, sigma, is_free, finding in zip(
-            fit.problem.parameters, values, fit.estimate.sigma, fit.solution.free, explain(fit), strict=True
+            fit.problem.parameters,
+            values,
+            fit.estimate.sigma,
+            fit.solution.free,
+            explain(fit),
+            strict=True,
         )
     )
 
@@ -170,11 +186,21 @@ def _show_residual(cell: Cell) -> str:
 
 
 def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table:
-    """Return the table of errors before and after, from ``error`` of ``result.json``, with a row per unit."""
+    """Return the table of errors before and after, from ``error`` of ``result.json``, with a row
+    per unit.
+    """
     heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
-    columns = (*heads, *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in _STATISTICS.values()))
+    columns = (
+        *heads,
+        *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in _STATISTICS.values()),
+    )
     rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (_MODELS.get(model, model), PARTS.get(part, part), unit, *(values[f"{name}_{unit}"] for name in _STATISTICS))
+        (
+            _MODELS.get(model, model),
+            PARTS.get(part, part),
+            unit,
+            *(values[f"{name}_{unit}"] for name in _STATISTICS),
+        )
         for model, by_part in error.items()
         for part, values in by_part.items()
         # The part "test" repeats one of these.
@@ -183,64 +209,115 @@ def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table
         if f"mean_{unit}" in values
     )
     of_places = any(row[2] == "mm" for row in rows)
-    return Table("Pose accuracy: distance from predicted to measured target" if of_places else "Errors", columns, rows)
+    return Table(
+        "Pose accuracy: distance from predicted to measured target" if of_places else "Errors",
+        columns,
+        rows,
+    )
 
 
 def station_table(stations: Sequence[StationRecord]) -> Table:
-    """Return the table of mean errors at each station, before and after, and left out where that was computed."""
-    heads = (Column("station", kind=Kind.NAME), Column("measured", kind=Kind.LABEL), Column("poses", kind=Kind.LABEL))
+    """Return the table of mean errors at each station, before and after, and left out where that
+    was computed.
+    """
+    heads = (
+        Column("station", kind=Kind.NAME),
+        Column("measured", kind=Kind.LABEL),
+        Column("poses", kind=Kind.LABEL),
+    )
     is_left_out = any("left_out" in station for station in stations)
-    names = ["rows", "nominal", *(["left out, geometry alone", "left out"] if is_left_out else []), "calibrated"]
-    columns = [Column(name, kind=Kind.NUMBER, show=str if name == "rows" else fixed(4)) for name in names]
+    names = [
+        "rows",
+        "nominal",
+        *(["left out, geometry alone", "left out"] if is_left_out else []),
+        "calibrated",
+    ]
+    columns = [
+        Column(name, kind=Kind.NUMBER, show=str if name == "rows" else fixed(4)) for name in names
+    ]
     units = [leading_unit(station["error"]["calibrated"]["train"]) for station in stations]
     one = set(units) == {"mm"}
     all_heads = heads if one else (*heads, Column("unit", kind=Kind.LABEL))
     rows = []
     for station, unit in zip(stations, units, strict=True):
-        found = (station.get("left_out_geometric", {}), station.get("left_out", {})) if is_left_out else ()
+        found = (
+            (station.get("left_out_geometric", {}), station.get("left_out", {}))
+            if is_left_out
+            else ()
+        )
         mean = f"mean_{unit}"
         others = [errors.get(mean) for errors in found]
         for part, error in station["error"]["calibrated"].items():
             before = station["error"]["nominal"][part][mean]
             count = station["rows"]["train" if part == "train" else "test"]
             numbers = (count, before, *others, error[mean])
-            rows.append((station["name"], station["kind"], PARTS[part], *(() if one else (unit,)), *numbers))
+            rows.append(
+                (station["name"], station["kind"], PARTS[part], *(() if one else (unit,)), *numbers)
+            )
     return Table(f"Mean error at each station{' [mm]' * one}", (*all_heads, *columns), tuple(rows))
 
 
 def clock_words(clock: ClockRecord) -> str:
     """Return offset and drift of an instrument's clock with 95 % intervals, in words."""
     half = f"{1e3 * INTERVAL * clock.offset_sigma_s:.2g} ms"
-    words = f"{clock.offset_s:+.5f} s +- {half}, drift {clock.drift_ppm:+.1f} +- {INTERVAL * clock.drift_sigma_ppm:.2g} ppm"
+    words = (
+        f"{clock.offset_s:+.5f} s +- {half}, drift {clock.drift_ppm:+.1f} +- "
+        f"{INTERVAL * clock.drift_sigma_ppm:.2g} ppm"
+    )
     if clock.gyro_early_s is not None and clock.gyro_early_sigma_s is not None:
-        words += f"; its gyroscope {1e3 * clock.gyro_early_s:+.2f} +- {1e3 * INTERVAL * clock.gyro_early_sigma_s:.2g} ms"
+        words += (
+            f"; its gyroscope {1e3 * clock.gyro_early_s:+.2f} +- "
+            f"{1e3 * INTERVAL * clock.gyro_early_sigma_s:.2g} ms"
+        )
     return f"{clock.station}: {words}" if clock.station else words
 
 
 def clock_table(clocks: Sequence[ClockRecord]) -> Table:
-    """Return the table of the clocks of instruments that measure in motion: corrections to their time stamps."""
-    offsets, drifts = (("offset", "s", 5), ("+-", "ms", 3)), (("drift", "ppm", 1), ("+-", "ppm", 2))
+    """Return the table of the clocks of instruments that measure in motion: corrections to their
+    time stamps.
+    """
+    offsets = (("offset", "s", 5), ("+-", "ms", 3))
+    drifts = (("drift", "ppm", 1), ("+-", "ppm", 2))
     heads = (*offsets, *drifts, ("gyroscope", "ms", 3), ("+-", "ms", 3))
-    columns = (Column("station", kind=Kind.NAME), *(Column(name, u, Kind.NUMBER, fixed(n)) for name, u, n in heads))
+    columns = (
+        Column("station", kind=Kind.NAME),
+        *(Column(name, u, Kind.NUMBER, fixed(n)) for name, u, n in heads),
+    )
     rows: list[tuple[Cell, ...]] = []
     for at in clocks:
         gyro = (at.gyro_early_s, at.gyro_early_sigma_s)
-        delay = (None, None) if gyro[0] is None or gyro[1] is None else (1e3 * gyro[0], 1e3 * INTERVAL * gyro[1])
+        delay = (
+            (None, None)
+            if gyro[0] is None or gyro[1] is None
+            else (1e3 * gyro[0], 1e3 * INTERVAL * gyro[1])
+        )
         sigmas = 1e3 * INTERVAL * at.offset_sigma_s, INTERVAL * at.drift_sigma_ppm
-        rows.append((at.station or "instrument", at.offset_s, sigmas[0], at.drift_ppm, sigmas[1], *delay))
+        rows.append(
+            (at.station or "instrument", at.offset_s, sigmas[0], at.drift_ppm, sigmas[1], *delay)
+        )
     note = (
-        "correction to the time stamps of a station at the middle of its session; for a gyroscope in addition to its "
+        "correction to the time stamps of a station at the middle of its session; for a "
+        "gyroscope in addition to its "
         "accelerometer's; +- 95 %"
     )
     return Table("Clocks relative to that of the joints", columns, tuple(rows), (note,))
 
 
 def improvement_table(regions: Sequence[Improvement]) -> Table:
-    """Return the table of standard deviations of predicted positions before and after, by link and region."""
-    heads = (Column("link", kind=Kind.NAME), Column("region", kind=Kind.LABEL), Column("poses", kind=Kind.NUMBER, show=str))
+    """Return the table of standard deviations of predicted positions before and after, by link and
+    region.
+    """
+    heads = (
+        Column("link", kind=Kind.NAME),
+        Column("region", kind=Kind.LABEL),
+        Column("poses", kind=Kind.NUMBER, show=str),
+    )
     sizes = tuple(Column(name, "mm", Kind.NUMBER, fixed(3)) for name in ("before", "after"))
     rows = tuple((of.link, of.region, of.poses, of.before_mm, of.after_mm) for of in regions)
-    note = "near, far, low and high: halves by distance from the axis of the base and by height, within the joints' limits"
+    note = (
+        "near, far, low and high: halves by distance from the axis of the base and by height, "
+        "within the joints' limits"
+    )
     return Table("Standard deviation of predicted positions", (*heads, *sizes), rows, (note,))
 
 
@@ -249,7 +326,9 @@ def moved_table(stations: Sequence[StationRecord]) -> Table | None:
 
     Of very many rows only those where a parameter moved.
     """
-    names = dict.fromkeys(entry["name"] for station in stations for entry in station.get("parameters", ()))
+    names = dict.fromkeys(
+        entry["name"] for station in stations for entry in station.get("parameters", ())
+    )
     found = [
         (station["name"], entry)
         for name in names
@@ -257,45 +336,80 @@ def moved_table(stations: Sequence[StationRecord]) -> Table | None:
         for entry in station.get("parameters", ())
         if entry["name"] == name and entry["sigma"] > 0.0
     ]
-    shown = found if len(found) <= _MOST_MOVED else [(at, entry) for at, entry in found if entry["moved"]]
+    shown = (
+        found
+        if len(found) <= _MOST_MOVED
+        else [(at, entry) for at, entry in found if entry["moved"]]
+    )
     rows = []
     for at, entry in shown:
-        change, half = entry["change"], INTERVAL * entry["sigma"]
-        numbers = (Quantity(number, entry["unit"]) for number in (change, change - half, change + half))
+        change = entry["change"]
+        half = INTERVAL * entry["sigma"]
+        numbers = (
+            Quantity(number, entry["unit"]) for number in (change, change - half, change + half)
+        )
         rows.append((entry["name"], entry["unit"], at, *numbers, "moved" if entry["moved"] else ""))
     heads = (Column("parameter", kind=Kind.NAME), Column("unit", kind=Kind.LABEL, show=show_unit))
-    numbers_of = (Column(name, kind=Kind.NUMBER, show=show_value) for name in ("since the first", "95 %: from", "to"))
-    columns = (*heads, Column("station", kind=Kind.NAME), *numbers_of, Column("since the previous", kind=Kind.LABEL))
+    numbers_of = (
+        Column(name, kind=Kind.NUMBER, show=show_value)
+        for name in ("since the first", "95 %: from", "to")
+    )
+    columns = (
+        *heads,
+        Column("station", kind=Kind.NAME),
+        *numbers_of,
+        Column("since the previous", kind=Kind.LABEL),
+    )
     hidden = len(found) - len(rows)
-    notes = (f"{hidden} rows without a change are omitted here; result.json has them.",) if hidden else ()
-    return Table("Parameters that moved between stations", columns, tuple(rows), notes) if rows else None
+    notes = (
+        (f"{hidden} rows without a change are omitted here; result.json has them.",)
+        if hidden
+        else ()
+    )
+    return (
+        Table("Parameters that moved between stations", columns, tuple(rows), notes)
+        if rows
+        else None
+    )
 
 
 def station_changes(stations: Sequence[StationRecord]) -> str:
     """Return the moves between stations, in words; empty without any."""
-    moved = [(station["name"], entry) for station in stations for entry in station.get("parameters", ()) if entry["moved"]]
+    moved = [
+        (station["name"], entry)
+        for station in stations
+        for entry in station.get("parameters", ())
+        if entry["moved"]
+    ]
     words = [
         f"{entry['name']} at {name} by {format_readable(entry['change'], entry['unit'])} +- "
         f"{format_readable(INTERVAL * entry['sigma'], entry['unit'], '.2g')} (95 %)"
         for name, entry in moved[:_MOST_NAMED]
     ]
-    return "; ".join(words) + (f"; and {len(moved) - _MOST_NAMED} more" if len(moved) > _MOST_NAMED else "")
+    return "; ".join(words) + (
+        f"; and {len(moved) - _MOST_NAMED} more" if len(moved) > _MOST_NAMED else ""
+    )
 
 
 def repeated_table(stations: Sequence[StationRecord]) -> Table | None:
     """Return the table of repeated measurements at each station; None without any."""
     rows = []
     for station in stations:
-        iso, lack = station.get("iso9283"), station.get("lack_of_fit")
+        iso = station.get("iso9283")
+        lack = station.get("lack_of_fit")
         if iso is None and lack is None:
             continue
         accuracy = {} if iso is None else next(iter(iso["calibrated"].values()))
         numbers = (accuracy.get(key, {}).get("mean") for key in ("AP_mm", "RP_mm"))
         counts = (None, None) if iso is None else (sum(iso["poses"].values()), iso["cycles"]["max"])
         test = (None, "") if lack is None else (lack.F, f"{lack.p_value:.2g}")
-        verdict = "" if lack is None else "incomplete" if lack.is_significant else "within the scatter"
+        verdict = (
+            "" if lack is None else "incomplete" if lack.is_significant else "within the scatter"
+        )
         rows.append((station["name"], *counts, *numbers, *test, verdict))
-    numbers_of = (Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in ("AP mean [mm]", "RP mean [mm]"))
+    numbers_of = (
+        Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in ("AP mean [mm]", "RP mean [mm]")
+    )
     columns = (
         Column("station", kind=Kind.NAME),
         *(Column(name, kind=Kind.NUMBER) for name in ("poses", "cycles")),
@@ -303,11 +417,17 @@ def repeated_table(stations: Sequence[StationRecord]) -> Table | None:
         Column("lack of fit F", kind=Kind.NUMBER, show=fixed(2)),
         *(Column(name, kind=Kind.LABEL) for name in ("p", "model")),
     )
-    return Table("Repeated measurements of poses at each station (ISO 9283)", columns, tuple(rows)) if rows else None
+    return (
+        Table("Repeated measurements of poses at each station (ISO 9283)", columns, tuple(rows))
+        if rows
+        else None
+    )
 
 
 def shown_parameters(rows: Sequence[ParameterRow]) -> tuple[ParameterRow, ...]:
-    """Return the parameters to print: without the coordinates of named points, if these are many."""
+    """Return the parameters to print: without the coordinates of named points, if these
+    are many.
+    """
     inner = tuple(row for row in rows if row.effect != "named_point")
     return tuple(rows) if len(rows) - len(inner) <= _MOST_POINTS else inner
 
@@ -322,20 +442,29 @@ _ESTIMATES = (
 
 
 def parameter_table(parameters: Sequence[ParameterRow], title: str = "Parameters") -> Table:
-    """Return the table of nominal value, calibrated value, standard deviation and status of each parameter."""
+    """Return the table of nominal value, calibrated value, standard deviation and status of each
+    parameter.
+    """
     shown = shown_parameters(parameters)
     hidden = len(parameters) - len(shown)
     return Table(
         title,
         (*_ESTIMATES, Column("status", kind=Kind.STATUS), Column("reason", kind=Kind.REMARK)),
-        tuple((*_cells(row, row.nominal, row.value, row.sigma), row.status, str(row.reason)) for row in shown),
-        (f"The coordinates of {hidden // 3} named points are omitted here; result.json has them.",) if hidden else (),
+        tuple(
+            (*_cells(row, row.nominal, row.value, row.sigma), row.status, str(row.reason))
+            for row in shown
+        ),
+        (f"The coordinates of {hidden // 3} named points are omitted here; result.json has them.",)
+        if hidden
+        else (),
         tuple(_TONES[row.status] for row in shown),
     )
 
 
 def estimate_table(estimate: Estimate) -> Table:
-    """Return the table of nominal value, calibrated value and standard deviation of each parameter."""
+    """Return the table of nominal value, calibrated value and standard deviation of
+    each parameter.
+    """
     numbers = zip(estimate.parameters, estimate.values, estimate.fitted_sigma, strict=True)
     rows = tuple(
         _cells(p, p.nominal, p.nominal + float(value), float(sigma) if np.isfinite(sigma) else None)
@@ -345,7 +474,11 @@ def estimate_table(estimate: Estimate) -> Table:
 
 
 def _cells(of: ParameterRow | Parameter, *numbers: float | None) -> tuple[Cell, ...]:
-    return of.name, of.unit, *(None if number is None else Quantity(number, of.unit) for number in numbers)
+    return (
+        of.name,
+        of.unit,
+        *(None if number is None else Quantity(number, of.unit) for number in numbers),
+    )
 
 
 def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
@@ -357,14 +490,24 @@ def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
 
 
 def iso9283_table(iso: Mapping[str, Any]) -> Table:
-    """Return the table of mean and largest pose accuracy AP and repeatability RP, with a row per unit."""
+    """Return the table of mean and largest pose accuracy AP and repeatability RP, with a row per
+    unit.
+    """
     heads = [Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit")]
     statistics = ("mean", "max")
-    heads += [Column(f"{name} {size}", kind=Kind.NUMBER, show=fixed(4)) for name in ("AP", "RP") for size in statistics]
+    heads += [
+        Column(f"{name} {size}", kind=Kind.NUMBER, show=fixed(4))
+        for name in ("AP", "RP")
+        for size in statistics
+    ]
     rows = []
     for model in _MODELS:
         for part, values in iso.get(model, {}).items():
             for key in (key for key in values if key.startswith("AP")):
-                numbers = (values[name][size] for name in (key, "R" + key[1:]) for size in statistics)
-                rows.append((model, f"{iso['poses'][part]} {PARTS[part]}", ANGLE_WORDS[key], *numbers))
+                numbers = (
+                    values[name][size] for name in (key, "R" + key[1:]) for size in statistics
+                )
+                rows.append(
+                    (model, f"{iso['poses'][part]} {PARTS[part]}", ANGLE_WORDS[key], *numbers)
+                )
     return Table("Pose accuracy AP and pose repeatability RP (ISO 9283)", tuple(heads), tuple(rows))

@@ -1,9 +1,13 @@
-r"""Noise of new rows under a calibrated model: that of the calibration, carried over to another plan of measurement.
+r"""Noise of new rows under a calibrated model: that of the calibration, carried over to another
+plan of measurement.
 
-The noise of a calibration is that of its rows, :math:`\sigma^2 = m^2 + s^2`, with m what the model lacks at a pose and s the
-scatter of the means that were fitted, of n readings in each of v stops. A row of one stop, the mean of n' readings, has
-:math:`m^2 + s'^2`. Where repeats of the calibration, or of the new rows, show the scatter within and between stops, m
-follows from the difference. It is taken at its upper limit, as it counts in full at each pose, however often visited.
+The noise of a calibration is that of its rows, :math:`\sigma^2 = m^2 + s^2`, with m what the model
+lacks at a pose and s the scatter of the means that were fitted, of n readings in each of v stops. A
+row of one stop, the mean of n' readings, has
+:math:`m^2 + s'^2`. Where repeats of the calibration, or of the new rows, show the scatter within
+  and between stops, m
+follows from the difference. It is taken at its upper limit, as it counts in full at each pose,
+however often visited.
 """
 
 from __future__ import annotations
@@ -28,11 +32,13 @@ class RowNoise:
 
     Attributes:
         sigma: standard deviations [m, rad, px].
-        is_known: where they are declared or known from the calibration; the others are of a good instrument, and are to be
-            estimated from the rows.
+        is_known: where they are declared or known from the calibration; the others are of a good
+            instrument, and are to be estimated from the rows.
         of_pose: fraction of the variance that all stops at a pose have in common.
-        of_drives: fraction of the variance that follows the levers of the drives, as far as the calibration shows it.
-        scatter: variances within a stop and between stops, as far as these rows or the calibration show them.
+        of_drives: fraction of the variance that follows the levers of the drives, as far as the
+            calibration shows it.
+        scatter: variances within a stop and between stops, as far as these rows or the calibration
+            show them.
     """
 
     sigma: np.ndarray
@@ -53,7 +59,9 @@ class RowNoise:
         return tuple(size if is_known else None for size, is_known in pairs)
 
     def estimated(self, sigma: np.ndarray) -> np.ndarray:
-        """Return the standard deviations, those that are not known from an estimate, shape (blocks,)."""
+        """Return the standard deviations, those that are not known from an estimate, shape
+        (blocks,).
+        """
         return np.where(self.is_known, self.sigma, sigma)
 
 
@@ -72,7 +80,8 @@ def noise_of_rows(
         known: the calibrated model.
         kind: of the readings.
         blocks: of the readings.
-        declared: shape (N,), declared noise of each row [m], which takes precedence if it is larger; default: none.
+        declared: shape (N,), declared noise of each row [m], which takes precedence if it is
+            larger; default: none.
         scatter: of the single readings behind them; default: none was repeated.
         sigma_orientation: declared noise of orientations [rad].
     """
@@ -86,15 +95,21 @@ def noise_of_rows(
     shown = np.minimum(before.of_row(own.readings, own.stops), square)
     is_shown = shown > 0.0
     degrees = _degrees(known, blocks)
-    doubt = np.sqrt(2.0 / degrees) * square + np.sqrt(2.0 / np.maximum(before.within_degrees, STOPS.fewest)) * shown
+    doubt = (
+        np.sqrt(2.0 / degrees) * square
+        + np.sqrt(2.0 / np.maximum(before.within_degrees, STOPS.fewest)) * shown
+    )
     lacking = np.where(is_shown, np.clip(square - shown + STOPS.sure * doubt, 0.0, square), 0.0)
     of_stop = best.of_row(here.readings)
     variance = np.where(is_shown, lacking + of_stop, of_calibration**2)
     has_visits = best.between_degrees > 0.0
     of_pose = np.where(has_visits & is_shown, lacking / np.maximum(variance, 1e-300), 0.0)
-    # Noise of readings within a stop does not follow the levers; of the rest, drives have the part that they had.
+    # Noise of readings within a stop does not follow the levers; of the rest, drives have the part
+    # that they had.
     read = before.within / (own.readings * own.stops)
-    apart = np.clip((1.0 - own.drives) * square - read, 0.0, None) / np.maximum(square - read, 1e-300)
+    apart = np.clip((1.0 - own.drives) * square - read, 0.0, None) / np.maximum(
+        square - read, 1e-300
+    )
     of_stops = 1.0 - best.within / here.readings / np.maximum(variance, 1e-300)
     of_drives = np.where(own.drives > 0.0, np.clip((1.0 - apart) * of_stops, 0.0, 1.0), 0.0)
     sigma = np.where(is_known, np.sqrt(variance), of_calibration)
@@ -110,15 +125,24 @@ def noise_of_rows(
         sigma = np.where(is_length, at_least, sigma)
         is_known = is_known | is_length
     of_one_stop = replace(
-        best, readings=here.readings, stops=1.0, shared=own.shared, drives=float(of_drives[0]), of_single=False
+        best,
+        readings=here.readings,
+        stops=1.0,
+        shared=own.shared,
+        drives=float(of_drives[0]),
+        of_single=False,
     )
     return RowNoise(sigma, is_known, of_pose, of_drives, of_one_stop)
 
 
-def calibrated_noise(known: StationModel, kind: str, blocks: Sequence[Block]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the noise of a calibration for each block of readings, and whether it has any for it, shape (blocks,) each.
+def calibrated_noise(
+    known: StationModel, kind: str, blocks: Sequence[Block]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the noise of a calibration for each block of readings, and whether it has any for it,
+    shape (blocks,) each.
 
-    It is the calibration's of blocks in the same unit, which includes unmodelled errors, else that of good instruments.
+    It is the calibration's of blocks in the same unit, which includes unmodelled errors, else that
+    of good instruments.
     """
     if known.sensor_kind == kind:
         return np.array(known.sigma, float), np.ones(len(blocks), bool)

@@ -14,7 +14,8 @@ from pincal.measure.poses import SCATTER, replicate_groups
 
 
 def screened(fit: ModelFit, parts: Sequence[StationRows]) -> tuple[StationRows, ...]:
-    """Return the rows of each station, in the order of the fit, without wrong readings, held-out ones among them.
+    """Return the rows of each station, in the order of the fit, without wrong readings, held-out
+    ones among them.
 
     Readings that the fit left out are known; held-out ones are judged by it.
     """
@@ -32,5 +33,7 @@ def screened(fit: ModelFit, parts: Sequence[StationRows]) -> tuple[StationRows, 
         fitted = train.select(~in_train)
         clean = StationRows.of(part.name, fitted, test.select(~in_test), ways)
         lines = np.concatenate([train.rows[in_train], test.rows[in_test]])
-        found.append(replace(clean, wrong=tuple(sorted(lines.tolist())), screened_from=part.measured))
+        found.append(
+            replace(clean, wrong=tuple(sorted(lines.tolist())), screened_from=part.measured)
+        )
     return tuple(found)

@@ -1,12 +1,16 @@
-r"""Information of each of several stations on the robot, and tests of parameters that differ between stations.
+r"""Information of each of several stations on the robot, and tests of parameters that differ
+between stations.
 
-G_k and g_k are the information and the gradient of the rows of station k on the robot's parameters, its own parameters
-eliminated. If some of the robot's differed from the common value by d_k at station k, the d_k would have
+G_k and g_k are the information and the gradient of the rows of station k on the robot's parameters,
+its own parameters eliminated. If some of the robot's differed from the common value by d_k at
+station k, the d_k would have
 
 .. math:: M_{kl} = \delta_{kl} G_k - G_k C G_l, \qquad b_k = g_k,
 
-in the rows and columns of these parameters, with C the covariance of the fit, and would reduce the squares by
-:math:`b^T M^{-1} b`: chi-square, with one degree of freedom less than there are stations, if nothing moved.
+in the rows and columns of these parameters, with C the covariance of the fit, and would reduce the
+squares by
+:math:`b^T M^{-1} b`: chi-square, with one degree of freedom less than there are stations, if
+  nothing moved.
 """
 
 from __future__ import annotations
@@ -28,9 +32,11 @@ from pincal.identify.selection import Scored, select_stepwise
 from pincal.model.effect import Effect, Family
 from pincal.parameters import Parameter
 
-# Fraction of a parameter's information that has to remain, the station's own parameters eliminated, to be observable.
+# Fraction of a parameter's information that has to remain, the station's own parameters eliminated,
+# to be observable.
 _SEEN = 1e-4
-# Fraction of a value's information that is added to it, well above rounding and far below what is relevant.
+# Fraction of a value's information that is added to it, well above rounding and far below what is
+# relevant.
 _ROUNDING = 1e-8
 # Factor on a negative eigenvalue's size that is well above the rounding errors of all.
 _BEYOND_ROUNDING = 10.0
@@ -43,7 +49,8 @@ Together = tuple[int, ...]
 
 @dataclass(frozen=True)
 class StationInformation:
-    """Information of a station's rows on the C free parameters of the robot that it sees, its own ones eliminated.
+    """Information of a station's rows on the C free parameters of the robot that it sees, its own
+    ones eliminated.
 
     Attributes:
         form: their squares, in units of the noise.
@@ -57,26 +64,35 @@ class StationInformation:
 
     @property
     def noise_squared(self) -> float:
-        """Variance of the noise of the station's rows, the robot's parameters free, in units of the fit's variance.
+        """Variance of the noise of the station's rows, the robot's parameters free, in units of the
+        fit's variance.
 
         1 unless it is significantly smaller: the noise of a fit includes what moved.
         """
         gain, rank = self.form.gain(np.arange(len(self.places)), _SEEN)
-        square, degrees = self.form.square - gain, self.form.degrees - rank
-        return max(square, 1e-12) / degrees if degrees > 0 and chdtr(degrees, square) < CHANGES.too_quiet else 1.0
+        square = self.form.square - gain
+        degrees = self.form.degrees - rank
+        return (
+            max(square, 1e-12) / degrees
+            if degrees > 0 and chdtr(degrees, square) < CHANGES.too_quiet
+            else 1.0
+        )
 
 
 @dataclass(frozen=True)
 class SharedInformation:
-    """Information of each of K stations on the F shared parameters, its own ones eliminated, in units of the noise.
+    """Information of each of K stations on the F shared parameters, its own ones eliminated, in
+    units of the noise.
 
     Attributes:
         parameters: the F parameters.
         G: shape (K, F, F).
         g: shape (K, F).
         whole: shape (K, F), the diagonal of G before anything was eliminated.
-        sizes, offsets: shape (F,), standard deviations of their priors, and deviations from the nominal.
-        usual: shape (F,), whether a parameter is among those that move most often, the offsets of joints.
+        sizes, offsets: shape (F,), standard deviations of their priors, and deviations from the
+            nominal.
+        usual: shape (F,), whether a parameter is among those that move most often, the offsets of
+            joints.
         lasting: shape (F,), whether it never moves.
     """
 
@@ -91,49 +107,91 @@ class SharedInformation:
 
     @classmethod
     def of(cls, fit: ModelFit, parts: int = 1, *, in_order: bool = False) -> Self:
-        """Return the information of the stations of a fit, each divided into parts, interleaved or of rows in order."""
-        problem, solution, shared = fit.problem, fit.solution, shared_places(fit)
-        K, F = parts * len(problem.stations), len(shared)
-        G, g, whole = np.zeros((K, F, F)), np.zeros((K, F)), np.zeros((K, F))
+        """Return the information of the stations of a fit, each divided into parts, interleaved or
+        of rows in order.
+        """
+        problem = fit.problem
+        solution = fit.solution
+        shared = shared_places(fit)
+        K = parts * len(problem.stations)
+        F = len(shared)
+        G = np.zeros((K, F, F))
+        g = np.zeros((K, F))
+        whole = np.zeros((K, F))
         for k, station in enumerate(problem.stations):
-            rows, blocks = problem.rows[k], problem.block_spans[k]
-            if station.serial is not None and station.sensor.reads_place and station.conditions.are_in_motion:
+            rows = problem.rows[k]
+            blocks = problem.block_spans[k]
+            if (
+                station.serial is not None
+                and station.sensor.reads_place
+                and station.conditions.are_in_motion
+            ):
                 # Unmodelled errors follow the motion, which differs between stations.
                 continue
             weights = solution.weights[rows]
             # So many rejected rows are no outliers: the robot changed there.
-            weights = weights if np.mean(weights == 0.0) <= CHANGES.wrong_rows else np.ones_like(weights)
+            weights = (
+                weights if np.mean(weights == 0.0) <= CHANGES.wrong_rows else np.ones_like(weights)
+            )
             every = np.arange(len(weights))
-            split = np.array_split(every, parts) if in_order else [every[i::parts] for i in range(parts)]
-            each = [information_at(fit, k, weights, rows=None if parts == 1 else some) for some in split]
-            together = replace(each[0], form=sum((one.form for one in each[1:]), start=each[0].form))
+            split = (
+                np.array_split(every, parts)
+                if in_order
+                else [every[i::parts] for i in range(parts)]
+            )
+            each = [
+                information_at(fit, k, weights, rows=None if parts == 1 else some) for some in split
+            ]
+            together = replace(
+                each[0], form=sum((one.form for one in each[1:]), start=each[0].form)
+            )
             declared = fit.noise.declared[blocks.start] or 0.0
             noise = max(together.noise_squared, (declared / solution.sigma[blocks.start]) ** 2)
             for i, one in enumerate(each, start=parts * k):
-                at, form = one.places, one.form
-                G[i][np.ix_(at, at)], g[i, at], whole[i, at] = form.H / noise, form.g / noise, form.whole / noise
+                at = one.places
+                form = one.form
+                G[i][np.ix_(at, at)] = form.H / noise
+                g[i, at] = form.g / noise
+                whole[i, at] = form.whole / noise
         model, _ = fit.arm
-        zeros = (e for e in model.effects if e.family is Family.GEOMETRY and e.locus.acts_on == "drive")
+        zeros = (
+            e for e in model.effects if e.family is Family.GEOMETRY and e.locus.acts_on == "drive"
+        )
         lasting = (e for e in model.effects if e.is_constant)
         parameters = tuple(problem.parameters[place] for place in shared)
-        marks = ({p.name for effect in some for p in effect.parameters(model.chain)} for some in (zeros, lasting))
-        marked = (np.array([parameter.name in names for parameter in parameters], bool) for names in marks)
+        marks = (
+            {p.name for effect in some for p in effect.parameters(model.chain)}
+            for some in (zeros, lasting)
+        )
+        marked = (
+            np.array([parameter.name in names for parameter in parameters], bool) for names in marks
+        )
         return cls(parameters, G, g, whole, fit.priors.sizes[shared], fit.values[shared], *marked)
 
     def joined(self, parts: int) -> Self:
         """Return the information with so many parts of each station joined."""
-        G, g, whole = (of.reshape(-1, parts, *of.shape[1:]).sum(axis=1) for of in (self.G, self.g, self.whole))
+        G, g, whole = (
+            of.reshape(-1, parts, *of.shape[1:]).sum(axis=1) for of in (self.G, self.g, self.whole)
+        )
         return replace(self, G=G, g=g, whole=whole)
 
     def together(self, T: np.ndarray) -> StationsInformation:
-        """Return it about a joint fit of n parameters x, with T x the F parameters; T of shape (F, n), orthonormal."""
+        """Return it about a joint fit of n parameters x, with T x the F parameters; T of shape (F,
+        n), orthonormal.
+        """
         main = np.abs(T).argmax(axis=0)
-        G, g, sizes = T.T @ self.G @ T, self.g @ T, self.sizes[main]
+        G = T.T @ self.G @ T
+        g = self.g @ T
+        sizes = self.sizes[main]
         whole = Form.of(G.sum(axis=0), g.sum(axis=0))
         found = Posterior(whole, sizes, self.offsets @ T)
         seen = np.diagonal(G, axis1=1, axis2=2) > _SEEN * (self.whole @ T**2)
-        b, seen, explained = g - G @ found.step, seen & np.isfinite(sizes) & ~self.lasting[main], float(whole.g @ found.step)
-        return StationsInformation(G, b, seen, found.covariance, CHANGES.wide * sizes, self.usual[main], explained)
+        b = g - G @ found.step
+        seen = seen & np.isfinite(sizes) & ~self.lasting[main]
+        explained = float(whole.g @ found.step)
+        return StationsInformation(
+            G, b, seen, found.covariance, CHANGES.wide * sizes, self.usual[main], explained
+        )
 
 
 @dataclass(frozen=True)
@@ -158,11 +216,16 @@ class StationsInformation:
     usual: np.ndarray
     explained: float = 0.0
 
-    def released(self, chosen: Sequence[Together]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return station and parameter of each value of its own, shape (n,), these values, and their covariance."""
+    def released(
+        self, chosen: Sequence[Together]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return station and parameter of each value of its own, shape (n,), these values, and
+        their covariance.
+        """
         flat = [p for group in chosen for p in group]
         own = [np.flatnonzero(self.seen[:, p]) for p in flat]
-        station, parameter = np.concatenate(own), np.repeat(flat, list(map(len, own)))
+        station = np.concatenate(own)
+        parameter = np.repeat(flat, list(map(len, own)))
         U = self.G[station, parameter]
         M = -U @ self.C @ U.T + np.where(station[:, None] == station, U[:, parameter], 0.0)
         # A move common to all stations is the fit's own: only rounding remains of it here.
@@ -190,31 +253,44 @@ class StationsInformation:
         Args:
             candidates: groups of parameters that may have moved.
             price: cost of each released value.
-            apart: information of parts of each station, to estimate the noise; default: the noise is known.
+            apart: information of parts of each station, to estimate the noise; default: the noise
+                is known.
         """
         tried = [group for group in candidates if self.degrees(group)]
 
         def scores(chosen: tuple[Together, ...]) -> Iterator[Scored[Together]]:
             before = self.gain(chosen)
             for group in (group for group in tried if group not in chosen):
-                gain, degrees = self.gain((*chosen, group)) - before, self.degrees(group)
+                gain = self.gain((*chosen, group)) - before
+                degrees = self.degrees(group)
                 noise, known = (1.0, np.inf) if apart is None else apart.noise(chosen, group)
-                chance = chdtrc(degrees, gain) if np.isinf(known) else fdtrc(degrees, known, gain / noise / degrees)
+                chance = (
+                    chdtrc(degrees, gain)
+                    if np.isinf(known)
+                    else fdtrc(degrees, known, gain / noise / degrees)
+                )
                 cost = price * degrees - gain / noise - CHANGES.usual * self.usual[group[0]]
                 yield Scored(group, cost, chance < CHANGES.moved / len(tried))
 
         return select_stepwise((), scores, lambda chosen, group: (*chosen, group), most=_MOST)
 
-    def own_values(self, chosen: Sequence[Together], group: Together) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the s stations that observe a chosen group of n parameters, its values there, and their covariance.
+    def own_values(
+        self, chosen: Sequence[Together], group: Together
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the s stations that observe a chosen group of n parameters, its values there, and
+        their covariance.
 
         Returns:
             Shapes (s,), (s, n) and (s, n, s, n).
         """
         station, parameter, values, covariance = self.released(chosen)
         seeing = np.flatnonzero(self.seen[:, list(group)].all(axis=1))
-        place = {(int(k), int(p)): i for i, (k, p) in enumerate(zip(station, parameter, strict=True))}
-        at = np.array([[place[int(k), p] for p in group] for k in seeing], int).reshape(len(seeing), len(group))
+        place = {
+            (int(k), int(p)): i for i, (k, p) in enumerate(zip(station, parameter, strict=True))
+        }
+        at = np.array([[place[int(k), p] for p in group] for k in seeing], int).reshape(
+            len(seeing), len(group)
+        )
         return seeing, values[at], covariance[at[:, :, None, None], at]
 
 
@@ -227,34 +303,48 @@ class Apart:
 
     @classmethod
     def of(cls, shared: SharedInformation, T: np.ndarray, parts: int) -> Self:
-        """Return it from the information of so many parts of each station; T as for :meth:`SharedInformation.together`."""
+        """Return it from the information of so many parts of each station; T as for
+        :meth:`SharedInformation.together`.
+        """
         return cls(shared.joined(parts).together(T), shared.together(T))
 
     def noise(self, chosen: Sequence[Together], group: Together) -> tuple[float, float]:
-        """Return the variance by which a group differs between parts of one station, and its degrees of freedom.
+        """Return the variance by which a group differs between parts of one station, and its
+        degrees of freedom.
 
-        Unmodelled errors are correlated over many rows and larger in some directions than residuals are on average. A
-        variance that is not significantly larger than the noise is 1.
+        Unmodelled errors are correlated over many rows and larger in some directions than residuals
+        are on average. A variance that is not significantly larger than the noise is 1.
 
         Args:
             chosen: the other groups that moved.
             group: the group.
         """
-        both, degrees = (*chosen, group), self.parts.degrees(group) - self.joined.degrees(group)
+        both = (*chosen, group)
+        degrees = self.parts.degrees(group) - self.joined.degrees(group)
         if degrees < 1:
             return 1.0, np.inf
-        gain = self.parts.gain(both) - self.parts.gain(chosen) - self.joined.gain(both) + self.joined.gain(chosen)
-        return (gain / degrees, degrees) if chdtrc(degrees, gain) < CHANGES.uneven else (1.0, np.inf)
+        gain = (
+            self.parts.gain(both)
+            - self.parts.gain(chosen)
+            - self.joined.gain(both)
+            + self.joined.gain(chosen)
+        )
+        return (
+            (gain / degrees, degrees) if chdtrc(degrees, gain) < CHANGES.uneven else (1.0, np.inf)
+        )
 
 
 def difference(covariance: np.ndarray, i: int, j: int) -> np.ndarray:
-    """Return the covariance of the difference of values at two stations, shape (n, n), from theirs, (s, n, s, n)."""
+    """Return the covariance of the difference of values at two stations, shape (n, n), from theirs,
+    (s, n, s, n).
+    """
     C = covariance[i, :, i] + covariance[j, :, j] - covariance[i, :, j] - covariance[j, :, i]
     return np.asarray(C + 1e-300 * np.eye(len(C)))
 
 
 def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Return the inverse of M, shape (n, n), positive definite up to rounding; see :meth:`StationsInformation.released`.
+    """Return the inverse of M, shape (n, n), positive definite up to rounding; see
+    :meth:`StationsInformation.released`.
 
     M is a small difference of terms whose diagonal is the square of ``scale``, shape (n,).
     """
@@ -267,18 +357,29 @@ def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
 def information_at(
     fit: ModelFit, k: int, weights: np.ndarray | None = None, *, rows: np.ndarray | None = None
 ) -> StationInformation:
-    """Return the information of some rows, default: all, of the k-th station on the robot; weights default to the fit's."""
-    problem, solution = fit.problem, fit.solution
-    station, places, blocks = problem.stations[k], problem.places[k], problem.block_spans[k]
-    free, values = solution.free[places], solution.values[places]
+    """Return the information of some rows, default: all, of the k-th station on the robot; weights
+    default to the fit's.
+    """
+    problem = fit.problem
+    solution = fit.solution
+    station = problem.stations[k]
+    places = problem.places[k]
+    blocks = problem.block_spans[k]
+    free = solution.free[places]
+    values = solution.values[places]
     weights = solution.weights[problem.rows[k]] if weights is None else weights
     if rows is not None:
-        station, weights = station.select(rows), weights[rows]
+        station = station.select(rows)
+        weights = weights[rows]
     normal = accumulate(station, values, free, weights)
-    is_own, form = station.is_own[free], normal.at(solution.sigma[blocks])
+    is_own = station.is_own[free]
+    form = normal.at(solution.sigma[blocks])
     rest, own = eliminate(form, is_own, fit.priors.sizes[places][free], values[free])
-    spent, step = float(np.sum(own.alone.frame_rank + own.alone.has_prior.sum())), own.alone.step
-    square = float(normal.squares.blocks @ solution.sigma[blocks] ** -2.0 - step @ own.alone.form.H @ step)
+    spent = float(np.sum(own.alone.frame_rank + own.alone.has_prior.sum()))
+    step = own.alone.step
+    square = float(
+        normal.squares.blocks @ solution.sigma[blocks] ** -2.0 - step @ own.alone.form.H @ step
+    )
     square -= float(own.precision @ step**2)
     readings = float(np.sum(weights > 0.0) * station.reading_size)
     shared = shared_places(fit)
@@ -288,24 +389,37 @@ def information_at(
     return StationInformation(found, at, spent)
 
 
-def fit_with(fit: ModelFit, effects: Sequence[Effect], rows: Mapping[int, np.ndarray]) -> tuple[ModelFit, np.ndarray]:
-    """Return a fit of some rows with further effects of zero size, and a mask of the parameters that it had before.
+def fit_with(
+    fit: ModelFit, effects: Sequence[Effect], rows: Mapping[int, np.ndarray]
+) -> tuple[ModelFit, np.ndarray]:
+    """Return a fit of some rows with further effects of zero size, and a mask of the parameters
+    that it had before.
 
-    The priors of the further parameters are too wide to matter. The rows are given by the index of their station; other
-    stations are left out.
+    The priors of the further parameters are too wide to matter. The rows are given by the index of
+    their station; other stations are left out.
     """
-    problem, solution = fit.problem, fit.solution
-    some = replace(problem, stations=tuple(problem.stations[k].select(kept) for k, kept in rows.items()))
+    problem = fit.problem
+    solution = fit.solution
+    some = replace(
+        problem, stations=tuple(problem.stations[k].select(kept) for k, kept in rows.items())
+    )
     wider, _ = extended(some, effects)
     values, known, free, sizes = (
         problem.carried_over(of, wider)
-        for of in (solution.values, np.ones(len(solution.values), bool), solution.free, fit.priors.sizes)
+        for of in (
+            solution.values,
+            np.ones(len(solution.values), bool),
+            solution.free,
+            fit.priors.sizes,
+        )
     )
     found = replace(
         solution,
         values=values,
         free=free | ~known,
-        weights=np.concatenate([solution.weights[problem.rows[k]][kept] for k, kept in rows.items()]),
+        weights=np.concatenate(
+            [solution.weights[problem.rows[k]][kept] for k, kept in rows.items()]
+        ),
         sigma=np.concatenate([solution.sigma[problem.block_spans[k]] for k in rows]),
     )
     believed = CHANGES.wide * np.array([parameter.size for parameter in wider.parameters])
@@ -323,7 +437,9 @@ def shared_places(fit: ModelFit) -> np.ndarray:
 
 
 def spent_at(fit: ModelFit, k: int) -> float:
-    """Return the effective number of parameters of a station's rows: its own ones, and its part of the robot's."""
+    """Return the effective number of parameters of a station's rows: its own ones, and its part of
+    the robot's.
+    """
     here = information_at(fit, k)
     covariance = fit.solution.known.covariance[np.ix_(here.places, here.places)]
     return here.own_spent + float(np.sum(here.form.H * covariance))

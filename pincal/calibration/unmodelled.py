@@ -1,12 +1,13 @@
 r"""Unmodelled effects: effects of the catalogue that a calibration's rows show and its model lacks.
 
-A later diagnosis compares new rows with the size of these effects then, not with zero. They are estimated to first order:
-with R the Jacobian of the fit by all its parameters and G the Jacobian by an effect,
+A later diagnosis compares new rows with the size of these effects then, not with zero. They are
+estimated to first order: with R the Jacobian of the fit by all its parameters and G the Jacobian by
+an effect,
 
 .. math:: \hat b = P^{-1} b, \quad P = G^T V^{-1} G, \quad b = G^T V^{-1} r, \quad V^{-1} = 1 - R (R^T R + D^{-2})^{-1} R^T,
 
-the most significant effect first, then the others given it, as long as one is significant. The parameters of the fit have
-absorbed :math:`K R^T G \hat b` of them.
+the most significant effect first, then the others given it, as long as one is significant. The
+parameters of the fit have absorbed :math:`K R^T G \hat b` of them.
 """
 
 from __future__ import annotations
@@ -33,9 +34,13 @@ from pincal.model.conditions import PoseSet, joined_conditions
 from pincal.model.effect import Curve, Effect
 
 # Effects, rows and stations at most, which bound the work on large tables.
-_MOST, _ROWS, _STATIONS = 8, 2000, 20
-# Fraction of a parameter's information that has to remain for it to be observable, and to exceed rounding.
-_SEEN, _ROUNDING = 1e-4, 1e-8
+_MOST = 8
+_ROWS = 2000
+_STATIONS = 20
+# Fraction of a parameter's information that has to remain for it to be observable, and to exceed
+# rounding.
+_SEEN = 1e-4
+_ROUNDING = 1e-8
 
 
 class Unmodelled(Record, frozen=True):
@@ -84,15 +89,20 @@ def unmodelled_by(fit: ModelFit) -> Unmodelled | None:
     at = _joined(places, chosen)
     values, covariance = information.estimate(at, _ROUNDING)
     found = tuple(information.names[i] for i in at)
-    return Unmodelled(tuple(effects[i] for i in chosen), found, values, covariance, robot, carried[:, at])
+    return Unmodelled(
+        tuple(effects[i] for i in chosen), found, values, covariance, robot, carried[:, at]
+    )
 
 
 def instruments_error(fit: ModelFit) -> tuple[str, str, float] | None:
-    """Return station, effect and p-value of the most significant systematic error of an instrument; None without any.
+    """Return station, effect and p-value of the most significant systematic error of an instrument;
+    None without any.
 
-    It has to be relevant, too. Each effect is tested alone; of a bent circle or a tilt the robot may be the cause as well.
+    It has to be relevant, too. Each effect is tested alone; of a bent circle or a tilt the robot
+    may be the cause as well.
     """
-    rows, chain = _sample(fit), fit.problem.chain
+    rows = _sample(fit)
+    chain = fit.problem.chain
     of_each = [list(_misreadings(fit.problem.stations[k], chain, kept)) for k, kept in rows.items()]
     forms = [form for form in of_each[0] if all(form in others for others in of_each)]
     if not forms:
@@ -100,14 +110,24 @@ def instruments_error(fit: ModelFit) -> tuple[str, str, float] | None:
     found = []
     wide, known = fit_with(fit, forms, rows)
     for (station, places, blocks), of_rows in zip(wide.stations, wide.problem.rows, strict=True):
-        free, values, solution = wide.solution.free[places], wide.solution.values[places], wide.solution
-        form = accumulate(station, values, free, solution.weights[of_rows]).at(solution.sigma[blocks])
-        rest, _ = eliminate(form, known[places][free], wide.priors.sizes[places][free], values[free])
-        names = [wide.problem.parameters[place].local_name for place in places[free & ~known[places]]]
+        free = wide.solution.free[places]
+        values = wide.solution.values[places]
+        solution = wide.solution
+        form = accumulate(station, values, free, solution.weights[of_rows]).at(
+            solution.sigma[blocks]
+        )
+        rest, _ = eliminate(
+            form, known[places][free], wide.priors.sizes[places][free], values[free]
+        )
+        names = [
+            wide.problem.parameters[place].local_name for place in places[free & ~known[places]]
+        ]
         for effect in forms:
             at = np.array([names.index(p.local_name) for p in effect.parameters(chain)])
             if rest.gain(at, _SEEN)[0] > CHANGES.matters * len(station) * station.reading_size:
-                found.append((station.name, effect.name, rest.chance(at, _SEEN) * len(forms) * len(rows)))
+                found.append(
+                    (station.name, effect.name, rest.chance(at, _SEEN) * len(forms) * len(rows))
+                )
     surest = min(found, key=lambda one: one[2], default=None)
     return surest if surest is not None and surest[2] < CHANGES.unmodelled else None
 
@@ -128,19 +148,36 @@ def _joined(places: Sequence[np.ndarray], chosen: Iterable[int]) -> np.ndarray:
 
 
 def _sample(fit: ModelFit) -> dict[int, np.ndarray]:
-    """Return a sample of rows by the index of their station: some of some stations, evenly spread."""
+    """Return a sample of rows by the index of their station: some of some stations,
+    evenly spread.
+    """
     stations = fit.problem.stations
     chosen = np.unique(np.linspace(0, len(stations) - 1, min(len(stations), _STATIONS)).astype(int))
     most = _ROWS // len(chosen)
-    return {int(k): np.unique(np.linspace(0, len(stations[k]) - 1, min(len(stations[k]), most)).astype(int)) for k in chosen}
+    return {
+        int(k): np.unique(
+            np.linspace(0, len(stations[k]) - 1, min(len(stations[k]), most)).astype(int)
+        )
+        for k in chosen
+    }
 
 
 def _effects(fit: ModelFit, rows: Mapping[int, np.ndarray]) -> list[Effect]:
-    """Return the effects of single joints that these rows could show and the model does not have."""
-    model, problem = fit.problem.stations[0].model, fit.problem
-    present, names = {effect.identity for effect in model.effects}, set(model.names)
-    conditions = joined_conditions([problem.stations[k].conditions.select(some) for k, some in rows.items()])
-    found = (form for candidate in testable(PoseSet(problem.chain, conditions)) for form in candidate.forms)
+    """Return the effects of single joints that these rows could show and the model does
+    not have.
+    """
+    model = fit.problem.stations[0].model
+    problem = fit.problem
+    present = {effect.identity for effect in model.effects}
+    names = set(model.names)
+    conditions = joined_conditions(
+        [problem.stations[k].conditions.select(some) for k, some in rows.items()]
+    )
+    found = (
+        form
+        for candidate in testable(PoseSet(problem.chain, conditions))
+        for form in candidate.forms
+    )
     return [
         effect
         for effect in found
@@ -155,21 +192,27 @@ def _effects(fit: ModelFit, rows: Mapping[int, np.ndarray]) -> list[Effect]:
 def _information(
     fit: ModelFit, effects: list[Effect], sample: Mapping[int, np.ndarray]
 ) -> tuple[Quadratic, tuple[str, ...], np.ndarray]:
-    """Return the information of rows on the E parameters of effects, the parameters of stations and robot eliminated.
+    """Return the information of rows on the E parameters of effects, the parameters of stations and
+    robot eliminated.
 
-    Also the names of the K fitted parameters of the robot, and what they absorb of a unit of each effect's, shape (K, E).
+    Also the names of the K fitted parameters of the robot, and what they absorb of a unit of each
+    effect's, shape (K, E).
     """
     wide, known = fit_with(fit, effects, sample)
     shared = shared_places(wide)
     n = len(shared)
-    H, g, whole = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    H = np.zeros((n, n))
+    g = np.zeros(n)
+    whole = np.zeros(n)
     for k in range(len(sample)):
         here = information_at(wide, k)
         H[np.ix_(here.places, here.places)] += here.form.H
         g[here.places] += here.form.g
         whole[here.places] += here.form.whole
     robot = known[shared]
-    rest, taken = eliminate(Form(H, g, whole), robot, wide.priors.sizes[shared], wide.values[shared])
+    rest, taken = eliminate(
+        Form(H, g, whole), robot, wide.priors.sizes[shared], wide.values[shared]
+    )
     names = tuple(wide.problem.parameters[place].name for place in shared)
     return (
         Quadratic(**vars(rest), names=tuple(compress(names, ~robot)), square=0.0, degrees=0.0),

@@ -24,13 +24,23 @@ from pincal.notes import Note, Severity, doubts_of
 from pincal.validate.accuracy import error_summary, pose_error_sizes
 from pincal.validate.agreement import belongs_to_other_robot, mix_up, nominal_displacements
 from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
-from pincal.validate.misfit import Misfit, NoiseTest, Verdict, has_moved, is_informative, judge, misfit_at
+from pincal.validate.misfit import (
+    Misfit,
+    NoiseTest,
+    Verdict,
+    has_moved,
+    is_informative,
+    judge,
+    misfit_at,
+)
 from pincal.validate.path_accuracy import path_accuracy
 
 Placement = Literal["as calibrated", "refitted"]
-# Ratio of residuals to their expected size above which a note is given; UR10 tables of one series reach 1.1.
+# Ratio of residuals to their expected size above which a note is given; UR10 tables of one series
+# reach 1.1.
 _NOTED = 1.3
-# Where drive curves were not determined, the same robot may have residuals that many times as large.
+# Where drive curves were not determined, the same robot may have residuals that many times as
+# large.
 _UNSEEN = 4.0
 
 
@@ -40,7 +50,8 @@ class Validation:
 
     Attributes:
         name: of the rows' station.
-        placed: whether instrument and targets are where they were calibrated, or were located from the rows.
+        placed: whether instrument and targets are where they were calibrated, or were located from
+            the rows.
         table: the rows that can be judged.
         model: the calibrated model that predicts them.
         station: that model over them.
@@ -69,16 +80,22 @@ class Validation:
     @property
     def notes(self) -> tuple[Note, ...]:
         """Reservations about the errors; doubts are why the rows do not support the model."""
-        doubts, source = [self.doubt, self.note], self.table.source
+        doubts = [self.doubt, self.note]
+        source = self.table.source
         if self.misfit.is_significant and self.misfit.ratio > _NOTED and not self.doubt:
-            why = "beyond the loads of the calibration" if self.misfit.is_far() else "on another day"
+            why = (
+                "beyond the loads of the calibration" if self.misfit.is_far() else "on another day"
+            )
             doubts.append(
-                f"{source}: residuals are {self.misfit.ratio:.3g} times what noise and the uncertainty of the calibration "
-                f"allow, as happens {why}; run pincal diagnose to test whether something has changed"
+                f"{source}: residuals are {self.misfit.ratio:.3g} times what noise and "
+                "the uncertainty of the calibration "
+                f"allow, as happens {why}; run pincal diagnose to test whether something "
+                "has changed"
             )
         if self.fitted_rows:
             doubts.append(
-                f"{source}: the model was fitted to {self.fitted_rows} of these {len(self.table)} rows, so they show "
+                f"{source}: the model was fitted to {self.fitted_rows} of these "
+                f"{len(self.table)} rows, so they show "
                 "how well it was fitted, not how well it predicts; validate on independent rows"
             )
         far = (found.note for found in findings_on_held_out(self.station, self.values, self.table))
@@ -91,7 +108,9 @@ class Validation:
         _, lack = self.replicate_statistics()
         against = None if lack is None else lack.noise_test
         if against is None and (self.model.is_noise_declared or self.table.sigma is not None):
-            against = NoiseTest("the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value)
+            against = NoiseTest(
+                "the declared noise of the instrument", self.misfit.ratio, self.misfit.p_value
+            )
         things = self.stops.plan.thing
         distinct = len(np.unique(things)) / len(things)
         few = not is_informative(distinct * self.misfit.degrees - self.misfit.found)
@@ -99,7 +118,9 @@ class Validation:
 
     @cached_property
     def fitted_rows(self) -> int:
-        """Number of rows that the model was fitted to; a single one may match by chance and does not count."""
+        """Number of rows that the model was fitted to; a single one may match by chance and does
+        not count.
+        """
         found = int(np.sum(fitted_rows(self.fitted, self.model, self.stops)))
         return found if found > 1 else 0
 
@@ -115,14 +136,17 @@ class Validation:
 
     @cached_property
     def by_coverage(self) -> dict[str, Any] | None:
-        """Mean errors where the calibration had determined every curve of the model, and elsewhere; None without both."""
+        """Mean errors where the calibration had determined every curve of the model, and elsewhere;
+        None without both.
+        """
         known = self.model.knows(self.station.conditions)
         if known.all() or not known.any():
             return None
         unit, sizes = next(iter(pose_error_sizes(self.station, self.values).items()))
         parts = {"determined": known, "elsewhere": ~known}
         return {"unit": unit} | {
-            name: {"rows": int(rows.sum()), "mean": float(sizes[rows].mean())} for name, rows in parts.items()
+            name: {"rows": int(rows.sum()), "mean": float(sizes[rows].mean())}
+            for name, rows in parts.items()
         }
 
     @property
@@ -132,7 +156,9 @@ class Validation:
 
     @property
     def path_accuracy(self) -> dict[str, Any] | None:
-        """Accuracy and repeatability along the path of a session in motion, by ISO 9283; None for held poses."""
+        """Accuracy and repeatability along the path of a session in motion, by ISO 9283; None for
+        held poses.
+        """
         return path_accuracy(self.station, self.values, self.table)
 
     def replicate_statistics(self) -> tuple[dict[str, Any] | None, LackOfFit | None]:
@@ -162,16 +188,17 @@ def validate_rows(
 ) -> Validation:
     """Judge a calibrated robot by rows of one station, of the calibration or new.
 
-    Instrument and targets are held where they were calibrated unless noise and the calibration's uncertainty do not explain
-    their displacement.
+    Instrument and targets are held where they were calibrated unless noise and the calibration's
+    uncertainty do not explain their displacement.
 
     Args:
         models: the calibrated robot at each station of its calibration.
         measurements: the rows.
         name: of their station.
-        refit: whether instrument and targets may be located anew; else the nearest calibrated station is taken.
-        sigma_orientation: noise of orientations [rad]; default: that of the calibration, or, of a model without any,
-            estimated from the rows.
+        refit: whether instrument and targets may be located anew; else the nearest calibrated
+            station is taken.
+        sigma_orientation: noise of orientations [rad]; default: that of the calibration, or, of a
+            model without any, estimated from the rows.
 
     Returns:
         The judgement; check ``doubt``.
@@ -184,7 +211,12 @@ def validate_rows(
 
 
 def _judged(
-    models: Sequence[CalibratedModel], measurements: Measurements, *, name: str, refit: bool, angle: float | None
+    models: Sequence[CalibratedModel],
+    measurements: Measurements,
+    *,
+    name: str,
+    refit: bool,
+    angle: float | None,
 ) -> Validation:
     def refitted(model: CalibratedModel) -> Validation:
         rows = usable_rows(measurements, model.setup.over(measurements))
@@ -195,21 +227,33 @@ def _judged(
     if not stands:
         if not refit:
             raise BadInputError(
-                f"{measurements.source}: these rows do not match the chosen station: sensor, target, points or columns "
+                f"{measurements.source}: these rows do not match the chosen station: "
+                "sensor, target, points or columns "
                 "differ"
             )
-        return refitted(next((m for m in models if m.sensor_kind == measurements.kind), _anywhere(models)))
+        return refitted(
+            next((m for m in models if m.sensor_kind == measurements.kind), _anywhere(models))
+        )
     _, model, table, station, sigma = min(stands, key=lambda stand: stand[0])
 
     def misfit(sigma: np.ndarray, robust: np.ndarray) -> Misfit:
         means = model.readings(StopRows.of(table).table)
-        return misfit_at(means, model.values, covariance=model.covariance, sigma=sigma, robust=robust)
+        return misfit_at(
+            means, model.values, covariance=model.covariance, sigma=sigma, robust=robust
+        )
 
     def as_calibrated(found: Misfit, **reservations: Any) -> Validation:
-        still, none = FrameShift(0.0, 0.0, 0.0), np.zeros(len(model.values), bool)
+        still = FrameShift(0.0, 0.0, 0.0)
+        none = np.zeros(len(model.values), bool)
         # Of other readings than those of the calibration, with their noise.
-        own = model if model.sensor_kind == table.kind else replace(model, sensor_kind=table.kind, sigma=sigma)
-        return Validation(name, "as calibrated", table, own, station, none, still, found, **reservations)
+        own = (
+            model
+            if model.sensor_kind == table.kind
+            else replace(model, sensor_kind=table.kind, sigma=sigma)
+        )
+        return Validation(
+            name, "as calibrated", table, own, station, none, still, found, **reservations
+        )
 
     try:
         placed = place_station(model, table, sigma_orientation=angle)
@@ -218,7 +262,9 @@ def _judged(
         before = misfit(sigma, np.ones(len(StopRows.of(table).table)))
         if refit and before.is_far():
             unit, errors = next(iter(pose_error_sizes(station, model.values).items()))
-            raise BadInputError(f"{error}; as calibrated, their mean error is {errors.mean():.4g} {unit}") from None
+            raise BadInputError(
+                f"{error}; as calibrated, their mean error is {errors.mean():.4g} {unit}"
+            ) from None
         return as_calibrated(before)
     before = misfit(placed.model.sigma, (placed.solution.weights > 0.0).astype(float))
     is_moved = has_moved(before, placed.misfit)
@@ -227,25 +273,36 @@ def _judged(
     if len(table) < len(measurements):
         # Called for its warning about rows left out.
         scorable_rows(measurements, model.setup)
-    note = f"{name or table.source}: these rows fit a different pose of instrument and target: {placed.moved}"
-    return as_calibrated(before, doubt=doubt_of(placed), note=note if is_moved else "", of_day=placed.notes)
+    note = (
+        f"{name or table.source}: these rows fit a different pose of instrument and target: "
+        f"{placed.moved}"
+    )
+    return as_calibrated(
+        before, doubt=doubt_of(placed), note=note if is_moved else "", of_day=placed.notes
+    )
 
 
 def _anywhere(models: Sequence[CalibratedModel]) -> CalibratedModel:
-    """Return the robot for rows of a new station; of several arms with the coverage of all stations."""
+    """Return the robot for rows of a new station; of several arms with the coverage of all
+    stations.
+    """
     first, *others = models
     if not first.model.chain.robot.links:
         return first
-    return replace(first, covered=reduce(lambda a, b: a.over(b), (model.covered for model in others), first.covered))
+    return replace(
+        first,
+        covered=reduce(lambda a, b: a.over(b), (model.covered for model in others), first.covered),
+    )
 
 
 def _stands(
     models: Sequence[CalibratedModel], measurements: Measurements, angle: float | None
 ) -> Iterator[tuple[float, CalibratedModel, Measurements, Station, np.ndarray]]:
-    """Yield the stations that rows may be of: same sensor, targets and points, and the columns that their effects need.
+    """Yield the stations that rows may be of: same sensor, targets and points, and the columns that
+    their effects need.
 
-    Each with the median residual in units of the noise, its model, the rows that can be judged, these under the model, and
-    their noise.
+    Each with the median residual in units of the noise, its model, the rows that can be judged,
+    these under the model, and their noise.
     """
     for model in models:
         chain = model.model.chain
@@ -253,21 +310,34 @@ def _stands(
             continue
         if len(chain.targets) > 1 and not set(map(str, measurements.target)) <= set(chain.targets):
             continue
-        needs = {column for effect in model.model.effects if effect.scope == "station" for column in effect.needs}
+        needs = {
+            column
+            for effect in model.model.effects
+            if effect.scope == "station"
+            for column in effect.needs
+        }
         if any(getattr(measurements, column) is None for column in needs):
             continue
         if not model.reads(measurements) or (
             measurements.point_names is not None and model.sensor_kind != measurements.kind
         ):
             continue
-        kept = scorable(measurements, model.setup) if model.setup.points else np.ones(len(measurements), bool)
+        kept = (
+            scorable(measurements, model.setup)
+            if model.setup.points
+            else np.ones(len(measurements), bool)
+        )
         if kept.any():
             table = measurements if kept.all() else measurements.select(kept)
             station = model.readings(table)
             blocks = station.sensor.blocks
-            noise = noise_of_rows(model, table.kind, blocks, declared=table.sigma, sigma_orientation=angle)
+            noise = noise_of_rows(
+                model, table.kind, blocks, declared=table.sigma, sigma_orientation=angle
+            )
             residuals = station.residuals(model.values)
-            squares = [np.median(np.sum(residuals[rows] ** 2, axis=0)) for rows in station.block_rows]
+            squares = [
+                np.median(np.sum(residuals[rows] ** 2, axis=0)) for rows in station.block_rows
+            ]
             usual = np.sqrt(squares / chdtri(station.block_sizes, 0.5))
             sigma = noise.estimated(usual)
             off = residuals / np.repeat(sigma, station.block_sizes)[:, None]
@@ -282,36 +352,58 @@ def _refitted(name: str, table: Measurements, placed: Placed) -> Validation:
 
 
 def doubt_of(placed: Placed) -> str:
-    """Return why rows can't be of the robot as it was calibrated, wherever the instrument is; empty if they can.
+    """Return why rows can't be of the robot as it was calibrated, wherever the instrument is; empty
+    if they can.
 
-    Where drive curves were not determined the limit is wider, and beyond the calibrated loads rows only show whether the
-    calibration is better than none.
+    Where drive curves were not determined the limit is wider, and beyond the calibrated loads rows
+    only show whether the calibration is better than none.
     """
     table = placed.table
-    known, station, values = placed.model, placed.station, placed.values
-    used, inside = placed.solution.weights > 0.0, known.knows(station.conditions)
+    known = placed.model
+    station = placed.station
+    values = placed.values
+    used = placed.solution.weights > 0.0
+    inside = known.knows(station.conditions)
     sound = used & known.covered.carries(station.conditions.payload)
     for rows, factor in ((sound & inside, 1.0), (sound, _UNSEEN), (used & inside, np.inf)):
         misfit = placed.misfit_of(rows)
         if not misfit.is_significant:
             continue
         unit, errors = next(iter(pose_error_sizes(station.select(rows), values).items()))
-        off = f"{table.source}: mean error {errors.mean():.3g} {unit} for any pose of instrument and target"
+        off = (
+            f"{table.source}: mean error {errors.mean():.3g} {unit} for any pose of "
+            "instrument and target"
+        )
         if misfit.is_far(factor):
             mixed = mix_up(table, station, values, options=known.options(effects=()))
-            beyond = f"{off}, {misfit.ratio:.3g} times what noise and the uncertainty of the calibration allow"
+            beyond = (
+                f"{off}, {misfit.ratio:.3g} times what noise and the uncertainty of the "
+                "calibration allow"
+            )
             return f"{beyond}; {mixed}" if mixed else beyond
-        if factor != _UNSEEN and (nominal := _as_good(table, placed, misfit=misfit, rows=rows)) is not None:
+        if (
+            factor != _UNSEEN
+            and (nominal := _as_good(table, placed, misfit=misfit, rows=rows)) is not None
+        ):
             return f"{off}, no better than the nominal robot ({1e3 * nominal:.3g} mm)"
     return ""
 
 
-def _as_good(table: Measurements, placed: Placed, *, misfit: Misfit, rows: np.ndarray) -> float | None:
-    """Return the nominal robot's mean error [m] if it explains rows as well as the calibrated one; else None."""
-    known, station = placed.model, placed.station
+def _as_good(
+    table: Measurements, placed: Placed, *, misfit: Misfit, rows: np.ndarray
+) -> float | None:
+    """Return the nominal robot's mean error [m] if it explains rows as well as the calibrated one;
+    else None.
+    """
+    known = placed.model
+    station = placed.station
     nominal = nominal_displacements(known.model.chain.robot, table, known.options(effects=()))[rows]
     size = station.sensor.blocks[0].size
-    allowed = misfit.allowed * known.sigma[0] * np.sqrt(size) * station.metres_per_reading(placed.values)
-    if belongs_to_other_robot(station.displacements(placed.values)[rows], nominal, allowed=float(allowed)):
+    allowed = (
+        misfit.allowed * known.sigma[0] * np.sqrt(size) * station.metres_per_reading(placed.values)
+    )
+    if belongs_to_other_robot(
+        station.displacements(placed.values)[rows], nominal, allowed=float(allowed)
+    ):
         return float(np.linalg.norm(nominal, axis=1).mean())
     return None

@@ -21,8 +21,11 @@ from pincal.validate.misfit import MISFIT
 from pincal.validate.visits import VisitChange, changes_between_visits, scatters_of
 
 
-def findings_on_visits(fit: ModelFit, k: int, rows: StationRows, lack: LackOfFit | None) -> list[Caveat]:
-    """Return what changed between visits of the same poses at the k-th station, or by what they differ without a cause.
+def findings_on_visits(
+    fit: ModelFit, k: int, rows: StationRows, lack: LackOfFit | None
+) -> list[Caveat]:
+    """Return what changed between visits of the same poses at the k-th station, or by what they
+    differ without a cause.
 
     ``lack`` is the test of lack of fit there, if there is any.
     """
@@ -37,7 +40,9 @@ def findings_on_visits(fit: ModelFit, k: int, rows: StationRows, lack: LackOfFit
 
 
 def changes_at(fit: ModelFit, k: int, rows: StationRows) -> list[VisitChange]:
-    """Return what changed between visits of the same poses at the k-th station, wrong readings among its rows."""
+    """Return what changed between visits of the same poses at the k-th station, wrong readings
+    among its rows.
+    """
     table = _together(*rows.as_read)
     station = fit.problem.stations[k]
     at = fit.readings(table, station=station.name)
@@ -45,7 +50,8 @@ def changes_at(fit: ModelFit, k: int, rows: StationRows) -> list[VisitChange]:
 
 
 def by_visit(fit: ModelFit, station: str, parts: Sequence[Replicates]) -> list[Replicates]:
-    """Return rows of a station with the mean of the readings of each stop, where poses are visited again.
+    """Return rows of a station with the mean of the readings of each stop, where poses are visited
+    again.
 
     Readings within a stop share the arrival of the drives, so it is visits that are replicates.
     """
@@ -54,7 +60,9 @@ def by_visit(fit: ModelFit, station: str, parts: Sequence[Replicates]) -> list[R
         return list(parts)
     tables = [by_stop(part.table) for part in parts]
     found = []
-    for part, table, pose in zip(parts, tables, replicate_groups(tables, within=SCATTER), strict=True):
+    for part, table, pose in zip(
+        parts, tables, replicate_groups(tables, within=SCATTER), strict=True
+    ):
         is_counted = np.zeros(int(part.pose.max(initial=-1)) + 1, bool)
         is_counted[part.pose[part.counted]] = True
         at = fit.readings(table, station=station)
@@ -64,16 +72,21 @@ def by_visit(fit: ModelFit, station: str, parts: Sequence[Replicates]) -> list[R
 
 def is_shifted(fit: ModelFit, rows: Sequence[StationRows]) -> bool:
     """Return whether something changed at once between visits of the same poses at any station."""
-    return any(change.kind == "step" for k, part in enumerate(rows) for change in changes_at(fit, k, part))
+    return any(
+        change.kind == "step" for k, part in enumerate(rows) for change in changes_at(fit, k, part)
+    )
 
 
 def joined_with_means(found: list[Caveat]) -> list[Caveat]:
     """Return findings with one step for each station where both visits and means of poses show one.
 
-    Means of poses that were visited before and after a step are of both sides, so its line is that of the visits; that of
-    the means, if it is as likely by the visits, as poses that were visited once may lie between.
+    Means of poses that were visited before and after a step are of both sides, so its line is that
+    of the visits; that of the means, if it is as likely by the visits, as poses that were visited
+    once may lie between.
     """
-    of_visits = {one.station: one for one in found if one.kind is CaveatKind.STEP and "lines" in one.figures}
+    of_visits = {
+        one.station: one for one in found if one.kind is CaveatKind.STEP and "lines" in one.figures
+    }
     kept = list[Caveat]()
     for one in found:
         by_visits = of_visits.get(one.station)
@@ -85,7 +98,9 @@ def joined_with_means(found: list[Caveat]) -> list[Caveat]:
         agrees = any(
             first <= other.figures["line"] <= last
             for other in found
-            if other.kind is CaveatKind.STEP and other.station == one.station and "lines" not in other.figures
+            if other.kind is CaveatKind.STEP
+            and other.station == one.station
+            and "lines" not in other.figures
         )
         if is_of_means == agrees:
             kept.append(one)
@@ -100,7 +115,9 @@ def _caveat(change: VisitChange, station: str) -> Caveat:
 
 
 def _on_scatter(fit: ModelFit, k: int, rows: StationRows) -> Iterator[Caveat]:
-    """Yield whether visits, or readings within a stop, differ by more than the declared noise and drives explain."""
+    """Yield whether visits, or readings within a stop, differ by more than the declared noise and
+    drives explain.
+    """
     station, places, blocks = list(fit.stations)[k]
     declared = fit.noise.declared[blocks.start]
     table = _together(*rows.measured)

@@ -28,7 +28,8 @@ _GARBAGE = 200_000
 _INTERRUPTS: list[int] = []
 _PATIENCE = 0.8
 
-# Colours, and on a terminal the moves of the cursor that a progress line needs: up, down, start, and clearing.
+# Colours, and on a terminal the moves of the cursor that a progress line needs: up, down, start,
+# and clearing.
 _ALLOWED = re.compile(r"(\x1b\[[0-9;]*[mABGKlh]|\x1b\[\?25[lh]|\r)")
 
 # An option that takes two names and a number, any number of times.
@@ -77,7 +78,11 @@ Later:          pincal diagnose   results/model.json NEW.csv --out diagnosis
 """
 
 
-@click.group(cls=_Verbs, epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.group(
+    cls=_Verbs,
+    epilog=_EPILOG,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @click.version_option(package_name="pincal")
 def pincal() -> None:
     """Calibrate a serial robot into a measuring instrument."""
@@ -87,13 +92,16 @@ class _GuardedStream(io.FileIO):
     """A stream of the process whose writes never fail.
 
     Attributes:
-        lost: why something could not be written; empty if nothing was lost, or the reader has closed its end.
+        lost: why something could not be written; empty if nothing was lost, or the reader has
+            closed its end.
     """
 
     lost = ""
 
     def write(self, content: object) -> int:
-        """Write bytes; those that can't be written are dropped, since the files of a run matter more than its messages."""
+        """Write bytes; those that can't be written are dropped, since the files of a run matter
+        more than its messages.
+        """
         view = memoryview(content)  # type: ignore[arg-type]
         try:
             return super().write(view) or 0
@@ -119,7 +127,8 @@ class _Printable(io.TextIOWrapper):
 def guard_streams() -> _GuardedStream:
     """Replace stdout and stderr by streams that never fail; return the one for results.
 
-    Closed streams are opened on the null device: otherwise a file opened later would take their number, and get the prints.
+    Closed streams are opened on the null device: otherwise a file opened later would take their
+    number, and get the prints.
     """
     for number in range(3):
         try:
@@ -132,7 +141,12 @@ def guard_streams() -> _GuardedStream:
             stream.flush()
         raw = _GuardedStream(number, "w", closefd=False)
         encoding = getattr(stream, "encoding", None) or "utf-8"
-        text = _Printable(io.BufferedWriter(raw), encoding=encoding, errors="backslashreplace", line_buffering=True)
+        text = _Printable(
+            io.BufferedWriter(raw),
+            encoding=encoding,
+            errors="backslashreplace",
+            line_buffering=True,
+        )
         setattr(sys, name, text)
         found.append(raw)
     return found[0]
@@ -141,8 +155,9 @@ def guard_streams() -> _GuardedStream:
 def entry() -> None:
     """Run the command as its own process.
 
-    It ends without the interpreter's clean-up, which takes half a second with all the libraries that a calibration loads and
-    frees nothing that the system does not; files are closed by then. Small matrices gain nothing from several threads.
+    It ends without the interpreter's clean-up, which takes half a second with all the libraries
+    that a calibration loads and frees nothing that the system does not; files are closed by then.
+    Small matrices gain nothing from several threads.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     results = guard_streams()
@@ -155,14 +170,19 @@ def entry() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.stdout.flush()
     if results.lost:
-        click.echo(f"pincal: can't write to stdout ({results.lost}); the requested files are complete", err=True)
+        click.echo(
+            f"pincal: can't write to stdout ({results.lost}); the requested files are complete",
+            err=True,
+        )
         code = code or Exit.BAD_INPUT
     sys.stderr.flush()
     os._exit(code)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Interrupt the command, and again if the exception gets lost, as it does while an object is being deleted."""
+    """Interrupt the command, and again if the exception gets lost, as it does while an object is
+    being deleted.
+    """
     _INTERRUPTS.append(number)
     sys.unraisablehook = lambda _: None
     again = threading.Timer(_PATIENCE, os.kill, (os.getpid(), number))
@@ -173,13 +193,16 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run the command; an error is printed on stderr and sets the exit code."""
-    # A command creates many objects that it keeps: searching them for garbage would take a quarter of its time.
+    # A command creates many objects that it keeps: searching them for garbage would take a quarter
+    # of its time.
     gc.set_threshold(_GARBAGE)
     warnings.showwarning = _show_warning
     try:
         try:
             code = pincal.main(
-                args=_spread(sys.argv[1:] if arguments is None else arguments), prog_name="pincal", standalone_mode=False
+                args=_spread(sys.argv[1:] if arguments is None else arguments),
+                prog_name="pincal",
+                standalone_mode=False,
             )
         except Exception:
             # An interrupted import may fail as if the library were missing.
@@ -203,7 +226,8 @@ def main(arguments: list[str] | None = None) -> None:
         if (error.name or "").startswith("pincal") or os.environ.get("PINCAL_TRACEBACK"):
             raise
         click.echo(
-            f"pincal: {error.name} is not installed; README.md lists what each part of pincal needs, and what to do where "
+            f"pincal: {error.name} is not installed; README.md lists what each part of "
+            "pincal needs, and what to do where "
             "it can't be installed",
             err=True,
         )
@@ -211,14 +235,22 @@ def main(arguments: list[str] | None = None) -> None:
     except Exception as error:
         if os.environ.get("PINCAL_TRACEBACK"):
             raise
-        click.echo(f"pincal: internal error: {printable(f'{type(error).__name__}: {error}', LONGEST)}", err=True)
-        click.echo("pincal: this is a bug in pincal; please report the output of a run with PINCAL_TRACEBACK=1", err=True)
+        click.echo(
+            f"pincal: internal error: {printable(f'{type(error).__name__}: {error}', LONGEST)}",
+            err=True,
+        )
+        click.echo(
+            "pincal: this is a bug in pincal; please report the output of a run with "
+            "PINCAL_TRACEBACK=1",
+            err=True,
+        )
         sys.exit(Exit.INTERNAL_ERROR)
     sys.exit(code if isinstance(code, int) else Exit.DONE)
 
 
 def _spread(arguments: list[str]) -> list[str]:
-    """Return the command line with ``--socket-distance`` repeated before each further set of its three values.
+    """Return the command line with ``--socket-distance`` repeated before each further set of its
+    three values.
 
     ``--socket-distance A B 0.05 C D 0.05`` then means the option given twice, as Click expects it.
     """

@@ -1,7 +1,8 @@
 """Typed arguments: a frozen dataclass describes a verb's command line, and Click fills it in.
 
-Its fields are made by :func:`option`, :func:`argument`, or :func:`group` for options that several verbs share and that have
-a section of their own in the help text. How a value is read follows from the type of the field.
+Its fields are made by :func:`option`, :func:`argument`, or :func:`group` for options that several
+verbs share and that have a section of their own in the help text. How a value is read follows from
+the type of the field.
 """
 
 from __future__ import annotations
@@ -21,12 +22,20 @@ from pincal.errors import Exit, OutputError
 from pincal.units import LARGEST, plain_numbers
 
 A = TypeVar("A")
-_HEADING, _WORDS = "heading", "pincal.words"
+_HEADING = "heading"
+_WORDS = "pincal.words"
 # The verbs of the modules that have been imported, by their names on the command line.
 VERBS: dict[str, click.Command] = {}
 
 
-def option(help: str, default: Any = None, *, words: str | None = None, name: str | None = None, **attributes: Any) -> Any:
+def option(
+    help: str,
+    default: Any = None,
+    *,
+    words: str | None = None,
+    name: str | None = None,
+    **attributes: Any,
+) -> Any:
     """Return a field that is an option.
 
     Args:
@@ -34,9 +43,12 @@ def option(help: str, default: Any = None, *, words: str | None = None, name: st
         default: its value if it is not given; ``MISSING`` for an option that has to be given.
         words: the default in words, if its value would not be understood.
         name: its name on the command line; default: the field's name with hyphens.
-        attributes: further ones for Click; type and number of values follow from the type of the field.
+        attributes: further ones for Click; type and number of values follow from the type of the
+            field.
     """
-    return field(default=default, metadata={"help": help, "words": words, "name": name, **attributes})
+    return field(
+        default=default, metadata={"help": help, "words": words, "name": name, **attributes}
+    )
 
 
 def argument(metavar: str, help: str, *, required: bool = True) -> Any:
@@ -52,7 +64,9 @@ def argument(metavar: str, help: str, *, required: bool = True) -> Any:
 
 
 def group(heading: str) -> Any:
-    """Return a field that is a dataclass of options itself, with the heading of their section in the help text."""
+    """Return a field that is a dataclass of options itself, with the heading of their section in
+    the help text.
+    """
     return field(metadata={_HEADING: heading})
 
 
@@ -69,40 +83,65 @@ def pair(text: str, expected: str, *, sign: str = "=") -> tuple[str, str]:
 
 
 class NumberType(click.ParamType[float]):
-    """A plausible number in SI units: finite, of a magnitude that occurs in a robot cell, and within a range."""
+    """A plausible number in SI units: finite, of a magnitude that occurs in a robot cell, and
+    within a range.
+    """
 
     name = "float"
 
     def __init__(self, least: float = -LARGEST, most: float = LARGEST) -> None:
-        self._least, self._most = least, most
+        self._least = least
+        self._most = most
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
         """Return the number."""
         # Not a number is in no range.
         (number,) = plain_numbers([str(value)]) or [math.nan]
         if not self._least <= number <= self._most:
-            self.fail(f"{str(value)!r}; expected a number from {self._least:g} to {self._most:g}", param, ctx)
+            self.fail(
+                f"{str(value)!r}; expected a number from {self._least:g} to {self._most:g}",
+                param,
+                ctx,
+            )
         return number
 
 
 class _Place(click.Path):
-    """A file or a folder; an empty text, such as an unset shell variable, is refused and not the current folder."""
+    """A file or a folder; an empty text, such as an unset shell variable, is refused and not the
+    current folder.
+    """
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value == "":
-            self.fail("'' is not a name; expected a file or a folder (. for the current one)", param, ctx)
+            self.fail(
+                "'' is not a name; expected a file or a folder (. for the current one)", param, ctx
+            )
         return super().convert(value, param, ctx)
 
 
 # Endings of file names: a name with one of them is not meant as a folder.
-_OF_FILES = (".csv", ".html", ".json", ".parquet", ".pdf", ".txt", ".urdf", ".xlsx", ".xml", ".yaml")
+_OF_FILES = (
+    ".csv",
+    ".html",
+    ".json",
+    ".parquet",
+    ".pdf",
+    ".txt",
+    ".urdf",
+    ".xlsx",
+    ".xml",
+    ".yaml",
+)
 
 
 class Output(_Place):
-    """A file to write, with one of the endings that the command can write; a folder if there are none.
+    """A file to write, with one of the endings that the command can write; a folder if there are
+    none.
 
     Other names are refused before any work is done.
     """
@@ -114,14 +153,19 @@ class Output(_Place):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path."""
         path = super().convert(value, param, ctx)
-        ending, name = path.suffix.lower(), param.opts[0] if param is not None else "output"
+        ending = path.suffix.lower()
+        name = param.opts[0] if param is not None else "output"
         if self._endings and ending not in self._endings:
             expected = " or ".join(filter(None, self._endings))
             raise OutputError(
-                f"{name} {path}: can't be written as {ending or 'a file without an extension'}; end the name in {expected}"
+                f"{name} {path}: can't be written as "
+                f"{ending or 'a file without an extension'}; end the name in {expected}"
             )
         if not self._endings and ending in _OF_FILES and not path.is_dir():
-            raise OutputError(f"{name} {path}: a folder is written here, not a {ending} file; give the name of a folder")
+            raise OutputError(
+                f"{name} {path}: a folder is written here, not a {ending} file; give the "
+                "name of a folder"
+            )
         return path
 
 
@@ -140,9 +184,12 @@ class _Argument(click.Argument):
 class Verb(click.Command):
     """A command whose help text has a section for its arguments and for each group of options."""
 
-    def __init__(self, *, headings: Mapping[str, str], ending: Callable[[], str] | None, **attributes: Any) -> None:
+    def __init__(
+        self, *, headings: Mapping[str, str], ending: Callable[[], str] | None, **attributes: Any
+    ) -> None:
         super().__init__(**attributes)
-        self._headings, self._ending = headings, ending
+        self._headings = headings
+        self._ending = ending
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words of the command line, and keep them for :func:`words_given`."""
@@ -153,7 +200,11 @@ class Verb(click.Command):
         """Write arguments and options, section by section."""
         sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
         for parameter in self.get_params(ctx):
-            heading = "Arguments" if isinstance(parameter, _Argument) else self._headings.get(str(parameter.name), "Options")
+            heading = (
+                "Arguments"
+                if isinstance(parameter, _Argument)
+                else self._headings.get(str(parameter.name), "Options")
+            )
             record = parameter.get_help_record(ctx)
             sections.setdefault(heading, []).extend([] if record is None else [record])
         for heading, records in sections.items():
@@ -181,16 +232,20 @@ def verb(
     defaults: Mapping[str, Any] | None = None,
     ending: Callable[[], str] | None = None,
 ) -> Callable[[Callable[[A], Exit]], Verb]:
-    """Return a decorator that makes a command of a function of typed arguments; its docstring is the help text.
+    """Return a decorator that makes a command of a function of typed arguments; its docstring is
+    the help text.
 
-    The function has the name of the command, with ``_verb`` at the end if the library has that name itself.
+    The function has the name of the command, with ``_verb`` at the end if the library has that name
+    itself.
 
     Args:
         arguments: a frozen dataclass whose fields are options, arguments and groups of them.
         examples: lines to copy, and further text for the end of the help text.
         exits: exit codes other than done, wrong usage and bad input.
-        defaults: name of an option -> its default for this command, or a tuple of default and words, if it differs.
-        ending: makes lines after the examples, called only when the help text is shown; default: none.
+        defaults: name of an option -> its default for this command, or a tuple of default and
+            words, if it differs.
+        ending: makes lines after the examples, called only when the help text is shown; default:
+            none.
     """
     codes = sorted({Exit.DONE, Exit.USAGE, Exit.BAD_INPUT, *exits})
     meanings = "; ".join(f"{int(code)} {code.meaning}" for code in codes)
@@ -219,30 +274,49 @@ def verb(
 
 def _filled(arguments: type[A], given: Mapping[str, Any]) -> A:
     """Return the dataclass with the values that Click has read."""
-    kinds, values = get_type_hints(arguments), {}
+    kinds = get_type_hints(arguments)
+    values = {}
     for part in fields(arguments):  # type: ignore[arg-type]
         is_group = _HEADING in part.metadata
         values[part.name] = _filled(kinds[part.name], given) if is_group else given[part.name]
     return arguments(**values)
 
 
-def _parameters(arguments: type, defaults: Mapping[str, Any], *, heading: str) -> Iterator[tuple[str, click.Parameter]]:
-    """Yield heading and Click's parameter of all options and arguments, those of groups included."""
+def _parameters(
+    arguments: type, defaults: Mapping[str, Any], *, heading: str
+) -> Iterator[tuple[str, click.Parameter]]:
+    """Yield heading and Click's parameter of all options and arguments, those of groups
+    included.
+    """
     kinds = get_type_hints(arguments)
     for part in fields(arguments):
-        kind, about = kinds[part.name], part.metadata
+        kind = kinds[part.name]
+        about = part.metadata
         if _HEADING in about:
             yield from _parameters(kind, defaults, heading=about[_HEADING])
         elif "cls" in about:
             read = _reader(kind)
             several = {"nargs": -1} if read.pop("multiple", False) else {}
-            yield heading, about["cls"]([part.name], **read | {k: v for k, v in about.items() if k != "cls"} | several)
+            yield (
+                heading,
+                about["cls"](
+                    [part.name], **read | {k: v for k, v in about.items() if k != "cls"} | several
+                ),
+            )
         else:
-            yield heading, _option(part.name, defaults.get(part.name, part.default), attributes=_reader(kind) | about)
+            yield (
+                heading,
+                _option(
+                    part.name,
+                    defaults.get(part.name, part.default),
+                    attributes=_reader(kind) | about,
+                ),
+            )
 
 
 def _option(field_name: str, default: Any, *, attributes: dict[str, Any]) -> click.Option:
-    name, words = attributes.pop("name"), attributes.pop("words")
+    name = attributes.pop("name")
+    words = attributes.pop("words")
     if isinstance(default, tuple) and len(default) == 2:
         default, words = default
     attributes["help"] += " May be repeated." * attributes.get("multiple", False)

@@ -35,58 +35,91 @@ if TYPE_CHECKING:
 Triple = tuple[float, float, float]
 
 verbose_option = partial(option, "Print all tables and notes, not just the summary.", False)
-max_error_option = partial(option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH)
+max_error_option = partial(
+    option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH
+)
 tip_option = partial(option, "Last link of the arm.", metavar="LINK")
 base_option = partial(option, "First link of the arm.", metavar="LINK", words="root of the URDF")
 robot_argument = partial(
-    argument, "ROBOT.urdf", "URDF or xacro file, or the name of a robot that comes with example-robot-data."
+    argument,
+    "ROBOT.urdf",
+    "URDF or xacro file, or the name of a robot that comes with example-robot-data.",
 )
 xacro_option = partial(
-    option, "Argument of a xacro file.", (), metavar="NAME:=VALUE", name="--xacro-arg", type=xacro_argument
+    option,
+    "Argument of a xacro file.",
+    (),
+    metavar="NAME:=VALUE",
+    name="--xacro-arg",
+    type=xacro_argument,
 )
 
 
-def _check_gravity(context: click.Context, parameter: click.Parameter, given: Triple | None) -> Triple | None:
+def _check_gravity(
+    context: click.Context, parameter: click.Parameter, given: Triple | None
+) -> Triple | None:
     if given is not None and not is_gravity(given):
-        raise click.BadParameter(f"{' '.join(f'{number:g}' for number in given)}; expected {GRAVITIES}", context, parameter)
+        raise click.BadParameter(
+            f"{' '.join(f'{number:g}' for number in given)}; expected {GRAVITIES}",
+            context,
+            parameter,
+        )
     return given
 
 
 gravity_option = partial(
-    option, "Gravity in the robot's base frame [m/s^2].", words="standard gravity along -z", callback=_check_gravity
+    option,
+    "Gravity in the robot's base frame [m/s^2].",
+    words="standard gravity along -z",
+    callback=_check_gravity,
 )
 mass_option = partial(
     option,
-    "Total mass of the robot including its base [kg], from its data sheet: the masses of the links are then estimated.",
+    "Total mass of the robot including its base [kg], from its data sheet: the masses of "
+    "the links are then estimated.",
     metavar="KG",
     words="those of the URDF, if it has any",
 )
 coupling_option = partial(
     option,
-    "Coupled joint: its position is the reported one plus (+) or minus (-) that of another joint, or a fraction of it such "
+    "Coupled joint: its position is the reported one plus (+) or minus (-) that of "
+    "another joint, or a fraction of it such "
     "as -1/3*joint_4.",
     (),
     metavar="joint_3=+joint_2",
     name="--coupling",
 )
-sign_option = partial(option, "Joint whose sign is opposite to that of the URDF.", (), metavar="JOINT", name="--sign")
+sign_option = partial(
+    option, "Joint whose sign is opposite to that of the URDF.", (), metavar="JOINT", name="--sign"
+)
 beside_option = partial(
     option,
-    "Further robot of the cell, and the pose of its root link in that of the first robot [m, rad]. Its links and "
+    "Further robot of the cell, and the pose of its root link in that of the first robot "
+    "[m, rad]. Its links and "
     "joints are called NAME_... if two robots have the same names.",
     (),
     metavar="[NAME=]URDF[@X,Y,Z,ROLL,PITCH,YAW]",
     name="--beside",
     type=beside,
 )
-model_argument = partial(argument, "MODEL.json", "Calibrated model, as written by calibrate or discover.")
-type_option = partial(
-    option, "Prior knowledge of this type of robot, from fleet learn; few poses are then enough.", metavar="TYPE.json"
+model_argument = partial(
+    argument, "MODEL.json", "Calibrated model, as written by calibrate or discover."
 )
-station_option = partial(option, "Use the placement of instrument and targets of this station of the model.", metavar="NAME")
+type_option = partial(
+    option,
+    "Prior knowledge of this type of robot, from fleet learn; few poses are then enough.",
+    metavar="TYPE.json",
+)
+station_option = partial(
+    option,
+    "Use the placement of instrument and targets of this station of the model.",
+    metavar="NAME",
+)
 
 
-def _load_plugins(context: click.Context, parameter: click.Parameter, names: tuple[str, ...]) -> tuple[str, ...]:
+def _load_plugins(
+    context: click.Context, parameter: click.Parameter, names: tuple[str, ...]
+) -> tuple[str, ...]:
     """Load the modules that the user names, in this process."""
     if names:
         from pincal.plugins import load_plugin
@@ -121,23 +154,31 @@ class TableArguments:
     """How tables are to be read."""
 
     columns: dict[str, str] | None = option(
-        "Assign columns to quantities.", type=columns, metavar=COLUMNS, words="by the names of the columns"
+        "Assign columns to quantities.",
+        type=columns,
+        metavar=COLUMNS,
+        words="by the names of the columns",
     )
     orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz"] | None = option(
-        "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, or a quaternion in this order.",
+        "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, "
+        "or a quaternion in this order.",
         words="from the names of its columns",
     )
     joints: Path | None = option(
-        "Log of the joint positions, if the table lacks them: joined by a common column, by time while the arm stands "
+        "Log of the joint positions, if the table lacks them: joined by a common column, "
+        "by time while the arm stands "
         "still, or by order.",
         metavar="LOG",
     )
     ignore: tuple[str, ...] = option("Ignore this column of the table.", (), metavar="COLUMN")
     sheet: str | None = option(
-        "Worksheet of an Excel workbook.", metavar="NAME", words="the first that has columns of joints"
+        "Worksheet of an Excel workbook.",
+        metavar="NAME",
+        words="the first that has columns of joints",
     )
     rows_in_order: bool = option(
-        "Rows are in the order of measurement, or their times give it: the approach direction of a joint without a column "
+        "Rows are in the order of measurement, or their times give it: the approach "
+        "direction of a joint without a column "
         "approach_<joint> follows from the previous row.",
         False,
     )
@@ -158,7 +199,9 @@ class LinkOptions:
         name="--from",
         words="the base; or the column from",
     )
-    to: str | None = option("Link that carries the target; the same as --tip.", metavar="LINK", words="the column to")
+    to: str | None = option(
+        "Link that carries the target; the same as --tip.", metavar="LINK", words="the column to"
+    )
     stations: tuple[tuple[str, str, str], ...] = option(
         "Links between which the rows of one station or table were measured.",
         (),
@@ -182,8 +225,10 @@ class InputOptions:
     robot: str = robot_argument()
     data: tuple[Path, ...] = argument(
         "DATA.csv...",
-        "Measurements, one row per measured pose (CSV, Excel or Parquet). Each of several tables is a station, named after "
-        "its file unless it has a column station. A folder with joints.csv, and imu.csv or tracker.csv or both, is a "
+        "Measurements, one row per measured pose (CSV, Excel or Parquet). Each of several "
+        "tables is a station, named after "
+        "its file unless it has a column station. A folder with joints.csv, and imu.csv "
+        "or tracker.csv or both, is a "
         "session of an arm in motion.",
         required=False,
     )
@@ -203,25 +248,38 @@ class InputOptions:
 class PlaceOptions:
     """Placement of instrument and target, if not that of the calibration."""
 
-    placement: Path | None = option("Locate instrument and target from these few measured rows.", metavar="FEW.csv")
+    placement: Path | None = option(
+        "Locate instrument and target from these few measured rows.", metavar="FEW.csv"
+    )
     station: str | None = station_option(words="the only one")
     start: str | None = option(
-        "Link in whose frame poses are given, without an instrument.", metavar="LINK", name="--from", words="its base"
+        "Link in whose frame poses are given, without an instrument.",
+        metavar="LINK",
+        name="--from",
+        words="its base",
     )
-    to: str | None = option("Link whose poses are given, without a target; a link of any arm of the robot.", metavar="LINK")
+    to: str | None = option(
+        "Link whose poses are given, without a target; a link of any arm of the robot.",
+        metavar="LINK",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelOptions:
     """The model and its loads."""
 
-    model: Literal["geometric", "elastic"] = option("Geometry alone, or with elasticity of joints and bearings.", "elastic")
+    model: Literal["geometric", "elastic"] = option(
+        "Geometry alone, or with elasticity of joints and bearings.", "elastic"
+    )
     moment_frame: Literal["auto", "paper", "before", "after"] = option(
-        "Frame convention for gravity torque and compliance: both before or both after the joint motion; "
+        "Frame convention for gravity torque and compliance: both before or both after "
+        "the joint motion; "
         "paper: torque before, compliance after; auto: the one that fits best.",
         "auto",
     )
-    payload_com: Triple = option("Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0))
+    payload_com: Triple = option(
+        "Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0)
+    )
     gravity: Triple | None = gravity_option()
 
     def options(self, noise: float | None, noise_angle: float | None) -> Options:
@@ -249,32 +307,46 @@ class SetupOptions:
         metavar="0.05mm|0.1px",
         words="estimated",
     )
-    noise_angle: float | None = option("Standard deviation of one orientation component.", type=ANGLE, words="estimated")
+    noise_angle: float | None = option(
+        "Standard deviation of one orientation component.", type=ANGLE, words="estimated"
+    )
     instrument: str | None = option(
-        "Noise of positions by range and direction: an instrument (leica_at500, leica_at960), or its maximum permissible "
-        "errors along and across the line of sight (10um+0.3um/m,15um+6um/m), half of which is the standard deviation. "
+        "Noise of positions by range and direction: an instrument (leica_at500, "
+        "leica_at960), or its maximum permissible "
+        "errors along and across the line of sight (10um+0.3um/m,15um+6um/m), half of "
+        "which is the standard deviation. "
         "Positions are in the instrument's own frame.",
         metavar="NAME|MPE",
         words="the same everywhere",
     )
-    tool: Triple | None = option("Target position in the tip frame [m], if known.", words="identified")
+    tool: Triple | None = option(
+        "Target position in the tip frame [m], if known.", words="identified"
+    )
     anchor: Triple | None = option(
-        "Distances: the instrument's fixed point in the robot's base frame [m], if known.", words="identified"
+        "Distances: the instrument's fixed point in the robot's base frame [m], if known.",
+        words="identified",
     )
     points: Path | None = option(
-        "Known positions of sockets, anchors or points of a calibration object: columns point, x, y, z."
+        "Known positions of sockets, anchors or points of a calibration object: columns "
+        "point, x, y, z."
     )
-    points_in: Literal["own", "base"] = option("Frame of --points: their own, to be identified, or the robot's base.", "own")
+    points_in: Literal["own", "base"] = option(
+        "Frame of --points: their own, to be identified, or the robot's base.", "own"
+    )
     gaps: tuple[tuple[str, str, float], ...] = option(
-        "Known distance between two sockets, anchors or points; a number without a unit is in metres.",
+        "Known distance between two sockets, anchors or points; a number without a unit "
+        "is in metres.",
         (),
         metavar="A B LENGTH",
         type=(str, str, QuantityType(LENGTH_UNITS, "50mm", bare=1.0)),
         name="--socket-distance",
     )
-    distances: Path | None = option("Known distances as a table: columns first, second, distance and optionally sigma.")
+    distances: Path | None = option(
+        "Known distances as a table: columns first, second, distance and optionally sigma."
+    )
     camera: Path | None = option(
-        "Camera parameters: fx, fy, u0, v0 [px], k1, k2, p1, p2, k3, and T_tip_camera if the mount is known.",
+        "Camera parameters: fx, fy, u0, v0 [px], k1, k2, p1, p2, k3, and T_tip_camera if "
+        "the mount is known.",
         metavar="FILE.json",
         words="identified",
     )
@@ -286,29 +358,43 @@ class FitOptions:
     """How the model is fitted."""
 
     add: tuple[str, ...] = option(
-        "Also fit this effect: NAME, NAME:JOINT or NAME:JOINT:KEY=VALUE, e.g. gear_eccentricity:joint_2:order=2.",
+        "Also fit this effect: NAME, NAME:JOINT or NAME:JOINT:KEY=VALUE, e.g. "
+        "gear_eccentricity:joint_2:order=2.",
         (),
         metavar="EFFECT",
     )
     fix: tuple[str, ...] = option(
-        "Hold this parameter at nominal: a name such as joint_2.s_x, or a pattern such as '*.s_x'.", (), metavar="NAME"
+        "Hold this parameter at nominal: a name such as joint_2.s_x, or a pattern such as '*.s_x'.",
+        (),
+        metavar="NAME",
     )
-    free: tuple[str, ...] = option("Fit this parameter, or all that match a pattern, without a prior.", (), metavar="NAME")
+    free: tuple[str, ...] = option(
+        "Fit this parameter, or all that match a pattern, without a prior.", (), metavar="NAME"
+    )
     prior: tuple[str, ...] = option(
-        "Expected standard deviation from nominal of this parameter, or of all that match a pattern: '*.theta=2mrad', "
+        "Expected standard deviation from nominal of this parameter, or of all that match "
+        "a pattern: '*.theta=2mrad', "
         "'joint_3.k_drive=0.2urad/Nm'.",
         (),
         metavar="NAME=SIZE",
     )
-    equilibrium: bool = option("Compute moments in the deflected configuration, not the undeflected one.", False)
-    stages: Literal["joint", "paper"] = option("Fit all parameters jointly, or in the paper's four stages.", "joint")
-    loss: Literal["screen", "huber", "none"] = option("Outlier handling: reject, down-weight (Huber), or none.", "screen")
+    equilibrium: bool = option(
+        "Compute moments in the deflected configuration, not the undeflected one.", False
+    )
+    stages: Literal["joint", "paper"] = option(
+        "Fit all parameters jointly, or in the paper's four stages.", "joint"
+    )
+    loss: Literal["screen", "huber", "none"] = option(
+        "Outlier handling: reject, down-weight (Huber), or none.", "screen"
+    )
     zeros: str | None = option(
         "Joints whose zeros are completely unknown: unknown for all, or unknown:joint_3,joint_5.",
         metavar="unknown[:JOINT,...]",
         words="within a few mrad of the URDF's, unless the data show otherwise",
     )
-    length_bound: float = option("Largest allowed deviation of a length from nominal.", 0.01, type=LENGTH, words="10mm")
+    length_bound: float = option(
+        "Largest allowed deviation of a length from nominal.", 0.01, type=LENGTH, words="10mm"
+    )
     type: Path | None = type_option()
 
     @property
@@ -318,7 +404,9 @@ class FitOptions:
         Raises:
             click.UsageError: for one without a size.
         """
-        sizes: dict[str, float | str] = dict(pair(text, "NAME=SIZE, such as '*.theta=2mrad'") for text in self.prior)
+        sizes: dict[str, float | str] = dict(
+            pair(text, "NAME=SIZE, such as '*.theta=2mrad'") for text in self.prior
+        )
         return sizes | dict.fromkeys(self.free, float("inf")) | dict.fromkeys(self.fix, 0.0)
 
     @property
@@ -349,12 +437,15 @@ class SplitOptions:
     """How the error at poses that were not fitted is found."""
 
     test_fraction: float = option(
-        "Fraction of the poses to hold out for good; by default all are fitted, and each is predicted by a fit without it.",
+        "Fraction of the poses to hold out for good; by default all are fitted, and each "
+        "is predicted by a fit without it.",
         0.0,
     )
     split: Literal["both", "random", "blocked", "station"] = option(
-        "Predict each pose without its region of joint space, and without its stretch of consecutive rows, and report the "
-        "worse of the two first; or without poses at random, or its region alone (blocked); or predict each station by the "
+        "Predict each pose without its region of joint space, and without its stretch of "
+        "consecutive rows, and report the "
+        "worse of the two first; or without poses at random, or its region alone "
+        "(blocked); or predict each station by the "
         "others.",
         "both",
     )

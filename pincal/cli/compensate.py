@@ -1,4 +1,6 @@
-"""``pincal predict`` and ``pincal compensate``: from joint positions to poses of the real robot, and back."""
+"""``pincal predict`` and ``pincal compensate``: from joint positions to poses of the real robot,
+and back.
+"""
 
 from __future__ import annotations
 
@@ -86,7 +88,9 @@ class _AtPlace:
 class PredictArguments(_AtPlace):
     """Arguments of predict."""
 
-    poses: Path = argument("POSES.csv", "Joint positions and conditions; other columns are ignored.")
+    poses: Path = argument(
+        "POSES.csv", "Joint positions and conditions; other columns are ignored."
+    )
     out: Path = option("Table to write.", MISSING, type=TABLE)
 
 
@@ -102,7 +106,9 @@ def predict(arguments: PredictArguments) -> Exit:
 
     place = find_place(arguments.model, arguments.place, arguments.table.options)
     chain = place.model.model.chain
-    table = load_table(chain.robot, arguments.poses, options=arguments.table.options, joints_only=True)
+    table = load_table(
+        chain.robot, arguments.poses, options=arguments.table.options, joints_only=True
+    )
     place = place.over(table)
     calibrated = place.model
     conditions = calibrated.conditions(table)
@@ -112,7 +118,9 @@ def predict(arguments: PredictArguments) -> Exit:
     if len(chain.targets) > 1:
         columns["target"] = table.target
     columns |= columns_of_poses(found, with_orientation=calibrated.model.has_tool_orientation)
-    columns |= zip(("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True)
+    columns |= zip(
+        ("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True
+    )
     write_table(arguments.out, columns)
     beyond, notes = extrapolation(calibrated, conditions, table.rows)
     end_progress()
@@ -129,7 +137,8 @@ class CompensateArguments(_AtPlace):
     """Arguments of compensate."""
 
     targets: Path = argument(
-        "TARGETS.csv", "Desired poses with or without start values, a nominal program, or a controller's program."
+        "TARGETS.csv",
+        "Desired poses with or without start values, a nominal program, or a controller's program.",
     )
     out: Path = option("Table or program to write.", MISSING)
     frame: Literal["instrument", "base"] = option(
@@ -137,15 +146,18 @@ class CompensateArguments(_AtPlace):
     )
     free_orientation: bool = option("Reach the positions x y z in any orientation.", False)
     seed_joints: str | None = option(
-        "Joint positions to start from, if the table has none: rad or m, or degrees with 'deg' at the end.",
+        "Joint positions to start from, if the table has none: rad or m, or degrees with "
+        "'deg' at the end.",
         metavar='"Q1 Q2 ..."',
         words="middle of the joint ranges",
     )
     false_targets: Literal["tip", "target"] | None = option(
-        "Also write poses for a controller that uses the nominal model: of the tip, or of the calibrated target."
+        "Also write poses for a controller that uses the nominal model: of the tip, or of "
+        "the calibrated target."
     )
     max_change: float = option(
-        "Mark rows in which a joint moves by more than this from its start (prismatic: the same number in m).",
+        "Mark rows in which a joint moves by more than this from its start (prismatic: "
+        "the same number in m).",
         float(np.deg2rad(2.0)),
         type=ANGLE,
         metavar="ANGLE",
@@ -153,9 +165,13 @@ class CompensateArguments(_AtPlace):
     )
     ignore_limits: bool = option("Ignore the joint limits of the URDF.", False)
     only_numbers: bool = option(
-        "Change only the numbers of a table of joints and add no columns; rows that are not ok keep theirs.", False
+        "Change only the numbers of a table of joints and add no columns; rows that are "
+        "not ok keep theirs.",
+        False,
     )
-    strict: bool = option("Fail (exit code 4) if any row is not ok; the table is written nevertheless.", False)
+    strict: bool = option(
+        "Fail (exit code 4) if any row is not ok; the table is written nevertheless.", False
+    )
     program: ProgramOptions = group("Programs of controllers")
 
 
@@ -189,12 +205,19 @@ def compensate(arguments: CompensateArguments) -> Exit:
     columns = _columns(calibrated, done, arguments)
     if arguments.only_numbers:
         if not table.has_joints:
-            raise click.UsageError("--only-numbers changes the numbers of joint columns; this table has none: leave it out")
+            raise click.UsageError(
+                "--only-numbers changes the numbers of joint columns; this table has "
+                "none: leave it out"
+            )
         kept = np.where(done.found.is_ok[:, None], done.found.q, robot.as_reported(done.seeds.q))
         columns = dict(zip(robot.joint_names, kept.T, strict=True))
     write_returned(arguments.out, table.cells, columns, robot.joint_names)
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
-    result = _result(robot, done, beyond, max_change=arguments.max_change) | place.contents | {"out": str(arguments.out)}
+    result = (
+        _result(robot, done, beyond, max_change=arguments.max_change)
+        | place.contents
+        | {"out": str(arguments.out)}
+    )
     result["turn"]["unreached"] = unreached_turns(calibrated, done)
     end_progress()
     if arguments.general.as_json:
@@ -206,17 +229,25 @@ def compensate(arguments: CompensateArguments) -> Exit:
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
 
 
-def _program(calibrated: CalibratedModel, arguments: CompensateArguments, language: ControllerLanguage) -> Exit:
+def _program(
+    calibrated: CalibratedModel, arguments: CompensateArguments, language: ControllerLanguage
+) -> Exit:
     """Correct a controller's program."""
     from pincal.cli.progress import end_progress
 
     seed = _seed(calibrated.model.chain.robot, None, arguments.seed_joints)
     limits = Allowed(seed, not arguments.ignore_limits, arguments.max_change)
-    result, changes = correct_file(calibrated, arguments.targets, arguments.out, language, arguments.program, limits)
+    result, changes = correct_file(
+        calibrated, arguments.targets, arguments.out, language, arguments.program, limits
+    )
     notes: list[str] = []
     if changes:
-        at = calibrated.conditions_at(np.array([change.commanded for change in changes]), payload=arguments.program.payload)
-        beyond, notes = extrapolation(calibrated, at, np.array([change.point.line for change in changes]))
+        at = calibrated.conditions_at(
+            np.array([change.commanded for change in changes]), payload=arguments.program.payload
+        )
+        beyond, notes = extrapolation(
+            calibrated, at, np.array([change.point.line for change in changes])
+        )
         result |= beyond
     end_progress()
     if arguments.general.as_json:
@@ -233,30 +264,41 @@ def _seed(robot: Robot, table: Targets | None, text: str | None) -> np.ndarray |
     if text is None:
         return None
     if table is not None and table.has_joints:
-        raise click.UsageError("--seed-joints is for tables without joint columns; this table has them: leave it out")
+        raise click.UsageError(
+            "--seed-joints is for tables without joint columns; this table has them: leave it out"
+        )
     words = re.split(r"[\s,;]+", text.strip())
     in_degrees = words[-1] == "deg"
     try:
         seed = np.array([plain_number(word) for word in words[: -1 if in_degrees else None]])
     except ValueError:
-        raise click.UsageError(f"--seed-joints {text!r}: expected {robot.n_joints} numbers, in rad (m) or deg") from None
+        raise click.UsageError(
+            f"--seed-joints {text!r}: expected {robot.n_joints} numbers, in rad (m) or deg"
+        ) from None
     if len(seed) != robot.n_joints or not np.isfinite(seed).all():
-        raise click.UsageError(f"--seed-joints {text!r}: {len(seed)} numbers; expected {robot.n_joints}, one per joint")
+        raise click.UsageError(
+            f"--seed-joints {text!r}: {len(seed)} numbers; expected {robot.n_joints}, one per joint"
+        )
     turns = np.array([kind != "prismatic" for kind in robot.joint_types])
     return np.where(turns & in_degrees, np.deg2rad(seed), seed)
 
 
-def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: CompensateArguments) -> dict[str, np.ndarray]:
+def _columns(
+    calibrated: CalibratedModel, done: CompensatedTable, arguments: CompensateArguments
+) -> dict[str, np.ndarray]:
     from pincal.compensate.returned_table import false_columns
     from pincal.compensate.robot_frames import false_targets as poses_to_give
 
-    rows, found = done.targets.rows, done.found
+    rows = done.targets.rows
+    found = done.found
     columns: dict[str, np.ndarray] = dict(zip(rows.joint_names, found.q.T, strict=True))
     if len(calibrated.model.chain.targets) > 1:
         columns["target"] = rows.target
     columns |= {name: column for name in _CONDITIONS if (column := getattr(rows, name)) is not None}
     if rows.approach is not None:
-        columns |= {f"approach_{name}": rows.approach[:, j] for j, name in enumerate(rows.joint_names)}
+        columns |= {
+            f"approach_{name}": rows.approach[:, j] for j, name in enumerate(rows.joint_names)
+        }
     columns |= columns_of_poses(found.wanted, with_orientation=done.orientation == "keep")
     columns["error_mm"] = 1e3 * found.error
     if done.orientation == "keep":
@@ -268,7 +310,8 @@ def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: Com
         columns |= {"large_change": large.astype(int)} if large.any() else {}
     columns["status"] = found.status
     if arguments.false_targets:
-        poses, targets = poses_to_give(calibrated, done.commanded, of=arguments.false_targets), done.targets
+        poses = poses_to_give(calibrated, done.commanded, of=arguments.false_targets)
+        targets = done.targets
         has_poses = targets.rows.position is not None and targets.cells.orientation is not None
         own = false_columns(targets.cells, poses) if has_poses else None
         named = columns_of_poses(poses, with_orientation=True)
@@ -276,11 +319,14 @@ def _columns(calibrated: CalibratedModel, done: CompensatedTable, arguments: Com
     return columns
 
 
-def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any], *, max_change: float) -> dict[str, Any]:
+def _result(
+    robot: Robot, done: CompensatedTable, beyond: dict[str, Any], *, max_change: float
+) -> dict[str, Any]:
     """Return the result for ``--json``."""
     from pincal.compensate.solve_ik import STATUSES
 
-    found, lines = done.found, done.targets.rows.rows
+    found = done.found
+    lines = done.targets.rows.rows
     left = [
         {
             "line": int(lines[i]),
@@ -290,14 +336,22 @@ def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any], *, max
         }
         for i in np.flatnonzero(~found.is_ok)
     ]
-    errors, change, large = {"commanded": _statistics(found.error)}, None, list[int]()
+    errors = {"commanded": _statistics(found.error)}
+    change = None
+    large = list[int]()
     if done.targets.has_joints:
         errors = {"seeds": _statistics(found.seed_error)} | errors
         moved = np.abs(done.change)
         large = [int(line) for line in lines[moved.max(axis=1) > max_change]]
         row, joint = np.unravel_index(np.argmax(moved), moved.shape)
-        name, unit = robot.joint_names[joint], robot.joint_units[joint]
-        change = {"joint": name, "line": int(lines[row]), "value": float(moved[row, joint]), "unit": unit}
+        name = robot.joint_names[joint]
+        unit = robot.joint_units[joint]
+        change = {
+            "joint": name,
+            "line": int(lines[row]),
+            "value": float(moved[row, joint]),
+            "unit": unit,
+        }
     return {
         "rows": len(lines),
         "frame": found.frame,
@@ -308,7 +362,10 @@ def _result(robot: Robot, done: CompensatedTable, beyond: dict[str, Any], *, max
         "max_change": max_change,
         "large_changes": large,
         "not_ok": left,
-        "turn": {"max_mrad": 1e3 * float(found.turn.max()), "line": int(lines[found.turn.argmax()])},
+        "turn": {
+            "max_mrad": 1e3 * float(found.turn.max()),
+            "line": int(lines[found.turn.argmax()]),
+        },
     } | beyond
 
 
@@ -322,13 +379,21 @@ def _summary(result: dict[str, Any]) -> Iterator[str]:
     for name, words in (("seeds", "joints as given"), ("commanded", "joints to command")):
         if name in result["error"]:
             error = result["error"][name]
-            yield f"  {words:18s} predicted error: mean {error['mean_mm']:8.4f} mm, max {error['max_mm']:8.4f} mm"
+            yield (
+                f"  {words:18s} predicted error: mean {error['mean_mm']:8.4f} mm, max "
+                f"{error['max_mm']:8.4f} mm"
+            )
     if result["change"]:
         change = result["change"]
         size = f"{1e3 * change['value']:.4g} m{change['unit']}"
         yield f"  largest change of a joint: {size} ({change['joint']}, line {change['line']})"
-    frame = {"instrument": "the instrument's frame", "base": "the robot's base frame"}[result["frame"]]
-    yield f"  uncertainty of the model at these joint positions: {result['sigma_mm']:.4f} mm rms in {frame}"
+    frame = {"instrument": "the instrument's frame", "base": "the robot's base frame"}[
+        result["frame"]
+    ]
+    yield (
+        f"  uncertainty of the model at these joint positions: {result['sigma_mm']:.4f} mm "
+        f"rms in {frame}"
+    )
     yield f"written to {result['out']}"
 
 
@@ -337,7 +402,8 @@ def _failures(result: dict[str, Any]) -> Iterator[str]:
     if large := result["large_changes"]:
         rows = f"{counted(len(large), 'row')} (line {few(large, _SHOWN)})"
         yield (
-            f"{rows}: a joint moves more than {np.rad2deg(result['max_change']):.3g} deg from its start; "
+            f"{rows}: a joint moves more than {np.rad2deg(result['max_change']):.3g} deg "
+            "from its start; "
             "marked in the column large_change, check them before the robot moves (--max-change)"
         )
     turn = result["turn"]

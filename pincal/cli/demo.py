@@ -1,8 +1,9 @@
-"""``pincal demo``: the life of the KUKA KR 125/2 of the paper, from calibration to a collision, on simulated measurements.
+"""``pincal demo``: the life of the KUKA KR 125/2 of the paper, from calibration to a collision, on
+simulated measurements.
 
-First the robot of Table I is calibrated. Then one of its gears has an error that the model lacks, and discovery finds it.
-With the model that was found a program is compensated. Last, the robot is hit, and ten poses show what changed; the model is
-re-identified.
+First the robot of Table I is calibrated. Then one of its gears has an error that the model lacks,
+and discovery finds it. With the model that was found a program is compensated. Last, the robot is
+hit, and ten poses show what changed; the model is re-identified.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ _JOINT = "joint_1"
 _HIDDEN_FOLDER = "hidden_effect"
 # The third act: poses of a program.
 _PROGRAM = 200
-# The fourth act: by how much a collision shifts the zero of a joint [rad], which one, and the number of poses measured then.
+# The fourth act: by how much a collision shifts the zero of a joint [rad], which one, and the
+# number of poses measured then.
 _HIT = 1e-3
 _HIT_JOINT = "joint_3"
 _HIT_ROWS = 10
@@ -73,11 +75,21 @@ def demo(arguments: DemoArguments) -> Exit:
     from pincal.simulate.paper_machine import PAYLOAD_COM, PaperMachine
     from pincal.simulate.typical import hidden_effect
 
-    robot, out, seed = Robot.from_urdf(kuka_urdf_path()), arguments.out, arguments.seed
-    bad = PaperMachine(effects=(hidden_effect("gear_eccentricity", joint=_JOINT, order=2, size=_SIZE),))
+    robot = Robot.from_urdf(kuka_urdf_path())
+    out = arguments.out
+    seed = arguments.seed
+    bad = PaperMachine(
+        effects=(hidden_effect("gear_eccentricity", joint=_JOINT, order=2, size=_SIZE),)
+    )
     folders = out, out / _HIDDEN_FOLDER, out / _HIT_FOLDER
-    with output_folder(folders[0]) as draft, output_folder(folders[1]) as second, output_folder(folders[2]) as fourth:
-        urdf, data, again = draft / "kuka_kr125_2.urdf", draft / "measurements.csv", second / "measurements.csv"
+    with (
+        output_folder(folders[0]) as draft,
+        output_folder(folders[1]) as second,
+        output_folder(folders[2]) as fourth,
+    ):
+        urdf = draft / "kuka_kr125_2.urdf"
+        data = draft / "measurements.csv"
+        again = second / "measurements.csv"
         urdf.write_bytes(kuka_urdf_path().read_bytes())
         table, _ = _measure(data, PaperMachine(), robot, rng=np.random.default_rng(seed))
         runs = {}
@@ -92,11 +104,20 @@ def demo(arguments: DemoArguments) -> Exit:
         write_json(second / "discovery.json", found.report)
         q = robot.random_configurations(_PROGRAM, np.random.default_rng([seed, 3]))
         missed = _compensate(second, found, q, machine=bad, tracker=tracker)
-        diagnosis = _collide(second / "model.json", fourth, robot, machine=bad, rng=np.random.default_rng([seed, 4]))
-        write_diagnosis(fourth, diagnosis, provenance([second / "model.json", fourth / "measurements.csv"], seed=seed))
+        diagnosis = _collide(
+            second / "model.json", fourth, robot, machine=bad, rng=np.random.default_rng([seed, 4])
+        )
+        write_diagnosis(
+            fourth,
+            diagnosis,
+            provenance([second / "model.json", fourth / "measurements.csv"], seed=seed),
+        )
     if arguments.general.as_json:
         results = {name: run.result.to_dict() for name, run in runs.items()}
-        print_json(results | {"discovery": found.report, "program_error_mm": missed, "diagnosis": diagnosis.report})
+        print_json(
+            results
+            | {"discovery": found.report, "program_error_mm": missed, "diagnosis": diagnosis.report}
+        )
     else:
         screen = console()
         _print_calibration(runs, screen)
@@ -108,11 +129,19 @@ def demo(arguments: DemoArguments) -> Exit:
 
 
 def _measure(
-    path: Path, machine: PaperMachine, robot: Robot, *, rng: np.random.Generator, rows: int = _ROWS, hit: float = 0.0
+    path: Path,
+    machine: PaperMachine,
+    robot: Robot,
+    *,
+    rng: np.random.Generator,
+    rows: int = _ROWS,
+    hit: float = 0.0,
 ) -> tuple[Measurements, Instrument]:
-    """Write and read again the readings of a tracker in a random pose, of a machine in random poses.
+    """Write and read again the readings of a tracker in a random pose, of a machine in random
+    poses.
 
-    After a collision by ``hit`` [rad], one joint stands further by this angle than its controller reports.
+    After a collision by ``hit`` [rad], one joint stands further by this angle than its controller
+    reports.
     """
     from scipy.spatial.transform import Rotation
 
@@ -120,7 +149,8 @@ def _measure(
     from pincal.simulate.instrument import Instrument
     from pincal.simulate.paper_machine import PAYLOAD_MASS
 
-    q, pose = robot.random_configurations(rows, rng), np.eye(4)
+    q = robot.random_configurations(rows, rng)
+    pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-4.0, 4.0, 3)
     tracker = Instrument(pose=pose, targets=_TOOL, sigma=_NOISE)
     shift = hit * np.array([name == _HIT_JOINT for name in robot.joint_names])
@@ -132,7 +162,9 @@ def _measure(
 def _compensate(
     folder: Path, found: Discovery, q: np.ndarray, *, machine: PaperMachine, tracker: Instrument
 ) -> dict[str, dict[str, float]]:
-    """Correct a program made with the nominal robot, run both on the machine, and return the errors [mm]."""
+    """Correct a program made with the nominal robot, run both on the machine, and return the errors
+    [mm].
+    """
     from pincal.calibration.calibrated_robot import load_model
     from pincal.compensate.compensation import compensate_poses
     from pincal.measure.table import write_table
@@ -140,12 +172,17 @@ def _compensate(
     from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
 
     # The program was made with the nominal robot, with base and tool fitted.
-    fit, program = found.calibration.fit, Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
+    fit = found.calibration.fit
+    program = Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
     wanted = fit.model.predict(fit.model.own(fit.nominal.values), program)
     corrected = compensate_poses(load_model(folder / "model.json"), wanted, program)
-    exact, position = replace(tracker, sigma=0.0), dict(zip("xyz", wanted[:, :, 3].T, strict=True))
+    exact = replace(tracker, sigma=0.0)
+    position = dict(zip("xyz", wanted[:, :, 3].T, strict=True))
     misses: dict[str, dict[str, float]] = {}
-    for name, file, joints in (("as programmed", "program.csv", q), ("corrected", "corrected.csv", corrected.q)):
+    for name, file, joints in (
+        ("as programmed", "program.csv", q),
+        ("corrected", "corrected.csv", corrected.q),
+    ):
         columns = dict(zip(fit.model.chain.robot.joint_names, joints.T, strict=True))
         write_table(folder / file, columns | position | {"payload": program.payload})
         reached = exact.measure(machine, joints, payload=program.payload)
@@ -155,25 +192,37 @@ def _compensate(
     return misses
 
 
-def _collide(model: Path, folder: Path, robot: Robot, *, machine: PaperMachine, rng: np.random.Generator) -> Diagnosis:
-    """Measure a few poses after a collision, with the tracker in a new pose, and diagnose the change."""
+def _collide(
+    model: Path, folder: Path, robot: Robot, *, machine: PaperMachine, rng: np.random.Generator
+) -> Diagnosis:
+    """Measure a few poses after a collision, with the tracker in a new pose, and diagnose the
+    change.
+    """
     from pincal.calibration.calibrated_robot import load_model
     from pincal.diagnosis.robot_diagnosis import diagnose
 
-    table, _ = _measure(folder / "measurements.csv", machine, robot, rng=rng, rows=_HIT_ROWS, hit=_HIT)
+    table, _ = _measure(
+        folder / "measurements.csv", machine, robot, rng=rng, rows=_HIT_ROWS, hit=_HIT
+    )
     return diagnose(load_model(model), table)
 
 
 def _deviations(runs: dict[str, Calibration]) -> dict[str, np.ndarray]:
-    """Return the deviations at unfitted poses [m], of the standard DH model and of each calibrated one (paper, Fig. 6)."""
+    """Return the deviations at unfitted poses [m], of the standard DH model and of each calibrated
+    one (paper, Fig. 6).
+    """
     first = runs["DH,s"]
-    models = {"standard DH": (first, "nominal")} | {name: (run, "calibrated") for name, run in runs.items()}
+    models = {"standard DH": (first, "nominal")} | {
+        name: (run, "calibrated") for name, run in runs.items()
+    }
     found = {name: _left_out(run, model) for name, (run, model) in models.items()}
     return {name: errors for name, errors in found.items() if errors is not None}
 
 
 def _left_out(run: Calibration, model: str) -> np.ndarray | None:
-    """Return the error of each pose by the fits without its region or stretch, the worse way [m]."""
+    """Return the error of each pose by the fits without its region or stretch, the
+    worse way [m].
+    """
     if run.validated is None:
         return None
     (errors,) = run.validated.of_model[model][run.validated.headline]
@@ -186,14 +235,26 @@ def _print_calibration(runs: dict[str, Calibration], screen: Console) -> None:
 
     result = runs["DH,s,e"].result
     screen.print(
-        f"The KUKA KR 125/2 of the paper (Table I), {_ROWS} poses measured by a simulated tracker,\n"
+        f"The KUKA KR 125/2 of the paper (Table I), {_ROWS} poses measured by a simulated "
+        "tracker,\n"
         f"{_NOISE * 1e3:g} mm of noise per coordinate, each predicted by a fit without its part:\n"
     )
     for name, deviations in _deviations(runs).items():
-        screen.print(f"  {name:12s} mean {deviations.mean() * 1e3:8.4f} mm   max {deviations.max() * 1e3:8.4f} mm")
-    screen.print("\n(standard DH: base and tool fitted; DH,s: geometry and axis distortions; DH,s,e: with elasticity)")
+        screen.print(
+            f"  {name:12s} mean {deviations.mean() * 1e3:8.4f} mm   max "
+            f"{deviations.max() * 1e3:8.4f} mm"
+        )
+    screen.print(
+        "\n(standard DH: base and tool fitted; DH,s: geometry and axis distortions; "
+        "DH,s,e: with elasticity)"
+    )
     statuses = (parameter.status for parameter in result.parameters)
-    words = rank_words(statuses, rank=result.rank, condition=result.condition, why="each with its reason in report.html")
+    words = rank_words(
+        statuses,
+        rank=result.rank,
+        condition=result.condition,
+        why="each with its reason in report.html",
+    )
     screen.print(one_line(words), markup=False)
     for note in result.warnings:
         screen.print(f"{note.severity}: {note}")
@@ -205,25 +266,42 @@ def _print_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
     size = f"{_SIZE * 1e3:g} mrad"
     screen.rule("A hidden effect")
     screen.print(
-        f"\nThe same robot, but a gear wheel of {_JOINT} is elliptical: the joint has an error of {size}, twice per "
-        f"revolution.\n{_ROWS} poses are measured again and calibrated with all of the above. The model does not include "
+        f"\nThe same robot, but a gear wheel of {_JOINT} is elliptical: the joint has an "
+        f"error of {size}, twice per "
+        f"revolution.\n{_ROWS} poses are measured again and calibrated with all of the "
+        "above. The model does not include "
         "the\nwheel, and the held-out error stays above the noise. What is missing, and where?\n"
     )
     print_brief(found.calibration, found, screen, more=str(folder / "report.html"))
     for entry in found.report["effects"]:
         if (entry["effect"], entry["joint"]) == ("gear_eccentricity", _JOINT):
-            amplitude = 1e3 * np.hypot(*(parameter["value"] for parameter in entry["parameters"].values()))
-            screen.print(f"\nSimulated: {size} at {_JOINT}, twice per revolution. Found: {amplitude:.4f} mrad.")
+            amplitude = 1e3 * np.hypot(
+                *(parameter["value"] for parameter in entry["parameters"].values())
+            )
+            screen.print(
+                f"\nSimulated: {size} at {_JOINT}, twice per revolution. Found: "
+                f"{amplitude:.4f} mrad."
+            )
 
 
 def _print_program(missed: dict[str, dict[str, float]], screen: Console) -> None:
     screen.rule("Compensation")
-    screen.print(f"\nA program of {_PROGRAM} other poses, written for the nominal robot, is run on this machine:\n")
-    for name, words in (("as programmed", "as programmed"), ("corrected", "corrected with this model")):
-        mean, largest = missed[name]["mean"], missed[name]["max"]
+    screen.print(
+        f"\nA program of {_PROGRAM} other poses, written for the nominal robot, is run on "
+        "this machine:\n"
+    )
+    for name, words in (
+        ("as programmed", "as programmed"),
+        ("corrected", "corrected with this model"),
+    ):
+        mean = missed[name]["mean"]
+        largest = missed[name]["max"]
         screen.print(f"  {words:28s} error: mean {mean:8.4f} mm, max {largest:8.4f} mm")
     if short := int(missed["corrected"]["out_of_reach"]):
-        screen.print(f"\n{short} of the poses are singular or out of reach, and are reached only approximately.")
+        screen.print(
+            f"\n{short} of the poses are singular or out of reach, and are reached only "
+            "approximately."
+        )
 
 
 def _print_collision(diagnosis: Diagnosis, screen: Console) -> None:
@@ -231,7 +309,8 @@ def _print_collision(diagnosis: Diagnosis, screen: Console) -> None:
 
     screen.rule("A collision")
     screen.print(
-        f"\nA collision shifts the zero of {_HIT_JOINT} by {_HIT * 1e3:g} mrad, and the tracker has been moved.\n"
+        f"\nA collision shifts the zero of {_HIT_JOINT} by {_HIT * 1e3:g} mrad, and the "
+        "tracker has been moved.\n"
         f"{_HIT_ROWS} poses are measured. Has the robot changed, and if so, how?\n"
     )
     for line in lines(diagnosis.found):
@@ -241,7 +320,9 @@ def _print_collision(diagnosis: Diagnosis, screen: Console) -> None:
 def _print_files(out: Path, screen: Console) -> None:
     from pincal.cli.fitting import VIEW
 
-    folder, hit, urdf = out / _HIDDEN_FOLDER, out / _HIT_FOLDER, out / "kuka_kr125_2.urdf"
+    folder = out / _HIDDEN_FOLDER
+    hit = out / _HIT_FOLDER
+    urdf = out / "kuka_kr125_2.urdf"
     screen.print("\nOpen", style="bold")
     for path, words in (
         (out / "report.html", "accuracy, where errors are, every parameter with its uncertainty"),

@@ -1,4 +1,6 @@
-"""``pincal export`` and ``view``: the calibrated model in other formats, and its deviations in three dimensions."""
+"""``pincal export`` and ``view``: the calibrated model in other formats, and its deviations in
+three dimensions.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,13 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import Output, argument, group, option, verb
-from pincal.cli.common import GeneralOptions, PlaceOptions, TableArguments, model_argument, station_option
+from pincal.cli.common import (
+    GeneralOptions,
+    PlaceOptions,
+    TableArguments,
+    model_argument,
+    station_option,
+)
 from pincal.cli.outputs import print_json
 from pincal.errors import BadInputError, Exit
 from pincal.units import plain_numbers
@@ -43,13 +51,21 @@ class ExportArguments:
     """Arguments of export."""
 
     model: Path = model_argument()
-    urdf: Path | None = option("Write the calibrated URDF.", metavar="FILE.urdf", type=Output(".urdf", ".xml"))
-    c: Path | None = option(
-        "Write C99 for a controller: one header, one source, no dependencies.", metavar="DIR", type=Output()
+    urdf: Path | None = option(
+        "Write the calibrated URDF.", metavar="FILE.urdf", type=Output(".urdf", ".xml")
     )
-    python: Path | None = option("Write a Python file that needs only NumPy.", metavar="FILE.py", type=Output(".py"))
+    c: Path | None = option(
+        "Write C99 for a controller: one header, one source, no dependencies.",
+        metavar="DIR",
+        type=Output(),
+    )
+    python: Path | None = option(
+        "Write a Python file that needs only NumPy.", metavar="FILE.py", type=Output(".py")
+    )
     page: Path | None = option(
-        "Write a page that corrects programs in any browser, offline.", metavar="FILE.html", type=Output(".html", ".htm")
+        "Write a page that corrects programs in any browser, offline.",
+        metavar="FILE.html",
+        type=Output(".html", ".htm"),
     )
     mjcf: Path | None = option(
         "Write a MuJoCo model: geometry, masses, and compliances as springs.",
@@ -57,19 +73,26 @@ class ExportArguments:
         type=Output(".xml", ".mjcf"),
     )
     ur_kinematics: Path | None = option(
-        "Write the kinematics yaml of ur_description (UR robots).", metavar="FILE.yaml", type=Output(".yaml", ".yml")
+        "Write the kinematics yaml of ur_description (UR robots).",
+        metavar="FILE.yaml",
+        type=Output(".yaml", ".yml"),
     )
     dh: Path | None = option(
-        "Write Denavit-Hartenberg parameters, standard and modified.", metavar="FILE.csv", type=Output(".csv")
+        "Write Denavit-Hartenberg parameters, standard and modified.",
+        metavar="FILE.csv",
+        type=Output(".csv"),
     )
     frames: Literal["kuka", "fanuc", "abb", "ur"] | None = option(
         "Print base and tool frames in the convention of a controller."
     )
     camera: Path | None = option(
-        "Write parameters and mount of the camera, for calibrate --camera.", metavar="FILE.json", type=Output(".json")
+        "Write parameters and mount of the camera, for calibrate --camera.",
+        metavar="FILE.json",
+        type=Output(".json"),
     )
     frame: Literal["instrument", "base"] = option(
-        "Frame of the poses in --c, --python and --page: the instrument's or the robot's base.", "instrument"
+        "Frame of the poses in --c, --python and --page: the instrument's or the robot's base.",
+        "instrument",
     )
     place: PlaceOptions = group("Placement of instrument and target")
     table: TableArguments = group("Table of --placement")
@@ -111,7 +134,11 @@ def export(arguments: ExportArguments) -> Exit:
         if path is None:
             lines.append(exported.text.rstrip())
         else:
-            also = "" if agrees is None else f"; its forward kinematics agree with the model to {agrees:.1e} m"
+            also = (
+                ""
+                if agrees is None
+                else f"; its forward kinematics agree with the model to {agrees:.1e} m"
+            )
             lines += [f"written to {path}{also}", *(f"note: {note}" for note in exported.notes)]
     if arguments.general.as_json:
         print_json(contents)
@@ -145,20 +172,34 @@ class ViewArguments:
     model: Path = model_argument()
     data: Path | None = argument("[DATA.csv]", "Measurements to show.", required=False)
     html_file: Path | None = option(
-        "Write one self-contained page, not served.", metavar="FILE.html", name="--html", type=Output(".html", ".htm")
+        "Write one self-contained page, not served.",
+        metavar="FILE.html",
+        name="--html",
+        type=Output(".html", ".htm"),
     )
     pose: str | None = option(
-        "Initial pose: a row of DATA, counted from 1, or joint positions [rad or m].", metavar='ROW|"q1,q2,.."'
+        "Initial pose: a row of DATA, counted from 1, or joint positions [rad or m].",
+        metavar='ROW|"q1,q2,.."',
     )
     scale: float | None = option("Arrow scale factor.", metavar="FACTOR", words="automatic")
-    axis_scale: float | None = option("Scale factor for tilts and offsets of axes.", metavar="FACTOR", words="automatic")
-    grid: int = option("Number of workspace points with an arrow.", 1000, type=click.IntRange(0, 100000))
+    axis_scale: float | None = option(
+        "Scale factor for tilts and offsets of axes.", metavar="FACTOR", words="automatic"
+    )
+    grid: int = option(
+        "Number of workspace points with an arrow.", 1000, type=click.IntRange(0, 100000)
+    )
     station: str | None = station_option(words="the first one")
-    holdout: Path | None = option("More measurements, marked as held out; all rows of DATA then count as fitted.")
-    meshes: tuple[Path, ...] = option("Another folder with the URDF's meshes and packages.", (), metavar="DIR")
+    holdout: Path | None = option(
+        "More measurements, marked as held out; all rows of DATA then count as fitted."
+    )
+    meshes: tuple[Path, ...] = option(
+        "Another folder with the URDF's meshes and packages.", (), metavar="DIR"
+    )
     port: int = option("Server port.", 0, type=click.IntRange(0, 65535), words="any free port")
     open_page: bool | None = option(
-        "Open the page in a browser.", name="--open/--no-open", words="only a served page, on a terminal"
+        "Open the page in a browser.",
+        name="--open/--no-open",
+        words="only a served page, on a terminal",
     )
     table: TableArguments = group("Tables")
     general: GeneralOptions = group("General")
@@ -172,7 +213,8 @@ def view(arguments: ViewArguments) -> Exit:
     """
     from pincal.viewer import show, write_html
 
-    scene, as_json = _scene(arguments), arguments.general.as_json
+    scene = _scene(arguments)
+    as_json = arguments.general.as_json
     if arguments.html_file is not None:
         size = write_html(arguments.html_file, scene)
         _print_scene(scene, {"html": str(arguments.html_file), "bytes": size}, as_json=as_json)
@@ -196,10 +238,14 @@ def _scene(arguments: ViewArguments) -> Scene:
     from pincal.measure.table import concatenate
     from pincal.viewer import build_scene, held_out_rows
 
-    stations, data, holdout = load_stations(arguments.model), arguments.data, arguments.holdout
+    stations = load_stations(arguments.model)
+    data = arguments.data
+    holdout = arguments.holdout
     calibrated = stations.at(stations.names[0] if arguments.station is None else arguments.station)
     robot = calibrated.model.chain.robot
-    table, held, notes = None, None, []
+    table = None
+    held = None
+    notes = []
     if data is not None:
         table = load_table(robot, data, options=arguments.table.options)
         if holdout is None:
@@ -208,7 +254,10 @@ def _scene(arguments: ViewArguments) -> Scene:
             notes.append(why)
     if holdout is not None:
         if table is None:
-            raise BadInputError(f"{holdout}: --holdout without DATA.csv; give the fitted table first, or only this one")
+            raise BadInputError(
+                f"{holdout}: --holdout without DATA.csv; give the fitted table first, or "
+                "only this one"
+            )
         more = load_table(robot, holdout, options=arguments.table.options)
         held = np.repeat([False, True], [len(table), len(more)])
         table = concatenate([table, more])
@@ -234,14 +283,21 @@ def _pose(text: str | None, table: Measurements | None) -> np.ndarray | None:
     words = text.replace(",", " ").split()
     values = np.array(plain_numbers(words))
     if not len(values):
-        raise BadInputError(f'--pose {text!r}; expected a row of DATA or joint positions such as "0, -1.2, 1.5"')
+        raise BadInputError(
+            f'--pose {text!r}; expected a row of DATA or joint positions such as "0, -1.2, 1.5"'
+        )
     if len(words) > 1 or not words[0].isdigit():
         return values
     if table is None:
-        raise BadInputError(f'--pose {text}: a row, but no DATA.csv is given; give it, or joint positions "q1,q2,.."')
+        raise BadInputError(
+            f"--pose {text}: a row, but no DATA.csv is given; give it, or joint positions "
+            '"q1,q2,.."'
+        )
     row = int(words[0])
     if not 1 <= row <= len(table):
-        raise BadInputError(f"--pose {row}: {table.source} has {len(table)} rows; expected 1 to {len(table)}")
+        raise BadInputError(
+            f"--pose {row}: {table.source} has {len(table)} rows; expected 1 to {len(table)}"
+        )
     return np.asarray(table.q[row - 1])
 
 
@@ -264,7 +320,10 @@ def _print_scene(scene: Scene, where: dict[str, Any], *, as_json: bool) -> None:
     for layer in layers:
         sizes = f"mean {layer['mean_mm']:.4f} mm, max {layer['max_mm']:.4f} mm"
         click.echo(f"{layer['name']:{width}}  {layer['arrows']:6d} arrows, {sizes}")
-    click.echo(f"arrows are enlarged {scene.scale:g} times, tilts and offsets of axes {scene.axis_scale:g} times")
+    click.echo(
+        f"arrows are enlarged {scene.scale:g} times, tilts and offsets of axes "
+        f"{scene.axis_scale:g} times"
+    )
     for note in scene.notes:
         click.echo(f"note: {note}")
     if "html" in where:

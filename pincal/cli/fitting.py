@@ -1,4 +1,6 @@
-"""``pincal calibrate`` and ``pincal discover``: from a URDF and tables to a calibrated model, and to missing effects."""
+"""``pincal calibrate`` and ``pincal discover``: from a URDF and tables to a calibrated model, and
+to missing effects.
+"""
 
 from __future__ import annotations
 
@@ -39,8 +41,12 @@ VIEW = "view3d.html"
 # Most stations with their own view: a page is about a megabyte.
 _MOST_VIEWS = 12
 # Times within which a cluster has to answer, and then to have a worker [s].
-_ANSWER, _WORKER = 5.0, 10.0
-_FILES = "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, residuals.csv and report.html"
+_ANSWER = 5.0
+_WORKER = 10.0
+_FILES = (
+    "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, "
+    "residuals.csv and report.html"
+)
 _EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
 _CALIBRATE_EXAMPLES = f"""
 Examples:
@@ -78,7 +84,9 @@ class FitArguments:
         words="anywhere within the joint limits",
     )
     accept_shift: bool = option(
-        "Exit with 0 even if readings shift at some row, as if instrument or target had been moved.", False
+        "Exit with 0 even if readings shift at some row, as if instrument or target had "
+        "been moved.",
+        False,
     )
     dask: str | None = option(
         "Run repeated fits, on subsamples or on all stations but one, on this Dask cluster.",
@@ -93,15 +101,18 @@ class DiscoverArguments(FitArguments):
     """Arguments of discover."""
 
     tried: tuple[str, ...] = option(
-        "Also try this effect, named as for --add: for a gear of known ratio or an encoder of known line count the cycles "
-        "per revolution, e.g. gear_ripple:joint_2:order=101. An effect of known order is detected at a smaller amplitude "
+        "Also try this effect, named as for --add: for a gear of known ratio or an "
+        "encoder of known line count the cycles "
+        "per revolution, e.g. gear_ripple:joint_2:order=101. An effect of known order is "
+        "detected at a smaller amplitude "
         "than one that is searched for.",
         (),
         metavar="EFFECT",
         name="--try",
     )
     stability: int = option(
-        "Number of subsamples of half of the poses on which the search is repeated, to count how often each effect "
+        "Number of subsamples of half of the poses on which the search is repeated, to "
+        "count how often each effect "
         "is found; 0 for none.",
         20,
         type=click.IntRange(min=0),
@@ -113,11 +124,14 @@ class DiscoverArguments(FitArguments):
 def calibrate_verb(arguments: FitArguments) -> Exit:
     """Calibrate a robot from a table of measured poses.
 
-    All rows are fitted; errors are stated by cross-validation, each pose predicted by a fit without it.
+    All rows are fitted; errors are stated by cross-validation, each pose predicted by a fit without
+    it.
     """
     from pincal.calibration.calibration import run_calibration
 
-    with workers(arguments.dask, repeats=arguments.split.split == "station", processes=False) as executor:
+    with workers(
+        arguments.dask, repeats=arguments.split.split == "station", processes=False
+    ) as executor:
         return _run_fit(arguments, partial(run_calibration, executor=executor))
 
 
@@ -125,7 +139,8 @@ def calibrate_verb(arguments: FitArguments) -> Exit:
 def discover(arguments: DiscoverArguments) -> Exit:
     """Identify the effects that the model lacks.
 
-    Reports where model and data disagree, which effects explain it, and how the error at unfitted poses shrinks.
+    Reports where model and data disagree, which effects explain it, and how the error at unfitted
+    poses shrinks.
     """
     from pincal.cli.inputs import named_effects
     from pincal.discover.run import run_discovery
@@ -142,11 +157,12 @@ def discover(arguments: DiscoverArguments) -> Exit:
 
 
 def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
-    """Run a calibration or a discovery on the files of the command line, write and print its result.
+    """Run a calibration or a discovery on the files of the command line, write and print its
+    result.
 
     Raises:
-        IdentificationError: if the fit did not converge, or instrument or target was touched between two rows; the files
-            are written nevertheless.
+        IdentificationError: if the fit did not converge, or instrument or target was touched
+            between two rows; the files are written nevertheless.
         AccuracyGateError: if the error exceeds the limit; files as above.
     """
     from msgspec import UNSET
@@ -158,17 +174,29 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
     from pincal.notes import doubts_first
     from pincal.report import plots  # noqa: F401  A missing matplotlib is reported here, not after the fit.
 
-    split, source = arguments.split, arguments.source
+    split = arguments.split
+    source = arguments.source
     with output_folder(arguments.out) as draft:
         prepared = prepare(source, arguments.chosen)
         held = split.holdout
         shared = replace(source.table.options, shares_log=True)
         holdout = None if held is None else load_tables(prepared.robot, [held], options=shared)
-        task = None if arguments.task is None else load_table(prepared.robot, arguments.task, joints_only=True)
-        choice = {"test_fraction": split.test_fraction, "split": split.split, "seed": split.seed, "holdout": holdout}
+        task = (
+            None
+            if arguments.task is None
+            else load_table(prepared.robot, arguments.task, joints_only=True)
+        )
+        choice = {
+            "test_fraction": split.test_fraction,
+            "split": split.split,
+            "seed": split.seed,
+            "holdout": holdout,
+        }
         options, members = _of_type(arguments.chosen.fit.type, prepared)
         found = run(prepared.robot, prepared.tables, options, **choice)
-        calibration, discovery = (found, None) if isinstance(found, Calibration) else (found.calibration, found)
+        calibration, discovery = (
+            (found, None) if isinstance(found, Calibration) else (found.calibration, found)
+        )
         log_step("writing the model")
         origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
         result = calibration.result
@@ -202,15 +230,20 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
     if result.doubt:
         raise IdentificationError(f"do not use: {result.doubt}")
     if result.shift and not arguments.accept_shift:
-        raise IdentificationError(f"{result.shift}. The files are written; --accept-shift accepts the result")
+        raise IdentificationError(
+            f"{result.shift}. The files are written; --accept-shift accepts the result"
+        )
     part = "test" if "test" in result.error["calibrated"] else "train"
     rows = {"test": "held-out", "train": "fitted"}[part]
-    require_accuracy(result.error["calibrated"][part].get("mean_mm"), arguments.max_error, rows=rows)
+    require_accuracy(
+        result.error["calibrated"][part].get("mean_mm"), arguments.max_error, rows=rows
+    )
     return Exit.DONE
 
 
 def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str, ...]]:
-    """Return the options with the prior of the robot's type, and a note on how the robot compares with it.
+    """Return the options with the prior of the robot's type, and a note on how the robot compares
+    with it.
 
     Where the robot differs from its type, the prior is wider.
     """
@@ -219,25 +252,42 @@ def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str,
     from pincal.fleet.robot_type import EVERYTHING, calibrate_of_type, load_type
     from pincal.model.effects import ELASTIC
 
-    of, effects = load_type(path), prepared.options.effects
+    of = load_type(path)
+    effects = prepared.options.effects
     # A model that lacks effects of the type would make its robots look unusual.
     whole = ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else ()
-    judging = replace(prepared.options, effects=(*effects, *(effect for effect in whole if effect not in effects)))
+    judging = replace(
+        prepared.options, effects=(*effects, *(effect for effect in whole if effect not in effects))
+    )
     _, member = calibrate_of_type(prepared.robot, prepared.tables, of, judging)
-    compared = f"compared with {counted(of.machines, 'robot')} of its type, p = {member.p_value:.2g}"
+    compared = (
+        f"compared with {counted(of.machines, 'robot')} of its type, p = {member.p_value:.2g}"
+    )
     if not member.is_usual:
-        prepared = replace(prepared, options=replace(prepared.options, earlier=of.prior_of(prepared.robot, effects, member)))
+        prepared = replace(
+            prepared,
+            options=replace(prepared.options, earlier=of.prior_of(prepared.robot, effects, member)),
+        )
     if not member.off:
         return prepared.options, (f"the robot agrees with the others ({compared})",)
-    where = "in more than one joint" if member.off == (EVERYTHING,) else f"in {' or '.join(member.off)}"
+    where = (
+        "in more than one joint" if member.off == (EVERYTHING,) else f"in {' or '.join(member.off)}"
+    )
     note = f"the robot differs from the others {where} ({compared}); its prior is wider there"
     return prepared.options, (note,)
 
 
 def write_results(
-    folder: Path, calibration: Calibration, origin: dict[str, Any], discovery: Discovery | None = None, *, view: bool = False
+    folder: Path,
+    calibration: Calibration,
+    origin: dict[str, Any],
+    discovery: Discovery | None = None,
+    *,
+    view: bool = False,
 ) -> tuple[str, ...]:
-    """Write all files of a calibration, or of a discovery, to a folder; return notes on what the URDF can't represent."""
+    """Write all files of a calibration, or of a discovery, to a folder; return notes on what the
+    URDF can't represent.
+    """
     from pincal.io.strict_json import write_json
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.report.html import report_page
@@ -254,52 +304,75 @@ def write_results(
     _write_residuals(folder / "residuals.csv", calibration)
     if view:
         _write_views(folder, calibration)
-    page = report_page(Subject(calibration, origin, export.notes, discovery, view=VIEW if view else None))
+    page = report_page(
+        Subject(calibration, origin, export.notes, discovery, view=VIEW if view else None)
+    )
     (folder / "report.html").write_text(page, encoding="utf-8")
     return tuple(export.notes)
 
 
 def _write_views(folder: Path, calibration: Calibration) -> None:
-    """Write the 3D view; of several stations, a page for each, the first one under the usual name."""
+    """Write the 3D view; of several stations, a page for each, the first one under the
+    usual name.
+    """
     from pincal.measure.table import concatenate
     from pincal.viewer import build_scene, write_html
 
     stations = calibration.stations[:_MOST_VIEWS]
-    names = [VIEW if k == 0 else f"{Path(VIEW).stem}-{rows.name}{Path(VIEW).suffix}" for k, rows in enumerate(stations)]
+    names = [
+        VIEW if k == 0 else f"{Path(VIEW).stem}-{rows.name}{Path(VIEW).suffix}"
+        for k, rows in enumerate(stations)
+    ]
     for rows, name in zip(stations, names, strict=True):
         table = concatenate([rows.train, rows.test]) if len(rows.test) else rows.train
         held = np.repeat([False, True], [len(rows.train), len(rows.test)])
         others = ", ".join(other for other in names if other != name)
         notes = [f"station {rows.name}; the others are in {others}"] if others else []
         model = calibration.fit.at(rows.name) if others else calibration.fit.robot_model()
-        write_html(folder / name.replace("/", "_"), build_scene(model, table, held_out=held).opening(notes=notes))
+        write_html(
+            folder / name.replace("/", "_"),
+            build_scene(model, table, held_out=held).opening(notes=notes),
+        )
 
 
 def _write_residuals(path: Path, calibration: Calibration) -> None:
-    """Write measured minus predicted readings of every row: before, after, and by a fit without the row's fold."""
+    """Write measured minus predicted readings of every row: before, after, and by a fit without the
+    row's fold.
+    """
     from pincal.measure.table import write_table
 
     parts = [part for k in range(len(calibration.stations)) for part in _residuals(calibration, k)]
     names = dict.fromkeys(name for part in parts for name in part)
     absent = [np.full(len(part["line"]), np.nan) for part in parts]
-    columns = {n: np.concatenate([part.get(n, none) for part, none in zip(parts, absent, strict=True)]) for n in names}
+    columns = {
+        n: np.concatenate([part.get(n, none) for part, none in zip(parts, absent, strict=True)])
+        for n in names
+    }
     write_table(path, columns)
 
 
 def _residuals(calibration: Calibration, k: int) -> Iterator[dict[str, np.ndarray]]:
-    """Yield the columns of residuals.csv for the fitted rows of the k-th station, and for those held out."""
+    """Yield the columns of residuals.csv for the fitted rows of the k-th station, and for those
+    held out.
+    """
     from pincal.calibration.result_tables import residuals_by_name
 
-    fit, rows = calibration.fit, calibration.stations[k]
+    fit = calibration.fit
+    rows = calibration.stations[k]
     _, places, _ = list(fit.stations)[k]
     for part, table in zip(("fitted", "held out"), rows.measured, strict=True):
         if not len(table):
             continue
-        problem, weights = fit.readings(table, station=fit.problem.stations[k].name), np.ones(len(table))
+        problem = fit.readings(table, station=fit.problem.stations[k].name)
+        weights = np.ones(len(table))
         if part == "fitted":
             weights = rows.by_row(fit.solution.weights[fit.problem.rows[k]])
         found = {"station": np.full(len(table), rows.name)} if len(calibration.stations) > 1 else {}
-        found |= {"line": table.rows, "rows": np.full(len(table), part), "outlier": (weights == 0.0).astype(int)}
+        found |= {
+            "line": table.rows,
+            "rows": np.full(len(table), part),
+            "outlier": (weights == 0.0).astype(int),
+        }
         for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
             found |= residuals_by_name(problem, model, problem.residuals(values[places]))
         validated = calibration.validated
@@ -312,8 +385,11 @@ def _residuals(calibration: Calibration, k: int) -> Iterator[dict[str, np.ndarra
 
 
 @contextmanager
-def workers(dask: str | None, *, repeats: bool, processes: bool = True) -> Iterator[Executor | None]:
-    """Yield the executor of a command's repeated work, None for the command itself; pending work ends with the context.
+def workers(
+    dask: str | None, *, repeats: bool, processes: bool = True
+) -> Iterator[Executor | None]:
+    """Yield the executor of a command's repeated work, None for the command itself; pending work
+    ends with the context.
 
     Args:
         dask: address of a Dask scheduler; default: this machine.
@@ -325,7 +401,8 @@ def workers(dask: str | None, *, repeats: bool, processes: bool = True) -> Itera
     """
     if dask is not None and not repeats:
         raise click.UsageError(
-            "--dask: there are no repeated fits to distribute; calibrate has them with --split station, discover unless "
+            "--dask: there are no repeated fits to distribute; calibrate has them with "
+            "--split station, discover unless "
             "--stability is 0"
         )
     with ExitStack() as stack:
@@ -342,7 +419,9 @@ def _connected(address: str, stack: ExitStack) -> Any:
     try:
         from distributed import Client
     except ImportError as error:
-        raise BadInputError("--dask needs Dask: run pip install 'pincal[cluster]', here and on the workers") from error
+        raise BadInputError(
+            "--dask needs Dask: run pip install 'pincal[cluster]', here and on the workers"
+        ) from error
     import asyncio
     from importlib.metadata import PackageNotFoundError, version
 
@@ -353,13 +432,16 @@ def _connected(address: str, stack: ExitStack) -> Any:
     except (OSError, ValueError) as error:
         why = str(error) or f"no answer within {_ANSWER:g} s"
         raise BadInputError(
-            f"--dask {address}: {why}; expected the address of a running Dask scheduler, such as tcp://10.0.0.5:8786"
+            f"--dask {address}: {why}; expected the address of a running Dask scheduler, "
+            "such as tcp://10.0.0.5:8786"
         ) from error
     client = stack.enter_context(Client(address, timeout=_ANSWER, set_as_default=False))
     try:
         client.wait_for_workers(1, timeout=_WORKER)
     except TimeoutError as error:
-        raise BadInputError(f"--dask {address}: the cluster has no workers; start some: dask worker {address}") from error
+        raise BadInputError(
+            f"--dask {address}: the cluster has no workers; start some: dask worker {address}"
+        ) from error
     try:
         there = client.run(version, "pincal")
     except PackageNotFoundError as error:
@@ -368,13 +450,16 @@ def _connected(address: str, stack: ExitStack) -> Any:
         ) from error
     if others := {found for found in there.values()} - {version("pincal")}:
         raise BadInputError(
-            f"--dask {address}: its workers have pincal {', '.join(sorted(others))}; expected {version('pincal')}, as here"
+            f"--dask {address}: its workers have pincal {', '.join(sorted(others))}; "
+            f"expected {version('pincal')}, as here"
         )
     return client
 
 
 async def _identity(address: str) -> dict[str, Any]:
-    """Ask what listens there. A client would wait for ever for an answer if it is not a scheduler, but a dashboard, say."""
+    """Ask what listens there. A client would wait for ever for an answer if it is not a scheduler,
+    but a dashboard, say.
+    """
     from distributed.core import rpc
     from distributed.security import Security
 

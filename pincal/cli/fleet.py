@@ -1,4 +1,6 @@
-"""``pincal fleet learn`` and ``check``: a type learned from its machines, and changes of machines."""
+"""``pincal fleet learn`` and ``check``: a type learned from its machines, and changes
+of machines.
+"""
 
 from __future__ import annotations
 
@@ -44,24 +46,34 @@ class LearnArguments:
 
     machines: tuple[str, ...] = argument(
         "MODEL.json...",
-        "Calibrated models, files of information (.json), files of another site (.parquet), or a store. A machine is named "
+        "Calibrated models, files of information (.json), files of another site "
+        "(.parquet), or a store. A machine is named "
         "after its file, or after the folder of a model.json.",
     )
     out: Path = option("The type.", MISSING, metavar="TYPE.json", type=Output(".json"))
-    report: Path | None = option("Also write a page with pictures.", metavar="PAGE.html", type=Output(".html"))
+    report: Path | None = option(
+        "Also write a page with pictures.", metavar="PAGE.html", type=Output(".html")
+    )
     share: Path | None = option(
-        "Also write the information of each machine, without names, poses and times, for another site to include in its "
+        "Also write the information of each machine, without names, poses and times, for "
+        "another site to include in its "
         "type.",
         metavar="SITE.parquet",
         type=Output(".parquet"),
     )
     robot: str | None = option(
-        "URDF of the arm, to state differences as motion of the tool.", metavar="URDF", words="that of the first model.json"
+        "URDF of the arm, to state differences as motion of the tool.",
+        metavar="URDF",
+        words="that of the first model.json",
     )
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
-    error: float | None = option("Predict the number of poses for this accuracy of a further machine.", type=LENGTH)
-    noise: float = option("Noise of one coordinate for a further machine.", 5e-5, type=LENGTH, words="0.05mm")
+    error: float | None = option(
+        "Predict the number of poses for this accuracy of a further machine.", type=LENGTH
+    )
+    noise: float = option(
+        "Noise of one coordinate for a further machine.", 5e-5, type=LENGTH, words="0.05mm"
+    )
     verbose: bool = verbose_option()
     general: GeneralOptions = group("General")
 
@@ -70,8 +82,9 @@ class LearnArguments:
 def fleet_learn(arguments: LearnArguments) -> Exit:
     """Learn a type of robot from its machines.
 
-    Prints how much machines differ, how far the data sheet is off, which machines do not belong, and how many poses a
-    further one needs. The type is then prior knowledge for calibrate, discover, check and design (--type).
+    Prints how much machines differ, how far the data sheet is off, which machines do not belong,
+    and how many poses a further one needs. The type is then prior knowledge for calibrate,
+    discover, check and design (--type).
     """
     from pincal.atomic import write_atomic
     from pincal.fleet import summary
@@ -83,12 +96,16 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     machines, model = _machines(arguments.machines)
     learned = learn_type(machines)
     of = learned.type
-    robot, effects = None, GEOMETRIC
+    robot = None
+    effects = GEOMETRIC
     if model is not None:
-        robot, effects = model.model.chain.robot, tuple(effect for effect in model.model.effects if effect.scope == "robot")
+        robot = model.model.chain.robot
+        effects = tuple(effect for effect in model.model.effects if effect.scope == "robot")
     if arguments.robot is not None:
         robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
-        effects = ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else GEOMETRIC
+        effects = (
+            ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else GEOMETRIC
+        )
     at = None if robot is None else summary.at_tool(of, robot, effects, noise=arguments.noise)
     origin = provenance([Path(text) for text in arguments.machines])
     of.save(arguments.out, provenance=origin)
@@ -114,8 +131,13 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     if at is not None:
         out.print(summary.poses_summary(at))
     else:
-        click.echo("note: to express this as motion of the tool, the arm must be known: give a model.json, or --robot URDF")
-    written = [str(path) for path in (arguments.out, arguments.share, arguments.report) if path is not None]
+        click.echo(
+            "note: to express this as motion of the tool, the arm must be known: give a "
+            "model.json, or --robot URDF"
+        )
+    written = [
+        str(path) for path in (arguments.out, arguments.share, arguments.report) if path is not None
+    ]
     click.echo(f"written to {' '.join(written)}")
     return Exit.DONE
 
@@ -132,7 +154,9 @@ def _machines(texts: Sequence[str]) -> tuple[list[Machine], CalibratedModel | No
     from pincal.fleet.store import open_store
     from pincal.io.strict_json import MODEL_FILE, read_bounded
 
-    names, found, first = machine_names([text for text in texts if text.lower().endswith(".json")]), list[Machine](), None
+    names = machine_names([text for text in texts if text.lower().endswith(".json")])
+    found = list[Machine]()
+    first = None
     for text in texts:
         if "://" in text or Path(text).is_dir():
             store = open_store(text)
@@ -143,8 +167,12 @@ def _machines(texts: Sequence[str]) -> tuple[list[Machine], CalibratedModel | No
         else:
             model = load_stations(text).robot_model()
             if model.information is None:
-                raise BadInputError(f"{text}: written by a version that stored no information matrix; calibrate again")
-            found, first = [*found, Machine(names[text], model.information)], first or model
+                raise BadInputError(
+                    f"{text}: written by a version that stored no information matrix; "
+                    "calibrate again"
+                )
+            found = [*found, Machine(names[text], model.information)]
+            first = first or model
     return found, first
 
 
@@ -154,7 +182,9 @@ class FleetCheckArguments:
 
     type: Path = argument("TYPE.json", "The type, as written by fleet learn.")
     store: str = store_argument()
-    report: Path | None = option("Also write a page: what to look at first.", metavar="PAGE.html", type=Output(".html"))
+    report: Path | None = option(
+        "Also write a page: what to look at first.", metavar="PAGE.html", type=Output(".html")
+    )
     alpha: float = option("Largest fraction of alarms that may be false, in the long run.", 0.05)
     every: int = option("Days per round of checks.", 7, metavar="N", type=click.IntRange(min=1))
     general: GeneralOptions = group("General")
@@ -164,8 +194,9 @@ class FleetCheckArguments:
 def fleet_check(arguments: FleetCheckArguments) -> Exit:
     """Find which machines of a store have changed, what changed, and since when.
 
-    Option --alpha bounds the fraction of false alarms, however many machines there are and however long they are
-    monitored. A change that machines with the same label share is reported as a drift of that group.
+    Option --alpha bounds the fraction of false alarms, however many machines there are and however
+    long they are monitored. A change that machines with the same label share is reported as a drift
+    of that group.
     """
     from pincal.atomic import write_atomic
     from pincal.fleet import summary
@@ -174,7 +205,8 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
     from pincal.fleet.robot_type import load_type
     from pincal.fleet.store import open_store
 
-    of, store = load_type(arguments.type), open_store(arguments.store)
+    of = load_type(arguments.type)
+    store = open_store(arguments.store)
     visits = sorted(visits_of(store), key=lambda visit: visit.day)
     begun = {visit.machine: visit.day for visit in reversed(visits) if visit.is_calibration}
     known = [visit for visit in visits if begun.get(visit.machine, "9999") <= visit.day]
@@ -183,7 +215,9 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
         from pincal.report.fleet_pages import fleet_page
 
         version = provenance([])["pincal"]
-        write_atomic(arguments.report, fleet_page(of, found, alpha=arguments.alpha, version=version))
+        write_atomic(
+            arguments.report, fleet_page(of, found, alpha=arguments.alpha, version=version)
+        )
     if arguments.general.as_json:
         print_json(summary.plain_history(found))
     else:
@@ -196,11 +230,14 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
         if found.checks:
             console().print(summary.look_first(found))
         if strangers := sorted({visit.machine for visit in visits} - begun.keys()):
-            names = ", ".join(strangers[:_PARAMETERS]) + (" and others" if len(strangers) > _PARAMETERS else "")
+            names = ", ".join(strangers[:_PARAMETERS]) + (
+                " and others" if len(strangers) > _PARAMETERS else ""
+            )
             click.echo(f"note: ignored: checks of {names}, which have no calibration")
         if left := len(without_information(store)):
             click.echo(
-                f"note: {counted(left, 'table')} of the store not calibrated yet: pincal fleet calibrate ROBOT.urdf "
+                f"note: {counted(left, 'table')} of the store not calibrated yet: pincal "
+                "fleet calibrate ROBOT.urdf "
                 f"{arguments.store} --type {arguments.type}"
             )
         if arguments.report is not None:
@@ -210,7 +247,11 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
 
 VERBS["fleet"] = click.Group(
     "fleet",
-    commands={name.removeprefix("fleet_"): command for name, command in VERBS.items() if name.startswith("fleet_")},
+    commands={
+        name.removeprefix("fleet_"): command
+        for name, command in VERBS.items()
+        if name.startswith("fleet_")
+    },
     help="Learn from many robots of a type, and monitor them.",
     context_settings={"help_option_names": ["-h", "--help"]},
 )

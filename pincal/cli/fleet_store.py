@@ -1,4 +1,6 @@
-"""``pincal fleet add``, ``calibrate``, ``discover`` and ``diagnose``: a store of measurements, and work on all of it."""
+"""``pincal fleet add``, ``calibrate``, ``discover`` and ``diagnose``: a store of measurements, and
+work on all of it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ from typing import TYPE_CHECKING
 import click
 
 from pincal.cli.arguments import argument, group, option, pair, verb
-from pincal.cli.common import GeneralOptions, ModelOptions, TableArguments, base_option, robot_argument, tip_option
+from pincal.cli.common import (
+    GeneralOptions,
+    ModelOptions,
+    TableArguments,
+    base_option,
+    robot_argument,
+    tip_option,
+)
 from pincal.cli.fitting import workers
 from pincal.cli.outputs import echo_notes, print_json
 from pincal.cli.quantities import ANGLE, LENGTH
@@ -54,11 +63,18 @@ store_argument = partial(argument, "STORE", "Folder or URL of the store.")
 
 
 def machine_names(texts: Iterable[str]) -> dict[str, str]:
-    """Return names of machines by file: its stem, or its folder's; the whole path if these are ambiguous."""
+    """Return names of machines by file: its stem, or its folder's; the whole path if these are
+    ambiguous.
+    """
     paths = {text: Path(text) for text in texts}
-    own = {text: path.absolute().parent.name if path.stem in _GENERIC else path.stem for text, path in paths.items()}
+    own = {
+        text: path.absolute().parent.name if path.stem in _GENERIC else path.stem
+        for text, path in paths.items()
+    }
     count = Counter(own.values())
-    return {text: name if count[name] == 1 else paths[text].as_posix() for text, name in own.items()}
+    return {
+        text: name if count[name] == 1 else paths[text].as_posix() for text, name in own.items()
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,14 +82,22 @@ class AddArguments:
     """Arguments of fleet add."""
 
     store: str = store_argument()
-    files: tuple[Path, ...] = argument("FILE...", "Calibrated models, diagnoses (.json), or tables of measurements.")
-    machine: str | None = option("Name of the machine.", metavar="NAME", words="of the file, or its folder")
+    files: tuple[Path, ...] = argument(
+        "FILE...", "Calibrated models, diagnoses (.json), or tables of measurements."
+    )
+    machine: str | None = option(
+        "Name of the machine.", metavar="NAME", words="of the file, or its folder"
+    )
     day: str | None = option("Day of the measurement.", metavar="YYYY-MM-DD", words="today")
     check: bool = option("Add tables as checks of machines that are calibrated already.", False)
     label: tuple[str, ...] = option(
-        "Property that machines share which may drift together: a supplier, a batch, a hall.", (), metavar="KEY=VALUE"
+        "Property that machines share which may drift together: a supplier, a batch, a hall.",
+        (),
+        metavar="KEY=VALUE",
     )
-    robot: str | None = option("URDF of the arm, for tables.", metavar="URDF", words="that of a model in the store")
+    robot: str | None = option(
+        "URDF of the arm, for tables.", metavar="URDF", words="that of a model in the store"
+    )
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
     table: TableArguments = group("Tables")
@@ -97,19 +121,27 @@ def fleet_add(arguments: AddArguments) -> Exit:
     labels = dict(pair(text, "KEY=VALUE, such as hall=north") for text in arguments.label)
     names = machine_names([str(path) for path in arguments.files])
     # Everything is read before anything is written.
-    adding, robot = list[Callable[[Store], object]](), None
+    adding = list[Callable[[Store], object]]()
+    robot = None
     kinds = list[str]()
     for path in arguments.files:
-        machine = named_machine(names[str(path)] if arguments.machine is None else arguments.machine)
+        machine = named_machine(
+            names[str(path)] if arguments.machine is None else arguments.machine
+        )
         if path.suffix.lower() == ".json":
             is_diagnosis = b'"excluded"' in read_bounded(path, MODEL_FILE)
             (load_diagnosis if is_diagnosis else load_stations)(path)
             kinds.append("diagnosis" if is_diagnosis else "model")
-            add: Callable[..., object] = add_diagnosis if is_diagnosis else partial(add_model, labels=labels)
+            add: Callable[..., object] = (
+                add_diagnosis if is_diagnosis else partial(add_model, labels=labels)
+            )
             adding.append(partial(add, machine=machine, day=day, path=path))
             continue
         if path.is_dir():
-            raise BadInputError(f"{path}: a folder, such as a session in motion; calibrate it and add its model.json")
+            raise BadInputError(
+                f"{path}: a folder, such as a session in motion; calibrate it and add its "
+                "model.json"
+            )
         if robot is None and arguments.robot is not None:
             robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
         elif robot is None:
@@ -118,13 +150,18 @@ def fleet_add(arguments: AddArguments) -> Exit:
                 known = last_model(open_store(arguments.store))
             if known is None:
                 raise BadInputError(
-                    f"{path}: the store has no model, so it is unknown which columns are joints; give --robot URDF"
+                    f"{path}: the store has no model, so it is unknown which columns are "
+                    "joints; give --robot URDF"
                 )
             robot = known.model.chain.robot
         table = load_table(robot, path, options=arguments.table.options)
         kinds.append(CHECK if arguments.check else "table")
         role = CHECK if arguments.check else CALIBRATION
-        adding.append(partial(Store.add_table, machine=machine, day=day, table=table, role=role, labels=labels))
+        adding.append(
+            partial(
+                Store.add_table, machine=machine, day=day, table=table, role=role, labels=labels
+            )
+        )
     store = open_store(arguments.store, create=True)
     without = [add(store) for add in adding].count(False)
     if arguments.general.as_json:
@@ -133,7 +170,10 @@ def fleet_add(arguments: AddArguments) -> Exit:
         found = ", ".join(counted(count, kind) for kind, count in Counter(kinds).items())
         click.echo(f"added to {arguments.store}: {found} of {day}")
     if without:
-        words = f"{counted(without, 'model')} of a version that stored no information matrix: calibrate again"
+        words = (
+            f"{counted(without, 'model')} of a version that stored no information matrix: "
+            "calibrate again"
+        )
         echo_notes([words], quiet=arguments.general.quiet)
     return Exit.DONE
 
@@ -144,8 +184,12 @@ class _TablesArguments:
 
     robot: str = robot_argument()
     store: str = store_argument()
-    noise: float | None = option("Noise of one position coordinate.", type=LENGTH, words="estimated for each table")
-    noise_angle: float | None = option("Noise of one orientation component.", type=ANGLE, words="estimated for each table")
+    noise: float | None = option(
+        "Noise of one position coordinate.", type=LENGTH, words="estimated for each table"
+    )
+    noise_angle: float | None = option(
+        "Noise of one orientation component.", type=ANGLE, words="estimated for each table"
+    )
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
     dask: str | None = option(_dask, metavar="ADDRESS", words="this machine, all its cores")
@@ -158,7 +202,8 @@ class FitTablesArguments(_TablesArguments):
     """Arguments of fleet calibrate."""
 
     type: Path | None = option(
-        "Prior knowledge of machines of this type; checks are then also calibrated.", metavar="TYPE.json"
+        "Prior knowledge of machines of this type; checks are then also calibrated.",
+        metavar="TYPE.json",
     )
 
 
@@ -186,7 +231,9 @@ def fleet_calibrate(arguments: FitTablesArguments) -> Exit:
     if of is not None:
         of.prior_of(robot, options.effects)
     job = CalibrateTables(robot, options, of, role=CALIBRATION if of is None else None)
-    return _run(store, job, without_information(store), arguments.dask, arguments.general, done="calibrated")
+    return _run(
+        store, job, without_information(store), arguments.dask, arguments.general, done="calibrated"
+    )
 
 
 @verb(_TablesArguments, examples=_JOB_EXAMPLES.format("discover robot.urdf", "discoveries"))
@@ -197,7 +244,14 @@ def fleet_discover(arguments: _TablesArguments) -> Exit:
 
     store = open_store(arguments.store)
     job = DiscoverTables(*_fitted_with(arguments))
-    return _run(store, job, store.keys(TABLES), arguments.dask, arguments.general, done="searched for missing effects")
+    return _run(
+        store,
+        job,
+        store.keys(TABLES),
+        arguments.dask,
+        arguments.general,
+        done="searched for missing effects",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,7 +259,9 @@ class DiagnoseTablesArguments:
     """Arguments of fleet diagnose."""
 
     store: str = store_argument()
-    noise: float | None = option("Noise of one coordinate.", type=LENGTH, words="that of the calibration")
+    noise: float | None = option(
+        "Noise of one coordinate.", type=LENGTH, words="that of the calibration"
+    )
     alpha: float = option("Probability of a false alarm, for each table.", 0.01)
     dask: str | None = option(_dask, metavar="ADDRESS", words="this machine, all its cores")
     general: GeneralOptions = group("General")
@@ -225,7 +281,15 @@ def fleet_diagnose(arguments: DiagnoseTablesArguments) -> Exit:
     return _run(store, job, store.keys(TABLES), arguments.dask, arguments.general, done="diagnosed")
 
 
-def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, general: GeneralOptions, *, done: str) -> Exit:
+def _run(
+    store: Store,
+    job: Job,
+    tables: Sequence[Key],
+    dask: str | None,
+    general: GeneralOptions,
+    *,
+    done: str,
+) -> Exit:
     """Do a job for tables of a store and print its result.
 
     Raises:
@@ -239,7 +303,11 @@ def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, genera
         found = run_job(store, job, tables=tables, executor=executor)
     good = found.done - len(found.failed)
     if general.as_json:
-        counts = {"done": good, "before": before + found.before, "failed_before": found.failed_before}
+        counts = {
+            "done": good,
+            "before": before + found.before,
+            "failed_before": found.failed_before,
+        }
         print_json({"job": job.name, **counts, "failed": found.failed})
     else:
         words = f"; {before} done before" if (before := before + found.before) else ""
@@ -247,10 +315,18 @@ def _run(store: Store, job: Job, tables: Sequence[Key], dask: str | None, genera
         for path, reason in list(found.failed.items())[:_FAILURES]:
             click.echo(f"failed: {path}: {reason}")
         if len(found.failed) > _FAILURES:
-            click.echo(f"failed: {len(found.failed) - _FAILURES} more, see the column failure of {job.kind} in the store")
+            click.echo(
+                f"failed: {len(found.failed) - _FAILURES} more, see the column failure of "
+                f"{job.kind} in the store"
+            )
         if found.failed_before:
-            click.echo(f"{found.failed_before} failed before, not tried again: see the column failure of {job.kind}")
+            click.echo(
+                f"{found.failed_before} failed before, not tried again: see the column "
+                f"failure of {job.kind}"
+            )
     if found.failed and not good:
         all_of_them = counted(found.done, "table")
-        raise BadInputError(f"{store.place}: none of {all_of_them} could be processed; the reasons are in the store")
+        raise BadInputError(
+            f"{store.place}: none of {all_of_them} could be processed; the reasons are in the store"
+        )
     return Exit.DONE

@@ -1,4 +1,6 @@
-"""From files and typed arguments of the command line to the library's objects: tables, options, models with placement."""
+"""From files and typed arguments of the command line to the library's objects: tables, options,
+models with placement.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,13 @@ from pincal.calibration.calibrated_robot import load_stations
 from pincal.calibration.located import located
 from pincal.calibration.placing import place_station, without_absent
 from pincal.calibration.validation import doubt_of
-from pincal.cli.common import CalibrationOptions, InputOptions, LinkOptions, PlaceOptions, SetupOptions
+from pincal.cli.common import (
+    CalibrationOptions,
+    InputOptions,
+    LinkOptions,
+    PlaceOptions,
+    SetupOptions,
+)
 from pincal.cli.motion_options import MotionOptions, input_files, load_sessions
 from pincal.cli.progress import log_step
 from pincal.errors import BadInputError, ChangedRobotError, nearest_first
@@ -68,7 +76,10 @@ class Prepared:
             BadInputError: if there are several.
         """
         if len(self.tables) > 1:
-            raise BadInputError(f"there are several stations: {', '.join(self.tables)}; expected one: give one table")
+            raise BadInputError(
+                f"there are several stations: {', '.join(self.tables)}; expected one: "
+                "give one table"
+            )
         return next(iter(self.tables.values()))
 
 
@@ -80,11 +91,23 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     """
     source.motion.check(source.table.joints, source.data)
     log_step("reading robot and tables")
-    unplaced = replace(source, beside=tuple(replace(of, place=of.place or NOWHERE) for of in source.beside))
+    unplaced = replace(
+        source, beside=tuple(replace(of, place=of.place or NOWHERE) for of in source.beside)
+    )
     robot = load_robot(unplaced)
-    tables = load_tables(robot, source.data, options=source.table.options, links=source.links, motion=source.motion)
-    setup, motion = chosen.setup, source.motion
-    others = (source.table.joints, motion.imu, motion.tracker, setup.points, setup.distances, setup.camera)
+    tables = load_tables(
+        robot, source.data, options=source.table.options, links=source.links, motion=source.motion
+    )
+    setup = chosen.setup
+    motion = source.motion
+    others = (
+        source.table.joints,
+        motion.imu,
+        motion.tracker,
+        setup.points,
+        setup.distances,
+        setup.camera,
+    )
     given = [path for path in others if path is not None]
     options = options_of(chosen, tables)
     if unplaced.beside != source.beside:
@@ -92,9 +115,16 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     effects = named_effects(chosen.fit.add, options, robot=robot, tables=tables)
     options = replace(options, effects=(*options.effects, *effects))
     if chosen.fit.type is not None:
-        options = replace(options, earlier=load_type(chosen.fit.type).prior_of(robot, options.effects))
+        options = replace(
+            options, earlier=load_type(chosen.fit.type).prior_of(robot, options.effects)
+        )
         given.append(chosen.fit.type)
-    return Prepared(robot, tables, options, (*input_files(source.data), *given, *robot_files(robot.source, source.beside)))
+    return Prepared(
+        robot,
+        tables,
+        options,
+        (*input_files(source.data), *given, *robot_files(robot.source, source.beside)),
+    )
 
 
 def named_effects(
@@ -120,7 +150,9 @@ def load_robot(source: InputOptions) -> Robot:
 
 
 def as_stated(robot: Robot, *, signs: Sequence[str], couplings: Sequence[str]) -> Robot:
-    """Return the robot with the signs and couplings of reported positions that the command line states."""
+    """Return the robot with the signs and couplings of reported positions that the command line
+    states.
+    """
     robot = remastered(robot, turned=signs) if signs else robot
     return robot.with_couplings(*couplings) if couplings else robot
 
@@ -129,36 +161,64 @@ def _described(source: InputOptions) -> Robot:
     """Return the robot of the URDF: the joints between the links of the tables."""
     tree = read_cell(source.robot, source.beside, xacro_args=dict(source.xacro_args))
     known = {joint.name for joint in tree.joints}
-    tip, start = source.tip or source.links.to, source.links.start
-    paths, recorded = list[tuple[str | None, str | None]](), dict[str, None]()
+    tip = source.tip or source.links.to
+    start = source.links.start
+    paths = list[tuple[str | None, str | None]]()
+    recorded = dict[str, None]()
     given = {name: (start, tip) for name, start, tip in source.links.stations}
     joints: dict[Path, tuple[str, ...]] = {}
-    reading, files = source.table.options, [*source.data]
+    reading = source.table.options
+    files = [*source.data]
     if source.motion.are_given and reading.joints is not None:
-        files, reading = [*files, Path(reading.joints)], replace(reading, joints=None)
+        files = [*files, Path(reading.joints)]
+        reading = replace(reading, joints=None)
     for path in files:
         session = joints_of_session(path)
         is_log = session is not None or path not in source.data
-        pairs = [given[path.stem]] if path.stem in given else [(None, None)] if is_log else links_of_rows(path, reading)
-        above = [joint for _, last in pairs for joint in (tree.above(last or tip or "") if last or tip else ())]
+        pairs = (
+            [given[path.stem]]
+            if path.stem in given
+            else [(None, None)]
+            if is_log
+            else links_of_rows(path, reading)
+        )
+        above = [
+            joint
+            for _, last in pairs
+            for joint in (tree.above(last or tip or "") if last or tip else ())
+        ]
         way = [joint.name for joint in above if joint.kind in MOVING_TYPES]
         joints[path] = joint_columns(session or path, known, of_path(session or path, way, reading))
         recorded |= dict.fromkeys(joints[path])
         # By default, the end of the chain whose joints are columns of the table.
-        ends = [(first or start, last or tip or tree.default_tip(joints[path] or None)) for first, last in pairs]
+        ends = [
+            (first or start, last or tip or tree.default_tip(joints[path] or None))
+            for first, last in pairs
+        ]
         paths += [pair for pair in ends if pair not in paths]
     paths += [pair for pair in given.values() if pair not in paths]
-    for option, link, named in (("--from", start, [pair[0] for pair in paths]), ("--to", tip, [pair[1] for pair in paths])):
+    for option, link, named in (
+        ("--from", start, [pair[0] for pair in paths]),
+        ("--to", tip, [pair[1] for pair in paths]),
+    ):
         if link is not None and link not in named:
-            raise BadInputError(f"{option} {link}, but the rows have {', '.join(map(str, named))}; leave one of them out")
+            raise BadInputError(
+                f"{option} {link}, but the rows have {', '.join(map(str, named))}; leave "
+                "one of them out"
+            )
     (start, tip), *others = paths
     movable = [joint.name for joint in tree.joints if joint.kind in MOVING_TYPES]
     rested = [name for name, _ in source.links.rest]
     if unknown := [name for name in rested if name not in movable]:
-        raise BadInputError(f"--rest {unknown[0]}; expected one of {', '.join(nearest_first(unknown, movable)[:12])}")
+        raise BadInputError(
+            f"--rest {unknown[0]}; expected one of "
+            f"{', '.join(nearest_first(unknown, movable)[:12])}"
+        )
     if not others and start is None and not (source.tip or source.links.to):
         on_way = [joint.name for joint in tree.above(str(tip)) if joint.name in rested]
-        wanted = TreeRequest(base=source.base, joints=(*joints[files[0]], *on_way) or None, others=rested)
+        wanted = TreeRequest(
+            base=source.base, joints=(*joints[files[0]], *on_way) or None, others=rested
+        )
         return Robot.from_tree(tree, wanted, mass=source.mass)
     base = source.base or tree.root
     further = [(first or base, str(last)) for first, last in others]
@@ -181,10 +241,11 @@ def load_tables(
     Sessions in motion are named after the folder and the instrument.
 
     Raises:
-        BadInputError: for a file that is invalid, or two stations of one name; or if a joint on the way between the links
-            of a row has no column.
+        BadInputError: for a file that is invalid, or two stations of one name; or if a joint on the
+            way between the links of a row has no column.
     """
-    links, reading = links or LinkOptions(), options or TableOptions()
+    links = links or LinkOptions()
+    reading = options or TableOptions()
     paths = tuple(paths)
     moving, held = load_sessions(robot, paths, reading, motion or MotionOptions())
     if motion is not None and motion.are_given:
@@ -192,11 +253,18 @@ def load_tables(
     if len(held) > 1:
         reading = replace(reading, shares_log=True)
     tables = [(path.stem, load_table(robot, path, options=reading, links=links)) for path in held]
-    stations = {path.stem for path in paths}.union(*(of.station.tolist() for _, of in tables if of.station is not None))
+    stations = {path.stem for path in paths}.union(
+        *(of.station.tolist() for _, of in tables if of.station is not None)
+    )
     if unknown := [name for name, *_ in links.stations if name not in stations]:
         known = ", ".join(nearest_first(unknown, stations))
-        raise BadInputError(f"--station {unknown[0]}:FROM:TO: no table or station of this name; expected one of {known}")
-    return stations_of([*((name, _between(table, name, links)) for name, table in tables), *moving.items()])
+        raise BadInputError(
+            f"--station {unknown[0]}:FROM:TO: no table or station of this name; expected "
+            f"one of {known}"
+        )
+    return stations_of(
+        [*((name, _between(table, name, links)) for name, table in tables), *moving.items()]
+    )
 
 
 def _between(table: Measurements, name: str, links: LinkOptions) -> Measurements:
@@ -211,8 +279,14 @@ def _between(table: Measurements, name: str, links: LinkOptions) -> Measurements
 def _with_links(table: Measurements, rows: np.ndarray, start: str, tip: str) -> Measurements:
     """Return a table with these links in some rows, shape (N,)."""
     nothing = np.full(len(table), "", object)
-    first, last = (nothing if of is None else of.astype(object) for of in (table.from_link, table.to_link))
-    return replace(table, from_link=np.where(rows, start, first).astype(str), to_link=np.where(rows, tip, last).astype(str))
+    first, last = (
+        nothing if of is None else of.astype(object) for of in (table.from_link, table.to_link)
+    )
+    return replace(
+        table,
+        from_link=np.where(rows, start, first).astype(str),
+        to_link=np.where(rows, tip, last).astype(str),
+    )
 
 
 def load_table(
@@ -225,18 +299,27 @@ def load_table(
 ) -> Measurements:
     """Return the measurements (or the joint positions alone) of a file for this robot.
 
-    Without links, a table of a robot with several arms is about the first arm of which it has all joint columns.
+    Without links, a table of a robot with several arms is about the first arm of which it has all
+    joint columns.
     """
     require: Literal["measurement", "joints"] = "joints" if joints_only else "measurement"
-    reading, links = options or TableOptions(), links or LinkOptions()
+    reading = options or TableOptions()
+    links = links or LinkOptions()
     given = [(start, tip) for name, start, tip in links.stations if name == path.stem]
     is_tree = bool(robot.links) or robot.path.start != robot.base
-    pairs, chosen = given or links_of_rows(path, reading) if is_tree else [(None, None)], None
+    pairs = given or links_of_rows(path, reading) if is_tree else [(None, None)]
+    chosen = None
     if pairs == [(None, None)] and is_tree:
         there = set(joint_columns(path, robot.joint_names, reading))
         # An arm that was calibrated by contacts may also be measured by an instrument at the base.
-        ends = dict.fromkeys(end for pair in ((robot.path.start, robot.tip), *robot.links) for end in pair)
-        ways = ((robot.path.start, robot.tip), *robot.links, *((robot.base, end) for end in ends if end != robot.base))
+        ends = dict.fromkeys(
+            end for pair in ((robot.path.start, robot.tip), *robot.links) for end in pair
+        )
+        ways = (
+            (robot.path.start, robot.tip),
+            *robot.links,
+            *((robot.base, end) for end in ends if end != robot.base),
+        )
         chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
         pairs = pairs if chosen is None else [chosen]
     needed = {name for pair in pairs for name in robot.joints_between(*pair)}
@@ -253,7 +336,8 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
     Raises:
         BadInputError: if no station has readings in the unit of the given noise.
     """
-    setup, fit = chosen.setup, chosen.fit
+    setup = chosen.setup
+    fit = chosen.fit
     listed = () if setup.distances is None else read_distances(setup.distances)
     _refuse_unused(setup, tables)
     return replace(
@@ -270,21 +354,39 @@ def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -
             lens=None if setup.camera is None else read_camera(setup.camera).lens(),
             fit_lens=setup.fit_camera,
         ),
-        stations={name: _known_of(setup, table, alone=len(tables) == 1) for name, table in tables.items()},
+        stations={
+            name: _known_of(setup, table, alone=len(tables) == 1) for name, table in tables.items()
+        },
     )
 
 
 def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> StationOptions:
-    base = np.eye(4) if setup.points_in == "base" and (alone or table.point_names is not None) else None
+    base = (
+        np.eye(4)
+        if setup.points_in == "base" and (alone or table.point_names is not None)
+        else None
+    )
     if setup.anchor and (alone or table.distance is not None):
         base = transform(np.eye(3), -np.array(setup.anchor))
-    mount = read_camera(setup.camera).T_tip_camera if setup.camera and table.sensor and table.sensor.has_camera else None
+    mount = (
+        read_camera(setup.camera).T_tip_camera
+        if setup.camera and table.sensor and table.sensor.has_camera
+        else None
+    )
     if mount is not None and not (table.sensor and table.sensor.is_on_tool):
-        raise BadInputError(f"{setup.camera}: T_tip_camera, but {table.source} is from a fixed camera; remove it")
+        raise BadInputError(
+            f"{setup.camera}: T_tip_camera, but {table.source} is from a fixed camera; remove it"
+        )
     is_place = table.sensor is None or table.sensor.reads_place
-    known: tuple[float, float, float] | np.ndarray | None = (setup.tool if is_place else None) if mount is None else mount
+    known: tuple[float, float, float] | np.ndarray | None = (
+        (setup.tool if is_place else None) if mount is None else mount
+    )
     tools = None if known is None else {str(table.target[0]): known}
-    sigma = setup.noise[0] if setup.noise and table.sensor and setup.noise[1] == table.sensor.blocks[0].unit else None
+    sigma = (
+        setup.noise[0]
+        if setup.noise and table.sensor and setup.noise[1] == table.sensor.blocks[0].unit
+        else None
+    )
     is_by_range = setup.instrument is not None and table.position is not None
     instrument = InstrumentNoise.of(str(setup.instrument)) if is_by_range else None
     return StationOptions(sigma=sigma, base=base, tools=tools, instrument=instrument)
@@ -293,20 +395,31 @@ def _known_of(setup: SetupOptions, table: Measurements, *, alone: bool) -> Stati
 def _refuse_unused(setup: SetupOptions, tables: Mapping[str, Measurements]) -> None:
     """Refuse a camera, an instrument or a unit of noise that no station has."""
     held = " and ".join(f"{table.source} holds {table.kind}" for table in tables.values())
-    if setup.camera and not any(table.sensor and table.sensor.has_camera for table in tables.values()):
+    if setup.camera and not any(
+        table.sensor and table.sensor.has_camera for table in tables.values()
+    ):
         raise BadInputError(f"--camera is for camera readings, but {held}; leave it out")
     if setup.instrument and setup.noise and setup.noise[1] == "m":
-        raise BadInputError("--instrument and --noise: both declare the noise of positions; expected one of the two")
+        raise BadInputError(
+            "--instrument and --noise: both declare the noise of positions; expected one of the two"
+        )
     if setup.instrument and all(table.position is None for table in tables.values()):
         raise BadInputError(
-            f"--instrument is for positions in the instrument's frame, but {held}; leave it out, give --noise"
+            f"--instrument is for positions in the instrument's frame, but {held}; leave "
+            "it out, give --noise"
         )
     sensors = [table.sensor for table in tables.values() if table.sensor is not None]
-    if setup.noise and sensors and setup.noise[1] not in {sensor.blocks[0].unit for sensor in sensors}:
+    if (
+        setup.noise
+        and sensors
+        and setup.noise[1] not in {sensor.blocks[0].unit for sensor in sensors}
+    ):
         block = sensors[0].blocks[0]
         factor, name = readable_unit(block.unit)
         example = f"{block.noise * factor:g}{name}"
-        raise BadInputError(f"--noise in {setup.noise[1]}, but {held}; expected a value such as {example}")
+        raise BadInputError(
+            f"--noise in {setup.noise[1]}, but {held}; expected a value such as {example}"
+        )
 
 
 @dataclass(frozen=True)
@@ -316,7 +429,8 @@ class PlacedModel:
     Attributes:
         model: the model.
         notes: for the user, on the placement.
-        contents: how the placement was identified, for ``--json``; empty for one of the calibration.
+        contents: how the placement was identified, for ``--json``; empty for one of the
+            calibration.
     """
 
     model: CalibratedModel
@@ -324,7 +438,9 @@ class PlacedModel:
     contents: dict[str, Any] = field(default_factory=dict)
 
     def over(self, rows: Measurements) -> PlacedModel:
-        """Return the model for some rows, without effects of the calibrated station for which they lack columns."""
+        """Return the model for some rows, without effects of the calibrated station for which they
+        lack columns.
+        """
         model, notes = without_absent(self.model, rows)
         return PlacedModel(model, (*self.notes, *notes), self.contents)
 
@@ -333,13 +449,19 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
     """Return the model of a file with the placement chosen on the command line.
 
     Raises:
-        BadInputError: if the station is unknown, none of several is chosen, or rows do not determine a new one.
+        BadInputError: if the station is unknown, none of several is chosen, or rows do not
+            determine a new one.
         ChangedRobotError: if the rows belong to another robot.
     """
     if chosen.placement is not None and chosen.station is not None:
-        raise click.UsageError("--placement identifies a new pose, --station takes one of the model; give one of them")
+        raise click.UsageError(
+            "--placement identifies a new pose, --station takes one of the model; give one of them"
+        )
     if (chosen.start or chosen.to) and (chosen.placement or chosen.station):
-        raise click.UsageError("--from and --to refer to links, --placement and --station to an instrument; use one pair")
+        raise click.UsageError(
+            "--from and --to refer to links, --placement and --station to an instrument; "
+            "use one pair"
+        )
     stations = load_stations(path)
     first = next(iter(stations.models.values()))
     if chosen.start or chosen.to:
@@ -350,8 +472,10 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
         return PlacedModel(stations.at(chosen.station))
     if len(stations.models) > 1:
         raise BadInputError(
-            f"{path}: calibrated at the stations {', '.join(stations.names)}; expected a choice: --station NAME for one of "
-            "them, --placement FEW.csv with some measured rows for a new place, or links of the robot: --from LINK --to LINK"
+            f"{path}: calibrated at the stations {', '.join(stations.names)}; expected a "
+            "choice: --station NAME for one of "
+            "them, --placement FEW.csv with some measured rows for a new place, or links "
+            "of the robot: --from LINK --to LINK"
         )
     return PlacedModel(first)
 
@@ -365,13 +489,18 @@ def _placed(file: Path, model: CalibratedModel, path: Path, reading: TableOption
     if doubt := doubt_of(found):
         raise other_robot(doubt, file)
     words = f"placement from {len(table)} rows of {path.name}: {found.moved}"
-    contents = {"placement": {"rows": len(table), "ratio": found.misfit.ratio} | found.moved.to_dict()}
+    contents = {
+        "placement": {"rows": len(table), "ratio": found.misfit.ratio} | found.moved.to_dict()
+    }
     return PlacedModel(found.model, (words, *found.notes), contents)
 
 
 def other_robot(doubt: str, path: Path) -> ChangedRobotError:
-    """Return the error that rows belong to another robot than the model, or that it has changed, with the next step."""
+    """Return the error that rows belong to another robot than the model, or that it has changed,
+    with the next step.
+    """
     return ChangedRobotError(
-        f"{doubt}. They belong to another robot, or it has changed since calibration. Check joint columns, units "
+        f"{doubt}. They belong to another robot, or it has changed since calibration. "
+        "Check joint columns, units "
         f"and times; then find out what changed: pincal diagnose {path} DATA.csv --out DIR"
     )

@@ -1,4 +1,6 @@
-"""Arms in motion: streams on the command line, and for ``pincal simulate`` a path and its loggers."""
+"""Arms in motion: streams on the command line, and for ``pincal simulate`` a path and
+its loggers.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +28,14 @@ class MotionOptions:
     """Streams of an arm in motion, each with its own clock, in place of a folder."""
 
     imu: Path | None = option(
-        "Log of an IMU on the tool while the arm moves (time, ax ay az, wx wy wz); --joints is then its joint log (time and "
+        "Log of an IMU on the tool while the arm moves (time, ax ay az, wx wy wz); "
+        "--joints is then its joint log (time and "
         "a column per joint).",
         metavar="LOG",
     )
     tracker: Path | None = option(
-        "Log of an instrument that measures the tool in motion (time, and x y z, distance, or u v with point or target).",
+        "Log of an instrument that measures the tool in motion (time, and x y z, "
+        "distance, or u v with point or target).",
         metavar="LOG",
     )
 
@@ -45,7 +49,10 @@ class MotionOptions:
         if self.are_given and joints is None:
             raise click.UsageError("--imu and --tracker need the log of the joints: --joints LOG")
         if not self.are_given and not data:
-            raise click.UsageError("Missing argument 'DATA.csv...'; or --joints, --imu and --tracker of an arm in motion")
+            raise click.UsageError(
+                "Missing argument 'DATA.csv...'; or --joints, --imu and --tracker of an "
+                "arm in motion"
+            )
 
 
 def input_files(paths: Iterable[Path]) -> Iterator[Path]:
@@ -54,7 +61,9 @@ def input_files(paths: Iterable[Path]) -> Iterator[Path]:
 
     for path in paths:
         yield from (
-            (path,) if joints_of_session(path) is None or path.is_file() else sorted(filter(Path.is_file, path.iterdir()))
+            (path,)
+            if joints_of_session(path) is None or path.is_file()
+            else sorted(filter(Path.is_file, path.iterdir()))
         )
 
 
@@ -71,9 +80,17 @@ def load_sessions(
 
     motion.check(reading.joints, paths)  # type: ignore[arg-type]
     sessions = list[Session]()
-    plain: dict[str, Any] = {"columns": reading.columns, "ignore": reading.ignore, "orientation": reading.orientation}
+    plain: dict[str, Any] = {
+        "columns": reading.columns,
+        "ignore": reading.ignore,
+        "orientation": reading.orientation,
+    }
     if motion.are_given:
-        given: dict[str, Any] = {"joints": reading.joints, "imu": motion.imu, "tracker": motion.tracker}
+        given: dict[str, Any] = {
+            "joints": reading.joints,
+            "imu": motion.imu,
+            "tracker": motion.tracker,
+        }
         sessions.append(read_streams(robot, **given, **plain))
     folders = [path for path in paths if joints_of_session(path) is not None]
     sessions += [read_session(robot, path, **plain) for path in folders]
@@ -85,13 +102,21 @@ _MOST_RATE = 10_000.0
 
 
 def _densities(text: str) -> tuple[float, float]:
-    """Return noise densities of accelerometer and gyroscope, such as ``1mg,0.01deg/s``, in SI units per root hertz."""
-    found, words = list[float](), text.split(",")
-    for word, quantity, example in zip(words, ("acceleration", "angular rate"), ("1mg", "0.01deg/s"), strict=False):
+    """Return noise densities of accelerometer and gyroscope, such as ``1mg,0.01deg/s``, in SI units
+    per root hertz.
+    """
+    found = list[float]()
+    words = text.split(",")
+    for word, quantity, example in zip(
+        words, ("acceleration", "angular rate"), ("1mg", "0.01deg/s"), strict=False
+    ):
         units = {unit: size_of(unit, quantity) for unit in UNITS[quantity]}
         found.append(QuantityType(units, example, zero=True)(word))
     if len(words) != 2:
-        raise click.BadParameter(f"{text!r}; expected the densities of accelerometer and gyroscope, such as 1mg,0.01deg/s")
+        raise click.BadParameter(
+            f"{text!r}; expected the densities of accelerometer and gyroscope, such as "
+            "1mg,0.01deg/s"
+        )
     return found[0], found[1]
 
 
@@ -99,7 +124,9 @@ def _rates(text: str) -> tuple[float, ...]:
     """Return sampling rates of joints, IMU and tracker [Hz], such as ``150,100,250``."""
     rates = plain_numbers(text.split(","))
     if len(rates) != 3 or not all(1.0 <= rate <= _MOST_RATE for rate in rates):
-        raise click.BadParameter(f"{text!r}; expected rates of joints, IMU and tracker [Hz], such as 150,100,250")
+        raise click.BadParameter(
+            f"{text!r}; expected rates of joints, IMU and tracker [Hz], such as 150,100,250"
+        )
     return tuple(rates)
 
 
@@ -112,15 +139,20 @@ class DrivenOptions:
     """A motion to drive with an IMU."""
 
     motion: float | None = option(
-        "Instead of poses, choose a motion of this duration to drive with an IMU on the tool; --out gives the time at which "
+        "Instead of poses, choose a motion of this duration to drive with an IMU on the "
+        "tool; --out gives the time at which "
         "each of its poses is reached.",
         metavar="DURATION",
         type=DURATION,
     )
     speed: float = option(
-        "Largest speed of a joint [rad/s], half as much for a prismatic one [m/s]; less if the URDF says so.", 1.0
+        "Largest speed of a joint [rad/s], half as much for a prismatic one [m/s]; less "
+        "if the URDF says so.",
+        1.0,
     )
-    acceleration: float = option("Largest acceleration of a joint [rad/s^2], half as much for a prismatic one [m/s^2].", 3.0)
+    acceleration: float = option(
+        "Largest acceleration of a joint [rad/s^2], half as much for a prismatic one [m/s^2].", 3.0
+    )
 
 
 def _path(text: str) -> float | Path:
@@ -134,8 +166,10 @@ class MotionArguments:
     """A path and its loggers."""
 
     path: float | Path | None = option(
-        "Drive a random path of this duration, or through the poses of a table at the times in its column time, instead of "
-        "holding poses; --out is then a folder of joints.csv, imu.csv and tracker.csv, each with its own clock.",
+        "Drive a random path of this duration, or through the poses of a table at the "
+        "times in its column time, instead of "
+        "holding poses; --out is then a folder of joints.csv, imu.csv and tracker.csv, "
+        "each with its own clock.",
         metavar="DURATION|FILE",
         type=_path,
     )
@@ -147,7 +181,10 @@ class MotionArguments:
         words="1mg,0.01deg/s",
     )
     vibration: float | None = option(
-        "Vibration of the arm at full speed [m/s^2 rms].", metavar="SIZE", type=NumberType(0.0, 100.0), words="0.1"
+        "Vibration of the arm at full speed [m/s^2 rms].",
+        metavar="SIZE",
+        type=NumberType(0.0, 100.0),
+        words="0.1",
     )
     resolution: float | None = option(
         "Resolution of the recorded joint positions.",
@@ -156,18 +193,34 @@ class MotionArguments:
         words="0.001deg",
     )
     log_rates: tuple[float, float, float] | None = option(
-        "Sampling rates of joints, IMU and tracker.", metavar="HZ,HZ,HZ", type=_rates, words="150,100,250, cameras 30"
+        "Sampling rates of joints, IMU and tracker.",
+        metavar="HZ,HZ,HZ",
+        type=_rates,
+        words="150,100,250, cameras 30",
     )
     clock_drift: float | None = option(
-        "Drift of the clocks of IMU and tracker.", metavar="PPM", type=NumberType(-1e5, 1e5), words="random within 100"
+        "Drift of the clocks of IMU and tracker.",
+        metavar="PPM",
+        type=NumberType(-1e5, 1e5),
+        words="random within 100",
     )
     dropped: float | None = option(
-        "Percentage of rows lost by the loggers.", metavar="PERCENT", type=NumberType(0.0, 20.0), words="0.5"
+        "Percentage of rows lost by the loggers.",
+        metavar="PERCENT",
+        type=NumberType(0.0, 20.0),
+        words="0.5",
     )
 
     def first_given(self) -> str | None:
         """Return the first of these options that is given."""
-        return next((field.name for field in fields(self) if getattr(self, field.name) not in (None, False)), None)
+        return next(
+            (
+                field.name
+                for field in fields(self)
+                if getattr(self, field.name) not in (None, False)
+            ),
+            None,
+        )
 
     def session_options(self, duration: float) -> SessionOptions:
         """Return the options of the logs of a path of this duration [s]."""
@@ -175,6 +228,16 @@ class MotionArguments:
 
         drift = None if self.clock_drift is None else 1e-6 * self.clock_drift
         dropped = None if self.dropped is None else 1e-2 * self.dropped
-        own: dict[str, Any] = {"duration": duration, "imu": self.imu, "imu_noise": self.imu_noise, "drift": drift}
-        own |= {"vibration": self.vibration, "resolution": self.resolution, "rates": self.log_rates, "dropped": dropped}
+        own: dict[str, Any] = {
+            "duration": duration,
+            "imu": self.imu,
+            "imu_noise": self.imu_noise,
+            "drift": drift,
+        }
+        own |= {
+            "vibration": self.vibration,
+            "resolution": self.resolution,
+            "rates": self.log_rates,
+            "dropped": dropped,
+        }
         return SessionOptions(**{name: value for name, value in own.items() if value is not None})

@@ -1,4 +1,6 @@
-"""``pincal validate``, ``diagnose`` and ``update``: new rows tested against a calibrated robot, or added to it."""
+"""``pincal validate``, ``diagnose`` and ``update``: new rows tested against a calibrated robot, or
+added to it.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pincal.cli.arguments import Output, argument, group, option, verb
-from pincal.cli.common import GeneralOptions, TableArguments, max_error_option, model_argument, station_option
+from pincal.cli.common import (
+    GeneralOptions,
+    TableArguments,
+    max_error_option,
+    model_argument,
+    station_option,
+)
 from pincal.cli.motion_options import MotionOptions
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, provenance, require_accuracy
 from pincal.cli.quantities import ANGLE, LENGTH
@@ -65,10 +73,13 @@ class ValidateArguments:
     model: Path = model_argument()
     data: tuple[Path, ...] = argument(
         "DATA.csv...",
-        "Measurements that the calibration did not use, or folders of sessions in motion. Each is a station.",
+        "Measurements that the calibration did not use, or folders of sessions in motion. "
+        "Each is a station.",
         required=False,
     )
-    station: str | None = station_option(words="the nearest, or a new placement if the rows indicate one")
+    station: str | None = station_option(
+        words="the nearest, or a new placement if the rows indicate one"
+    )
     max_error: float | None = max_error_option()
     noise_angle: float | None = _noise_angle_option()
     table: TableArguments = group("Tables")
@@ -91,11 +102,15 @@ def validate(arguments: ValidateArguments) -> Exit:
     chosen = arguments.station
     models = list(calibrated.models.values()) if chosen is None else [calibrated.at(chosen)]
     robot = models[0].model.chain.robot
-    tables = load_tables(robot, arguments.data, options=arguments.table.options, motion=arguments.motion)
+    tables = load_tables(
+        robot, arguments.data, options=arguments.table.options, motion=arguments.motion
+    )
     for table in tables.values():
         check_table(robot, table, minimum=1)
     found = [
-        validate_rows(models, table, name=name, refit=chosen is None, sigma_orientation=arguments.noise_angle)
+        validate_rows(
+            models, table, name=name, refit=chosen is None, sigma_orientation=arguments.noise_angle
+        )
         for name, table in tables.items()
     ]
     result, notes = _result(found)
@@ -111,7 +126,9 @@ def validate(arguments: ValidateArguments) -> Exit:
 
 
 def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
-    """Return the result for ``--json``, and notes for the user, on all rows and on those outside the calibrated range."""
+    """Return the result for ``--json``, and notes for the user, on all rows and on those outside
+    the calibrated range.
+    """
     from msgspec import to_builtins
 
     from pincal.notes import doubts_first
@@ -125,11 +142,20 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
     ranges = [extrapolation(each.model, each.station.conditions, each.table.rows) for each in found]
     beyond = {
         "outside": sum(part["outside"] for part, _ in ranges),
-        **{name: [curve for part, _ in ranges for curve in part[name]] for name in ("curves", "gaps")},
+        **{
+            name: [curve for part, _ in ranges for curve in part[name]]
+            for name in ("curves", "gaps")
+        },
     }
     # Entries of a single station are repeated at top level.
-    alone = {key: stations[0][key] for key in ("iso9283", "path", "lack_of_fit") if len(found) == 1 and key in stations[0]}
-    notes = doubts_first([*(note for each in found for note in each.notes), *(n for _, part in ranges for n in part)])
+    alone = {
+        key: stations[0][key]
+        for key in ("iso9283", "path", "lack_of_fit")
+        if len(found) == 1 and key in stations[0]
+    }
+    notes = doubts_first(
+        [*(note for each in found for note in each.notes), *(n for _, part in ranges for n in part)]
+    )
     contents = {
         "verdict": worst(each.verdict for each in found),
         "warnings": to_builtins(notes),
@@ -143,10 +169,18 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
 
 def _station(found: Validation) -> dict[str, Any]:
     iso, lack = found.replicate_statistics()
-    contents = {"name": found.name, "kind": found.table.kind, "rows": len(found.table), "placed": found.placed}
+    contents = {
+        "name": found.name,
+        "kind": found.table.kind,
+        "rows": len(found.table),
+        "placed": found.placed,
+    }
     contents |= found.moved.to_dict() | {"error": found.error}
     contents |= {"fitted_rows": found.fitted_rows}
-    contents |= {"misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value}, "doubt": found.doubt or None}
+    contents |= {
+        "misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value},
+        "doubt": found.doubt or None,
+    }
     contents |= {"verdict": found.verdict}
     more = {"by_coverage": found.by_coverage, "iso9283": iso, "path": found.path_accuracy}
     more |= {"lack_of_fit": None if lack is None else asdict(lack)}
@@ -165,25 +199,40 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
     print_doubts(notes, out)
     unseen = [each.name for each in found if not each.fitted_rows]
     if len(found) > 1 and unseen and "mean_mm" in result:
-        out.print(hanging("never seen", f"by the model: {', '.join(unseen)}: mean {result['mean_mm']:.4f} mm"))
+        out.print(
+            hanging(
+                "never seen", f"by the model: {', '.join(unseen)}: mean {result['mean_mm']:.4f} mm"
+            )
+        )
     for each in found:
         is_there = each.placed == "as calibrated"
-        place = "are where they were at calibration" if is_there else f"were located again from these rows: {each.moved}"
+        place = (
+            "are where they were at calibration"
+            if is_there
+            else f"were located again from these rows: {each.moved}"
+        )
         out.print(hanging(f"{each.name}:", f"instrument and target {place}; {each.verdict}"))
     parts = {part["name"]: part["error"] for part in result["stations"]}
     if len(found) == 1 and found[0].fitted_rows:
-        parts = {"train" if found[0].fitted_rows == len(found[0].table) else "new and fitted": found[0].error}
+        parts = {
+            "train" if found[0].fitted_rows == len(found[0].table) else "new and fitted": found[
+                0
+            ].error
+        }
         out.print(error_table({"calibrated": parts}))
     else:
         out.print(error_table({"calibrated": parts} if len(found) > 1 else result["error"]))
     for each in found:
         if (split := each.by_coverage) is not None:
-            inside, elsewhere = split["determined"], split["elsewhere"]
+            inside = split["determined"]
+            elsewhere = split["elsewhere"]
             out.print(
                 hanging(
                     f"{each.name}:",
-                    f"mean {inside['mean']:.4f} {split['unit']} at the {inside['rows']} poses where the calibration had "
-                    f"determined the curve of every drive, {elsewhere['mean']:.4f} {split['unit']} at the others",
+                    f"mean {inside['mean']:.4f} {split['unit']} at the {inside['rows']} "
+                    "poses where the calibration had "
+                    f"determined the curve of every drive, {elsewhere['mean']:.4f} "
+                    f"{split['unit']} at the others",
                 )
             )
         print_replicates(*each.replicate_statistics(), out)
@@ -197,7 +246,9 @@ class _NewRows:
 
     model: Path = model_argument()
     data: Path = argument(
-        "NEW.csv", "New measurements, or the folder of a session with a tracker; instrument and target may have moved."
+        "NEW.csv",
+        "New measurements, or the folder of a session with a tracker; instrument and "
+        "target may have moved.",
     )
     out: Path = option("Folder for the results.", MISSING, metavar="DIR", type=Output())
     table: TableArguments = group("Tables")
@@ -212,7 +263,8 @@ class _NewRows:
             return load_table(robot, self.data, options=self.table.options)
         tables = load_tables(robot, [self.data], options=self.table.options)
         return next(
-            (table for table in tables.values() if table.sensor and table.sensor.reads_place), next(iter(tables.values()))
+            (table for table in tables.values() if table.sensor and table.sensor.reads_place),
+            next(iter(tables.values())),
         )
 
     @property
@@ -271,7 +323,9 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
         click.echo(f"written to {arguments.out}: diagnosis.json model.json report.html")
     echo_notes(found.found.warnings, quiet=arguments.general.quiet)
     if not found.found.is_judged:
-        raise IdentificationError(f"not judged: {'; '.join(map(str, doubts_of(found.found.warnings)))}")
+        raise IdentificationError(
+            f"not judged: {'; '.join(map(str, doubts_of(found.found.warnings)))}"
+        )
     return Exit.CHANGED if found.changed else Exit.DONE
 
 
@@ -282,7 +336,9 @@ def write_diagnosis(folder: Path, diagnosis: Diagnosis, origin: dict[str, Any]) 
 
     replace(diagnosis.model, provenance=origin).save(folder / "model.json")
     write_json(folder / "diagnosis.json", diagnosis.report)
-    (folder / "report.html").write_text(diagnosis_page(diagnosis, version=origin["pincal"]), encoding="utf-8")
+    (folder / "report.html").write_text(
+        diagnosis_page(diagnosis, version=origin["pincal"]), encoding="utf-8"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -306,8 +362,9 @@ class UpdateArguments(_NewRows):
 def update_verb(arguments: UpdateArguments) -> Exit:
     """Add new measurements to a calibrated model permanently.
 
-    The result equals a calibration from old and new rows together, but does not need the old ones. Rows of a robot that has
-    changed are refused (exit code 6): see diagnose. With --anew, the named effect is re-estimated from its prior.
+    The result equals a calibration from old and new rows together, but does not need the old ones.
+    Rows of a robot that has changed are refused (exit code 6): see diagnose. With --anew, the named
+    effect is re-estimated from its prior.
     """
     from pincal.calibration.calibrated_robot import load_stations
     from pincal.diagnosis.model_update import update

@@ -49,7 +49,9 @@ def echo_notes(notes: Iterable[Note | str], *, quiet: bool) -> None:
 
 
 def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, Any]:
-    """Return the origin of a result: versions, command, seed, and the input files with their hashes."""
+    """Return the origin of a result: versions, command, seed, and the input files with their
+    hashes.
+    """
     from pincal.io.result_folder import file_hash
 
     return {
@@ -64,15 +66,25 @@ def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, A
 
 
 def require_accuracy(mean_mm: float | None, max_error: float | None, *, rows: str) -> None:
-    """Raise :class:`AccuracyGateError` if the mean error [mm] of these rows exceeds the limit [m], if there is one."""
+    """Raise :class:`AccuracyGateError` if the mean error [mm] of these rows exceeds the limit [m],
+    if there is one.
+    """
     if max_error is not None and mean_mm is None:
-        raise AccuracyGateError(f"--max-error {max_error * 1e3:g} mm: the {rows} rows have no positions, so no error in mm")
+        raise AccuracyGateError(
+            f"--max-error {max_error * 1e3:g} mm: the {rows} rows have no positions, so "
+            "no error in mm"
+        )
     if max_error is not None and mean_mm is not None and mean_mm > max_error * 1e3:
-        raise AccuracyGateError(f"mean error of {mean_mm:.4f} mm on {rows} rows exceeds --max-error {max_error * 1e3:g} mm")
+        raise AccuracyGateError(
+            f"mean error of {mean_mm:.4f} mm on {rows} rows exceeds --max-error "
+            f"{max_error * 1e3:g} mm"
+        )
 
 
 def columns_of_poses(poses: np.ndarray, *, with_orientation: bool) -> dict[str, np.ndarray]:
-    """Return poses, shape (N, 3, 4), as the columns x y z and, if wanted, qx qy qz qw of a table."""
+    """Return poses, shape (N, 3, 4), as the columns x y z and, if wanted, qx qy qz qw
+    of a table.
+    """
     from pincal.robot.se3 import quaternions
 
     columns = dict(zip("xyz", poses[:, :, 3].T, strict=True))
@@ -96,18 +108,23 @@ def extrapolation(
     """
     from pincal.recorded import RECORDABLE
 
-    values, curves = calibrated.outside(conditions), calibrated.outside_curves(conditions)
+    values = calibrated.outside(conditions)
+    curves = calibrated.outside_curves(conditions)
     robot = calibrated.model.chain.robot
     units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
     units |= {name: variable.unit for name, variable in RECORDABLE.items()}
     rows = len({value.row for value in values})
     notes = [f"rows outside the range of the calibration data: {rows}"] if rows else []
     for row, name, value, low, high in values[:_SHOWN]:
-        notes.append(f"line {lines[row]}: {name} = {value:.4g}, calibrated from {low:.4g} to {high:.4g}")
+        notes.append(
+            f"line {lines[row]}: {name} = {value:.4g}, calibrated from {low:.4g} to {high:.4g}"
+        )
     for curve in curves:
         notes.append(
-            f"{curve.rows} rows need the {curve.effect} of {curve.joint} at {curve.variable} {curve.lowest:.4g} to "
-            f"{curve.highest:.4g} {units[curve.variable]}; it was identified from {curve.lower:.4g} to {curve.upper:.4g} "
+            f"{curve.rows} rows need the {curve.effect} of {curve.joint} at "
+            f"{curve.variable} {curve.lowest:.4g} to "
+            f"{curve.highest:.4g} {units[curve.variable]}; it was identified from "
+            f"{curve.lower:.4g} to {curve.upper:.4g} "
             "only and is held constant outside"
         )
     gaps = calibrated.gaps(conditions)
@@ -115,22 +132,31 @@ def extrapolation(
         *narrower, widest = sorted(group, key=lambda gap: gap.upper - gap.lower)
         more = f" and in {len(narrower)} narrower gap{'s'[: len(narrower) > 1]}" if narrower else ""
         notes.append(
-            f"rows in gaps of the {effect} of {joint}: {sum(gap.rows for gap in (*narrower, widest))}; {widest.variable} "
-            f"{widest.lower:.4g} to {widest.upper:.4g} {units[widest.variable]}{more}: the calibration had too few poses "
+            f"rows in gaps of the {effect} of {joint}: "
+            f"{sum(gap.rows for gap in (*narrower, widest))}; {widest.variable} "
+            f"{widest.lower:.4g} to {widest.upper:.4g} {units[widest.variable]}{more}: "
+            "the calibration had too few poses "
             "there to determine it, and it is interpolated"
         )
     turned = calibrated.turned_curves(conditions)
     for found in turned:
         notes.append(
-            f"{found.rows} rows have {found.variable} a revolution away from where the {found.effect} of {found.joint} was "
+            f"{found.rows} rows have {found.variable} a revolution away from where the "
+            f"{found.effect} of {found.joint} was "
             "identified; it is assumed to repeat every revolution"
         )
-    contents = {"outside": rows, "curves": [curve._asdict() for curve in curves], "gaps": [gap._asdict() for gap in gaps]}
+    contents = {
+        "outside": rows,
+        "curves": [curve._asdict() for curve in curves],
+        "gaps": [gap._asdict() for gap in gaps],
+    }
     return contents | ({"turned": [found._asdict() for found in turned]} if turned else {}), notes
 
 
 def write_all(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) -> None:
-    """Write several files, all or none, each by its function; keys are the options that name them."""
+    """Write several files, all or none, each by its function; keys are the options that
+    name them.
+    """
     wanted = {option: (path, write) for option, (path, write) in files.items() if path is not None}
     _check_places({option: path for option, (path, _) in wanted.items()})
     with ExitStack() as drafts:
@@ -146,8 +172,13 @@ def _check_places(paths: dict[str, Path]) -> None:
         if not path.absolute().parent.is_dir():
             raise OutputError(f"{path}: can't be written (no such folder); choose another {option}")
         if places.count(place) > 1:
-            named = " and ".join(other for other, there in paths.items() if there.absolute() == place)
-            raise OutputError(f"{path}: named by {named}; expected {'two' if len(paths) == 2 else 'different'} files")
+            named = " and ".join(
+                other for other, there in paths.items() if there.absolute() == place
+            )
+            raise OutputError(
+                f"{path}: named by {named}; expected "
+                f"{'two' if len(paths) == 2 else 'different'} files"
+            )
 
 
 def write_plain(path: Path, *, contents: dict[str, Any]) -> None:
@@ -164,12 +195,18 @@ def problem_report(words: Sequence[str], files: Sequence[Path]) -> Iterator[str]
     """
     from pincal.io.result_folder import file_hash
 
-    yield f"pincal {version('pincal')}, Python {platform.python_version()}, {platform.platform()}, {os.cpu_count()} cores"
+    yield (
+        f"pincal {version('pincal')}, Python {platform.python_version()}, "
+        f"{platform.platform()}, {os.cpu_count()} cores"
+    )
     yield ", ".join(f"{package} {_version(package)}" for package in _PACKAGES)
     yield f"command: {printable(shlex.join(['pincal', *words]), _LONGEST_HEADER)}"
     for file in files:
         if file.is_file():
-            yield f"{file.name}: {file.stat().st_size} bytes, sha256 {file_hash(file)[:12]}{_columns(file)}"
+            yield (
+                f"{file.name}: {file.stat().st_size} bytes, sha256 "
+                f"{file_hash(file)[:12]}{_columns(file)}"
+            )
         else:
             yield f"{printable(file.name, _LONGEST_HEADER)}: not a file"
 
@@ -188,4 +225,8 @@ def _columns(table: Path) -> str:
     with table.open("rb") as file:
         first = file.readline(2 * _LONGEST_HEADER).decode("utf-8", "replace").strip()
     letters = sum(character.isalpha() for character in first)
-    return f", first line: {printable(first, _LONGEST_HEADER)}" if letters > len(first) / 4 else ", no header"
+    return (
+        f", first line: {printable(first, _LONGEST_HEADER)}"
+        if letters > len(first) / 4
+        else ", no header"
+    )

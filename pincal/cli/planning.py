@@ -72,12 +72,18 @@ class CheckArguments:
     chosen: CalibrationOptions = group("Model")
     verbose: bool = verbose_option()
     report: bool = option(
-        "Print what a bug report needs, without the data: versions, command, files, and the complete check.", False
+        "Print what a bug report needs, without the data: versions, command, files, and "
+        "the complete check.",
+        False,
     )
     general: GeneralOptions = group("General")
 
 
-@verb(CheckArguments, examples="Example:\n  pincal check robot.urdf tracker.csv --noise 0.05mm", exits=(Exit.UNDECIDED,))
+@verb(
+    CheckArguments,
+    examples="Example:\n  pincal check robot.urdf tracker.csv --noise 0.05mm",
+    exits=(Exit.UNDECIDED,),
+)
 def check(arguments: CheckArguments) -> Exit:
     """Report what can and cannot be identified from a table.
 
@@ -85,7 +91,9 @@ def check(arguments: CheckArguments) -> Exit:
     """
     if arguments.report:
         # Before anything is read, so that it is printed even if the check fails.
-        for line in problem_report(["check", *words_given()], [Path(arguments.source.robot), *arguments.source.data]):
+        for line in problem_report(
+            ["check", *words_given()], [Path(arguments.source.robot), *arguments.source.data]
+        ):
             click.echo(line)
     from pincal.cli.inputs import prepare
     from pincal.cli.progress import log_step
@@ -113,9 +121,12 @@ class ConstraintOptions:
     """Constraints on arm, target and instrument."""
 
     instrument: Triple | None = option(
-        "Position in the robot's base frame [m]; the target must be visible from there.", words="no constraint"
+        "Position in the robot's base frame [m]; the target must be visible from there.",
+        words="no constraint",
     )
-    normal: Triple | None = option("Direction in which the target faces, in the tip frame.", words="visible from all sides")
+    normal: Triple | None = option(
+        "Direction in which the target faces, in the tip frame.", words="visible from all sides"
+    )
     cone: float = option(
         "Largest angle from the target's normal at which it is visible.",
         float(np.deg2rad(30.0)),
@@ -124,10 +135,13 @@ class ConstraintOptions:
         words="30deg",
     )
     box: tuple[float, float, float, float, float, float] | None = option(
-        "Smallest, then largest coordinates of the target in the base frame [m].", metavar="X Y Z X Y Z"
+        "Smallest, then largest coordinates of the target in the base frame [m].",
+        metavar="X Y Z X Y Z",
     )
     floor: float | None = option(
-        "Height in the base frame above which arm and target are kept [m].", metavar="Z", words="0 for an upright robot"
+        "Height in the base frame above which arm and target are kept [m].",
+        metavar="Z",
+        words="0 for an upright robot",
     )
     no_floor: bool = option("No floor.", False)
     clearance: float = option(
@@ -148,18 +162,28 @@ class InstrumentOptions:
         "Kind of measurement.", words="position, or socket with --socket"
     )
     sockets: tuple[Triple, ...] = option(
-        "Approximate position of a socket for the tool point, in the robot's base frame or that of --from [m].",
+        "Approximate position of a socket for the tool point, in the robot's base frame "
+        "or that of --from [m].",
         (),
         metavar="X Y Z",
         name="--socket",
     )
-    tool: Triple | None = option("Approximate target position in the tip frame [m].", words="slightly off the last axis")
-    noise: float = option(
-        "Standard deviation of one position coordinate, or of a distance.", 5e-05, type=LENGTH, words="0.05mm"
+    tool: Triple | None = option(
+        "Approximate target position in the tip frame [m].", words="slightly off the last axis"
     )
-    noise_angle: float = option("Standard deviation of one orientation component.", 0.0001, type=ANGLE, words="0.1mrad")
+    noise: float = option(
+        "Standard deviation of one position coordinate, or of a distance.",
+        5e-05,
+        type=LENGTH,
+        words="0.05mm",
+    )
+    noise_angle: float = option(
+        "Standard deviation of one orientation component.", 0.0001, type=ANGLE, words="0.1mrad"
+    )
     payload: Sequence[float] | None = option(
-        "Payload, or several from which the best is chosen for each pose.", metavar="KG[,KG...]", type=masses
+        "Payload, or several from which the best is chosen for each pose.",
+        metavar="KG[,KG...]",
+        type=masses,
     )
 
 
@@ -168,7 +192,9 @@ class CheckOptions:
     """Requirements of a health check."""
 
     check: bool = option("Choose the fewest poses for a health check by pincal diagnose.", False)
-    notice: float = option("Motion of any point within reach that must be detected.", 1e-4, type=LENGTH, words="0.1mm")
+    notice: float = option(
+        "Motion of any point within reach that must be detected.", 1e-4, type=LENGTH, words="0.1mm"
+    )
     power: float = option("Probability of detecting it.", 0.95)
     alpha: float = option("Probability of a false alarm.", 0.01)
     max_poses: int = option("Largest number of poses.", 40, metavar="N", type=_COUNT)
@@ -179,29 +205,46 @@ class DesignArguments:
     """Arguments of design."""
 
     robot: str = argument(
-        "ROBOT", "URDF or xacro file, or the name of a robot of example-robot-data; with --check also a model.json."
+        "ROBOT",
+        "URDF or xacro file, or the name of a robot of example-robot-data; with --check "
+        "also a model.json.",
     )
-    out: Path = option("Table of poses to write, with empty columns for the readings.", MISSING, type=TABLE)
+    out: Path = option(
+        "Table of poses to write, with empty columns for the readings.", MISSING, type=TABLE
+    )
     poses: int | None = option("Number of poses to choose.", metavar="N", type=_COUNT)
-    accuracy: float | None = option("Instead of --poses: the fewest poses that reach this predicted error.", type=LENGTH)
-    criterion: Literal["task", "determinant"] = option(
-        "Smallest predicted error over the task, or smallest joint uncertainty of all parameters.", "task"
+    accuracy: float | None = option(
+        "Instead of --poses: the fewest poses that reach this predicted error.", type=LENGTH
     )
-    task: Path | None = option("Joint positions where accuracy matters.", words="anywhere within reach")
-    measured: Path | None = option("Poses that have been measured already; N poses are added to them.")
+    criterion: Literal["task", "determinant"] = option(
+        "Smallest predicted error over the task, or smallest joint uncertainty of all parameters.",
+        "task",
+    )
+    task: Path | None = option(
+        "Joint positions where accuracy matters.", words="anywhere within reach"
+    )
+    measured: Path | None = option(
+        "Poses that have been measured already; N poses are added to them."
+    )
     type: Path | None = type_option()
     tell_apart: tuple[str, str] | None = option(
         "Choose poses that distinguish these two effects instead.", metavar="EFFECT EFFECT"
     )
     candidates: int | None = option(
-        "Number of random poses to choose from.", metavar="N", type=click.IntRange(min=2), words="1500, or twice the poses"
+        "Number of random poses to choose from.",
+        metavar="N",
+        type=click.IntRange(min=2),
+        words="1500, or twice the poses",
     )
     seed: int = option("Random seed.", 0, type=click.IntRange(min=0))
     degrees: bool = option("Write joint positions in degrees.", False)
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
     start: str | None = option(
-        "Link in whose frame the tip is measured, such as the other hand.", metavar="LINK", name="--from", words="the base"
+        "Link in whose frame the tip is measured, such as the other hand.",
+        metavar="LINK",
+        name="--from",
+        words="the base",
     )
     beside: tuple[Beside, ...] = beside_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
@@ -230,10 +273,13 @@ def design(arguments: DesignArguments) -> Exit:
     from pincal.design.request import DesignRequest
 
     if arguments.poses is None and arguments.accuracy is None:
-        raise click.UsageError("give --poses N, --accuracy for as many as are needed, or --motion DURATION for an IMU")
+        raise click.UsageError(
+            "give --poses N, --accuracy for as many as are needed, or --motion DURATION for an IMU"
+        )
     robot = _robot(arguments)
     task, measured = (
-        None if path is None else load_table(robot, path, joints_only=True) for path in (arguments.task, arguments.measured)
+        None if path is None else load_table(robot, path, joints_only=True)
+        for path in (arguments.task, arguments.measured)
     )
     request = DesignRequest(
         poses=arguments.poses,
@@ -246,7 +292,13 @@ def design(arguments: DesignArguments) -> Exit:
         candidates=arguments.candidates,
         seed=arguments.seed,
     )
-    found = design_poses(robot, request, _options(arguments, robot), rig=_rig(arguments), limits=_limits(robot, arguments))
+    found = design_poses(
+        robot,
+        request,
+        _options(arguments, robot),
+        rig=_rig(arguments),
+        limits=_limits(robot, arguments),
+    )
     _write(arguments, robot, found, sensor=found.rig.sensor)
     return Exit.DONE
 
@@ -261,9 +313,12 @@ def _check(arguments: DesignArguments) -> Exit:
     known = load_stations(arguments.robot).robot_model() if is_model else _robot(arguments)
     payloads = tuple(arguments.instrument.payload or ())
     given = {name: value for name, value in vars(wanted).items() if name != "check"}
-    request = CheckRequest(**given, payloads=payloads, candidates=arguments.candidates, seed=arguments.seed)
+    request = CheckRequest(
+        **given, payloads=payloads, candidates=arguments.candidates, seed=arguments.seed
+    )
     robot = known if isinstance(known, Robot) else known.model.chain.robot
-    options, limits = _options(arguments, robot), _limits(robot, arguments)
+    options = _options(arguments, robot)
+    limits = _limits(robot, arguments)
     found = design_check(known, request, options=options, rig=_rig(arguments), limits=limits)
     _write(arguments, robot, found, sensor=found.sensor)
     return Exit.DONE if found.is_met else Exit.INACCURATE
@@ -272,14 +327,27 @@ def _check(arguments: DesignArguments) -> Exit:
 def _motion(arguments: DesignArguments, duration: float) -> Exit:
     from pincal.design.motion_design import design_motion
 
-    rig, constraints = arguments.instrument, arguments.constraints
-    of_poses = ("poses", "accuracy", "task", "measured", "type", "tell_apart", "candidates", "start")
-    wanted = {name: getattr(arguments, name) for name in of_poses} | {name: getattr(rig, name) for name in _OF_RIG}
+    rig = arguments.instrument
+    constraints = arguments.constraints
+    of_poses = (
+        "poses",
+        "accuracy",
+        "task",
+        "measured",
+        "type",
+        "tell_apart",
+        "candidates",
+        "start",
+    )
+    wanted = {name: getattr(arguments, name) for name in of_poses} | {
+        name: getattr(rig, name) for name in _OF_RIG
+    }
     wanted |= {"instrument": constraints.instrument, "normal": constraints.normal}
     if other := next((name for name, value in wanted.items() if value not in (None, ())), None):
         flag = {"start": "from", "sockets": "socket"}.get(other, other.replace("_", "-"))
         raise click.UsageError(f"--{flag} is for poses at rest; leave out --{flag} or --motion")
-    robot, driven = _robot(arguments), arguments.driven
+    robot = _robot(arguments)
+    driven = arguments.driven
     found = design_motion(
         robot,
         duration,
@@ -294,16 +362,27 @@ def _motion(arguments: DesignArguments, duration: float) -> Exit:
 
 
 def _write(
-    arguments: DesignArguments, robot: Robot, found: Design | HealthCheck | MotionDesign, *, sensor: str | None
+    arguments: DesignArguments,
+    robot: Robot,
+    found: Design | HealthCheck | MotionDesign,
+    *,
+    sensor: str | None,
 ) -> None:
     """Write the poses with empty columns for the readings; print the predicted accuracy."""
     from pincal.measure.registry import columns_of
     from pincal.measure.table import write_table
 
-    turns = {name for name, kind in zip(robot.joint_names, robot.joint_types, strict=True) if kind == "revolute"}
+    turns = {
+        name
+        for name, kind in zip(robot.joint_names, robot.joint_types, strict=True)
+        if kind == "revolute"
+    }
     in_degrees = turns if arguments.degrees else set()
     columns = found.columns().items()
-    shown = {f"{n} [deg]" if n in in_degrees else n: np.rad2deg(c) if n in in_degrees else c for n, c in columns}
+    shown = {
+        f"{n} [deg]" if n in in_degrees else n: np.rad2deg(c) if n in in_degrees else c
+        for n, c in columns
+    }
     write_table(arguments.out, shown, to_fill=columns_of(sensor) if sensor else ())
     if arguments.general.as_json:
         print_json(found.to_dict() | {"out": str(arguments.out)})
@@ -312,7 +391,10 @@ def _write(
         from pincal.cli.screen import print_plan
 
         print_plan(found, console())
-        click.echo(f"written to {arguments.out}, {'ordered for short motions' if sensor else 'in order of time'}")
+        click.echo(
+            f"written to {arguments.out}, "
+            f"{'ordered for short motions' if sensor else 'in order of time'}"
+        )
 
 
 def _robot(arguments: DesignArguments) -> Robot:
@@ -338,7 +420,8 @@ def _options(arguments: DesignArguments, robot: Robot) -> Options:
 def _rig(arguments: DesignArguments) -> SensorSetup:
     from pincal.design.reach import SensorSetup
 
-    instrument, constraints = arguments.instrument, arguments.constraints
+    instrument = arguments.instrument
+    constraints = arguments.constraints
     return SensorSetup(
         sensor=instrument.sensor or ("socket" if instrument.sockets else "position"),
         tool=instrument.tool,

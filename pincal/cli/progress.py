@@ -1,7 +1,9 @@
-"""Progress of a long run on stderr: one line that is overwritten on a terminal, a few plain lines elsewhere.
+"""Progress of a long run on stderr: one line that is overwritten on a terminal, a few plain lines
+elsewhere.
 
-The library only logs. Iterations of a fit are transient, findings of a discovery stay on the screen. A record with
-``extra={"done": 2, "of": 5}`` states how far the run has come, from which the remaining time follows.
+The library only logs. Iterations of a fit are transient, findings of a discovery stay on the
+screen. A record with ``extra={"done": 2, "of": 5}`` states how far the run has come, from which the
+remaining time follows.
 """
 
 from __future__ import annotations
@@ -12,14 +14,28 @@ import time
 
 import click
 from rich.console import Console
-from rich.progress import Progress, ProgressColumn, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+)
 from rich.text import Text
 
 # Loggers of steps whose messages do not stay on the screen.
 _FITS = "pincal.identify"
 # Logger of work done item by item: without a terminal, a line for every tenth of the items.
 _COUNTED = "pincal.spread"
-_TRANSIENT = (_FITS, _COUNTED, "pincal.report.html", "pincal.calibration", "pincal.compensate", "pincal.cli")
+_TRANSIENT = (
+    _FITS,
+    _COUNTED,
+    "pincal.report.html",
+    "pincal.calibration",
+    "pincal.compensate",
+    "pincal.cli",
+)
 # Commands that consist of fits; in others a fit is one step of many.
 _OF_FITS = ("calibrate",)
 _LONG = 1.0  # [s]
@@ -48,7 +64,9 @@ def begin_progress(quiet: bool) -> None:
 
 
 def log_step(step: str) -> None:
-    """Show the current step of a command on the line that is overwritten; nothing without a terminal."""
+    """Show the current step of a command on the line that is overwritten; nothing without a
+    terminal.
+    """
     log.info(step)
 
 
@@ -62,13 +80,16 @@ def end_progress() -> None:
 
 
 def console() -> Console:
-    """Return the console for results: stdout, with boxes and colours on a terminal, otherwise plain text."""
+    """Return the console for results: stdout, with boxes and colours on a terminal, otherwise plain
+    text.
+    """
     end_progress()
     return Console(width=None if sys.stdout.isatty() else _WIDTH, highlight=False)
 
 
 def _left(seconds: float, done: float, of: float) -> str:
-    """Return the remaining time in words if all steps take equally long; nothing before the first is done.
+    """Return the remaining time in words if all steps take equally long; nothing before the first
+    is done.
 
     Example:
         >>> _left(10.0, 2, 5), _left(10.0, 0, 5)
@@ -87,11 +108,17 @@ def _clock(seconds: float) -> str:
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"
-    return f"{whole // 60} min {whole % 60:02d} s" if whole < 3600 else f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    return (
+        f"{whole // 60} min {whole % 60:02d} s"
+        if whole < 3600
+        else f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+    )
 
 
 class _Plain(logging.Handler):
-    """One line per event; of a fit only the last step of each stage, and only in commands that consist of fits."""
+    """One line per event; of a fit only the last step of each stage, and only in commands that
+    consist of fits.
+    """
 
     def __init__(self, *, fits: bool) -> None:
         super().__init__(logging.INFO)
@@ -100,8 +127,14 @@ class _Plain(logging.Handler):
         self._last: logging.LogRecord | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write an event, but keep a step of a fit until its stage, the first logged value, ends."""
-        if _is_another_tenth(record) if record.name == _COUNTED else not record.name.startswith(_TRANSIENT):
+        """Write an event, but keep a step of a fit until its stage, the first logged
+        value, ends.
+        """
+        if (
+            _is_another_tenth(record)
+            if record.name == _COUNTED
+            else not record.name.startswith(_TRANSIENT)
+        ):
             self._write(self._last, record)
         elif self._fits and record.name.startswith(_FITS):
             if self._last is not None and _stage(record) != _stage(self._last):
@@ -124,7 +157,8 @@ class _Plain(logging.Handler):
 
 def _is_another_tenth(record: logging.LogRecord) -> bool:
     """Return whether another tenth of the items is done."""
-    done, of = getattr(record, "done", 0), getattr(record, "of", 0)
+    done = getattr(record, "done", 0)
+    of = getattr(record, "of", 0)
     return 10 * done // of > 10 * (done - 1) // of
 
 
@@ -146,14 +180,22 @@ class _Overwritten(logging.Handler):
     def __init__(self) -> None:
         super().__init__(logging.INFO)
         screen = Console(stderr=True, highlight=False)
-        columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn(), _RemainingColumn())
-        self._progress = Progress(*columns, console=screen, transient=True, redirect_stdout=False, redirect_stderr=False)
+        columns = (
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            TimeElapsedColumn(),
+            _RemainingColumn(),
+        )
+        self._progress = Progress(
+            *columns, console=screen, transient=True, redirect_stdout=False, redirect_stderr=False
+        )
         self._task = self._progress.add_task("", total=None)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show a step, or write an event above the line."""
         self._progress.start()
-        screen, text = self._progress.console, record.getMessage()
+        screen = self._progress.console
+        text = record.getMessage()
         if record.name.startswith(_TRANSIENT):
             self._progress.update(self._task, description=text[: max(screen.width - 28, 20)])
         else:

@@ -17,20 +17,28 @@ ANGLES = unit_sizes("urad", "mrad", "rad", "deg")
 
 
 class QuantityType(click.ParamType[float]):
-    """A positive number with its unit, such as ``0.05mm``; if zero is allowed, also 0 with or without a unit.
+    """A positive number with its unit, such as ``0.05mm``; if zero is allowed, also 0 with or
+    without a unit.
 
     A number without a unit is in multiples ``bare`` of the SI unit, if that is given.
     """
 
-    def __init__(self, units: dict[str, float], name: str, *, zero: bool = False, bare: float | None = None) -> None:
-        self._units, self.name, self._zero, self._bare = units, name, zero, bare
+    def __init__(
+        self, units: dict[str, float], name: str, *, zero: bool = False, bare: float | None = None
+    ) -> None:
+        self._units = units
+        self.name = name
+        self._zero = zero
+        self._bare = bare
         self._si = next(unit for unit, factor in units.items() if factor == 1.0)
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context) -> str:
         """Return an example of the value, for the help text."""
         return self.name
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
         """Return the value in SI units."""
         if isinstance(value, float):
             return value
@@ -48,9 +56,18 @@ class QuantityType(click.ParamType[float]):
                 si = number * (self._units[unit] if unit else self._bare or 1.0)
                 if not SMALLEST <= si <= LARGEST:
                     kind = f"a positive number{' of pixels' if unit == 'px' else ''}"
-                    self.fail(f"{text!r} is not {kind} from {SMALLEST:g} to {LARGEST:g} {self._si}", param, ctx)
+                    self.fail(
+                        f"{text!r} is not {kind} from {SMALLEST:g} to {LARGEST:g} {self._si}",
+                        param,
+                        ctx,
+                    )
                 return si
-        self.fail(f"{text!r}; expected a number with a unit, such as {self.name} ({', '.join(self._units)})", param, ctx)
+        self.fail(
+            f"{text!r}; expected a number with a unit, such as {self.name} "
+            f"({', '.join(self._units)})",
+            param,
+            ctx,
+        )
 
 
 class NoiseType(click.ParamType[tuple[float, str]]):
@@ -61,7 +78,9 @@ class NoiseType(click.ParamType[tuple[float, str]]):
     def __init__(self, *, zero: bool = False) -> None:
         self._zero = zero
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, str]:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, str]:
         """Return the value in SI units, or in pixels, and its unit."""
         is_image = str(value).strip().endswith("px")
         units, example = ({"px": 1.0}, "0.1px") if is_image else (LENGTH_UNITS, "0.05mm")
@@ -74,7 +93,8 @@ def masses(text: str) -> tuple[float, ...]:
     loads = plain_numbers(part.strip().removesuffix("kg") for part in text.split(","))
     if not loads or not all(0.0 <= load <= LARGEST for load in loads):
         raise click.BadParameter(
-            f"{text!r}; expected one or several masses in kg, such as 80 or 0,80, of at most {LARGEST:g}"
+            f"{text!r}; expected one or several masses in kg, such as 80 or 0,80, of at "
+            f"most {LARGEST:g}"
         )
     return tuple(loads)
 
@@ -111,7 +131,9 @@ def station_links(text: str) -> tuple[str, str, str]:
     """Return the name of a station, and the links of its instrument and target."""
     words = tuple(word.strip() for word in text.rsplit(":", 2))
     if len(words) != 3 or not all(words):
-        raise click.BadParameter(f"{text!r}; expected NAME:FROM:TO, such as left:base_link:left_hand")
+        raise click.BadParameter(
+            f"{text!r}; expected NAME:FROM:TO, such as left:base_link:left_hand"
+        )
     return words
 
 
@@ -120,11 +142,20 @@ def beside(text: str) -> Beside:
     given, at, numbers = text.partition("@")
     name, sign, source = given.partition("=")
     if not sign:
-        name, source = re.sub(r"\W", "_", Path(given).stem), given
+        name = re.sub(r"\W", "_", Path(given).stem)
+        source = given
     units = [LENGTH_UNITS] * 3 + [ANGLES] * 3
-    place = [_signed(word.strip(), of) for word, of in zip(numbers.split(","), units, strict=False)] if at else None
-    if not (source and re.fullmatch(r"\w+", name)) or (place is not None and numbers.count(",") != 5):
-        raise click.BadParameter(f"{text!r}; expected [NAME=]URDF[@X,Y,Z,ROLL,PITCH,YAW], such as {BESIDE}")
+    place = (
+        [_signed(word.strip(), of) for word, of in zip(numbers.split(","), units, strict=False)]
+        if at
+        else None
+    )
+    if not (source and re.fullmatch(r"\w+", name)) or (
+        place is not None and numbers.count(",") != 5
+    ):
+        raise click.BadParameter(
+            f"{text!r}; expected [NAME=]URDF[@X,Y,Z,ROLL,PITCH,YAW], such as {BESIDE}"
+        )
     return Beside(source, name, None if place is None else tuple(place))
 
 
@@ -140,4 +171,6 @@ def _signed(text: str, units: dict[str, float]) -> float:
     try:
         return plain_number(text.removesuffix(unit)) * units.get(unit, 1.0)
     except ValueError:
-        raise click.BadParameter(f"{text!r}; expected a position such as 0.1m, 20deg or 0.35 (rad or m)") from None
+        raise click.BadParameter(
+            f"{text!r}; expected a position such as 0.1m, 20deg or 0.35 (rad or m)"
+        ) from None

@@ -49,10 +49,15 @@ Then:
 
 
 def effect_help() -> str:
-    """Return the end of the help text: a line of keys and units for each effect, which are imported for this."""
+    """Return the end of the help text: a line of keys and units for each effect, which are imported
+    for this.
+    """
     from pincal.simulate.effect import HIDDEN_EFFECTS, Scope
 
-    lines = ["Effects, the joint on which they act, and their keys (default: a random joint and typical values):"]
+    lines = [
+        "Effects, the joint on which they act, and their keys (default: a random joint "
+        "and typical values):"
+    ]
     for name, kind in HIDDEN_EFFECTS.items():
         keys = ", ".join([f"size [{kind.unit}]", *_keys(kind)[1:]])
         lines.append(f"  {name}{'' if kind.scope is Scope.ARM else ':JOINT'}: {keys}")
@@ -79,7 +84,9 @@ def simulate(arguments: SimulateArguments) -> Exit:
     wanted = TreeRequest(given.tip, given.start, given.base)
     robot = Robot.from_tree(tree, wanted)
     if given.also:
-        robot = Robot.from_tree(tree, replace(wanted, paths=[(robot.base, link) for link in given.also]))
+        robot = Robot.from_tree(
+            tree, replace(wanted, paths=[(robot.base, link) for link in given.also])
+        )
     machine = _machine(robot, arguments)
     if arguments.motion.path is not None:
         return _drive(robot, machine, arguments)
@@ -88,7 +95,8 @@ def simulate(arguments: SimulateArguments) -> Exit:
     log_step("measuring them")
     table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
     table = {name: table[name] for name in (robot.joint_names[i] for i in robot.own_joints)} | table
-    start, rows = robot.path.start, len(table[machine.names[0]])
+    start = robot.path.start
+    rows = len(table[machine.names[0]])
     if start != robot.base or robot.links:
         table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
     found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
@@ -115,7 +123,9 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
 
     log_step("planning a path")
     rng = Stream.LAYOUT.generator(arguments.setup_seed)
-    tracker = draw_setup(arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options())
+    tracker = draw_setup(
+        arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options()
+    )
     path = arguments.motion.path
     course = via_path(robot, machine.names, path) if isinstance(path, Path) else None
     session = draw_session(
@@ -129,17 +139,31 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     tables = session.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
     time = np.linspace(0.0, session.duration, _LOOKED_AT)
     along = conditions_along(session.path, time, **session.conditions)
-    seen = Campaign(q=session.path.at(time), conditions=along, setup=session.tracker or Instrument(), hidden=())  # type: ignore[arg-type]
-    found = _origin(robot, machine, arguments) | seen.truth(machine, tip=robot.tip) | session.truth(machine.nominal)
+    seen = Campaign(
+        q=session.path.at(time),
+        conditions=along,  # type: ignore[arg-type]
+        setup=session.tracker or Instrument(),
+        hidden=(),
+    )
+    found = (
+        _origin(robot, machine, arguments)
+        | seen.truth(machine, tip=robot.tip)
+        | session.truth(machine.nominal)
+    )
     files: _Files = {
-        f"--out {name}": (arguments.out / f"{name}.csv", lambda path, table=table: write_table(path, table))  # type: ignore[misc]
+        f"--out {name}": (
+            arguments.out / f"{name}.csv",
+            lambda path, table=table: write_table(path, table),  # type: ignore[misc]
+        )
         for name, table in tables.items()
     }
     origin = {"made_by": provenance(robot_files(robot.source, arguments.machine.beside))}
     try:
         arguments.out.mkdir(exist_ok=True)
     except OSError as error:
-        raise OutputError(f"{arguments.out}: can't be created ({error.strerror}); choose another --out") from None
+        raise OutputError(
+            f"{arguments.out}: can't be created ({error.strerror}); choose another --out"
+        ) from None
     write_all(files | _further_files(arguments, seen.setup, found | origin))
     end_progress()
     rows = {name: len(table["time"]) for name, table in tables.items()}
@@ -147,37 +171,60 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
         print_json({"rows": rows, "out": str(arguments.out)} | found)
         return Exit.DONE
     logs = ", ".join(f"{count} rows of {name}" for name, count in rows.items())
-    lines = [f"{session.duration:g} s of {robot.name} ({robot.base} to {robot.tip}) in motion: {logs}"]
+    lines = [
+        f"{session.duration:g} s of {robot.name} ({robot.base} to {robot.tip}) in motion: {logs}"
+    ]
     for name, clock in session.clocks.items():
         if name in tables:
             lines.append(
-                f"  the clock of the {name} is {clock.offset:+.3f} s off and drifts by {1e6 * clock.drift:+.0f} ppm"
+                f"  the clock of the {name} is {clock.offset:+.3f} s off and drifts by "
+                f"{1e6 * clock.drift:+.0f} ppm"
             )
     written = f", the truth to {arguments.truth}" if arguments.truth else ""
     lines = [*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]
     click.echo(
-        "\n".join([*lines, f"next: {' '.join([_of_arm('calibrate', arguments), *_known(arguments.sensor)])} --out results"])
+        "\n".join(
+            [
+                *lines,
+                "next: "
+                f"{' '.join([_of_arm('calibrate', arguments), *_known(arguments.sensor)])} "
+                "--out results",
+            ]
+        )
     )
     return Exit.DONE
 
 
-def _further_files(arguments: SimulateArguments, setup: SensorSetup, truth: dict[str, Any]) -> _Files:
+def _further_files(
+    arguments: SimulateArguments, setup: SensorSetup, truth: dict[str, Any]
+) -> _Files:
     """Return the files that are written in addition to the table or the logs."""
     from pincal.measure.table import write_table
 
-    given, named = arguments.sensor, setup.points
-    points = {"point": np.array(list(named)), **dict(zip("xyz", np.array([*named.values()], float).T, strict=False))}
+    given = arguments.sensor
+    named = setup.points
+    points = {
+        "point": np.array(list(named)),
+        **dict(zip("xyz", np.array([*named.values()], float).T, strict=False)),
+    }
     return {
         "--truth": (arguments.truth, lambda path: write_plain(path, contents=truth)),
         "--points-out": (given.points_out, lambda path: write_table(path, points)),
-        "--camera-out": (given.camera_out, lambda path: write_plain(path, contents=truth["camera"])),
+        "--camera-out": (
+            given.camera_out,
+            lambda path: write_plain(path, contents=truth["camera"]),
+        ),
     }
 
 
 def _origin(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> dict[str, Any]:
     """Return robot, seeds, and the drawn masses of links without masses in the URDF, for JSON."""
     names = {"robot": robot.name, "base": robot.path.start, "tip": robot.tip}
-    seeds = {"seed": arguments.campaign.seed, "pose_seed": arguments.pose_seed, "setup_seed": arguments.setup_seed}
+    seeds = {
+        "seed": arguments.campaign.seed,
+        "pose_seed": arguments.pose_seed,
+        "setup_seed": arguments.setup_seed,
+    }
     weighed = zip(machine.names, machine.arm.masses.tolist(), strict=True)
     masses = {joint: mass for joint, mass in weighed if joint in robot.unweighed}
     return names | seeds | ({"drawn_masses_kg": masses} if masses else {})
@@ -189,7 +236,9 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
     from pincal.simulate.request import draw_machine
 
     given = arguments.machine
-    urdf = robot.urdf if given.type is None else _of_type(robot, given.type, arguments.campaign.seed)
+    urdf = (
+        robot.urdf if given.type is None else _of_type(robot, given.type, arguments.campaign.seed)
+    )
     made = partial(
         TrueMachine.from_urdf,
         arm_text(urdf, robot.joint_names, robot.source, loops=True),
@@ -199,7 +248,8 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
         moment_frame=given.moment_frame,
         gravity=given.gravity or tuple(robot.gravity.tolist()),
     )
-    # Errors are in proportion to an arm, for a tree always the same one, whatever the links of the readings are.
+    # Errors are in proportion to an arm, for a tree always the same one, whatever the links of the
+    # readings are.
     measured = made(tip=robot.tip, start=robot.path.start).nominal
     ends = {robot.tip, *(tip for _, tip in robot.links)}
     machine = draw_machine(
@@ -211,7 +261,10 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
         effects=[parse_effect(text, robot.joint_names) for text in given.effects],
         unweighed=robot.unweighed,
     )
-    return replace(machine, nominal=replace(measured, masses=machine.nominal.masses, centres=machine.nominal.centres))
+    return replace(
+        machine,
+        nominal=replace(measured, masses=machine.nominal.masses, centres=machine.nominal.centres),
+    )
 
 
 def _of_type(robot: Robot, path: Path, seed: int) -> bytes:
@@ -223,13 +276,16 @@ def _of_type(robot: Robot, path: Path, seed: int) -> bytes:
     from pincal.model.model import Model
     from pincal.simulate.request import Stream
 
-    of, model = load_type(path), Model(Chain.of(robot), GEOMETRIC)
+    of = load_type(path)
+    model = Model(Chain.of(robot), GEOMETRIC)
     drawn = dict(zip(of.names, of.drawn(robot, Stream.ERRORS.generator(seed)), strict=True))
     return calibrated_urdf(model, np.array([drawn.get(name, 0.0) for name in model.names])).text
 
 
 def _in_one_order(robot: Robot) -> tuple[str, ...]:
-    """Return the joints, of a tree in an order independent of the path, so that a seed gives the same machine."""
+    """Return the joints, of a tree in an order independent of the path, so that a seed gives the
+    same machine.
+    """
     if not robot.links:
         return robot.joint_names
     depth = list[int]()
@@ -251,31 +307,47 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
 
         q, conditions = poses_of_table(load_table(robot, given.at, joints_only=True))
         order = [robot.joint_names.index(name) for name in machine.names]
-        q, conditions = q[:, order], conditions | {k: v[:, order] for k, v in conditions.items() if v.ndim == 2}
+        q = q[:, order]
+        conditions = conditions | {k: v[:, order] for k, v in conditions.items() if v.ndim == 2}
     else:
         rng = Stream.POSES.generator(arguments.pose_seed)
         try:
-            q = setup.plan(machine.nominal, arguments.n_poses or 1, rng=rng, min_height=arguments.floor)
+            q = setup.plan(
+                machine.nominal, arguments.n_poses or 1, rng=rng, min_height=arguments.floor
+            )
         except BadInputError as error:
             raise BadInputError(
-                f"{error}; a lower --floor, or --no-floor, gives the arm more room, another --seed another set-up"
+                f"{error}; a lower --floor, or --no-floor, gives the arm more room, "
+                "another --seed another set-up"
             ) from None
     wanted = Repetition(**{field.name: getattr(given, field.name) for field in fields(Repetition)})
     q, all_conditions = repeat_poses(machine, q, wanted, given=conditions, seed=arguments.pose_seed)
     return Campaign(q=q, conditions=all_conditions, setup=setup, hidden=given.hide)
 
 
-def _summary(arguments: SimulateArguments, truth: dict[str, Any], *, setup: SensorSetup, rows: int) -> str:
-    """Return what was simulated and written, and the next command; ``truth`` is the contents of the truth file."""
+def _summary(
+    arguments: SimulateArguments, truth: dict[str, Any], *, setup: SensorSetup, rows: int
+) -> str:
+    """Return what was simulated and written, and the next command; ``truth`` is the contents of the
+    truth file.
+    """
     lines = [
-        f"{rows} rows in {truth['poses']} poses of {truth['robot']} ({truth['base']} to {truth['tip']}): "
+        f"{rows} rows in {truth['poses']} poses of {truth['robot']} ({truth['base']} to "
+        f"{truth['tip']}): "
         f"{truth['sensor']}, noise {_noise(setup)}"
     ]
     if drawn := truth.get("drawn_masses_kg"):
-        lines.append(f"  the URDF has no masses for {len(drawn)} links: {sum(drawn.values()):.3g} kg were drawn for them")
+        lines.append(
+            f"  the URDF has no masses for {len(drawn)} links: {sum(drawn.values()):.3g} "
+            "kg were drawn for them"
+        )
     lines += _hidden_lines(truth)
     given = arguments.sensor
-    further = {"the truth": arguments.truth, "named points": given.points_out, "the camera": given.camera_out}
+    further = {
+        "the truth": arguments.truth,
+        "named points": given.points_out,
+        "the camera": given.camera_out,
+    }
     written = "".join(f", {what} to {path}" for what, path in further.items() if path)
     lines += [f"written to {arguments.out}{written}", f"next: {_next_command(arguments, setup)}"]
     return "\n".join(lines)
@@ -293,7 +365,8 @@ def _hidden_lines(truth: dict[str, Any]) -> Iterator[str]:
 
 def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
     """Return the command that discovers the effects from the table."""
-    machine, given = arguments.machine, arguments.sensor
+    machine = arguments.machine
+    given = arguments.sensor
     words = [f"{_of_arm('discover', arguments)} --out results"]
     words += [f"--noise {_noise(setup)}"] if setup.sigma else []
     angle = setup.truth()["noise"]["sigma_rad"]
@@ -302,7 +375,10 @@ def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
     if setup.kind == "socket" and not given.points_out and len(setup.points) > 1:
         (a, first), (b, second) = list(setup.points.items())[:2]
         words.append(f"--socket-distance {a} {b} {np.linalg.norm(first - second):g}")
-    for name, vector in (("payload-com", arguments.campaign.payload_com), ("gravity", machine.gravity)):
+    for name, vector in (
+        ("payload-com", arguments.campaign.payload_com),
+        ("gravity", machine.gravity),
+    ):
         if vector not in (None, (0.0, 0.0, 0.0)):
             words.append(f"--{name} {' '.join(f'{value:g}' for value in vector)}")
     return " ".join(words)
@@ -316,11 +392,14 @@ def _known(given: SensorArguments) -> list[str]:
 
 def _of_arm(verb: str, arguments: SimulateArguments) -> str:
     """Return a command on the same arm and what was written of it."""
-    machine, words = arguments.machine, [f"pincal {verb} {arguments.robot} {arguments.out}"]
+    machine = arguments.machine
+    words = [f"pincal {verb} {arguments.robot} {arguments.out}"]
     words += [f"--tip {machine.tip}"] if machine.tip else []
     words += [f"--base {machine.base}"] if machine.base else []
     words += [f"--beside {of}" for of in machine.beside]
-    return " ".join([*words, *(f"--xacro-arg {name}:={value}" for name, value in machine.xacro_args)])
+    return " ".join(
+        [*words, *(f"--xacro-arg {name}:={value}" for name, value in machine.xacro_args)]
+    )
 
 
 def _noise(setup: SensorSetup) -> str:
@@ -331,8 +410,8 @@ def _noise(setup: SensorSetup) -> str:
 def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any]]:
     """Return name and given fields of a hidden effect of an arm with these joints.
 
-    ``text`` is as on the command line, e.g. ``gear_eccentricity:joint_3:size=1e-4,order=1``; components of a vector are
-    separated by a slash, as commas separate keys.
+    ``text`` is as on the command line, e.g. ``gear_eccentricity:joint_3:size=1e-4,order=1``;
+    components of a vector are separated by a slash, as commas separate keys.
 
     Raises:
         BadInputError: for a name, joint, key or value that is invalid, with the valid ones.
@@ -346,11 +425,18 @@ def parse_effect(text: str, joints: tuple[str, ...]) -> tuple[str, dict[str, Any
 
     name, pairs = effect_parts(text)
     if name not in HIDDEN_EFFECTS:
-        raise BadInputError(f"effect {name!r}: unknown; expected one of {', '.join(nearest_first([name], HIDDEN_EFFECTS))}")
-    kind, values = HIDDEN_EFFECTS[name], dict[str, Any]()
+        raise BadInputError(
+            f"effect {name!r}: unknown; expected one of "
+            f"{', '.join(nearest_first([name], HIDDEN_EFFECTS))}"
+        )
+    kind = HIDDEN_EFFECTS[name]
+    values = dict[str, Any]()
     for key, word in pairs:
         if key not in ("joint", *_keys(kind)):
-            raise BadInputError(f"effect {text!r}: no key {key!r}; {name} has {', '.join(_keys(kind))}, as key=value")
+            raise BadInputError(
+                f"effect {text!r}: no key {key!r}; {name} has {', '.join(_keys(kind))}, "
+                "as key=value"
+            )
         if key in ("joint", "source") and word not in joints:
             near = ", ".join(nearest_first([word], joints))
             raise BadInputError(f"effect {text!r}: no joint {word!r}; expected one of {near}")
@@ -368,10 +454,14 @@ def _read(text: str, kind: type[HiddenEffect], key: str, word: str) -> Any:
 
     choices = {"frame": ("before", "after"), "moment_frame": MOMENT_FRAMES}
     if key in choices and word not in choices[key]:
-        raise BadInputError(f"effect {text!r}: {key}={word}; expected one of {', '.join(choices[key])}")
+        raise BadInputError(
+            f"effect {text!r}: {key}={word}; expected one of {', '.join(choices[key])}"
+        )
     of = get_type_hints(kind)[key]
     try:
-        found = msgspec.convert(word.split("/") if get_origin(of) is tuple else word, of, strict=False)
+        found = msgspec.convert(
+            word.split("/") if get_origin(of) is tuple else word, of, strict=False
+        )
     except msgspec.ValidationError:
         found = math.nan
     if isinstance(found, float | tuple) and not np.isfinite(found).all():

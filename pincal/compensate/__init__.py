@@ -1,1 +1,3 @@
-"""Compensation: the joint positions at which the target reaches wanted poses, by the calibrated model."""
+"""Compensation: the joint positions at which the target reaches wanted poses, by the calibrated
+model.
+"""

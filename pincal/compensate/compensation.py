@@ -1,7 +1,8 @@
-"""Compensation: from wanted poses, or a nominal program, to the joint positions that reach them by the calibrated model.
+"""Compensation: from wanted poses, or a nominal program, to the joint positions that reach them by
+the calibrated model.
 
-The fourth step of the paper (Radkhah, Hemker, Friedmann, von Stryk, Fig. 1): with the identified model the robot reaches the
-intended poses.
+The fourth step of the paper (Radkhah, Hemker, Friedmann, von Stryk, Fig. 1): with the identified
+model the robot reaches the intended poses.
 """
 
 from __future__ import annotations
@@ -14,7 +15,12 @@ import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.ik_problem import Bounds, IkProblem
-from pincal.compensate.robot_frames import PoseFrame, base_in_instrument, in_base_frame, program_poses
+from pincal.compensate.robot_frames import (
+    PoseFrame,
+    base_in_instrument,
+    in_base_frame,
+    program_poses,
+)
 from pincal.compensate.solve_ik import solve_ik
 from pincal.errors import BadInputError
 from pincal.model.conditions import Conditions
@@ -36,13 +42,14 @@ class Compensation:
 
     Attributes:
         q: shape (N, n), within the limits [rad or m].
-        status: shape (N,), "ok": reached to 1e-9 m and 1e-9 rad; "singular": a small correction would need large joint
-            motions, so the joints are kept within 0.1 rad of the seed and reach the position, with the orientation as close
-            as possible; "joint_limit": a joint is at its limit; "unreachable": no joint positions were found.
+        status: shape (N,), "ok": reached to 1e-9 m and 1e-9 rad; "singular": a small correction
+            would need large joint motions, so the joints are kept within 0.1 rad of the seed and
+            reach the position, with the orientation as close as possible; "joint_limit": a joint is
+            at its limit; "unreachable": no joint positions were found.
         error: shape (N,), predicted distance from the wanted position [m].
         turn: shape (N,), predicted angle from the wanted orientation [rad]; 0 if none is wanted.
-        seed_error: shape (N,), predicted distance of the seeds from the wanted position [m]: the error of the uncompensated
-            program.
+        seed_error: shape (N,), predicted distance of the seeds from the wanted position [m]: the
+            error of the uncompensated program.
         wanted: shape (N, 3, 4), the wanted poses of the target in ``frame``.
         frame: "instrument" or "base".
     """
@@ -56,7 +63,10 @@ class Compensation:
     frame: PoseFrame
 
     def __repr__(self) -> str:
-        return f"Compensation({int(self.is_ok.sum())} of {len(self.q)} rows reached, in the frame {self.frame!r})"
+        return (
+            f"Compensation({int(self.is_ok.sum())} of {len(self.q)} rows reached, in the "
+            f"frame {self.frame!r})"
+        )
 
     @property
     def is_ok(self) -> np.ndarray:
@@ -75,25 +85,28 @@ def compensate_poses(
 ) -> Compensation:
     """Return the joint positions at which the target reaches wanted poses by the calibrated model.
 
-    Of all joint positions that reach a pose, the closest to the seed (sum of squares over joints [rad, m]) are returned if
-    the seed is within 5 cm and 0.1 rad of the pose; no joint then moves by more than 0.35 rad or m. From a more distant
-    seed, the closest that the search finds are returned.
+    Of all joint positions that reach a pose, the closest to the seed (sum of squares over joints
+    [rad, m]) are returned if the seed is within 5 cm and 0.1 rad of the pose; no joint then moves
+    by more than 0.35 rad or m. From a more distant seed, the closest that the search finds are
+    returned.
 
     Args:
         calibrated: the calibrated model.
         wanted: shape (N, 3, 4), poses of the target, or shape (N, 3), positions only [m].
         conditions: the N rows; their joint positions are the seeds.
         frame: frame of the wanted poses: the instrument's or the robot's base.
-        orientation: for wanted positions: "keep" the orientation of the nominal robot at the seed, as the program intends,
-            or "free". An arm with fewer than six joints keeps it as closely as it can.
+        orientation: for wanted positions: "keep" the orientation of the nominal robot at the seed,
+            as the program intends, or "free". An arm with fewer than six joints keeps it as closely
+            as it can.
         limits: whether to respect the joint limits of the URDF.
 
     Returns:
         The joint positions, independently for each row.
 
     Raises:
-        BadInputError: for wanted poses or seeds that have a wrong shape or are not finite, or an unknown frame or
-            orientation; or if the conditions lack a column that an effect of the model needs.
+        BadInputError: for wanted poses or seeds that have a wrong shape or are not finite, or an
+            unknown frame or orientation; or if the conditions lack a column that an effect of the
+            model needs.
 
     Example:
         >>> from pincal.builtin import kuka_urdf_path
@@ -112,12 +125,17 @@ def compensate_poses(
         >>> found.status.tolist(), float((found.q - program.q)[0, 2].round(9))
         (['ok'], -0.002)
     """
-    for name, value, known in (("frame", frame, PoseFrame), ("orientation", orientation, KeptOrientation)):
+    for name, value, known in (
+        ("frame", frame, PoseFrame),
+        ("orientation", orientation, KeptOrientation),
+    ):
         if value not in get_args(known):
             raise BadInputError(f"{name} {value!r}; expected one of {', '.join(get_args(known))}")
     n = calibrated.model.chain.robot.n_joints
     if conditions.q.ndim != 2 or conditions.q.shape[1] != n or not np.isfinite(conditions.q).all():
-        raise BadInputError(f"seeds have shape {conditions.q.shape}; expected (N, {n}), all of them numbers")
+        raise BadInputError(
+            f"seeds have shape {conditions.q.shape}; expected (N, {n}), all of them numbers"
+        )
     conditions = calibrated.of_its_day(conditions)
     poses = _as_poses(wanted, len(conditions))
     if np.ndim(wanted) == 2 and orientation == "keep":
@@ -137,29 +155,43 @@ def compensate_poses(
     own = robot.own_joints
     seeds = np.asarray(conditions.q[:, own], float)
     bounds = Bounds(robot.lower[own], robot.upper[own]) if limits else Bounds.none(len(own))
-    q, status = np.empty_like(seeds), np.empty(len(conditions), dtype="<U12")
+    q = np.empty_like(seeds)
+    status = np.empty(len(conditions), dtype="<U12")
     for start in range(0, len(problem), _PIECE):
         rows = slice(start, start + _PIECE)
-        log.info("finding the joints of %d rows", len(problem), extra={"done": start, "of": len(problem)})
+        log.info(
+            "finding the joints of %d rows", len(problem), extra={"done": start, "of": len(problem)}
+        )
         q[rows], status[rows] = solve_ik(problem.select(rows), seeds[rows], limits=bounds)
     error, turn = problem.distances(problem.residuals(q))
     seed_error, _ = problem.distances(problem.residuals(seeds))
-    return Compensation(robot.as_reported(robot.spread(q)), status, error, turn, seed_error, poses, frame)
+    return Compensation(
+        robot.as_reported(robot.spread(q)), status, error, turn, seed_error, poses, frame
+    )
 
 
-def compensate_program(calibrated: CalibratedModel, conditions: Conditions, *, limits: bool = True) -> Compensation:
+def compensate_program(
+    calibrated: CalibratedModel, conditions: Conditions, *, limits: bool = True
+) -> Compensation:
     """Return the joint positions at which the real robot reaches the poses of a nominal program.
 
-    The wanted pose is the target's on the nominal robot, with the identified tool, at the program's joint positions, which
-    ``conditions`` contains and which are the seeds; it is in the robot's base frame. ``limits`` and errors are as for
+    The wanted pose is the target's on the nominal robot, with the identified tool, at the program's
+    joint positions, which ``conditions`` contains and which are the seeds; it is in the robot's
+    base frame. ``limits`` and errors are as for
     :func:`compensate_poses`.
     """
-    return compensate_poses(calibrated, program_poses(calibrated, conditions), conditions, frame="base", limits=limits)
+    return compensate_poses(
+        calibrated, program_poses(calibrated, conditions), conditions, frame="base", limits=limits
+    )
 
 
 def middle_of_range(robot: Robot) -> np.ndarray:
-    """Return a seed for poses without one, shape (n,): the middle of each joint's range, 0 if it is unlimited."""
-    lower, upper = np.where(np.isfinite(robot.lower) & np.isfinite(robot.upper), (robot.lower, robot.upper), 0.0)
+    """Return a seed for poses without one, shape (n,): the middle of each joint's range, 0 if it is
+    unlimited.
+    """
+    lower, upper = np.where(
+        np.isfinite(robot.lower) & np.isfinite(robot.upper), (robot.lower, robot.upper), 0.0
+    )
     return np.asarray(robot.following((lower + upper)[None] / 2.0)[0])
 
 
@@ -167,14 +199,20 @@ def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
     """Return a copy of wanted poses as an array of shape (N, 3, 4)."""
     given = np.asarray(wanted, float)
     if given.shape not in ((count, 3), (count, 3, 4)):
-        raise BadInputError(f"desired poses have shape {given.shape}; expected ({count}, 3, 4) or ({count}, 3)")
+        raise BadInputError(
+            f"desired poses have shape {given.shape}; expected ({count}, 3, 4) or ({count}, 3)"
+        )
     if not np.isfinite(given).all():
         row = int(np.flatnonzero(~np.isfinite(given.reshape(count, -1)).all(axis=1))[0])
         raise BadInputError(f"desired pose {row} is not finite; expected numbers")
     if given.ndim == 2:
         return np.concatenate([np.tile(np.eye(3), (count, 1, 1)), given[:, :, None]], axis=2)
     turns = given[:, :, :3]
-    off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(np.linalg.det(turns) - 1.0)
+    off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(
+        np.linalg.det(turns) - 1.0
+    )
     if off.max(initial=0.0) > ORTHONORMAL:
-        raise BadInputError(f"desired pose {int(off.argmax())}: its first three columns are not a rotation matrix")
+        raise BadInputError(
+            f"desired pose {int(off.argmax())}: its first three columns are not a rotation matrix"
+        )
     return given.copy()

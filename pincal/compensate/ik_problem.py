@@ -1,4 +1,6 @@
-"""Inverse kinematics of a calibrated model: poses that the target has to reach, and their Jacobians by the joints."""
+"""Inverse kinematics of a calibrated model: poses that the target has to reach, and their Jacobians
+by the joints.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from pincal.model.effects import JointOffset
 from pincal.model.model import Model
 from pincal.robot.se3 import rotation_vectors
 
-# A pose counts as reached within this [m and rad]: a tenth of the documented accuracy, a thousand times its rounding.
+# A pose counts as reached within this [m and rad]: a tenth of the documented accuracy, a thousand
+# times its rounding.
 REACHED = 1e-10
 # Typical lever arm of a rotation, as a fraction of the robot's reach.
 _LEVER = 1.0 / 3.0
@@ -44,15 +47,24 @@ class Bounds:
 
     def contain(self, q: np.ndarray) -> np.ndarray:
         """Return which rows of joint positions, shape (N, n), are within the bounds, shape (N,)."""
-        return np.asarray(np.all((q >= self.lower - _ON_LIMIT) & (q <= self.upper + _ON_LIMIT), axis=1))
+        return np.asarray(
+            np.all((q >= self.lower - _ON_LIMIT) & (q <= self.upper + _ON_LIMIT), axis=1)
+        )
 
     def touched(self, q: np.ndarray) -> np.ndarray:
-        """Return in which rows of joint positions, shape (N, n), a joint is at a limit, shape (N,)."""
-        return np.asarray(np.any((q <= self.lower + _ON_LIMIT) | (q >= self.upper - _ON_LIMIT), axis=1))
+        """Return in which rows of joint positions, shape (N, n), a joint is at a limit,
+        shape (N,).
+        """
+        return np.asarray(
+            np.any((q <= self.lower + _ON_LIMIT) | (q >= self.upper - _ON_LIMIT), axis=1)
+        )
 
     def around(self, q: np.ndarray, rows: np.ndarray, *, distance: float) -> Bounds:
-        """Return row-wise bounds that keep masked rows, shape (N,), within a distance of joint positions, shape (N, n)."""
-        start, narrow = np.clip(q, self.lower, self.upper), rows[:, None]
+        """Return row-wise bounds that keep masked rows, shape (N,), within a distance of joint
+        positions, shape (N, n).
+        """
+        start = np.clip(q, self.lower, self.upper)
+        narrow = rows[:, None]
         lower = np.where(narrow, np.maximum(start - distance, self.lower), self.lower)
         return Bounds(lower, np.where(narrow, np.minimum(start + distance, self.upper), self.upper))
 
@@ -61,9 +73,10 @@ class Bounds:
 class IkProblem:
     """N wanted poses of the target, each under its own conditions.
 
-    A joint position adds to the same coordinate as the joint's offset. The model's exact derivative by the offsets, which
-    includes the change of the static moments, is therefore the derivative by the joint positions except for effects that
-    depend on the position itself (gear errors, about 1e-4 of it): each Newton step gains three digits.
+    A joint position adds to the same coordinate as the joint's offset. The model's exact derivative
+    by the offsets, which includes the change of the static moments, is therefore the derivative by
+    the joint positions except for effects that depend on the position itself (gear errors, about
+    1e-4 of it): each Newton step gains three digits.
 
     The unknowns are the positions of the n independent joints; mimic joints follow them.
 
@@ -83,7 +96,13 @@ class IkProblem:
 
     @classmethod
     def of(
-        cls, model: Model, values: np.ndarray, *, conditions: Conditions, wanted: np.ndarray, with_orientation: bool
+        cls,
+        model: Model,
+        values: np.ndarray,
+        *,
+        conditions: Conditions,
+        wanted: np.ndarray,
+        with_orientation: bool,
     ) -> IkProblem:
         """Return the problem for a model and its values, shape (P,)."""
         movable = model.with_effects((*model.effects, JointOffset()))
@@ -108,30 +127,42 @@ class IkProblem:
 
     @property
     def n_spare(self) -> int:
-        """Number of joints minus equations per pose: above 0 the arm is redundant, below 0 it has too few joints."""
+        """Number of joints minus equations per pose: above 0 the arm is redundant, below 0 it has
+        too few joints.
+        """
         return len(self.model.chain.robot.own_joints) - self.n_equations
 
     @cached_property
     def length(self) -> float:
-        """Weight of a rotation relative to a translation [m]: a rotation by 1 rad counts as much as this distance."""
+        """Weight of a rotation relative to a translation [m]: a rotation by 1 rad counts as much as
+        this distance.
+        """
         return max(_LEVER * self.model.chain.robot.reach, 1e-3)
 
     def residuals(self, q: np.ndarray) -> np.ndarray:
-        """Return wanted minus actual pose at joint positions of shape (N, n), shape (N, n_equations).
+        """Return wanted minus actual pose at joint positions of shape (N, n), shape (N,
+        n_equations).
 
-        The translation is divided by ``length``; a rotation vector [rad] follows if the orientation counts.
+        The translation is divided by ``length``; a rotation vector [rad] follows if the orientation
+        counts.
         """
         return self._residuals(self.model.predict(self.values, self._at(q)))
 
     def linearise(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return residuals, shape (N, n_equations), and the pose's Jacobian in their units, (N, n_equations, n)."""
+        """Return residuals, shape (N, n_equations), and the pose's Jacobian in their units, (N,
+        n_equations, n).
+        """
         robot = self.model.chain.robot
         offsets = self.model.spans[-1]
         free = np.zeros(len(self.values), bool)
         free[offsets] = True
-        poses, offset_J = self.model.linearise(self.values, self._at(q), free=free, rows=self.n_equations)
+        poses, offset_J = self.model.linearise(
+            self.values, self._at(q), free=free, rows=self.n_equations
+        )
         J = np.zeros((*offset_J.shape[:2], robot.n_joints))
-        J[..., [robot.joint_names.index(p.element) for p in self.model.parameters[offsets]]] = offset_J
+        J[..., [robot.joint_names.index(p.element) for p in self.model.parameters[offsets]]] = (
+            offset_J
+        )
         J = np.ascontiguousarray(robot.gathered(J))
         J[:, :3] /= self.length
         return self._residuals(poses), J
@@ -147,10 +178,12 @@ class IkProblem:
         return np.hstack([translation, turn])
 
     def turns_in_place(self, q: np.ndarray) -> np.ndarray:
-        """Return how freely the joints rotate the target about each axis of the frame with its position fixed.
+        """Return how freely the joints rotate the target about each axis of the frame with its
+        position fixed.
 
         Returns:
-            Shape (N, 3): 1 freely, 0 not at all; for an arm with six joints all are 1 except at singular poses.
+            Shape (N, 3): 1 freely, 0 not at all; for an arm with six joints all are 1 except at
+            singular poses.
         """
         _, J = self.linearise(q)
         still = np.eye(J.shape[2]) - np.linalg.pinv(J[:, :3], rcond=_LOST_TURN) @ J[:, :3]

@@ -1,14 +1,17 @@
-r"""Iterations of inverse kinematics: Newton's method for all rows at once, and a bounded search for the few that remain.
+r"""Iterations of inverse kinematics: Newton's method for all rows at once, and a bounded search for
+the few that remain.
 
-With the residual e and the difference to the seed, r = seed - q, the Newton step that ends closest to the seed is
+With the residual e and the difference to the seed, r = seed - q, the Newton step that ends closest
+to the seed is
 
 .. math:: \Delta q = r + J^+ (e - J r),
 
-which is :math:`J^{-1} e` for an arm without redundancy. Rows that it does not solve (distant, singular or beyond a limit)
-are solved by a monotone Levenberg-Marquardt search [Marquardt1963]_; joints at their limits are held there while the step
-points outwards.
+which is :math:`J^{-1} e` for an arm without redundancy. Rows that it does not solve (distant,
+singular or beyond a limit) are solved by a monotone Levenberg-Marquardt search [Marquardt1963]_;
+joints at their limits are held there while the step points outwards.
 
-.. [Marquardt1963] D. W. Marquardt, An algorithm for least-squares estimation of nonlinear parameters, J. SIAM 11 (1963).
+.. [Marquardt1963] D. W. Marquardt, An algorithm for least-squares estimation of nonlinear
+  parameters, J. SIAM 11 (1963).
 """
 
 from __future__ import annotations
@@ -21,22 +24,30 @@ from pincal.compensate.ik_problem import Bounds, IkProblem
 _NEWTON_STEPS = 12
 # The longest step of a joint [rad or m], within which an arm's poses are nearly linear.
 _LONGEST = 0.3
-# A smaller step [rad or m] adds no error of its own; a redundant arm continues towards the solution closest to its seed
-# until its steps are as small.
+# A smaller step [rad or m] adds no error of its own; a redundant arm continues towards the solution
+# closest to its seed until its steps are as small.
 _SETTLED = 1e-8
-# Avoid a division by zero at exactly singular poses: relative to the square of the Jacobian, and absolute for joints that do
-# not move the target at all.
-_FLOOR, _NOTHING = 1e-14, 1e-30
+# Avoid a division by zero at exactly singular poses: relative to the square of the Jacobian, and
+# absolute for joints that do not move the target at all.
+_FLOOR = 1e-14
+_NOTHING = 1e-30
 _SEARCH_STEPS = 60
-_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-4, 1e-14, 1e6
-_SHRINK, _GROW = 0.3, 4.0
-# A search has converged after several steps in a row with less relative decrease of the squares than this.
-_ARRIVED, _PATIENCE = 1e-2, 3
+_DAMPING = 1e-4
+_LEAST_DAMPING = 1e-14
+_MOST_DAMPING = 1e6
+_SHRINK = 0.3
+_GROW = 4.0
+# A search has converged after several steps in a row with less relative decrease of the squares
+# than this.
+_ARRIVED = 1e-2
+_PATIENCE = 3
 # Steps shorter than this do not count as motion [rad or m].
 _STILL = 1e-13
 
 
-def newton(problem: IkProblem, start: np.ndarray, *, seed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def newton(
+    problem: IkProblem, start: np.ndarray, *, seed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the joint positions closest to the seed that reach the poses, regardless of limits.
 
     Args:
@@ -47,15 +58,18 @@ def newton(problem: IkProblem, start: np.ndarray, *, seed: np.ndarray) -> tuple[
     Returns:
         Joint positions, shape (N, n), and which rows are reached, shape (N,).
     """
-    q, reached = np.array(start, float), np.zeros(len(problem), bool)
-    rows, part = np.arange(len(problem)), problem
+    q = np.array(start, float)
+    reached = np.zeros(len(problem), bool)
+    rows = np.arange(len(problem))
+    part = problem
     for _ in range(_NEWTON_STEPS + 1):
         residuals, J = part.linearise(q[rows])
         is_redundant = problem.n_spare > 0
         step = _step_near(seed[rows] - q[rows] if is_redundant else None, residuals, J=J)
         is_short = np.abs(step).max(axis=1) < _SETTLED
         arrived = part.is_reached(residuals) & (is_short | (not is_redundant))
-        # Two further steps lead from REACHED to rounding, so that the result does not depend on the order of operations.
+        # Two further steps lead from REACHED to rounding, so that the result does not depend on the
+        # order of operations.
         done = arrived & reached[rows]
         reached[rows[arrived]] = True
         q[rows] += np.where((done & ~is_short)[:, None], 0.0, step)
@@ -68,7 +82,9 @@ def newton(problem: IkProblem, start: np.ndarray, *, seed: np.ndarray) -> tuple[
 
 
 def _step_near(back: np.ndarray | None, residuals: np.ndarray, *, J: np.ndarray) -> np.ndarray:
-    """Return Newton steps of limited length that end as close as possible to the end of ``back``, shape (N, n)."""
+    """Return Newton steps of limited length that end as close as possible to the end of ``back``,
+    shape (N, n).
+    """
     transposed = J.swapaxes(1, 2)
     square = J @ transposed
     square[:, range(J.shape[1]), range(J.shape[1])] += _floor(square)[:, None]
@@ -105,7 +121,8 @@ def bounded_search(
     weight = np.where(np.arange(problem.n_equations) < 3, position_weight, 1.0)
     q = np.clip(start, bounds.lower, bounds.upper)
     residuals, J = problem.linearise(q)
-    damping, idle = np.full(len(problem), _DAMPING), np.zeros(len(problem), int)
+    damping = np.full(len(problem), _DAMPING)
+    idle = np.zeros(len(problem), int)
     rows = np.flatnonzero(~problem.is_reached(residuals))
     for _ in range(_SEARCH_STEPS):
         if not len(rows):
@@ -115,27 +132,38 @@ def bounded_search(
                              bounds=limits)  # fmt: skip
         trial = np.clip(q[rows] + _shortened(step), limits.lower, limits.upper)
         tried, slope = problem.select(rows).linearise(trial)
-        before, after = (np.einsum("ni,ni->n", r, r) for r in (residuals[rows] * weight, tried * weight))
-        better, moves = after < before, np.abs(step).max(axis=1) > _STILL
+        before, after = (
+            np.einsum("ni,ni->n", r, r) for r in (residuals[rows] * weight, tried * weight)
+        )
+        better = after < before
+        moves = np.abs(step).max(axis=1) > _STILL
         idle[rows] = np.where(after < (1.0 - _ARRIVED) * before, 0, idle[rows] + better)
         damping[rows] = np.maximum(damping[rows] * np.where(better, _SHRINK, _GROW), _LEAST_DAMPING)
         at = rows[better]
-        q[at], residuals[at], J[at] = trial[better], tried[better], slope[better]
+        q[at] = trial[better]
+        residuals[at] = tried[better]
+        J[at] = slope[better]
         goes_on = moves & (idle[rows] < _PATIENCE) & (damping[rows] < _MOST_DAMPING)
         rows = rows[goes_on & ~problem.is_reached(residuals[rows])]
     return q, problem.is_reached(residuals)
 
 
-def _bounded_step(J: np.ndarray, residuals: np.ndarray, *, damping: np.ndarray, q: np.ndarray, bounds: Bounds) -> np.ndarray:
+def _bounded_step(
+    J: np.ndarray, residuals: np.ndarray, *, damping: np.ndarray, q: np.ndarray, bounds: Bounds
+) -> np.ndarray:
     """Return damped steps in which joints at a bound do not move beyond it, shape (N, n)."""
-    square, slope = J.swapaxes(1, 2) @ J, (J.swapaxes(1, 2) @ residuals[..., None])[..., 0]
-    at_bound, joints = np.zeros(q.shape, bool), range(q.shape[1])
+    square = J.swapaxes(1, 2) @ J
+    slope = (J.swapaxes(1, 2) @ residuals[..., None])[..., 0]
+    at_bound = np.zeros(q.shape, bool)
+    joints = range(q.shape[1])
     damped = damping + _floor(square)
     while True:
         system = np.where(at_bound[:, :, None] | at_bound[:, None, :], 0.0, square)
         system[:, joints, joints] += np.where(at_bound, 1.0, damped[:, None])
         step = np.linalg.solve(system, np.where(at_bound, 0.0, slope)[..., None])[..., 0]
-        pushes = ((q <= bounds.lower) & (step < 0.0) | (q >= bounds.upper) & (step > 0.0)) & ~at_bound
+        pushes = (
+            (q <= bounds.lower) & (step < 0.0) | (q >= bounds.upper) & (step > 0.0)
+        ) & ~at_bound
         if not pushes.any():
             return np.asarray(step)
         at_bound |= pushes

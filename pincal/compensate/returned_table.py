@@ -1,4 +1,6 @@
-"""A table returned in its own form: new numbers in some of its columns, further columns after them, all else unchanged."""
+"""A table returned in its own form: new numbers in some of its columns, further columns after them,
+all else unchanged.
+"""
 
 from __future__ import annotations
 
@@ -19,44 +21,75 @@ from pincal.measure.table import write_table
 from pincal.measure.text_sheet import TextSheet
 from pincal.units import SIZES, in_unit, plain_numbers
 
-DECIMALS = {"m": 11, "cm": 9, "mm": 8, "um": 5, "µm": 5, "in": 10, "rad": 11, "mrad": 8, "urad": 5, "deg": 9, "°": 9}
+DECIMALS = {
+    "m": 11,
+    "cm": 9,
+    "mm": 8,
+    "um": 5,
+    "µm": 5,
+    "in": 10,
+    "rad": 11,
+    "mrad": 8,
+    "urad": 5,
+    "deg": 9,
+    "°": 9,
+}
 """Least number of decimal places of a written number, by its unit."""
 _TEXT = (".csv", ".txt", ".tsv")
 
 
-def write_returned(out: Path, cells: Cells, columns: Mapping[str, np.ndarray], joints: Sequence[str]) -> None:
-    """Write a table in the form of the one that was read if the file's name allows it, else a new one in SI units.
+def write_returned(
+    out: Path, cells: Cells, columns: Mapping[str, np.ndarray], joints: Sequence[str]
+) -> None:
+    """Write a table in the form of the one that was read if the file's name allows it, else a new
+    one in SI units.
 
     Args:
         out: the file.
         cells: the table that was read.
         columns: values in SI units, shape (N,), by name, in their order.
-        joints: names of the columns that replace the table's own, in its units. The table's other columns are unchanged, and
-            columns that it lacks are appended.
+        joints: names of the columns that replace the table's own, in its units. The table's other
+            columns are unchanged, and columns that it lacks are appended.
 
     Raises:
         OutputError: for a name that no table can have, or a place that can't be written to.
     """
-    sheet, kind = cells.sheet, out.suffix.lower()
+    sheet = cells.sheet
+    kind = out.suffix.lower()
     mine = {column.name: column for column in cells.columns}
-    again = {label: SheetColumn(i, label, label, "", "number") for i, label in enumerate(sheet.labels) if label not in mine}
+    again = {
+        label: SheetColumn(i, label, label, "", "number")
+        for i, label in enumerate(sheet.labels)
+        if label not in mine
+    }
     changed = {mine[name]: columns[name] for name in joints if name in mine}
     changed |= {again[name]: values for name, values in columns.items() if name in again}
     present = {*mine, *again, *(joints if changed.keys() & mine.values() else ())}
     present |= {"qx", "qy", "qz", "qw"} if cells.orientation is not None else set()
     more = {name: values for name, values in columns.items() if name not in present}
-    if isinstance(sheet, TextSheet) and kind in _TEXT and (kind != ".tsv" or sheet.separator == "\t"):
+    if (
+        isinstance(sheet, TextSheet)
+        and kind in _TEXT
+        and (kind != ".tsv" or sheet.separator == "\t")
+    ):
         write_atomic(out, _text(sheet, cells.rows, changed, more))
     elif isinstance(sheet, FrameSheet) and sheet.worksheet and kind in ENDINGS:
         _write_workbook(out, sheet, cells.rows, changed, more)
-    elif isinstance(sheet, FrameSheet) and sheet.path.suffix.lower() == kind == ".parquet" and sheet.rows is None:
+    elif (
+        isinstance(sheet, FrameSheet)
+        and sheet.path.suffix.lower() == kind == ".parquet"
+        and sheet.rows is None
+    ):
         _write_parquet(out, sheet, cells.rows, changed, more)
     else:
         write_table(out, columns)
 
 
 def _text(
-    sheet: TextSheet, rows: np.ndarray, changed: Mapping[SheetColumn, np.ndarray], more: Mapping[str, np.ndarray]
+    sheet: TextSheet,
+    rows: np.ndarray,
+    changed: Mapping[SheetColumn, np.ndarray],
+    more: Mapping[str, np.ndarray],
 ) -> bytes:
     """Return the text with changed cells and further ones at the end of each line of the table."""
     raw = sheet.path.read_bytes()
@@ -76,11 +109,26 @@ def _text(
             for column in sorted(changed, key=lambda column: -column.index):
                 start, stop = spans[column.index]
                 commas |= sheet.decimal_comma and "," in body[start:stop]
-                body = body[:start] + _cell(changed[column][k], column.unit, body[start:stop]) + body[stop:]
+                body = (
+                    body[:start]
+                    + _cell(changed[column][k], column.unit, body[start:stop])
+                    + body[stop:]
+                )
             new = [_plain(values[k]) for values in more.values()]
-            lines[number - 1] = _extended(body, separator, [text.replace(".", ",") for text in new] if commas else new) + end
-        elif number > sheet.header_line and len(spans) == len(sheet.labels) and not body.lstrip().startswith("#"):
-            lines[number - 1] = _extended(body, separator, ["" if separator != " " else "-"] * len(more)) + end
+            lines[number - 1] = (
+                _extended(
+                    body, separator, [text.replace(".", ",") for text in new] if commas else new
+                )
+                + end
+            )
+        elif (
+            number > sheet.header_line
+            and len(spans) == len(sheet.labels)
+            and not body.lstrip().startswith("#")
+        ):
+            lines[number - 1] = (
+                _extended(body, separator, ["" if separator != " " else "-"] * len(more)) + end
+            )
     return "".join(lines).encode(encoding)
 
 
@@ -97,7 +145,9 @@ def cells_in(line: str, separator: str) -> list[tuple[int, int]]:
     """
     if separator == " ":
         return [match.span() for match in re.finditer(r"\S+", line)]
-    found, start, is_quoted = list[tuple[int, int]](), 0, False
+    found = list[tuple[int, int]]()
+    start = 0
+    is_quoted = False
     for i, letter in enumerate(line + separator):
         is_quoted ^= letter == '"'
         if letter == separator and (not is_quoted or i == len(line)):
@@ -110,20 +160,26 @@ def cells_in(line: str, separator: str) -> list[tuple[int, int]]:
 
 
 def _cell(value: Any, unit: str, old: str) -> str:
-    """Return a value [SI] in the form of the number that it replaces, which is kept if it is equal."""
+    """Return a value [SI] in the form of the number that it replaces, which is kept if
+    it is equal.
+    """
     if isinstance(value, str):
         return value
     return number_like(float(in_unit(np.array([value]), unit)[0]), DECIMALS.get(unit, 11), old)
 
 
 def number_like(value: float, least: int, old: str) -> str:
-    """Return a value with the decimal mark and the sign of the number that it replaces, which is kept if it is equal.
+    """Return a value with the decimal mark and the sign of the number that it replaces, which is
+    kept if it is equal.
 
     Example:
         >>> number_like(1.25, 3, "1,2"), number_like(1.2, 3, "+1.2"), number_like(2.5, 1, "+1.2")
         ('1,250', '+1.2', '+2.5')
     """
-    if any(abs(value - number) < 0.5 * 10.0**-least for number in plain_numbers([old.replace(",", ".")])):
+    if any(
+        abs(value - number) < 0.5 * 10.0**-least
+        for number in plain_numbers([old.replace(",", ".")])
+    ):
         return old
     decimals = re.search(r"[.,](\d*)", old)
     text = f"{value:.{max(len(decimals[1]) if decimals else 0, least)}f}"
@@ -136,12 +192,17 @@ def _plain(value: Any) -> str:
 
 
 def _write_workbook(
-    out: Path, sheet: FrameSheet, rows: np.ndarray, changed: Mapping[SheetColumn, np.ndarray], more: Mapping[str, np.ndarray]
+    out: Path,
+    sheet: FrameSheet,
+    rows: np.ndarray,
+    changed: Mapping[SheetColumn, np.ndarray],
+    more: Mapping[str, np.ndarray],
 ) -> None:
     with needed("openpyxl", "Excel files", install="'pincal[excel]'", error=MeasurementError):
         import openpyxl
     book = openpyxl.load_workbook(sheet.path, keep_vba=sheet.path.suffix.lower() == ".xlsm")
-    page, width = book[sheet.worksheet], len(sheet.labels)
+    page = book[sheet.worksheet]
+    width = len(sheet.labels)
     for k, name in enumerate(more, start=1):
         page.cell(sheet.header_line, width + k, name)
     for i, row in enumerate(map(int, rows)):
@@ -158,15 +219,25 @@ def _value(value: Any, unit: str) -> Any:
 
 
 def _write_parquet(
-    out: Path, sheet: FrameSheet, rows: np.ndarray, changed: Mapping[SheetColumn, np.ndarray], more: Mapping[str, np.ndarray]
+    out: Path,
+    sheet: FrameSheet,
+    rows: np.ndarray,
+    changed: Mapping[SheetColumn, np.ndarray],
+    more: Mapping[str, np.ndarray],
 ) -> None:
     import polars as pl
 
     frame = sheet.frame.collect()
     at = rows - 2
-    pairs = [(frame.columns[column.index], values, column.unit) for column, values in changed.items()]
+    pairs = [
+        (frame.columns[column.index], values, column.unit) for column, values in changed.items()
+    ]
     for name, values, unit in [*pairs, *((name, values, "") for name, values in more.items())]:
-        old = frame[name].to_numpy().astype(float) if name in frame.columns else np.full(frame.height, np.nan)
+        old = (
+            frame[name].to_numpy().astype(float)
+            if name in frame.columns
+            else np.full(frame.height, np.nan)
+        )
         if values.dtype.kind in "US":
             frame = frame.with_columns(pl.Series(name, values.tolist()))
             continue
@@ -177,7 +248,8 @@ def _write_parquet(
 
 
 def false_columns(cells: Cells, poses: np.ndarray) -> dict[str, np.ndarray]:
-    """Return poses, shape (N, 3, 4) [m], as columns that begin with false_, in the units and angles of the table's own.
+    """Return poses, shape (N, 3, 4) [m], as columns that begin with false_, in the units and angles
+    of the table's own.
 
     Raises:
         ValueError: if the table has no poses.
@@ -191,6 +263,10 @@ def false_columns(cells: Cells, poses: np.ndarray) -> dict[str, np.ndarray]:
         values = np.array([convention.values(pose[:, :3]) for pose in poses])
         for k, name in enumerate(convention.columns):
             column = by_name[name]
-            ratio = SIZES[convention.unit] / SIZES[column.unit] if convention.unit and column.unit else 1.0
+            ratio = (
+                SIZES[convention.unit] / SIZES[column.unit]
+                if convention.unit and column.unit
+                else 1.0
+            )
             found[f"false_{column.label}"] = values[:, k] * ratio
     return found

@@ -1,7 +1,9 @@
-"""Frames and models in which a pose is given: calibrated in the robot's base frame, nominal, or as a false target.
+"""Frames and models in which a pose is given: calibrated in the robot's base frame, nominal, or as
+a false target.
 
-All are derived from the calibrated model by leaving out effects: without the instrument's effects it predicts in the robot's
-base frame; with the tool's effects only it is the nominal robot with the identified tool.
+All are derived from the calibrated model by leaving out effects: without the instrument's effects
+it predicts in the robot's base frame; with the tool's effects only it is the nominal robot with the
+identified tool.
 """
 
 from __future__ import annotations
@@ -28,8 +30,12 @@ def _is_of(effect: Effect, *frames: str) -> bool:
 
 
 def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
-    """Return the calibrated model without the instrument, which predicts in the robot's base frame."""
-    return _with_effects(calibrated, lambda effect: effect.scope == "robot" or _is_of(effect, "tool"), np.eye(3))
+    """Return the calibrated model without the instrument, which predicts in the robot's
+    base frame.
+    """
+    return _with_effects(
+        calibrated, lambda effect: effect.scope == "robot" or _is_of(effect, "tool"), np.eye(3)
+    )
 
 
 def _with_effects(
@@ -38,7 +44,9 @@ def _with_effects(
     found = calibrated.with_effects(is_kept)
     chain = found.model.chain.with_references(base_rotation, found.model.chain.tool_rotations)
     model = found.model.with_chain(chain)
-    return replace(found, model=model, estimate=found.estimate.take(model.names), nominal_values=None)
+    return replace(
+        found, model=model, estimate=found.estimate.take(model.names), nominal_values=None
+    )
 
 
 def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
@@ -51,35 +59,48 @@ def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.nda
 
 
 def nominal_robot(calibrated: CalibratedModel) -> CalibratedModel:
-    """Return the nominal robot with the calibrated tool, which predicts in the robot's base frame."""
+    """Return the nominal robot with the calibrated tool, which predicts in the robot's
+    base frame.
+    """
     return _with_effects(calibrated, lambda effect: _is_of(effect, "tool"), np.eye(3))
 
 
 def nominal_in_instrument(calibrated: CalibratedModel) -> CalibratedModel:
-    """Return the nominal robot with the calibrated tool and base, which predicts in the instrument's frame."""
-    return _with_effects(calibrated, lambda e: _is_of(e, "tool", "base"), calibrated.model.chain.base_rotation)
+    """Return the nominal robot with the calibrated tool and base, which predicts in the
+    instrument's frame.
+    """
+    return _with_effects(
+        calibrated, lambda e: _is_of(e, "tool", "base"), calibrated.model.chain.base_rotation
+    )
 
 
 def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
-    """Return the pose of the robot's base in the instrument's frame at each of N poses, shape (N, 3, 4) [m].
+    """Return the pose of the robot's base in the instrument's frame at each of N poses, shape (N,
+    3, 4) [m].
 
     Rows differ only if the base drifts.
     """
-    placed = _with_effects(calibrated, lambda effect: _is_of(effect, "base"), calibrated.model.chain.base_rotation)
+    placed = _with_effects(
+        calibrated, lambda effect: _is_of(effect, "base"), calibrated.model.chain.base_rotation
+    )
     bare = _with_effects(calibrated, lambda effect: False, np.eye(3))
     return compose(placed.predict(conditions), inverse(bare.predict(conditions)))
 
 
-def false_targets(calibrated: CalibratedModel, conditions: Conditions, *, of: FalseTarget = "tip") -> np.ndarray:
-    """Return the poses for which a controller with the nominal model commands given joint positions.
+def false_targets(
+    calibrated: CalibratedModel, conditions: Conditions, *, of: FalseTarget = "tip"
+) -> np.ndarray:
+    """Return the poses for which a controller with the nominal model commands given joint
+    positions.
 
-    The controller has to choose the same branch of its inverse kinematics (with seven joints, the same elbow position).
+    The controller has to choose the same branch of its inverse kinematics (with seven joints, the
+    same elbow position).
 
     Args:
         calibrated: the calibrated model.
         conditions: the N poses, with the joint positions to command.
-        of: "tip": poses of the nominal robot's tip link, for a controller without a tool; "target": for a controller that
-            has the calibrated tool.
+        of: "tip": poses of the nominal robot's tip link, for a controller without a tool; "target":
+            for a controller that has the calibrated tool.
 
     Returns:
         Poses in the robot's base frame, shape (N, 3, 4) [m].

@@ -1,8 +1,9 @@
 """Joint positions to command within the limits, and the reason why a pose is not reached.
 
-A row whose seed is already close to the wanted pose needs a small correction: its joints are kept within a few degrees of
-the seed. Where a small correction would need large joint motions, the arm is singular, and a program would make the wrist
-spin. Such a row is flagged, and its joints are kept close to the seed; position has priority over orientation.
+A row whose seed is already close to the wanted pose needs a small correction: its joints are kept
+within a few degrees of the seed. Where a small correction would need large joint motions, the arm
+is singular, and a program would make the wrist spin. Such a row is flagged, and its joints are kept
+close to the seed; position has priority over orientation.
 """
 
 from __future__ import annotations
@@ -18,25 +19,35 @@ from pincal.compensate.iterations import bounded_search, newton
 IkStatus = Literal["ok", "singular", "joint_limit", "unreachable"]
 STATUSES: tuple[IkStatus, ...] = get_args(IkStatus)
 
-# A seed this close to the wanted pose [m, rad] needs a correction, not a motion; errors of real arms are a fifth of it.
-_NEAR, _NEAR_ANGLE = 0.05, 0.1
-# Largest motion of a joint by a correction [rad or m]; more would be an unintended motion. If a correction needs more, the
-# joints are kept this close to the seed if the position allows it.
-_CORRECTION, _GENTLE = 0.35, 0.1
-# Small displacement [rad or m] of arms that start exactly at a singular pose, where the first step is zero.
+# A seed this close to the wanted pose [m, rad] needs a correction, not a motion; errors of real
+# arms are a fifth of it.
+_NEAR = 0.05
+_NEAR_ANGLE = 0.1
+# Largest motion of a joint by a correction [rad or m]; more would be an unintended motion. If a
+# correction needs more, the joints are kept this close to the seed if the position allows it.
+_CORRECTION = 0.35
+_GENTLE = 0.1
+# Small displacement [rad or m] of arms that start exactly at a singular pose, where the first step
+# is zero.
 _ASIDE = 0.05
-# Singular value of the Jacobian, lengths over IkProblem.length, below which a direction is lost; regular poses have 0.1.
+# Singular value of the Jacobian, lengths over IkProblem.length, below which a direction is lost;
+# regular poses have 0.1.
 _LOST = 2e-3
 # Weight of position relative to orientation where both can't be reached.
 _POSITION_FIRST = 1e3
-# Random poses among which starts for distant targets are chosen; number of starts tried, and number if these fail.
-_POOL, _STARTS, _MOST_STARTS = 4000, 8, 32
+# Random poses among which starts for distant targets are chosen; number of starts tried, and number
+# if these fail.
+_POOL = 4000
+_STARTS = 8
+_MOST_STARTS = 32
 # A target farther than this fraction of the reach from all random poses is out of reach.
 _HOPELESS = 0.3
 _TURN = 2.0 * np.pi
 
 
-def solve_ik(problem: IkProblem, seed: np.ndarray, *, limits: Bounds) -> tuple[np.ndarray, np.ndarray]:
+def solve_ik(
+    problem: IkProblem, seed: np.ndarray, *, limits: Bounds
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the joint positions to command and the status of each row.
 
     Args:
@@ -58,37 +69,58 @@ def solve_ik(problem: IkProblem, seed: np.ndarray, *, limits: Bounds) -> tuple[n
     done = exact & corridor.contain(q)
     rows = np.flatnonzero(~done)
     if len(rows):
-        q[rows], done[rows] = _within_bounds(problem.select(rows), seed[rows], bounds=corridor.select(rows))
+        q[rows], done[rows] = _within_bounds(
+            problem.select(rows), seed[rows], bounds=corridor.select(rows)
+        )
     rows = np.flatnonzero(~near)
     if len(rows):
-        q[rows] = _unwind(problem.select(rows), q[rows], reached=done[rows], seed=seed[rows], limits=limits)
+        q[rows] = _unwind(
+            problem.select(rows), q[rows], reached=done[rows], seed=seed[rows], limits=limits
+        )
     rows = rows[~done[rows]]
     if len(rows):
-        q[rows], done[rows] = _from_random_starts(problem.select(rows), q[rows], seed=seed[rows], limits=limits)
+        q[rows], done[rows] = _from_random_starts(
+            problem.select(rows), q[rows], seed=seed[rows], limits=limits
+        )
     has_position = done.copy()
     rows = np.flatnonzero(~done)
     if len(rows):
         part = problem.select(rows)
-        q[rows], has_position[rows] = _best_effort(part, q[rows], seed=seed[rows], near=near[rows], limits=limits)
+        q[rows], has_position[rows] = _best_effort(
+            part, q[rows], seed=seed[rows], near=near[rows], limits=limits
+        )
         beyond[rows] |= _is_beyond(part, q[rows], limits=limits)
         done[rows] = part.is_reached(part.residuals(q[rows]))
-    status = np.where(done, "ok", np.where(beyond, "joint_limit", np.where(near & has_position, "singular", "unreachable")))
+    status = np.where(
+        done,
+        "ok",
+        np.where(beyond, "joint_limit", np.where(near & has_position, "singular", "unreachable")),
+    )
     return q, status
 
 
-def _solve_with_few_joints(problem: IkProblem, seed: np.ndarray, *, limits: Bounds) -> tuple[np.ndarray, np.ndarray]:
+def _solve_with_few_joints(
+    problem: IkProblem, seed: np.ndarray, *, limits: Bounds
+) -> tuple[np.ndarray, np.ndarray]:
     """Reach the positions, then get as close to the orientations as the joints allow."""
     q, status = solve_ik(problem.without_orientation(), seed, limits=limits)
     rows = np.flatnonzero(status == "ok")
     if len(rows):
         nowhere = np.zeros(len(rows), bool)
-        q[rows], _ = _best_effort(problem.select(rows), q[rows], seed=q[rows], near=nowhere, limits=limits)
+        q[rows], _ = _best_effort(
+            problem.select(rows), q[rows], seed=q[rows], near=nowhere, limits=limits
+        )
     return q, status
 
 
-def _unwind(problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.ndarray, limits: Bounds) -> np.ndarray:
-    """Return joint positions moved by whole turns as close to the seed as possible, within the limits if possible."""
-    most, least = np.floor((q - limits.lower) / _TURN), np.ceil((q - limits.upper) / _TURN)
+def _unwind(
+    problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.ndarray, limits: Bounds
+) -> np.ndarray:
+    """Return joint positions moved by whole turns as close to the seed as possible, within the
+    limits if possible.
+    """
+    most = np.floor((q - limits.lower) / _TURN)
+    least = np.ceil((q - limits.upper) / _TURN)
     turns = np.clip(np.round((q - seed) / _TURN), least, np.maximum(most, least))
     robot = problem.model.chain.robot
     is_revolute = np.array([robot.joint_types[i] != "prismatic" for i in robot.own_joints])
@@ -101,8 +133,12 @@ def _unwind(problem: IkProblem, q: np.ndarray, *, reached: np.ndarray, seed: np.
     return q
 
 
-def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
-    """Search within bounds, from the seed and, if it is singular, from a displaced start as well."""
+def _within_bounds(
+    problem: IkProblem, seed: np.ndarray, *, bounds: Bounds
+) -> tuple[np.ndarray, np.ndarray]:
+    """Search within bounds, from the seed and, if it is singular, from a displaced
+    start as well.
+    """
     q, reached = bounded_search(problem, seed, bounds=bounds)
     rows = np.flatnonzero(~reached)
     if len(rows):
@@ -111,7 +147,8 @@ def _within_bounds(problem: IkProblem, seed: np.ndarray, *, bounds: Bounds) -> t
     if len(rows):
         aside = seed[rows] + _ASIDE * np.where(np.arange(seed.shape[1]) % 2, -1.0, 1.0)
         found, ended = bounded_search(problem.select(rows), aside, bounds=bounds.select(rows))
-        q[rows[ended]], reached[rows[ended]] = found[ended], True
+        q[rows[ended]] = found[ended]
+        reached[rows[ended]] = True
     rows = np.flatnonzero(reached & (problem.n_spare > 0))
     if len(rows):
         # Redundant arms continue to the solution closest to their seed.
@@ -133,10 +170,11 @@ def _is_beyond(problem: IkProblem, q: np.ndarray, *, limits: Bounds) -> np.ndarr
 def _best_effort(
     problem: IkProblem, q: np.ndarray, *, seed: np.ndarray, near: np.ndarray, limits: Bounds
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Get as close as possible, with little motion if the seed is near; also return which positions can be reached.
+    """Get as close as possible, with little motion if the seed is near; also return which positions
+    can be reached.
 
-    A reachable position has priority, with the orientation as close as the joints then allow. If the position is out of
-    reach, sacrificing the orientation to get a little closer gains nothing.
+    A reachable position has priority, with the orientation as close as the joints then allow. If
+    the position is out of reach, sacrificing the orientation to get a little closer gains nothing.
     """
     start = np.where(near[:, None], seed, q)
     bounds = limits.around(start, near, distance=_GENTLE)
@@ -144,15 +182,20 @@ def _best_effort(
     best, has_position = bounded_search(problem.without_orientation(), best, bounds=bounds)
     rows = np.flatnonzero(~has_position)
     if len(rows):
-        best[rows], _ = bounded_search(problem.select(rows), start[rows], bounds=bounds.select(rows))
+        best[rows], _ = bounded_search(
+            problem.select(rows), start[rows], bounds=bounds.select(rows)
+        )
     return best, has_position
 
 
 def _from_random_starts(
     problem: IkProblem, q: np.ndarray, *, seed: np.ndarray, limits: Bounds
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Search from random poses close to the wanted ones, and keep the solution closest to the seed."""
-    best, reached = q.copy(), np.zeros(len(problem), bool)
+    """Search from random poses close to the wanted ones, and keep the solution closest
+    to the seed.
+    """
+    best = q.copy()
+    reached = np.zeros(len(problem), bool)
     distance = np.full(len(problem), np.inf)
     starts, hopeful = _starts(problem)
     for k, start in enumerate(starts):
@@ -165,12 +208,15 @@ def _from_random_starts(
         away = np.where(ended, np.linalg.norm(found - seed[rows], axis=1), np.inf)
         closer = away < distance[rows]
         at = rows[closer]
-        best[at], distance[at], reached[at] = found[closer], away[closer], True
+        best[at] = found[closer]
+        distance[at] = away[closer]
+        reached[at] = True
     return best, reached
 
 
 def _starts(problem: IkProblem) -> tuple[np.ndarray, np.ndarray]:
-    """Return the random joint positions with poses closest to the wanted ones, and which rows have any nearby.
+    """Return the random joint positions with poses closest to the wanted ones, and which rows have
+    any nearby.
 
     Returns:
         Shape (starts, N, n) [rad or m], and shape (N,).
@@ -180,12 +226,16 @@ def _starts(problem: IkProblem) -> tuple[np.ndarray, np.ndarray]:
     robot = problem.model.chain.robot
     pool = robot.random_configurations(_POOL, np.random.default_rng(0))
     own = pool[:, robot.own_joints]
-    out, hopeful = np.empty((_MOST_STARTS, len(problem), own.shape[1])), np.zeros(len(problem), bool)
+    out = np.empty((_MOST_STARTS, len(problem), own.shape[1]))
+    hopeful = np.zeros(len(problem), bool)
     for target in np.unique(problem.conditions.target):
         rows = np.flatnonzero(problem.conditions.target == target)
         there = replace(problem.conditions.select(np.full(_POOL, rows[0])), q=pool)
-        poses, wanted = problem.model.predict(problem.values, there), problem.wanted[rows]
-        _, nearest = cKDTree(_features(problem, poses)).query(_features(problem, wanted), k=_MOST_STARTS)
+        poses = problem.model.predict(problem.values, there)
+        wanted = problem.wanted[rows]
+        _, nearest = cKDTree(_features(problem, poses)).query(
+            _features(problem, wanted), k=_MOST_STARTS
+        )
         out[:, rows] = own[nearest.T]
         distance, _ = cKDTree(poses[:, :, 3]).query(wanted[:, :, 3])
         hopeful[rows] = distance < _HOPELESS * robot.reach
@@ -193,7 +243,9 @@ def _starts(problem: IkProblem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _features(problem: IkProblem, poses: np.ndarray) -> np.ndarray:
-    """Return poses as points, shape (N, 3) or (N, 12), whose distances approximate the residuals between them."""
+    """Return poses as points, shape (N, 3) or (N, 12), whose distances approximate the residuals
+    between them.
+    """
     places = poses[:, :, 3] / problem.length
     if not problem.with_orientation:
         return places

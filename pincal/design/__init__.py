@@ -1,1 +1,3 @@
-"""Design of measurements: which poses to measure, how many, and the accuracy predicted before any is measured."""
+"""Design of measurements: which poses to measure, how many, and the accuracy predicted before any
+is measured.
+"""

@@ -1,4 +1,6 @@
-"""Obstruction by the arm itself: boxes around its bodies, and self-collisions by the geometry of its URDF."""
+"""Obstruction by the arm itself: boxes around its bodies, and self-collisions by the geometry of
+its URDF.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +20,10 @@ from pincal.robot.urdf_file import arm_text, parse_xml
 if TYPE_CHECKING:
     import pinocchio as pin
 
-# Number of poses, and the fraction of them in which a pair must touch to be considered touching by construction.
-_PROBES, _ALWAYS = 100, 0.95
+# Number of poses, and the fraction of them in which a pair must touch to be considered touching by
+# construction.
+_PROBES = 100
+_ALWAYS = 0.95
 # Number of such pairs that are named.
 _NAMED = 4
 
@@ -70,7 +74,8 @@ class Collisions:
 
 
 def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, list[str]]:
-    """Return the collision geometry of a URDF with all pairs that could touch, and notes on what is missing.
+    """Return the collision geometry of a URDF with all pairs that could touch, and notes on what is
+    missing.
 
     Two bodies closer than ``clearance`` [m] count as touching.
     """
@@ -80,14 +85,21 @@ def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, 
     root = parse_xml(robot.urdf, robot.source)
     notes = list(_settle_meshes(root, robot.source))
     if root.find("link/collision") is None:
-        why = "none of its collision meshes was found" if notes else "the URDF has no collision geometry"
+        why = (
+            "none of its collision meshes was found"
+            if notes
+            else "the URDF has no collision geometry"
+        )
         return None, [*notes, f"self-collision is not checked: {why}"]
     text = arm_text(etree.tostring(root), robot.joint_names, robot.source)
     model = pin.buildModelFromXML(text)
     try:
         geometry = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:
-        return None, [*notes, f"self-collision is not checked: Pinocchio can't read the collision geometry ({error})"]
+        return None, [
+            *notes,
+            f"self-collision is not checked: Pinocchio can't read the collision geometry ({error})",
+        ]
     for one, other in _pairs(model, geometry):
         geometry.addCollisionPair(pin.CollisionPair(one, other))
     return Collisions(robot, model, geometry, clearance), notes
@@ -103,7 +115,10 @@ def _settle_meshes(root: Any, source: str) -> Iterator[str]:
                 continue
             path, why = meshes.find(mesh.get("filename", ""))
             if path is None:
-                yield f"{link.get('name')}: mesh {mesh.get('filename', '')!r} {why}, so its collisions are not checked"
+                yield (
+                    f"{link.get('name')}: mesh {mesh.get('filename', '')!r} {why}, so its "
+                    "collisions are not checked"
+                )
                 link.remove(collision)
             else:
                 mesh.set("filename", os.fspath(path))
@@ -119,7 +134,9 @@ def _pairs(model: Any, geometry: Any) -> Iterator[tuple[int, int]]:
 
 
 def without_touching(collisions: Collisions) -> tuple[Collisions | None, list[str]]:
-    """Remove the pairs that touch in nearly every pose, with a note; None instead if no pair remains."""
+    """Remove the pairs that touch in nearly every pose, with a note; None instead if no pair
+    remains.
+    """
     import pinocchio as pin
 
     geometry = collisions.geometry
@@ -134,13 +151,17 @@ def without_touching(collisions: Collisions) -> tuple[Collisions | None, list[st
         geometry.removeCollisionPair(pin.CollisionPair(pair.first, pair.second))
     named = sorted(set(named))
     rest = f" and {len(named) - _NAMED} pairs more" if len(named) > _NAMED else ""
-    notes = [f"taken as touching by construction: {', '.join(named[:_NAMED])}{rest}"] if named else []
+    notes = (
+        [f"taken as touching by construction: {', '.join(named[:_NAMED])}{rest}"] if named else []
+    )
     # A new object, as Pinocchio's data are allocated for the pairs.
     return (replace(collisions) if len(geometry.collisionPairs) else None), notes
 
 
-# Half the width of a link without geometry at the base, in reaches of the arm, and its relative decrease towards the tip.
-_WIDTH, _SLIMMER = 1.0 / 22.0, 0.6
+# Half the width of a link without geometry at the base, in reaches of the arm, and its relative
+# decrease towards the tip.
+_WIDTH = 1.0 / 22.0
+_SLIMMER = 0.6
 
 
 @dataclass(frozen=True)
@@ -158,17 +179,20 @@ class Boxes:
     halves: np.ndarray
 
     def lowest(self, frames: np.ndarray, body: int) -> np.ndarray:
-        """Return the least height of the boxes from joint ``body`` on, shape (N,); inf without any."""
+        """Return the least height of the boxes from joint ``body`` on, shape (N,); inf
+        without any.
+        """
         chosen = self.body >= body
         placed = frames[:, self.body[chosen]] @ self.placements[chosen]
         down = np.abs(placed[:, :, 2, :3] * self.halves[chosen]).sum(axis=2)
         return np.asarray(np.min(placed[:, :, 2, 3] - down, axis=1, initial=np.inf))
 
     def hide(self, frames: np.ndarray, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Return whether a box is between an eye, shape (3,), and a point at each pose, shape (N, 3); shape (N,).
+        """Return whether a box is between an eye, shape (3,), and a point at each pose, shape (N,
+        3); shape (N,).
 
-        Both are in the base frame [m], like the bodies' frames, shape (N, n + 1, 4, 4). A box that contains the point does
-        not count, as it is larger than its body.
+        Both are in the base frame [m], like the bodies' frames, shape (N, n + 1, 4, 4). A box that
+        contains the point does not count, as it is larger than its body.
         """
         hidden = np.zeros(len(points), bool)
         for body, placement, half in zip(self.body, self.placements, self.halves, strict=True):
@@ -180,11 +204,15 @@ class Boxes:
 
 
 def _crosses(start: np.ndarray, end: np.ndarray, half: np.ndarray) -> np.ndarray:
-    """Return whether segments intersect a box about the origin (slab test of Kay and Kajiya 1986), shape (N,)."""
+    """Return whether segments intersect a box about the origin (slab test of Kay and Kajiya 1986),
+    shape (N,).
+    """
     way = end - start
     way = np.where(np.abs(way) < 1e-12, 1e-12, way)
-    one, other = (-half - start) / way, (half - start) / way
-    enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+    one = (-half - start) / way
+    other = (half - start) / way
+    enter = np.minimum(one, other).max(axis=1)
+    leave = np.maximum(one, other).min(axis=1)
     return np.asarray((enter <= leave) & (leave >= 0.0) & (enter <= 1.0))
 
 
@@ -193,7 +221,8 @@ class Bodies:
     """Bodies of the arm that may obstruct it.
 
     Attributes:
-        boxes: around each body, or around the lines from joint to joint if the URDF has no collision geometry.
+        boxes: around each body, or around the lines from joint to joint if the URDF has no
+            collision geometry.
         collisions: the collision geometry; None if there is nothing to check.
         notes: unchecked parts, and why.
     """
@@ -218,16 +247,22 @@ def _boxes(robot: Robot, collisions: Collisions) -> Boxes:
     import pinocchio as pin
 
     model = collisions.model
-    T_base_world = model.frames[model.getFrameId(robot.base, pin.BODY)].placement.inverse().homogeneous
+    T_base_world = (
+        model.frames[model.getFrameId(robot.base, pin.BODY)].placement.inverse().homogeneous
+    )
     joints = {model.getJointId(name): i + 1 for i, name in enumerate(robot.joint_names)}
-    bodies, placements, halves = [], [], []
+    bodies = []
+    placements = []
+    halves = []
     for item in collisions.geometry.geometryObjects:
         body = joints.get(item.parentJoint, 0)
         item.geometry.computeLocalAABB()
         box = item.geometry.aabb_local
         before = robot.T_link_joint[body - 1] if body else T_base_world
         bodies.append(body)
-        placements.append(before @ item.placement.homogeneous @ translation(*np.ravel(box.center())))
+        placements.append(
+            before @ item.placement.homogeneous @ translation(*np.ravel(box.center()))
+        )
         halves.append(0.5 * np.ravel(box.max_ - box.min_))
     return Boxes(np.array(bodies), np.array(placements), np.array(halves))
 
@@ -236,16 +271,27 @@ def _bars(robot: Robot) -> Boxes:
     """Return bars from joint to joint and to the tip, in the absence of geometry."""
     frames = [np.eye(4), *robot.frames.T_base_link]
     places = robot.frames.T_base_link @ robot.T_link_joint
-    points, last = [np.zeros(3), *places[:, :3, 3]], robot.path.tip_joint
-    ends = [*zip(robot.parents, points[1:], strict=True), (last, (frames[last + 1] @ robot.path.T_joint_tip)[:3, 3])]
-    bodies, placements, halves = [], [], []
+    points = [np.zeros(3), *places[:, :3, 3]]
+    last = robot.path.tip_joint
+    ends = [
+        *zip(robot.parents, points[1:], strict=True),
+        (last, (frames[last + 1] @ robot.path.T_joint_tip)[:3, 3]),
+    ]
+    bodies = []
+    placements = []
+    halves = []
     for body, there in ((carrier + 1, there) for carrier, there in ends):
-        here, width = points[body], _WIDTH * robot.reach * (1.0 - _SLIMMER * body / robot.n_joints)
+        here = points[body]
+        width = _WIDTH * robot.reach * (1.0 - _SLIMMER * body / robot.n_joints)
         if np.linalg.norm(there - here) > 1e-6:
             bodies.append(body)
             placements.append(np.linalg.inv(frames[body]) @ _along(here, there))
             halves.append([width, width, 0.5 * float(np.linalg.norm(there - here))])
-    return Boxes(np.array(bodies, int), np.array(placements).reshape(-1, 4, 4), np.array(halves).reshape(-1, 3))
+    return Boxes(
+        np.array(bodies, int),
+        np.array(placements).reshape(-1, 4, 4),
+        np.array(halves).reshape(-1, 3),
+    )
 
 
 def _along(here: np.ndarray, there: np.ndarray) -> np.ndarray:

@@ -1,9 +1,10 @@
 r"""The predicted information of a measurement at any pose on the parameters.
 
-A design uses the Jacobian of a :class:`~pincal.identify.problem.Problem` for any sensor. It is taken at the nominal arm, in
-units of the noise and of the fit's priors (by physical group, see :func:`pincal.identify.calibrate.priors_of`), so that the
-priors' information is the identity. Base and tool, which have no prior in a fit, get an uninformative one, which keeps the
-covariance finite for few poses.
+A design uses the Jacobian of a :class:`~pincal.identify.problem.Problem` for any sensor. It is
+taken at the nominal arm, in units of the noise and of the fit's priors (by physical group, see
+:func:`pincal.identify.calibrate.priors_of`), so that the priors' information is the identity. Base
+and tool, which have no prior in a fit, get an uninformative one, which keeps the covariance finite
+for few poses.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ class DesignModel:
         rig: sensor set-up.
         rivals: for each of the effects to be distinguished, its indices among the F parameters.
         core: shape (F,), the parameters of the fitted model, without added rivals.
-        known: shape (F, F), prior information, including ``Options.earlier``, in units of the priors.
+        known: shape (F, F), prior information, including ``Options.earlier``, in units of the
+            priors.
     """
 
     model: Model
@@ -90,12 +92,18 @@ class DesignModel:
             targets: names of the targets, all at the rig's target.
 
         Raises:
-            BadInputError: for an unknown sensor, a missing instrument position, unrealistically small noise, or a rival
-                without effect in these poses.
+            BadInputError: for an unknown sensor, a missing instrument position, unrealistically
+                small noise, or a rival without effect in these poses.
         """
         check_rig(rig)
-        chain = Chain.of(robot, moment_frame=options.first_frame, gravity=options.gravity, targets=targets)
-        model = Model(chain, (*frame_effects(chain, rig, conditions), *options.effects), equilibrium=options.equilibrium)
+        chain = Chain.of(
+            robot, moment_frame=options.first_frame, gravity=options.gravity, targets=targets
+        )
+        model = Model(
+            chain,
+            (*frame_effects(chain, rig, conditions), *options.effects),
+            equilibrium=options.equilibrium,
+        )
         n_core = model.n_parameters
         for rival in rivals:
             if any(parameter.name not in model.names for parameter in rival.parameters(chain)):
@@ -103,14 +111,26 @@ class DesignModel:
         values = nominal_values(model, rig, rig.target(robot))
         problem = predicted_station(model, values, rig, conditions)
         free = np.append(largest_basis(model, conditions)[1], ~problem.sensor.fixed)
-        whole = Problem((problem,), None if options.earlier is None else Earlier.of(options.earlier))
+        whole = Problem(
+            (problem,), None if options.earlier is None else Earlier.of(options.earlier)
+        )
         whole_sizes = np.where(is_frame(whole), np.inf, priors_of(whole, options).sizes)
         sizes = whole_sizes[free]
         places = _places(model, free, rivals)
         for columns in places:
             sizes[columns] *= RIVAL
         core = ((place := np.flatnonzero(free)) < n_core) | (place >= model.n_parameters)
-        found = cls(model, values, free, sizes, _sigma(problem, options), rig, places, core, np.eye(len(sizes)))
+        found = cls(
+            model,
+            values,
+            free,
+            sizes,
+            _sigma(problem, options),
+            rig,
+            places,
+            core,
+            np.eye(len(sizes)),
+        )
         if options.earlier is None:
             return found
         beyond = whole.beliefs.beyond_priors(np.flatnonzero(free), np.zeros(len(free)), whole_sizes)
@@ -153,37 +173,56 @@ class DesignModel:
         return np.ascontiguousarray(self._jacobian(problem) * (self.units / noise[:, None]))
 
     def errors(self, conditions: Conditions) -> np.ndarray:
-        """Return the Jacobian of the predicted position (or distance) by parameters in units of priors, shape (N, k, F) [m].
+        """Return the Jacobian of the predicted position (or distance) by parameters in units of
+        priors, shape (N, k, F) [m].
 
-        The quantity is the one of held-out errors: the first block of readings, in the instrument's frame.
+        The quantity is the one of held-out errors: the first block of readings, in the instrument's
+        frame.
         """
         problem = predicted_station(self.model, self.values, self.rig, conditions)
         return np.asarray(self._jacobian(problem)[:, : problem.sensor.blocks[0].size] * self.units)
 
     def placed_errors(self, conditions: Conditions) -> np.ndarray:
-        """Return the Jacobian by the H parameters with a prior, shape (k N, H) [m], with base and tool projected out."""
+        """Return the Jacobian by the H parameters with a prior, shape (k N, H) [m], with base and
+        tool projected out.
+        """
         E = self.errors(conditions).reshape(-1, self.n_free)
-        frames, own = E[:, ~self.has_prior], E[:, self.has_prior]
+        frames = E[:, ~self.has_prior]
+        own = E[:, self.has_prior]
         return np.asarray(own - frames @ np.linalg.lstsq(frames, own, rcond=None)[0])
 
     def foreseen(self, measured: Conditions, cared: Conditions) -> float:
         """Return the expected rms error at some poses after measuring others [m]."""
-        C, E = covariance(self.known + total(self.readings(measured))), self.errors(cared)
+        C = covariance(self.known + total(self.readings(measured)))
+        E = self.errors(cared)
         return float(np.sqrt(np.sum(C * total(E)) / len(E)))
 
     def posterior(self, H: np.ndarray) -> Posterior:
-        """Return the posterior of data information H in units of noise and priors, shape (F, F), without the priors'."""
-        return Posterior(Form.of(H / np.outer(self.units, self.units)), self.sizes, np.zeros(self.n_free))
+        """Return the posterior of data information H in units of noise and priors, shape (F, F),
+        without the priors'.
+        """
+        return Posterior(
+            Form.of(H / np.outer(self.units, self.units)), self.sizes, np.zeros(self.n_free)
+        )
 
     def _jacobian(self, problem: Station) -> np.ndarray:
         parts = [jacobian for _, _, jacobian in problem.linearise(self.values, self.free)]
         return np.concatenate(parts, axis=2).transpose(2, 1, 0)
 
 
-def predicted_station(model: Model, values: np.ndarray, rig: SensorSetup, conditions: Conditions) -> Station:
-    """Return the station of a model's predicted readings; of the values, shape (P,), the model's come first."""
+def predicted_station(
+    model: Model, values: np.ndarray, rig: SensorSetup, conditions: Conditions
+) -> Station:
+    """Return the station of a model's predicted readings; of the values, shape (P,), the model's
+    come first.
+    """
     poses = model.predict(model.own(values), conditions)
-    return Station(model, conditions, simulatable()[rig.sensor].simulated(poses, rig.places), np.ones(len(conditions)))
+    return Station(
+        model,
+        conditions,
+        simulatable()[rig.sensor].simulated(poses, rig.places),
+        np.ones(len(conditions)),
+    )
 
 
 def held_columns(station: Station) -> dict[str, np.ndarray]:
@@ -201,13 +240,17 @@ def frame_effects(chain: Chain, rig: SensorSetup, conditions: Conditions) -> tup
 
 
 def nominal_values(model: Model, rig: SensorSetup, target: np.ndarray) -> np.ndarray:
-    """Return the values of the nominal arm with its targets, and instrument axes parallel to the base's, shape (P,).
+    """Return the values of the nominal arm with its targets, and instrument axes parallel to the
+    base's, shape (P,).
 
     The sensor's own parameters come last: the points at which the target is held.
     """
     values = np.zeros(model.n_parameters)
     instrument = np.zeros(3) if rig.instrument is None else np.array(rig.instrument)
-    for element, place in [("base", -instrument), *((name, target) for name in model.chain.targets)]:
+    for element, place in [
+        ("base", -instrument),
+        *((name, target) for name in model.chain.targets),
+    ]:
         for symbol, coordinate in zip("xyz", place, strict=True):
             if f"{element}.{symbol}" in model.names:
                 values[model.index(f"{element}.{symbol}")] = coordinate
@@ -217,9 +260,14 @@ def nominal_values(model: Model, rig: SensorSetup, target: np.ndarray) -> np.nda
 def _sigma(problem: Station, options: Options) -> np.ndarray:
     declared = declared_noise(Problem((problem,)), options).declared
     blocks = problem.sensor.blocks
-    sigma = np.array([block.noise if s is None else s for block, s in zip(blocks, declared, strict=True)])
+    sigma = np.array(
+        [block.noise if s is None else s for block, s in zip(blocks, declared, strict=True)]
+    )
     if np.any(sigma < _LEAST_NOISE):
-        raise BadInputError(f"noise {sigma.min():g} m (or rad); expected {_LEAST_NOISE:g} or more, as instruments have")
+        raise BadInputError(
+            f"noise {sigma.min():g} m (or rad); expected {_LEAST_NOISE:g} or more, as "
+            "instruments have"
+        )
     return sigma
 
 
@@ -230,34 +278,48 @@ def _places(model: Model, free: np.ndarray, rivals: Sequence[Effect]) -> tuple[n
     for rival in rivals:
         columns = [model.index(parameter.name) for parameter in rival.parameters(model.chain)]
         if not free[columns].any():
-            raise BadInputError(f"effect {rival.name}: it has no effect in such poses; choose another one")
+            raise BadInputError(
+                f"effect {rival.name}: it has no effect in such poses; choose another one"
+            )
         found.append(place[[column for column in columns if free[column]]])
     return tuple(found)
 
 
 def check_rig(rig: SensorSetup) -> None:
-    """Refuse an unknown sensor, or one whose instrument position or held target points are missing."""
+    """Refuse an unknown sensor, or one whose instrument position or held target points
+    are missing.
+    """
     known = simulatable()
     if rig.sensor not in known:
-        raise BadInputError(f"sensor {rig.sensor!r}: no design is available for it; expected one of {', '.join(known)}")
+        raise BadInputError(
+            f"sensor {rig.sensor!r}: no design is available for it; expected one of "
+            f"{', '.join(known)}"
+        )
     if known[rig.sensor].needs_instrument and rig.instrument is None:
-        raise BadInputError(f"the information of a {rig.sensor} depends on the position of the instrument; give it")
+        raise BadInputError(
+            f"the information of a {rig.sensor} depends on the position of the instrument; give it"
+        )
     if known[rig.sensor].needs_places and not rig.held_at:
         raise BadInputError(
-            f"sensor {rig.sensor}: no socket for the target; expected one or, better, two within reach: "
+            f"sensor {rig.sensor}: no socket for the target; expected one or, better, two "
+            "within reach: "
             f"--{rig.sensor} X Y Z for each"
         )
     if rig.held_at and not known[rig.sensor].needs_places:
-        raise BadInputError(f"sensor {rig.sensor}: it does not hold the target in sockets, but {len(rig.held_at)} are given")
+        raise BadInputError(
+            f"sensor {rig.sensor}: it does not hold the target in sockets, but "
+            f"{len(rig.held_at)} are given"
+        )
 
 
 def weights(rivals: tuple[np.ndarray, ...], n_free: int) -> np.ndarray:
     """Return W of the criterion tr(W C) that distinguishes rivals, shape (F, F).
 
-    The criterion is the sum of the variances of both rivals' parameters, in units of their typical sizes, with everything
-    refitted: the A-criterion for a subset (A_s; Atkinson, Donev and Tobias 2007, sec. 10.3). For an effect with one
-    parameter the variance is the inverse of the non-centrality maximised by T-optimality (Atkinson and Fedorov 1975); for
-    several it is dominated by the worst direction.
+    The criterion is the sum of the variances of both rivals' parameters, in units of their typical
+    sizes, with everything refitted: the A-criterion for a subset (A_s; Atkinson, Donev and Tobias
+    2007, sec. 10.3). For an effect with one parameter the variance is the inverse of the
+    non-centrality maximised by T-optimality (Atkinson and Fedorov 1975); for several it is
+    dominated by the worst direction.
     """
     W = np.zeros((n_free, n_free))
     for columns in rivals:
@@ -266,10 +328,12 @@ def weights(rivals: tuple[np.ndarray, ...], n_free: int) -> np.ndarray:
 
 
 def noncentrality(C: np.ndarray, rivals: tuple[np.ndarray, ...]) -> tuple[float, ...]:
-    """Return the non-centrality of each rival of typical size: its squared signal, in units of noise, after a refit.
+    """Return the non-centrality of each rival of typical size: its squared signal, in units of
+    noise, after a refit.
 
-    All other parameters, including the other rival's, are refitted; the signal is the mean over the directions of its
-    parameters. C, shape (F, F), is the posterior covariance in units of the priors.
+    All other parameters, including the other rival's, are refitted; the signal is the mean over the
+    directions of its parameters. C, shape (F, F), is the posterior covariance in units of the
+    priors.
     """
     found = []
     for columns in rivals:

@@ -1,12 +1,15 @@
-r"""The changes that a health check must detect, the power of a diagnosis at some poses, and the fewest poses.
+r"""The changes that a health check must detect, the power of a diagnosis at some poses, and the
+fewest poses.
 
-Each change of a robot is scaled to a given motion of the target. The test of :mod:`pincal.diagnosis.row_evidence` at poses
-j, with rows N_j of nuisance parameters (the posterior of the calibration, masses, the new station's frames) and columns g_j
-of a change, in units of the noise, has the non-centrality
+Each change of a robot is scaled to a given motion of the target. The test of
+:mod:`pincal.diagnosis.row_evidence` at poses j, with rows N_j of nuisance parameters (the posterior
+of the calibration, masses, the new station's frames) and columns g_j of a change, in units of the
+noise, has the non-centrality
 
 .. math:: \lambda = \sum_j g_j^T g_j - z^T K z, \qquad K = H + \sum_j N_j^T N_j, \qquad z = K^{-1} \sum_j N_j^T g_j,
 
-with prior information H. With :math:`u = g_j - N_j z`, one more pose adds :math:`u^T (1 + N_j K^{-1} N_j^T)^{-1} u`.
+with prior information H. With :math:`u = g_j - N_j z`, one more pose adds
+:math:`u^T (1 + N_j K^{-1} N_j^T)^{-1} u`.
 """
 
 from __future__ import annotations
@@ -49,18 +52,26 @@ _SHARPNESS = 4.0
 
 @dataclass(frozen=True)
 class DetectableChange:
-    """A change to be detected: its index in the lineup, its step of the parameters, the rank of its test."""
+    """A change to be detected: its index in the lineup, its step of the parameters, the rank of its
+    test.
+    """
 
     change: int
     step: np.ndarray
     rank: int
 
 
-def lineup_over(model: CalibratedModel, rig: SensorSetup, conditions: Conditions) -> ChangeHypotheses:
-    """Return all possible changes of a robot, for poses in which a new station reads the model's predictions."""
+def lineup_over(
+    model: CalibratedModel, rig: SensorSetup, conditions: Conditions
+) -> ChangeHypotheses:
+    """Return all possible changes of a robot, for poses in which a new station reads the model's
+    predictions.
+    """
     check_rig(rig)
     arm = model.model
-    chain = Chain.of(arm.chain.robot, moment_frame=arm.chain.moment_frame, gravity=arm.chain.gravity)
+    chain = Chain.of(
+        arm.chain.robot, moment_frame=arm.chain.moment_frame, gravity=arm.chain.gravity
+    )
     frames = frame_effects(chain, rig, conditions)
     effects = (*frames, *(effect for effect in arm.effects if effect.scope == "robot"))
     there = Model(chain, effects, equilibrium=arm.equilibrium)
@@ -78,19 +89,24 @@ def lineup_over(model: CalibratedModel, rig: SensorSetup, conditions: Conditions
         sensor_kind=rig.sensor,
         sigma=noise_of_rows(model, rig.sensor, station.sensor.blocks).sigma,
     )
-    few = ChangeHypotheses.of(placed, station.select(np.arange(_ROWS)), Known.of(model, station.conditions))
+    few = ChangeHypotheses.of(
+        placed, station.select(np.arange(_ROWS)), Known.of(model, station.conditions)
+    )
     return replace(few, station=station.with_model(few.station.model))
 
 
 def detectable_changes(
     lineup: ChangeHypotheses, places: Conditions, notice: float, *, rng: np.random.Generator
 ) -> tuple[list[DetectableChange], list[PossibleChange]]:
-    """Return the changes to be detected, and those that new frames absorb or that never are so large."""
+    """Return the changes to be detected, and those that new frames absorb or that never are so
+    large.
+    """
     model = lineup.station.model
     poses, motion = model.linearise(model.own(lineup.start), places)
     sizes = np.where(np.isfinite(lineup.sizes), lineup.sizes, 0.0)
     motion = _without_frames(poses, motion) * sizes[: motion.shape[2]]
-    detectable, absorbed = [], []
+    detectable = []
+    absorbed = []
     for i, (change, at) in enumerate(zip(lineup.changes, lineup.places, strict=True)):
         if isinstance(change.effect, Curve) or change.belief is not None:
             continue
@@ -109,22 +125,35 @@ def detectable_changes(
 
 
 def _without_frames(poses: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Return motion of the target, shape (V, 3, P), with refitted base and target frames projected out."""
-    points, n = poses[:, :, 3], len(poses)
+    """Return motion of the target, shape (V, 3, P), with refitted base and target frames projected
+    out.
+    """
+    points = poses[:, :, 3]
+    n = len(poses)
     turned = np.cross(np.eye(3)[None], points[:, None]).transpose(0, 2, 1)
-    frames = np.concatenate([np.tile(np.eye(3), (n, 1, 1)), turned, poses[:, :, :3]], axis=2).reshape(3 * n, -1)
+    frames = np.concatenate(
+        [np.tile(np.eye(3), (n, 1, 1)), turned, poses[:, :, :3]], axis=2
+    ).reshape(3 * n, -1)
     rows = motion.reshape(3 * n, -1)
-    return np.asarray(rows - frames @ np.linalg.lstsq(frames, rows, rcond=1e-10)[0]).reshape(motion.shape)
+    return np.asarray(rows - frames @ np.linalg.lstsq(frames, rows, rcond=1e-10)[0]).reshape(
+        motion.shape
+    )
 
 
 def detection_design(
-    lineup: ChangeHypotheses, detectable: list[DetectableChange], *, alpha: float, power: float, degrees: float
+    lineup: ChangeHypotheses,
+    detectable: list[DetectableChange],
+    *,
+    alpha: float,
+    power: float,
+    degrees: float,
 ) -> DetectionDesign:
     """Return the information of the candidates on the changes to be detected."""
     station = lineup.station
     A, _ = rows_in_noise(station, lineup.start, lineup.robot.sigma)
     m = station.reading_size
-    uncertain, own = prior_root(station, lineup.known, lineup.surroundings) @ A, A[lineup.own]
+    uncertain = prior_root(station, lineup.known, lineup.surroundings) @ A
+    own = A[lineup.own]
     own = own / np.sqrt(np.maximum(np.mean(own**2, axis=1, keepdims=True), 1e-300))
     rows = np.vstack([uncertain, own]).T.reshape(len(station), m, -1)
     return DetectionDesign(
@@ -148,7 +177,8 @@ class DetectionDesign:
         H: shape (K, K), prior information.
         ranks: shape (Q,), degrees of freedom of the test of each change.
         limit: p-value below which a change is an alarm.
-        degrees: degrees of freedom of the noise from other data, less those that the rows spend on frames.
+        degrees: degrees of freedom of the noise from other data, less those that the rows spend on
+            frames.
         power: required probability of detection.
     """
 
@@ -163,7 +193,12 @@ class DetectionDesign:
     def needed(self, n: int) -> np.ndarray:
         """Return the non-centrality that each change must have with n poses, shape (Q,)."""
         degrees = max(self.degrees + n * self.N.shape[1], 1.0)
-        return np.array([detected_noncentrality(int(rank), degrees, self.limit, self.power) for rank in self.ranks])
+        return np.array(
+            [
+                detected_noncentrality(int(rank), degrees, self.limit, self.power)
+                for rank in self.ranks
+            ]
+        )
 
     def noncentralities(self, chosen: Sequence[int]) -> np.ndarray:
         """Return the non-centralities of all changes at some of the candidates, shape (Q,)."""
@@ -174,7 +209,9 @@ class DetectionDesign:
         return float((self.noncentralities(chosen) / self.needed(len(chosen))).min())
 
     def fewest(self, most: int, start: Sequence[int] = ()) -> list[int]:
-        """Return the fewest candidates found that detect every change, at most ``most``, beginning with ``start``."""
+        """Return the fewest candidates found that detect every change, at most ``most``, beginning
+        with ``start``.
+        """
         chosen = list(start)
         while len(chosen) < most and (not chosen or self.certainty(chosen) < 1.0):
             chosen.append(self._best(chosen, self._costs(chosen)))
@@ -188,29 +225,42 @@ class DetectionDesign:
         return chosen
 
     def fewest_of(self, most: int, groups: np.ndarray) -> list[int]:
-        """Return the best of :meth:`fewest` from an empty start and from two candidates of each group, shape (M,).
+        """Return the best of :meth:`fewest` from an empty start and from two candidates of each
+        group, shape (M,).
 
-        A first pose at an unknown socket carries no information, so that adding poses singly would use one socket only.
+        A first pose at an unknown socket carries no information, so that adding poses singly would
+        use one socket only.
         """
         pairs = [int(j) for group in np.unique(groups) for j in np.flatnonzero(groups == group)[:2]]
-        found = [self.fewest(most), self.fewest(most, pairs)] if len(pairs) > 2 else [self.fewest(most)]
-        return min(found, key=lambda chosen: (self.certainty(chosen) < 1.0, len(chosen), -self.certainty(chosen)))
+        found = (
+            [self.fewest(most), self.fewest(most, pairs)] if len(pairs) > 2 else [self.fewest(most)]
+        )
+        return min(
+            found,
+            key=lambda chosen: (self.certainty(chosen) < 1.0, len(chosen), -self.certainty(chosen)),
+        )
 
     def _seen(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the non-centralities, shape (Q,), all z, shape (K, Q), and the inverse of K, shape (K, K)."""
+        """Return the non-centralities, shape (Q,), all z, shape (K, Q), and the inverse of K, shape
+        (K, K).
+        """
         N, G = (part[list(chosen)].reshape(-1, part.shape[2]) for part in (self.N, self.G))
         inverse = covariance(self.H + N.T @ N)
         z = inverse @ (N.T @ G)
         return np.maximum(np.sum(G * (G - N @ z), axis=0), 0.0), z, inverse
 
     def _costs(self, chosen: Sequence[int]) -> np.ndarray:
-        """Return the cost of the deficient non-centralities with each candidate added, shape (M,)."""
+        """Return the cost of the deficient non-centralities with each candidate added,
+        shape (M,).
+        """
         found, z, inverse = self._seen(chosen)
         U = self.G - self.N @ z
         inner = np.eye(U.shape[1]) + self.N @ inverse @ self.N.transpose(0, 2, 1)
         more = np.sum(np.linalg.solve(np.linalg.cholesky(inner), U) ** 2, axis=1)
         # 1 in the denominator keeps the cost of a change that no pose shows finite.
-        return np.asarray(np.sum((self.needed(len(chosen) + 1) / (1.0 + found + more)) ** _SHARPNESS, axis=1))
+        return np.asarray(
+            np.sum((self.needed(len(chosen) + 1) / (1.0 + found + more)) ** _SHARPNESS, axis=1)
+        )
 
     def _exchanged(self, chosen: list[int]) -> list[int]:
         """Return a design with poses exchanged for better ones until it detects every change."""
@@ -230,7 +280,10 @@ class DetectionDesign:
         """Return a design without its least valuable pose."""
         places = range(len(chosen))
         rests = [chosen[:place] + chosen[place + 1 :] for place in places]
-        missed = [float(np.sum((1.0 / (1.0 + self.noncentralities(rest))) ** _SHARPNESS)) for rest in rests]
+        missed = [
+            float(np.sum((1.0 / (1.0 + self.noncentralities(rest))) ** _SHARPNESS))
+            for rest in rests
+        ]
         return rests[int(np.argmin(missed))]
 
     @staticmethod

@@ -1,17 +1,20 @@
-r"""Optimal choice among candidates by a greedy algorithm and Fedorov's exchange, its bound, and the order of measurement.
+r"""Optimal choice among candidates by a greedy algorithm and Fedorov's exchange, its bound, and the
+order of measurement.
 
-A candidate j is a pose with its m readings; A_j, shape (m, F), is their Jacobian in units of the noise and of the priors,
-so that a design has the posterior covariance
+A candidate j is a pose with its m readings; A_j, shape (m, F), is their Jacobian in units of the
+noise and of the priors, so that a design has the posterior covariance
 
 .. math:: C = (H + \sum_j A_j^T A_j)^{-1}, \qquad K_j = A_j C A_j^T, \qquad L_j = A_j C W C A_j^T
 
-with H the prior information (priors, poses already measured). Adding candidate j changes the criteria by
+with H the prior information (priors, poses already measured). Adding candidate j changes the
+criteria by
 
 .. math:: \mathrm{tr}(W C) - \mathrm{tr}(W C') = \mathrm{tr}((1 + K_j)^{-1} L_j), \qquad
     \log\det C - \log\det C' = \log\det(1 + K_j),
 
-and changes C by rank m, from which K and L of all the candidates follow by two thin products (V. V. Fedorov, Theory of
-Optimal Experiments, 1972, ch. 3; Atkinson, Donev and Tobias, Optimum Experimental Designs, 2007, ch. 12).
+and changes C by rank m, from which K and L of all the candidates follow by two thin products (V. V.
+Fedorov, Theory of Optimal Experiments, 1972, ch. 3; Atkinson, Donev and Tobias, Optimum
+Experimental Designs, 2007, ch. 12).
 """
 
 from __future__ import annotations
@@ -24,8 +27,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 # Most passes of an exchange over a design.
 _PASSES = 10
-# Factor by which updates may reduce the covariance before the state is recomputed from scratch: K, and L quadratically,
-# would be differences of numbers larger by this factor.
+# Factor by which updates may reduce the covariance before the state is recomputed from scratch: K,
+# and L quadratically, would be differences of numbers larger by this factor.
 _ALONE = 1e-5
 # Relative gain below which an exchange is rounding.
 _WORTH = 1e-9
@@ -39,12 +42,16 @@ def covariance(H: np.ndarray) -> np.ndarray:
 
 
 def value(C: np.ndarray, W: np.ndarray | None) -> float:
-    """Return the criterion of a posterior covariance, to be minimised: tr(W C), or log det C without W."""
+    """Return the criterion of a posterior covariance, to be minimised: tr(W C), or log det C
+    without W.
+    """
     return float(np.sum(W * C)) if W is not None else float(np.linalg.slogdet(C)[1])
 
 
 def gains(K: np.ndarray, L: np.ndarray | None) -> np.ndarray:
-    """Return the decrease of the criterion by each candidate, shape (M,); K, L: shape (M, m, m), L None for det."""
+    """Return the decrease of the criterion by each candidate, shape (M,); K, L: shape (M, m, m), L
+    None for det.
+    """
     more = np.eye(K.shape[1]) + K
     if L is None:
         return np.asarray(np.linalg.slogdet(more)[1])
@@ -54,16 +61,28 @@ def gains(K: np.ndarray, L: np.ndarray | None) -> np.ndarray:
 
 
 def _traces_of_three(P: np.ndarray, L: np.ndarray) -> np.ndarray:
-    """Return tr(P^-1 L) of symmetric 3 x 3 matrices by cofactors, five times faster than solving."""
+    """Return tr(P^-1 L) of symmetric 3 x 3 matrices by cofactors, five times faster
+    than solving.
+    """
     p, q = (np.ascontiguousarray(matrices.transpose(1, 2, 0)) for matrices in (P, L))
-    xx, yy, zz = p[1, 1] * p[2, 2] - p[1, 2] ** 2, p[0, 0] * p[2, 2] - p[0, 2] ** 2, p[0, 0] * p[1, 1] - p[0, 1] ** 2
-    xy, xz = p[0, 2] * p[1, 2] - p[0, 1] * p[2, 2], p[0, 1] * p[1, 2] - p[0, 2] * p[1, 1]
+    xx = p[1, 1] * p[2, 2] - p[1, 2] ** 2
+    yy = p[0, 0] * p[2, 2] - p[0, 2] ** 2
+    zz = p[0, 0] * p[1, 1] - p[0, 1] ** 2
+    xy = p[0, 2] * p[1, 2] - p[0, 1] * p[2, 2]
+    xz = p[0, 1] * p[1, 2] - p[0, 2] * p[1, 1]
     yz = p[0, 1] * p[0, 2] - p[0, 0] * p[1, 2]
-    trace = xx * q[0, 0] + yy * q[1, 1] + zz * q[2, 2] + 2.0 * (xy * q[0, 1] + xz * q[0, 2] + yz * q[1, 2])
+    trace = (
+        xx * q[0, 0]
+        + yy * q[1, 1]
+        + zz * q[2, 2]
+        + 2.0 * (xy * q[0, 1] + xz * q[0, 2] + yz * q[1, 2])
+    )
     return np.asarray(trace / (p[0, 0] * xx + p[0, 1] * xy + p[0, 2] * xz))
 
 
-def spread_of(A: np.ndarray, C: np.ndarray, W: np.ndarray | None) -> tuple[np.ndarray, np.ndarray | None]:
+def spread_of(
+    A: np.ndarray, C: np.ndarray, W: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Return K and L, shape (M, m, m), of candidates A, shape (M, m, F); L is None without W."""
     AC = A @ C
     K = AC @ A.transpose(0, 2, 1)
@@ -97,11 +116,15 @@ class DesignState:
         return gains(self.K, self.L)
 
     def spare(self, j: int) -> float:
-        """Return the least fraction of information, over all directions, that remains without candidate j."""
+        """Return the least fraction of information, over all directions, that remains without
+        candidate j.
+        """
         return float(np.linalg.eigvalsh(np.eye(self.K.shape[1]) - self.K[j])[0])
 
     def moved(self, j: int, sign: float) -> DesignState:
-        """Return the state with candidate j added (sign 1) or removed (sign -1), by updates of rank m."""
+        """Return the state with candidate j added (sign 1) or removed (sign -1), by updates of rank
+        m.
+        """
         inner = np.linalg.cholesky(np.linalg.inv(np.eye(self.K.shape[1]) + sign * self.K[j]))
         B = self.C @ self.A[j].T @ inner
         C = self.C - sign * (B @ B.T)
@@ -112,7 +135,8 @@ class DesignState:
         Z = CWB - 0.5 * sign * (B @ (B.T @ (self.W @ B)))
         m = B.shape[1]
         both = self._times(np.hstack([B, Z]))
-        P, S = both[:, :, :m], both[:, :, m:]
+        P = both[:, :, :m]
+        S = both[:, :, m:]
         cross = P @ S.transpose(0, 2, 1)
         K = self.K - sign * (P @ P.transpose(0, 2, 1))
         return replace(self, C=C, K=K, L=self.L - sign * (cross + cross.transpose(0, 2, 1)))
@@ -138,12 +162,14 @@ def choose_greedily(
 ) -> tuple[list[int], list[float]]:
     """Add, one after the other, the candidate that decreases the criterion most.
 
-    ``A``, shape (M, m, F), are the candidates in units of noise and priors, ``W``, shape (F, F), the weights or None for the
-    determinant, and ``H``, shape (F, F), the prior information. Returns n candidates, with ``start`` first, and the
-    criterion after each addition.
+    ``A``, shape (M, m, F), are the candidates in units of noise and priors, ``W``, shape (F, F),
+    the weights or None for the determinant, and ``H``, shape (F, F), the prior information. Returns
+    n candidates, with ``start`` first, and the criterion after each addition.
     """
-    chosen, course = list(start), []
-    state, left = DesignState.of(A, W, H + information(A, chosen)), 1.0
+    chosen = list(start)
+    course = []
+    state = DesignState.of(A, W, H + information(A, chosen))
+    left = 1.0
     free = np.ones(len(A), bool)
     free[chosen] = False
     while len(chosen) < n:
@@ -154,51 +180,69 @@ def choose_greedily(
         if left > _ALONE:
             state = state.moved(j, 1.0)
         else:
-            state, left = DesignState.of(A, W, H + information(A, chosen)), 1.0
+            state = DesignState.of(A, W, H + information(A, chosen))
+            left = 1.0
         course.append(value(state.C, W))
     return chosen, course
 
 
 def exchange(
-    A: np.ndarray, W: np.ndarray | None, H: np.ndarray, chosen: Sequence[int], *, passes: int = _PASSES
+    A: np.ndarray,
+    W: np.ndarray | None,
+    H: np.ndarray,
+    chosen: Sequence[int],
+    *,
+    passes: int = _PASSES,
 ) -> list[int]:
-    """Exchange candidates of a design for better ones, one at a time, until no exchange improves it.
+    """Exchange candidates of a design for better ones, one at a time, until no exchange improves
+    it.
 
-    Starts from the design ``chosen`` and keeps its order, without repeated candidates; at most ``passes`` over the design.
-    The other arguments are as in :func:`choose_greedily`.
+    Starts from the design ``chosen`` and keeps its order, without repeated candidates; at most
+    ``passes`` over the design. The other arguments are as in :func:`choose_greedily`.
     """
     design = list(chosen)
     for _ in range(passes):
-        state, n_swaps = DesignState.of(A, W, H + information(A, design)), 0
+        state = DesignState.of(A, W, H + information(A, design))
+        n_swaps = 0
         for place, old in enumerate(design):
             rest = design[:place] + design[place + 1 :]
-            without = state.moved(old, -1.0) if state.spare(old) > _ALONE else DesignState.of(A, W, H + information(A, rest))
+            without = (
+                state.moved(old, -1.0)
+                if state.spare(old) > _ALONE
+                else DesignState.of(A, W, H + information(A, rest))
+            )
             gain = without.gains()
             gain[rest] = -np.inf
             new = int(np.argmax(gain))
             if gain[new] - gain[old] <= _WORTH * abs(gain[old]):
                 continue
-            design[place], n_swaps = new, n_swaps + 1
+            design[place] = new
+            n_swaps = n_swaps + 1
             state = without.moved(new, 1.0)
         if not n_swaps:
             break
     return design
 
 
-def lower_bound(A: np.ndarray, W: np.ndarray | None, H: np.ndarray, n: int, *, rounds: int = ROUNDS) -> float:
+def lower_bound(
+    A: np.ndarray, W: np.ndarray | None, H: np.ndarray, n: int, *, rounds: int = ROUNDS
+) -> float:
     r"""Return a lower bound of the criterion over all designs of n candidates, with repetition.
 
-    A design of n candidates is a point w in the simplex, with candidate j taken n w_j times. The criteria are convex over
-    the simplex, so that at any w, with d_j minus the derivative by n w_j,
+    A design of n candidates is a point w in the simplex, with candidate j taken n w_j times. The
+    criteria are convex over the simplex, so that at any w, with d_j minus the derivative by n w_j,
 
     .. math:: f(w^*) \ge f(w) - n \, (\max_j d_j - \sum_j w_j d_j),
 
-    with equality at the optimum (the equivalence theorem; Kiefer and Wolfowitz 1960, Fedorov 1972). The weights are from the
-    multiplicative algorithm of Silvey, Titterington and Torsney (1978); more rounds tighten the bound. Arguments are as in
+    with equality at the optimum (the equivalence theorem; Kiefer and Wolfowitz 1960, Fedorov 1972).
+    The weights are from the multiplicative algorithm of Silvey, Titterington and Torsney (1978);
+    more rounds tighten the bound. Arguments are as in
     :func:`choose_greedily`.
     """
     M, m, F = A.shape
-    rows, weights, best = A.reshape(M * m, F), np.full(M, 1.0 / M), -np.inf
+    rows = A.reshape(M * m, F)
+    weights = np.full(M, 1.0 / M)
+    best = -np.inf
     for _ in range(rounds):
         C = covariance(H + n * (rows * np.repeat(weights, m)[:, None]).T @ rows)
         inner = C if W is None else C @ W @ C
@@ -214,17 +258,21 @@ _ROUNDS = 50
 
 
 def travel(q: np.ndarray, spans: np.ndarray) -> np.ndarray:
-    """Return distances of poses q, shape (N, n): the largest joint step relative to the ranges ``spans``, shape (N, N)."""
+    """Return distances of poses q, shape (N, n): the largest joint step relative to the ranges
+    ``spans``, shape (N, N).
+    """
     scaled = q / spans
     return np.asarray(np.abs(scaled[:, None] - scaled[None]).max(axis=2))
 
 
 def short_route(distances: np.ndarray, first: int = 0) -> np.ndarray:
-    """Return an order of N places with a short open path: nearest neighbour, then 2-opt (Croes 1958).
+    """Return an order of N places with a short open path: nearest neighbour, then 2-opt (Croes
+    1958).
 
     ``distances`` is symmetric, shape (N, N); the order, shape (N,), begins with ``first``.
     """
-    places, left = [first], np.ones(len(distances), bool)
+    places = [first]
+    left = np.ones(len(distances), bool)
     left[first] = False
     while left.any():
         places.append(int(np.argmin(np.where(left, distances[places[-1]], np.inf))))
@@ -239,7 +287,8 @@ def short_route(distances: np.ndarray, first: int = 0) -> np.ndarray:
 def order_by_load(
     q: np.ndarray, payload: np.ndarray, joint_range: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, float, float]:
-    """Return an order of poses q, shape (N, n), with a short path, load by load, and the path's length before and after.
+    """Return an order of poses q, shape (N, n), with a short path, load by load, and the path's
+    length before and after.
 
     ``payload`` has shape (N,); the ends of the joints' ranges have shape (n,) each.
     """
@@ -261,11 +310,16 @@ def length(distances: np.ndarray, order: np.ndarray) -> float:
 
 
 def _reverse_stretches(order: np.ndarray, d: np.ndarray) -> bool:
-    """Reverse each segment of the order, in place, that shortens the path; return whether there was one."""
-    n, found = len(order), False
+    """Reverse each segment of the order, in place, that shortens the path; return whether there was
+    one.
+    """
+    n = len(order)
+    found = False
     for i in range(1, n - 1):
         # Segment i..k: the edges into and out of it change; there is none after the last place.
-        before, inside, ends = order[i - 1], order[i], order[i + 1 :]
+        before = order[i - 1]
+        inside = order[i]
+        ends = order[i + 1 :]
         after = np.append(order[i + 2 :], -1)
         out_now = np.where(after < 0, 0.0, d[ends, after])
         out_then = np.where(after < 0, 0.0, d[inside, after])

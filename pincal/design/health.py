@@ -1,4 +1,6 @@
-"""Health checks: the fewest poses with which a diagnosis detects changes of a calibrated robot of a given size."""
+"""Health checks: the fewest poses with which a diagnosis detects changes of a calibrated robot of a
+given size.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,13 @@ import numpy as np
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.covered import Covered
 from pincal.design.design_model import DesignModel, held_columns
-from pincal.design.detection import DetectableChange, DetectionDesign, detectable_changes, detection_design, lineup_over
+from pincal.design.detection import (
+    DetectableChange,
+    DetectionDesign,
+    detectable_changes,
+    detection_design,
+    lineup_over,
+)
 from pincal.design.exchange import covariance, order_by_load, total
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.request import pose_columns
@@ -30,8 +38,11 @@ from pincal.robot.robot import Robot
 
 log = logging.getLogger(__name__)
 
-# Random poses to choose from, points of the working volume, and poses of the assumed calibration of a robot without a model.
-_CANDIDATES, _PLACES, _CALIBRATED_FROM = 300, 100, 100
+# Random poses to choose from, points of the working volume, and poses of the assumed calibration of
+# a robot without a model.
+_CANDIDATES = 300
+_PLACES = 100
+_CALIBRATED_FROM = 100
 # Fewest poses that determine instrument and target.
 _FEWEST = 4
 # Time from one measured pose to the next [s].
@@ -42,7 +53,8 @@ _TEMPERATURE = 20.0
 
 @dataclass(frozen=True)
 class NoticedChange:
-    """A change in its least detectable direction, scaled to the motion of the target to be detected.
+    """A change in its least detectable direction, scaled to the motion of the target to be
+    detected.
 
     Attributes:
         change: the change.
@@ -66,12 +78,14 @@ class HealthCheck:
         conditions: the N poses, in an order with a short path.
         has_payloads: whether the payload was part of the design.
         sensor: kind of the sensor.
-        held_at: name of the column with the point at which the target is held -> shape (N,); empty if it is not held.
+        held_at: name of the column with the point at which the target is held -> shape (N,); empty
+            if it is not held.
         notice: motion of the target to be detected [m].
         power: required probability of detection.
         alpha: probability of a false alarm.
         changes: every change considered, the hardest to detect first.
-        absorbed: changes absorbed by new poses of base and target, or that never cause so large a motion.
+        absorbed: changes absorbed by new poses of base and target, or that never cause so large a
+            motion.
         alarms: fraction of simulated checks of an unchanged robot with an alarm.
         noticed: fraction of simulated checks with an alarm, given the first of ``changes``.
         draws: number of simulated checks, of each.
@@ -98,7 +112,10 @@ class HealthCheck:
     seconds: float
 
     def __repr__(self) -> str:
-        return f"HealthCheck({self.robot.name!r}: {len(self.conditions)} poses to detect {1e3 * self.notice:.3g} mm)"
+        return (
+            f"HealthCheck({self.robot.name!r}: {len(self.conditions)} poses to detect "
+            f"{1e3 * self.notice:.3g} mm)"
+        )
 
     @property
     def is_met(self) -> bool:
@@ -119,13 +136,21 @@ class HealthCheck:
     def summary(self) -> str:
         """Return the effort of the check and its detectable change, in a sentence."""
         what = "any change of the robot that moves some point by more than"
-        rates = f"is detected with a probability of {100 * self.power:g} %, at {100 * self.alpha:g} % false alarms"
+        rates = (
+            f"is detected with a probability of {100 * self.power:g} %, at "
+            f"{100 * self.alpha:g} % false alarms"
+        )
         size = self.notice if self.is_met else self.noticeable
-        return f"{len(self.conditions)} poses, {self.minutes:.0f} minutes: {what} {1e3 * size:.3g} mm {rates}"
+        return (
+            f"{len(self.conditions)} poses, {self.minutes:.0f} minutes: {what} "
+            f"{1e3 * size:.3g} mm {rates}"
+        )
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return the table to be filled in: joints, and other columns that the model needs."""
-        return pose_columns(self.robot, self.conditions, has_payloads=self.has_payloads) | self.held_at
+        return (
+            pose_columns(self.robot, self.conditions, has_payloads=self.has_payloads) | self.held_at
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, without the poses."""
@@ -139,12 +164,20 @@ class HealthCheck:
             "alpha": self.alpha,
             "met": self.is_met,
             "changes": [
-                noticed.change.describe() | {"noncentrality": noticed.noncentrality, "needed": noticed.needed}
+                noticed.change.describe()
+                | {"noncentrality": noticed.noncentrality, "needed": noticed.needed}
                 for noticed in self.changes
             ],
-            "absorbed": [change.describe() | {"parameters": list(change.parameters)} for change in self.absorbed],
+            "absorbed": [
+                change.describe() | {"parameters": list(change.parameters)}
+                for change in self.absorbed
+            ],
             "simulated": {"draws": self.draws, "alarms": self.alarms, "noticed": self.noticed},
-            "candidates": {"found": len(self.drawn.q), "drawn": self.drawn.drawn, "removed": self.drawn.removed},
+            "candidates": {
+                "found": len(self.drawn.q),
+                "drawn": self.drawn.drawn,
+                "removed": self.drawn.removed,
+            },
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
@@ -161,7 +194,8 @@ class CheckRequest:
         max_poses: largest number of poses.
         payloads: masses at the tip [kg], taken in turn; default: none.
         candidates: number of random poses to choose from; default: 300.
-        draws: number of simulated checks of an unchanged robot, and of one with the change that is hardest to detect.
+        draws: number of simulated checks of an unchanged robot, and of one with the change that is
+            hardest to detect.
         seed: seed of all random numbers.
 
     Raises:
@@ -179,19 +213,27 @@ class CheckRequest:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.notice < np.inf:
-            raise BadInputError(f"notice is {self.notice:g} m; expected a length above 0, such as 1e-4")
+            raise BadInputError(
+                f"notice is {self.notice:g} m; expected a length above 0, such as 1e-4"
+            )
         if not 0.0 < self.alpha < 0.5:
             raise BadInputError(
-                f"alpha is {self.alpha:g}; expected a probability of a false alarm between 0 and 0.5, such as 0.01"
+                f"alpha is {self.alpha:g}; expected a probability of a false alarm "
+                "between 0 and 0.5, such as 0.01"
             )
         if not self.alpha < self.power < 1.0:
-            raise BadInputError(f"power is {self.power:g}; expected a probability between alpha and 1, such as 0.95")
+            raise BadInputError(
+                f"power is {self.power:g}; expected a probability between alpha and 1, such as 0.95"
+            )
         if not _FEWEST <= self.max_poses <= self.n_candidates:
             raise BadInputError(
-                f"at most {self.max_poses} poses of {self.n_candidates} candidates; expected {_FEWEST} to that many poses"
+                f"at most {self.max_poses} poses of {self.n_candidates} candidates; "
+                f"expected {_FEWEST} to that many poses"
             )
         if not all(0.0 <= load < np.inf for load in self.payloads):
-            raise BadInputError(f"payloads {', '.join(map(str, self.payloads))}; expected masses of 0 kg or more")
+            raise BadInputError(
+                f"payloads {', '.join(map(str, self.payloads))}; expected masses of 0 kg or more"
+            )
 
     @property
     def n_candidates(self) -> int:
@@ -207,10 +249,12 @@ def design_check(
     rig: SensorSetup | None = None,
     limits: Limits | None = None,
 ) -> HealthCheck:
-    """Choose the fewest poses with which a diagnosis detects any change of a robot that moves the target by a distance.
+    """Choose the fewest poses with which a diagnosis detects any change of a robot that moves the
+    target by a distance.
 
     Args:
-        known: the calibrated robot; for a robot alone, a calibration from 100 random poses is assumed.
+        known: the calibrated robot; for a robot alone, a calibration from 100 random poses is
+            assumed.
         request: the requirements.
         options: options of the assumed calibration of a robot alone: effects, noise, moment frame.
         rig: sensor set-up.
@@ -226,7 +270,9 @@ def design_check(
         >>> found.is_met, 5 < len(found.conditions) < 30
         (True, True)
     """
-    begun, request, rig = time.perf_counter(), request or CheckRequest(), rig or SensorSetup()
+    begun = time.perf_counter()
+    request = request or CheckRequest()
+    rig = rig or SensorSetup()
     rng = np.random.default_rng([request.seed, 41])
     if isinstance(known, Robot):
         reach = Reach(known, rig, limits or Limits())
@@ -237,22 +283,31 @@ def design_check(
         reach = Reach(model.model.chain.robot, rig, limits or Limits())
     drawn = reach.draw(request.n_candidates, rng)
     if len(drawn.q) < request.max_poses:
-        raise BadInputError(f"the constraints leave too few poses for {request.max_poses}: {drawn.in_words()}")
+        raise BadInputError(
+            f"the constraints leave too few poses for {request.max_poses}: {drawn.in_words()}"
+        )
     conditions = _conditions(model, drawn.q, request, rng=rng)
     lineup = lineup_over(model, rig, conditions)
     places = _conditions(model, reach.draw(_PLACES, rng, measured=False).q, request, rng=rng)
     detectable, absorbed = detectable_changes(lineup, places, request.notice, rng=rng)
     degrees = known_degrees(model, lineup.station)
-    design = detection_design(lineup, detectable, alpha=request.alpha, power=request.power, degrees=degrees)
+    design = detection_design(
+        lineup, detectable, alpha=request.alpha, power=request.power, degrees=degrees
+    )
     log.info("choosing among %d poses", len(conditions))
     groups = lineup.station.sensor.groups
-    chosen = design.fewest_of(request.max_poses, np.zeros(len(conditions)) if groups is None else groups)
+    chosen = design.fewest_of(
+        request.max_poses, np.zeros(len(conditions)) if groups is None else groups
+    )
     order, _, _ = order_by_load(drawn.q[chosen], conditions.payload[chosen], reach.range)
     rows = np.array(chosen)[order]
     final = replace(lineup, station=lineup.station.select(rows))
     changes = _noticed(design, final, detectable, chosen)
     log.info("simulating %d checks", 2 * request.draws)
-    rates = [_alarms(final, degrees, request, step=step, rng=rng) for step in (np.zeros(len(final.start)), changes[0].step)]
+    rates = [
+        _alarms(final, degrees, request, step=step, rng=rng)
+        for step in (np.zeros(len(final.start)), changes[0].step)
+    ]
     return HealthCheck(
         robot=reach.robot,
         conditions=conditions.select(rows),
@@ -273,12 +328,18 @@ def design_check(
     )
 
 
-def _as_if_calibrated(reach: Reach, options: Options, request: CheckRequest, *, rng: np.random.Generator) -> CalibratedModel:
-    """Return the calibrated model expected from random poses of a robot that agrees with its URDF."""
+def _as_if_calibrated(
+    reach: Reach, options: Options, request: CheckRequest, *, rng: np.random.Generator
+) -> CalibratedModel:
+    """Return the calibrated model expected from random poses of a robot that agrees
+    with its URDF.
+    """
     drawn = reach.draw(_CALIBRATED_FROM, rng)
     q = drawn.q
     if len(q) < _FEWEST:
-        raise BadInputError(f"the constraints leave too few poses for a calibration: {drawn.in_words()}")
+        raise BadInputError(
+            f"the constraints leave too few poses for a calibration: {drawn.in_words()}"
+        )
     loads = np.resize(np.array(request.payloads or (0.0,), float), len(q))
     centre = np.array(options.payload_centre, float)
     conditions = Conditions(q, np.zeros(len(q), int), loads, centre)
@@ -288,12 +349,17 @@ def _as_if_calibrated(reach: Reach, options: Options, request: CheckRequest, *, 
     whole[np.ix_(design.free, design.free)] = C * np.outer(design.units, design.units)
     n = design.model.n_parameters
     estimate = estimate_of(design.model.parameters, design.values[:n], whole[:n, :n])
-    return CalibratedModel(design.model, estimate, reach.rig.sensor, centre, Covered.of(conditions), design.sigma, {})
+    return CalibratedModel(
+        design.model, estimate, reach.rig.sensor, centre, Covered.of(conditions), design.sigma, {}
+    )
 
 
-def _conditions(model: CalibratedModel, q: np.ndarray, request: CheckRequest, *, rng: np.random.Generator) -> Conditions:
+def _conditions(
+    model: CalibratedModel, q: np.ndarray, request: CheckRequest, *, rng: np.random.Generator
+) -> Conditions:
     """Return poses with the loads in turn and all columns that the effects of a model need."""
-    n, needs = len(q), {column for effect in model.model.effects for column in effect.needs}
+    n = len(q)
+    needs = {column for effect in model.model.effects for column in effect.needs}
     return Conditions(
         q,
         np.zeros(n, int),
@@ -315,23 +381,40 @@ def _rig_of(rig: SensorSetup, model: CalibratedModel) -> SensorSetup:
 
 
 def _noticed(
-    design: DetectionDesign, final: ChangeHypotheses, detectable: list[DetectableChange], chosen: list[int]
+    design: DetectionDesign,
+    final: ChangeHypotheses,
+    detectable: list[DetectableChange],
+    chosen: list[int],
 ) -> tuple[NoticedChange, ...]:
-    """Return the detectability of each change at the chosen poses, in its hardest direction, the hardest change first."""
-    found, needed = design.noncentralities(chosen), design.needed(len(chosen))
+    """Return the detectability of each change at the chosen poses, in its hardest direction, the
+    hardest change first.
+    """
+    found = design.noncentralities(chosen)
+    needed = design.needed(len(chosen))
     order = np.argsort(found / needed)
     hardest: dict[int, NoticedChange] = {}
     for k in order:
         i = detectable[k].change
-        hardest.setdefault(i, NoticedChange(final.changes[i], float(found[k]), float(needed[k]), detectable[k].step))
+        hardest.setdefault(
+            i,
+            NoticedChange(final.changes[i], float(found[k]), float(needed[k]), detectable[k].step),
+        )
     return tuple(hardest.values())
 
 
 def _alarms(
-    lineup: ChangeHypotheses, degrees: float, request: CheckRequest, *, step: np.ndarray, rng: np.random.Generator
+    lineup: ChangeHypotheses,
+    degrees: float,
+    request: CheckRequest,
+    *,
+    step: np.ndarray,
+    rng: np.random.Generator,
 ) -> float:
-    """Return the fraction of simulated checks with an alarm, with random noise and random errors of the calibration."""
-    station, start = lineup.station, lineup.start
+    """Return the fraction of simulated checks with an alarm, with random noise and random errors of
+    the calibration.
+    """
+    station = lineup.station
+    start = lineup.start
     root = prior_root(station, lineup.known, lineup.surroundings)
     noise = np.repeat(lineup.robot.sigma, station.block_sizes)[:, None] / station.weights
     alarms = 0

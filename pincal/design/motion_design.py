@@ -1,14 +1,16 @@
-r"""Design of motions with an IMU: moves from pose to pose with the most information in the time that they take.
+r"""Design of motions with an IMU: moves from pose to pose with the most information in the time
+that they take.
 
-The moves connect all pairs of some admissible poses; each is at rest at both ends and a polynomial of degree 5 in time, as
-fast as limits of speed and acceleration allow. A tour that contains each of them once is one motion of the arm, whose IMU
-rows give the information :math:`H_e` of each move e on the parameters. At each pose the next move is the one with the
-largest decrease of the predicted error per second,
+The moves connect all pairs of some admissible poses; each is at rest at both ends and a polynomial
+of degree 5 in time, as fast as limits of speed and acceleration allow. A tour that contains each of
+them once is one motion of the arm, whose IMU rows give the information :math:`H_e` of each move e
+on the parameters. At each pose the next move is the one with the largest decrease of the predicted
+error per second,
 
 .. math:: \big( \mathrm{tr}(W H^{-1}) - \mathrm{tr}(W (H + H_e)^{-1}) \big) / T_e ,
 
-with W the mean squared error of the tool over random poses, base and tool refitted. A controller need not follow the same
-time law, as a calibration uses the logged joint positions.
+with W the mean squared error of the tool over random poses, base and tool refitted. A controller
+need not follow the same time law, as a calibration uses the logged joint positions.
 """
 
 from __future__ import annotations
@@ -36,18 +38,23 @@ from pincal.robot.robot import Robot
 
 # Number of poses between which moves are chosen; a prime, for the tour.
 _POSES = 31
-# Largest speed and acceleration of a polynomial of degree 5 from rest to rest, for unit move and duration.
-_SPEED, _ACCELERATION = 15.0 / 8.0, 10.0 / 3.0**0.5
+# Largest speed and acceleration of a polynomial of degree 5 from rest to rest, for unit move and
+# duration.
+_SPEED = 15.0 / 8.0
+_ACCELERATION = 10.0 / 3.0**0.5
 # Number of intermediate poses of a move at which constraints are checked.
 _WITHIN = 9
 # Sampling rate of the tour for its spline, and the spline's knots [1/s].
-_RATE, _KNOTS = 100.0, 16.0
+_RATE = 100.0
+_KNOTS = 16.0
 # Number of poses from which a motion may begin.
 _STARTS = 8
 # Number of random motions of the same length, for comparison by their median.
 _RANDOM = 10
 # Poses over which errors are averaged; numbers of poses of an instrument, and random sets of each.
-_CARED, _NUMBERS, _SETS = 200, (3, 4, 6, 8, 10, 12, 15, 20, 30, 40, 60), 8
+_CARED = 200
+_NUMBERS = (3, 4, 6, 8, 10, 12, 15, 20, 30, 40, 60)
+_SETS = 8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,13 +66,13 @@ class MotionDesign:
         time: times at which V poses are reached, shape (V,) [s].
         q: the poses, at which the arm stops, shape (V, n) [rad or m].
         drawn: the poses between which moves were chosen, and the number removed by each constraint.
-        before: predicted rms error of the tool over random poses, with base and tool refitted, due to the priors of the
-            parameters that an IMU observes [m].
+        before: predicted rms error of the tool over random poses, with base and tool refitted, due
+            to the priors of the parameters that an IMU observes [m].
         error: the same after this motion.
         random: the same after a random motion of the same duration, the median of ten.
         lengths: predicted error due to lengths, which an IMU does not observe [m].
-        needed: number of random poses measured by an instrument for positions -> rms error predicted from these alone, and
-            together with the motion [m].
+        needed: number of random poses measured by an instrument for positions -> rms error
+            predicted from these alone, and together with the motion [m].
         noise: noise of a component of the IMU's rows [m/s^2, rad/s], and of a position [m].
     """
 
@@ -98,8 +105,16 @@ class MotionDesign:
             "duration_s": float(self.time[-1]),
             "poses": len(self.time),
             "noise": list(self.noise),
-            "candidates": {"found": len(self.drawn.q), "drawn": self.drawn.drawn, "removed": self.drawn.removed},
-            "error_rms_mm": {"nominal": 1e3 * self.before, "designed": 1e3 * self.error, "random_median": 1e3 * self.random},
+            "candidates": {
+                "found": len(self.drawn.q),
+                "drawn": self.drawn.drawn,
+                "removed": self.drawn.removed,
+            },
+            "error_rms_mm": {
+                "nominal": 1e3 * self.before,
+                "designed": 1e3 * self.error,
+                "random_median": 1e3 * self.random,
+            },
             "error_by_lengths_rms_mm": 1e3 * self.lengths,
             "needed": [
                 {"poses": n, "alone_mm": 1e3 * alone, "with_motion_mm": 1e3 * both}
@@ -124,13 +139,15 @@ def design_motion(
         robot: the arm.
         duration: duration of the motion, up to the end of its last move [s].
         options: as for the calibration: effects, and noise of an additional instrument's positions.
-        speed: largest speed of a joint [rad/s], half of it for a prismatic one [m/s]; at most the URDF's limit.
+        speed: largest speed of a joint [rad/s], half of it for a prismatic one [m/s]; at most the
+            URDF's limit.
         acceleration: likewise [rad/s^2].
         limits: limits of the workspace.
         seed: seed of all random numbers.
 
     Raises:
-        BadInputError: for an invalid duration, speed or acceleration, or constraints that leave no motion.
+        BadInputError: for an invalid duration, speed or acceleration, or constraints that leave no
+            motion.
 
     Example:
         >>> found = design_motion(Robot.from_urdf("ur5"), 20.0)  # doctest: +SKIP
@@ -149,27 +166,41 @@ def design_motion(
     reach = Reach(robot, SensorSetup(), limits or Limits())
     drawn = reach.draw(_POSES, rng)
     if len(drawn.q) < _POSES:
-        raise BadInputError(f"constraints leave {len(drawn.q)} poses to move between; expected {_POSES}: {drawn.in_words()}")
+        raise BadInputError(
+            f"constraints leave {len(drawn.q)} poses to move between; expected {_POSES}: "
+            f"{drawn.in_words()}"
+        )
     moves = _Moves.of(reach, drawn.q, speed, acceleration)
     if not moves.allowed.any():
-        raise BadInputError("constraints leave no move between any two poses; expected a lower floor or a wider box or span")
+        raise BadInputError(
+            "constraints leave no move between any two poses; expected a lower floor or a "
+            "wider box or span"
+        )
     cared = Conditions.at(robot.random_configurations(_CARED, rng))
     design = DesignModel.of(robot, cared, options, SensorSetup())
     worth = _worth(robot, moves, options, design, cared)
     walk = _best_walk(moves, worth, duration)
-    at_random = [_walk(moves, worth, duration, np.flatnonzero(moves.allowed), rng) for _ in range(_RANDOM)]
+    at_random = [
+        _walk(moves, worth, duration, np.flatnonzero(moves.allowed), rng) for _ in range(_RANDOM)
+    ]
     known = np.eye(design.n_free)
     at = np.flatnonzero(design.has_prior)[worth.observed]
-    known[np.ix_(at, at)] = covariance(covariance(worth.known(walk))[np.ix_(worth.columns, worth.columns)])
+    known[np.ix_(at, at)] = covariance(
+        covariance(worth.known(walk))[np.ix_(worth.columns, worth.columns)]
+    )
     needed = {}
     for poses in _NUMBERS:
         sets = [Conditions.at(robot.random_configurations(poses, rng)) for _ in range(_SETS)]
-        both = [[one.foreseen(measured, cared) for one in (design, replace(design, known=known))] for measured in sets]
+        both = [
+            [one.foreseen(measured, cared) for one in (design, replace(design, known=known))]
+            for measured in sets
+        ]
         needed[poses] = tuple(np.median(both, axis=0).tolist())
     times = np.array([0.0, *accumulate(moves.seconds[walk].tolist())])
     if times[-1] < duration:
         warn(
-            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s, as all moves between its {_POSES} poses are "
+            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s, as all moves "
+            f"between its {_POSES} poses are "
             "used; expected fewer constraints or a shorter duration"
         )
     return MotionDesign(
@@ -205,20 +236,28 @@ class _Moves:
 
     @classmethod
     def of(cls, reach: Reach, q: np.ndarray, speed: float, acceleration: float) -> _Moves:
-        """Return the tour: steps of 1, 2, ... through a prime number of poses each return to the first."""
+        """Return the tour: steps of 1, 2, ... through a prime number of poses each return to the
+        first.
+        """
         M = len(q)
         first = np.array([step * k % M for step in range(1, M) for k in range(M)])
         last = np.roll(first, -1)
         size = np.where([kind == "prismatic" for kind in reach.robot.joint_types], 0.5, 1.0)
         fastest = np.minimum(size * speed, _speed_limits(reach.robot))
         way = np.abs(q[last] - q[first])
-        seconds = np.maximum(_SPEED * way / fastest, np.sqrt(_ACCELERATION * way / (size * acceleration))).max(axis=1)
+        seconds = np.maximum(
+            _SPEED * way / fastest, np.sqrt(_ACCELERATION * way / (size * acceleration))
+        ).max(axis=1)
         parts = np.arange(1, _WITHIN + 1) / (_WITHIN + 1)
-        within = (q[first][:, None] + parts[:, None] * (q[last] - q[first])[:, None]).reshape(len(first) * _WITHIN, -1)
+        within = (q[first][:, None] + parts[:, None] * (q[last] - q[first])[:, None]).reshape(
+            len(first) * _WITHIN, -1
+        )
         within = reach.robot.following(within)
         allowed = reach.allows_apart(within)
         allowed[allowed] = ~reach.collides(within[allowed])
-        return cls(q, first, last, seconds, np.asarray(np.all(allowed.reshape(-1, _WITHIN), axis=1)))
+        return cls(
+            q, first, last, seconds, np.asarray(np.all(allowed.reshape(-1, _WITHIN), axis=1))
+        )
 
     def path(self) -> JointPath:
         """Return the whole tour as a path in time."""
@@ -227,23 +266,35 @@ class _Moves:
         move = np.minimum(np.searchsorted(ends, time, side="right"), len(ends) - 1)
         part = np.clip((time - ends[move] + self.seconds[move]) / self.seconds[move], 0.0, 1.0)
         share = (part**3 * (10.0 - 15.0 * part + 6.0 * part**2))[:, None]
-        begins, finishes = self.q[self.first[move]], self.q[self.last[move]]
-        return JointPath.through(time, begins + share * (finishes - begins), knots_per_second=_KNOTS)
+        begins = self.q[self.first[move]]
+        finishes = self.q[self.last[move]]
+        return JointPath.through(
+            time, begins + share * (finishes - begins), knots_per_second=_KNOTS
+        )
 
 
 def _speed_limits(robot: Robot) -> np.ndarray:
-    """Return the largest speeds of the joints by the URDF, shape (n,) [rad/s or m/s]; inf where it has none."""
+    """Return the largest speeds of the joints by the URDF, shape (n,) [rad/s or m/s]; inf where it
+    has none.
+    """
     model = robot.pinocchio_model()
-    found = np.array([model.velocityLimit[model.joints[model.getJointId(name)].idx_v] for name in robot.joint_names])
+    found = np.array(
+        [
+            model.velocityLimit[model.joints[model.getJointId(name)].idx_v]
+            for name in robot.joint_names
+        ]
+    )
     return np.where(found > 0.0, found, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
 class _Worth:
-    """Information of moves on the F parameters of arm and IMU that an IMU-only fit releases, in units of priors.
+    """Information of moves on the F parameters of arm and IMU that an IMU-only fit releases, in
+    units of priors.
 
     Attributes:
-        W: shape (F, F) [m^2], squared error of the tool by these parameters, with base and tool refitted.
+        W: shape (F, F) [m^2], squared error of the tool by these parameters, with base and tool
+            refitted.
         H: shape (E, F, F), information of each move.
         columns: indices among the F parameters of those on which positions depend as well.
         observed: which parameters with a prior of a model of positions these are.
@@ -267,11 +318,15 @@ class _Worth:
         return float(np.sqrt(value(covariance(self.known(walk)), self.W)))
 
 
-def _worth(robot: Robot, moves: _Moves, options: Options, design: DesignModel, cared: Conditions) -> _Worth:
+def _worth(
+    robot: Robot, moves: _Moves, options: Options, design: DesignModel, cared: Conditions
+) -> _Worth:
     ends = np.cumsum(moves.seconds)
     table = ideal_imu_table(MovingArm(robot, moves.path()))
     # The noise in the options is another instrument's, not the IMU's.
-    ((station, values),) = place(robot, {"": table}, replace(options, sigma=None, sigma_orientation=None))
+    ((station, values),) = place(
+        robot, {"": table}, replace(options, sigma=None, sigma_orientation=None)
+    )
     problem = Problem((station,))
     # As in an IMU-only fit, lengths are held fixed.
     free = released_of(problem, options)
@@ -290,14 +345,19 @@ def _worth(robot: Robot, moves: _Moves, options: Options, design: DesignModel, c
         for e in np.unique(move[rows]):
             part = A[move[rows] == e].reshape(-1, len(units))
             H[e] += part.T @ part
-    J, W = design.placed_errors(cared), np.zeros_like(H[0])
+    J = design.placed_errors(cared)
+    W = np.zeros_like(H[0])
     W[np.ix_(columns, columns)] = J[:, observed].T @ J[:, observed] / len(cared.q)
     lengths = float(np.sum(J[:, ~observed] ** 2)) / len(cared.q)
-    return _Worth(W, H, columns, observed, lengths, tuple(block.noise for block in station.sensor.blocks))
+    return _Worth(
+        W, H, columns, observed, lengths, tuple(block.noise for block in station.sensor.blocks)
+    )
 
 
 def _best_walk(moves: _Moves, worth: _Worth, duration: float) -> list[int]:
-    """Return the best of some walks, each from another pose and by the moves with the most information per second."""
+    """Return the best of some walks, each from another pose and by the moves with the most
+    information per second.
+    """
     begins = np.flatnonzero(moves.allowed)
     begins = begins[np.argsort(-_rates(moves, worth, begins, worth.known([])))]
     _, at = np.unique(moves.first[begins], return_index=True)
@@ -306,22 +366,38 @@ def _best_walk(moves: _Moves, worth: _Worth, duration: float) -> list[int]:
 
 
 def _rates(moves: _Moves, worth: _Worth, which: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the decrease of the squared error per second by each move, shape (n,), given information ``known``."""
+    """Return the decrease of the squared error per second by each move, shape (n,), given
+    information ``known``.
+    """
     after = np.array([value(C, worth.W) for C in np.linalg.inv(known + worth.H[which])])
     return np.asarray((value(covariance(known), worth.W) - after) / moves.seconds[which])
 
 
 def _walk(
-    moves: _Moves, worth: _Worth, duration: float, begins: np.ndarray, rng: np.random.Generator | None = None
+    moves: _Moves,
+    worth: _Worth,
+    duration: float,
+    begins: np.ndarray,
+    rng: np.random.Generator | None = None,
 ) -> list[int]:
-    """Return consecutive moves without repetition: those with the most information per second, or random ones."""
-    left, spent, walk, known, here = moves.allowed.copy(), 0.0, list[int](), worth.known([]), begins
+    """Return consecutive moves without repetition: those with the most information per second, or
+    random ones.
+    """
+    left = moves.allowed.copy()
+    spent = 0.0
+    walk = list[int]()
+    known = worth.known([])
+    here = begins
     while spent < duration and len(here):
         if rng is not None:
             e = int(rng.choice(here))
         else:
-            e = int(here[0] if len(here) == 1 else here[np.argmax(_rates(moves, worth, here, known))])
-        left[e], spent, known = False, spent + moves.seconds[e], known + worth.H[e]
+            e = int(
+                here[0] if len(here) == 1 else here[np.argmax(_rates(moves, worth, here, known))]
+            )
+        left[e] = False
+        spent = spent + moves.seconds[e]
+        known = known + worth.H[e]
         walk.append(e)
         here = np.flatnonzero(left & (moves.first == moves.last[e]))
     return walk

@@ -1,15 +1,17 @@
 r"""Pose designs: the poses to measure for a robot and constraints, and the predicted accuracy.
 
-They include observability indices, numbered as in the literature (Sun and Hollerbach 2008). With the singular values
+They include observability indices, numbered as in the literature (Sun and Hollerbach 2008). With
+the singular values
 :math:`\sigma_1 \ge \dots \ge \sigma_r` of the identification Jacobian at n poses:
 
 .. math:: O_1 = \frac{(\sigma_1 \cdots \sigma_r)^{1/r}}{\sqrt n} \quad
-    O_2 = \frac{\sigma_r}{\sigma_1} \quad O_3 = \sigma_r \quad O_4 = \frac{\sigma_r^2}{\sigma_1} \quad
-    O_5 = \Big(\sum_i \frac{1}{\sigma_i}\Big)^{-1}
+    O_2 = \frac{\sigma_r}{\sigma_1} \quad O_3 = \sigma_r \quad O_4 = \frac{\sigma_r^2}{\sigma_1}
+    \quad O_5 = \Big(\sum_i \frac{1}{\sigma_i}\Big)^{-1}
 
-Such indices depend on units and on the choice of parameters. Here parameters are in units of the priors (some mm, mrad),
-readings in units of the noise, and base and tool are projected out. The r directions are those that n average candidates
-determine better than the priors do, the same for all designs that are compared.
+Such indices depend on units and on the choice of parameters. Here parameters are in units of the
+priors (some mm, mrad), readings in units of the noise, and base and tool are projected out. The r
+directions are those that n average candidates determine better than the priors do, the same for all
+designs that are compared.
 """
 
 from __future__ import annotations
@@ -46,16 +48,22 @@ SOURCES = {
 
 
 def observed_directions(design_model: DesignModel, mean: np.ndarray, n: int) -> np.ndarray:
-    """Return the directions that n average candidates identify, orthonormal in units of the priors, shape (H, r).
+    """Return the directions that n average candidates identify, orthonormal in units of the priors,
+    shape (H, r).
 
-    They are directions of the H parameters with a prior; ``mean`` is the information of one candidate, shape (F, F).
+    They are directions of the H parameters with a prior; ``mean`` is the information of one
+    candidate, shape (F, F).
     """
     posterior = design_model.posterior(n * mean)
     return posterior.directions[:, posterior.information > 1.0]
 
 
-def observability(design_model: DesignModel, directions: np.ndarray, H: np.ndarray, n: int) -> dict[str, float]:
-    """Return O1 to O5, in these directions, of n poses with information H, shape (F, F); empty without directions."""
+def observability(
+    design_model: DesignModel, directions: np.ndarray, H: np.ndarray, n: int
+) -> dict[str, float]:
+    """Return O1 to O5, in these directions, of n poses with information H, shape (F, F); empty
+    without directions.
+    """
     if not directions.shape[1]:
         return {}
     posterior = design_model.posterior(H)
@@ -73,10 +81,12 @@ def observability(design_model: DesignModel, directions: np.ndarray, H: np.ndarr
     }
 
 
-# Practically unlimited number of poses, and the fraction of the error remaining with them above which more poses are
-# useless.
-_MANY, _MOSTLY = 1e6, 0.9
-# Recommended ratio of readings to identifiable directions, which leaves degrees of freedom to judge a fit.
+# Practically unlimited number of poses, and the fraction of the error remaining with them above
+# which more poses are useless.
+_MANY = 1e6
+_MOSTLY = 0.9
+# Recommended ratio of readings to identifiable directions, which leaves degrees of freedom to judge
+# a fit.
 _COMFORTABLE = 1.5
 
 
@@ -95,13 +105,17 @@ class Design:
         drawn: the candidates, and the number removed by each constraint.
         found: the design compared with random poses.
         before: the previously measured poses alone; None without any.
-        bound: lower bound of the predicted error for N of the candidates, with the criterion task [m]; else None.
-        curve: designs of other numbers of poses and of this one, all chosen among the candidates and not refined.
+        bound: lower bound of the predicted error for N of the candidates, with the criterion task
+            [m]; else None.
+        curve: designs of other numbers of poses and of this one, all chosen among the candidates
+            and not refined.
         needed: smallest number of candidates that reaches the requested accuracy; None without one.
         observability: indices O1 to O5 of the poses, including previously measured ones.
         observability_random: their medians over random poses.
-        rank: number of directions that such poses determine better than the priors do, including base and tool.
-        path_length: length of the path through the poses, in ranges of the joint that moves farthest.
+        rank: number of directions that such poses determine better than the priors do, including
+            base and tool.
+        path_length: length of the path through the poses, in ranges of the joint that moves
+            farthest.
         path_length_unordered: the same in the order in which they were found.
         notes: messages to the user.
         seconds: computing time.
@@ -130,7 +144,9 @@ class Design:
 
     def __repr__(self) -> str:
         error = 1e3 * self.found.designed.error
-        return f"Design({self.robot.name!r}: {self.found.poses} poses, {error:.4g} mm rms predicted)"
+        return (
+            f"Design({self.robot.name!r}: {self.found.poses} poses, {error:.4g} mm rms predicted)"
+        )
 
     @property
     def q(self) -> np.ndarray:
@@ -138,10 +154,16 @@ class Design:
         return self.conditions.q
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return the table to be filled in: joints, and target, payload and approach if they are part of the design."""
+        """Return the table to be filled in: joints, and target, payload and approach if they are
+        part of the design.
+        """
         targets = self.design_model.model.chain.targets
-        poses = pose_columns(self.robot, self.conditions, has_payloads=self.has_payloads, targets=targets)
-        station = predicted_station(self.design_model.model, self.design_model.values, self.rig, self.conditions)
+        poses = pose_columns(
+            self.robot, self.conditions, has_payloads=self.has_payloads, targets=targets
+        )
+        station = predicted_station(
+            self.design_model.model, self.design_model.values, self.rig, self.conditions
+        )
         return poses | held_columns(station)
 
     def to_dict(self) -> dict[str, Any]:
@@ -158,13 +180,20 @@ class Design:
             "noise": self.design_model.sigma.tolist(),
             "parameters": self.design_model.n_free,
             "rank": self.rank,
-            "candidates": {"found": len(self.drawn.q), "drawn": self.drawn.drawn, "removed": self.drawn.removed},
+            "candidates": {
+                "found": len(self.drawn.q),
+                "drawn": self.drawn.drawn,
+                "removed": self.drawn.removed,
+            },
             **_plain_point(self.found),
             "measured_before": None if self.before is None else _plain(self.before),
             "bound_mm": None if self.bound is None else 1e3 * self.bound,
             "needed": self.needed,
             "curve": [_plain_point(point) for point in self.curve],
-            "observability": {"designed": self.observability, "random_median": self.observability_random},
+            "observability": {
+                "designed": self.observability,
+                "random_median": self.observability_random,
+            },
             "way": {"ordered": self.path_length, "unordered": self.path_length_unordered},
             "notes": list(self.notes),
             "seconds": self.seconds,
@@ -177,7 +206,11 @@ def _plain(quality: Quality) -> dict[str, Any]:
 
 
 def _plain_point(point: CurvePoint) -> dict[str, Any]:
-    return {"poses": point.poses, "designed": _plain(point.designed), "random_median": _plain(point.random)}
+    return {
+        "poses": point.poses,
+        "designed": _plain(point.designed),
+        "random_median": _plain(point.random),
+    }
 
 
 def design_poses(
@@ -194,8 +227,8 @@ def design_poses(
     Args:
         robot: the arm.
         request: the specification, or the number of poses alone.
-        options: as for the calibration: effects, noise, moment frame, centre of mass of the payload. Base and tool are
-            taken as unknown.
+        options: as for the calibration: effects, noise, moment frame, centre of mass of the
+            payload. Base and tool are taken as unknown.
         rig: sensor set-up.
         limits: limits of the workspace.
         **earlier: fields of the request, deprecated.
@@ -204,8 +237,8 @@ def design_poses(
         The design; note its ``notes``.
 
     Raises:
-        BadInputError: for constraints that leave too few poses, an unreachable accuracy, an unknown effect, or an
-            unsupported sensor or model.
+        BadInputError: for constraints that leave too few poses, an unreachable accuracy, an unknown
+            effect, or an unsupported sensor or model.
 
     Example:
         >>> from pincal.model.effects import GEOMETRIC
@@ -216,9 +249,15 @@ def design_poses(
     """
     if not isinstance(request, DesignRequest):
         if earlier:
-            warnings.warn("design_poses takes what is to be designed as a DesignRequest", DeprecationWarning, stacklevel=2)
+            warnings.warn(
+                "design_poses takes what is to be designed as a DesignRequest",
+                DeprecationWarning,
+                stacklevel=2,
+            )
         request = DesignRequest(**{"poses": request} | earlier)
-    return _design(request, Reach(robot, rig or SensorSetup(), limits or Limits()), options or Options())
+    return _design(
+        request, Reach(robot, rig or SensorSetup(), limits or Limits()), options or Options()
+    )
 
 
 def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
@@ -233,7 +272,8 @@ def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
     # A pose in which the target is held can't be refined.
     if request.refine and not reach.rig.held_at:
         picked = study.refine(picked, reach)
-    H, at_random = study.H + total(study.design_model.readings(picked)), study.random(n)
+    H = study.H + total(study.design_model.readings(picked))
+    at_random = study.random(n)
     found = CurvePoint(n, study.quality(H), Quality.median([study.quality(R) for R in at_random]))
     order, unordered, ordered = order_by_load(picked.q, picked.payload, reach.range)
     indices, indices_random = _indices(study, n, H, at_random)
@@ -257,18 +297,28 @@ def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
         rank=study.rank(n),
         path_length=ordered,
         path_length_unordered=unordered,
-        notes=(*reach.robot.notes, *reach.bodies.notes, *notes_on_masses(reach.robot, options.effects), *notes),
+        notes=(
+            *reach.robot.notes,
+            *reach.bodies.notes,
+            *notes_on_masses(reach.robot, options.effects),
+            *notes,
+        ),
         seconds=time.perf_counter() - begun,
     )
 
 
 def _check_count(study: Study, n: int) -> None:
-    size, rank, count = study.A.shape[1], study.rank(n), n + study.n_measured
+    size = study.A.shape[1]
+    rank = study.rank(n)
+    count = n + study.n_measured
     if size * count < rank:
-        fewest, good = -(-rank // size), int(np.ceil(_COMFORTABLE * rank / size))
+        fewest = -(-rank // size)
+        good = int(np.ceil(_COMFORTABLE * rank / size))
         warn(
-            f"{count} poses give {size * count} readings for {rank} directions of the parameters that such poses can "
-            f"identify, so the rest relies on the priors; expected {fewest} poses or more, better {good}"
+            f"{count} poses give {size * count} readings for {rank} directions of the "
+            "parameters that such poses can "
+            f"identify, so the rest relies on the priors; expected {fewest} poses or "
+            f"more, better {good}"
         )
 
 
@@ -277,18 +327,25 @@ def _check_limit(study: Study, n: int) -> None:
     error, limit = (study.quality(study.H + count * study.mean).error for count in (n, _MANY))
     if limit > _MOSTLY * error:
         warn(
-            f"{1e3 * limit:.3g} mm of the predicted error remain however many such poses are measured: they do not "
-            "determine all that the task depends on (contacts without a known length do not determine the scale); expected "
-            "a known length or an instrument as well, or --criterion determinant for the best of what they do determine"
+            f"{1e3 * limit:.3g} mm of the predicted error remain however many such poses "
+            "are measured: they do not "
+            "determine all that the task depends on (contacts without a known length do "
+            "not determine the scale); expected "
+            "a known length or an instrument as well, or --criterion determinant for the "
+            "best of what they do determine"
         )
 
 
 def _indices(
     study: Study, n: int, H: np.ndarray, at_random: Sequence[np.ndarray]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the indices of the design, and their medians over random ones, including previously measured poses."""
-    directions, prior = observed_directions(study.design_model, study.mean, n), study.design_model.known
+    """Return the indices of the design, and their medians over random ones, including previously
+    measured poses.
+    """
+    directions = observed_directions(study.design_model, study.mean, n)
+    prior = study.design_model.known
     found, *random = (
-        observability(study.design_model, directions, X - prior, n + study.n_measured) for X in (H, *at_random)
+        observability(study.design_model, directions, X - prior, n + study.n_measured)
+        for X in (H, *at_random)
     )
     return found, {name: float(np.median([i[name] for i in random])) for name in random[0]}

@@ -1,4 +1,6 @@
-"""Admissible poses: joint limits, floor, box, line of sight, self-collision; random poses within these constraints."""
+"""Admissible poses: joint limits, floor, box, line of sight, self-collision; random poses within
+these constraints.
+"""
 
 from __future__ import annotations
 
@@ -13,18 +15,23 @@ from pincal.design.collisions import Bodies
 from pincal.errors import BadInputError
 from pincal.robot.robot import Robot
 
-# Half angle of the cone in which a corner-cube reflector is seen [rad]: 30 degrees by the data sheets.
+# Half angle of the cone in which a corner-cube reflector is seen [rad]: 30 degrees by the data
+# sheets.
 CONE = np.pi / 6.0
 # The first joint, counted from 1, whose link has to stay above the floor.
 _OFF_THE_FLOOR = 3
 # Most random poses tried per pose requested, and at once.
-_TRIES, _BATCH = 200, 4096
+_TRIES = 200
+_BATCH = 4096
 # Most candidates of a design: about 200 MB (20 000: 40 MB), and minutes.
 _MOST = 100_000
 # Steps towards a socket for the target, their damping in reaches of the arm, and the tolerance [m].
-_STEPS, _DAMPING, _THERE = 25, 0.03, 1e-4
+_STEPS = 25
+_DAMPING = 0.03
+_THERE = 1e-4
 # Default position of a target off and along the last axis, in reaches of the arm.
-_OFF_AXIS, _ALONG = 0.05, 0.05
+_OFF_AXIS = 0.05
+_ALONG = 0.05
 
 
 @dataclass(frozen=True)
@@ -33,13 +40,15 @@ class SensorSetup:
 
     Attributes:
         sensor: "position", "pose", "distance" or "socket".
-        tool: approximate position of the target in the tip frame [m]; default: off the last axis by a twentieth of the
+        tool: approximate position of the target in the tip frame [m]; default: off the last axis by
+            a twentieth of the
         reach.
-        instrument: position of the instrument in the robot's base frame [m]; None if it sees everything.
+        instrument: position of the instrument in the robot's base frame [m]; None if it sees
+            everything.
         normal: normal of the target, in the tip frame; None if it is visible from all sides.
         cone: largest angle to the normal at which it is visible [rad].
-        held_at: approximate positions of the sockets that hold the target, in the frame of the first link of the robot's
-            path, its base for one arm [m].
+        held_at: approximate positions of the sockets that hold the target, in the frame of the
+            first link of the robot's path, its base for one arm [m].
     """
 
     sensor: str = "position"
@@ -51,15 +60,27 @@ class SensorSetup:
 
     def __post_init__(self) -> None:
         held = [("place", place) for place in self.held_at]
-        for what, place in (("tool", self.tool), ("instrument", self.instrument), ("normal", self.normal), *held):
+        for what, place in (
+            ("tool", self.tool),
+            ("instrument", self.instrument),
+            ("normal", self.normal),
+            *held,
+        ):
             if place is not None and not np.isfinite(place).all():
-                raise BadInputError(f"{what} {' '.join(f'{v:g}' for v in place)}; expected three finite numbers")
+                raise BadInputError(
+                    f"{what} {' '.join(f'{v:g}' for v in place)}; expected three finite numbers"
+                )
         if self.normal is not None and self.instrument is None:
-            raise BadInputError("the target has a normal, but the position of the instrument is not given")
+            raise BadInputError(
+                "the target has a normal, but the position of the instrument is not given"
+            )
         if self.normal is not None and not np.any(self.normal):
             raise BadInputError(f"normal of the target {self.normal}; expected a direction")
         if not 0.0 < self.cone <= np.pi:
-            raise BadInputError(f"cone of {np.degrees(self.cone):g} deg about the target's normal; expected 0 to 180 deg")
+            raise BadInputError(
+                f"cone of {np.degrees(self.cone):g} deg about the target's normal; "
+                "expected 0 to 180 deg"
+            )
 
     @property
     def places(self) -> np.ndarray:
@@ -72,11 +93,15 @@ class SensorSetup:
 
 
 def default_target(robot: Robot) -> np.ndarray:
-    """Return a position in the tip frame, shape (3,) [m], off the last axis: on it a target does not show the last joint."""
+    """Return a position in the tip frame, shape (3,) [m], off the last axis: on it a target does
+    not show the last joint.
+    """
     last = robot.path.tip_joint
     T_tip_joint = np.linalg.inv(robot.path.T_joint_tip) @ robot.T_link_joint[last]
     slides = robot.joint_types[last] == "prismatic"
-    axis = (robot.frames.T_base_link[last] @ robot.path.T_joint_tip)[:3, :3].T @ robot.frames.axis(last, robot.parents[last])
+    axis = (robot.frames.T_base_link[last] @ robot.path.T_joint_tip)[:3, :3].T @ robot.frames.axis(
+        last, robot.parents[last]
+    )
     # Away from the arm: along the axis in the direction from the last joint to the tip.
     axis = axis if axis @ T_tip_joint[:3, 3] <= 0.0 or slides else -axis
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -89,8 +114,10 @@ class Limits:
 
     Attributes:
         span: fraction of the joint range that is used, about its middle.
-        floor: least height in the base frame of target and arm, from the third joint's link on [m]; None for no floor.
-        box: least x, y, z and largest x, y, z of the measured target, in the base frame [m]; None for no box.
+        floor: least height in the base frame of target and arm, from the third joint's link on [m];
+            None for no floor.
+        box: least x, y, z and largest x, y, z of the measured target, in the base frame [m]; None
+            for no box.
         clearance: least distance of the arm from itself [m].
     """
 
@@ -101,13 +128,20 @@ class Limits:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.span <= 1.0:
-            raise BadInputError(f"span {self.span:g} of the joint range; expected more than 0 and at most 1")
+            raise BadInputError(
+                f"span {self.span:g} of the joint range; expected more than 0 and at most 1"
+            )
         if self.floor is not None and not np.isfinite(self.floor):
             raise BadInputError(f"floor at {self.floor:g} m; expected a finite height")
         if not 0.0 <= self.clearance < np.inf:
             raise BadInputError(f"clearance {self.clearance:g} m; expected 0 or more")
-        if self.box is not None and not all(low < high for low, high in zip(self.box[:3], self.box[3:], strict=True)):
-            raise BadInputError(f"box {' '.join(f'{v:g}' for v in self.box)}; expected least x y z, then larger x y z [m]")
+        if self.box is not None and not all(
+            low < high for low, high in zip(self.box[:3], self.box[3:], strict=True)
+        ):
+            raise BadInputError(
+                f"box {' '.join(f'{v:g}' for v in self.box)}; expected least x y z, then "
+                "larger x y z [m]"
+            )
 
 
 @dataclass(frozen=True)
@@ -117,7 +151,8 @@ class Draw:
     Attributes:
         q: shape (N, n), joint positions [rad or m].
         drawn: number of poses tried.
-        removed: constraint -> number of poses that it removed from those left by the preceding constraints.
+        removed: constraint -> number of poses that it removed from those left by the preceding
+            constraints.
     """
 
     q: np.ndarray
@@ -132,7 +167,9 @@ class Draw:
 
 
 class _Placed(NamedTuple):
-    """Joint positions, and in the base frame the frames of the bodies, tips, targets and sockets, shape (N, K, 3)."""
+    """Joint positions, and in the base frame the frames of the bodies, tips, targets and sockets,
+    shape (N, K, 3).
+    """
 
     q: np.ndarray
     frames: np.ndarray
@@ -173,11 +210,15 @@ class Reach:
 
     @cached_property
     def range(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest joint positions, shape (n,) each [rad or m]; a full turn for a joint without limits."""
+        """Least and largest joint positions, shape (n,) each [rad or m]; a full turn for a joint
+        without limits.
+        """
         return self.robot.joint_range(self.limits.span)
 
     def allows_apart(self, q: np.ndarray) -> np.ndarray:
-        """Return whether poses, shape (N, n), satisfy all constraints of a measurement but self-collision, shape (N,)."""
+        """Return whether poses, shape (N, n), satisfy all constraints of a measurement but
+        self-collision, shape (N,).
+        """
         lower, upper = self.range
         allowed = np.asarray(np.all((q >= lower - 1e-12) & (q <= upper + 1e-12), axis=1))
         rows = np.flatnonzero(allowed)
@@ -186,22 +227,35 @@ class Reach:
         return allowed
 
     def collides(self, q: np.ndarray) -> np.ndarray:
-        """Return whether the arm collides with itself, shape (N,), as far as that can be checked."""
-        return np.zeros(len(q), bool) if self.bodies.collisions is None else self.bodies.collisions.hit(q)
+        """Return whether the arm collides with itself, shape (N,), as far as that can
+        be checked.
+        """
+        return (
+            np.zeros(len(q), bool)
+            if self.bodies.collisions is None
+            else self.bodies.collisions.hit(q)
+        )
 
     def draw(self, n: int, rng: np.random.Generator, *, measured: bool = True) -> Draw:
         """Draw random joint positions until ``n`` satisfy all constraints; fewer if hardly any do.
 
-        With ``measured`` they also have to be in the box and in sight. BadInputError if n is too large.
+        With ``measured`` they also have to be in the box and in sight. BadInputError if n is too
+        large.
         """
         if n > _MOST:
-            raise BadInputError(f"{n} random poses to choose from; expected at most {_MOST}: ask for fewer")
+            raise BadInputError(
+                f"{n} random poses to choose from; expected at most {_MOST}: ask for fewer"
+            )
         lower, upper = self.range
-        found, removed, drawn = np.empty((0, len(lower))), dict[str, int](), 0
+        found = np.empty((0, len(lower)))
+        removed = dict[str, int]()
+        drawn = 0
         while len(found) < n and drawn < _TRIES * n + _BATCH:
             # About as many as are still needed, by the acceptance rate so far.
             wanted = (n - len(found)) * (drawn + 1) / (len(found) + 1) if drawn else 1.25 * n
-            q = self.robot.following(rng.uniform(lower, upper, (int(np.clip(wanted, 64, _BATCH)), len(lower))))
+            q = self.robot.following(
+                rng.uniform(lower, upper, (int(np.clip(wanted, 64, _BATCH)), len(lower)))
+            )
             q = q if self.robot.linkage is None else q[self.robot.linkage.can_take(q)]
             placed = self._place(self._brought(q, rng) if measured and self.rig.held_at else q)
             drawn += len(placed.q)
@@ -213,7 +267,8 @@ class Reach:
         return Draw(found[:n], drawn, removed)
 
     def _brought(self, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return poses near q, shape (N, n), that hold the target in one of the sockets, if within reach.
+        """Return poses near q, shape (N, n), that hold the target in one of the sockets, if within
+        reach.
 
         The steps are Levenberg's: of least length, damped near singular poses.
         """
@@ -228,29 +283,46 @@ class Reach:
             carriers = placed.frames[:, np.array(self.robot.parents) + 1]
             carriers[:, 0] = self.robot.kinematics.first
             joints = carriers @ self.robot.kinematics.before
-            moved = np.where((carries > 0)[:, None], placed.targets[:, None], goals[:, None]) - joints[..., :3, 3]
+            moved = (
+                np.where((carries > 0)[:, None], placed.targets[:, None], goals[:, None])
+                - joints[..., :3, 3]
+            )
             axes = joints[..., :3, 2] * carries[:, None]
-            J = self.robot.gathered(np.where(turns[:, None], np.cross(axes, moved), axes).transpose(0, 2, 1), q)
+            J = self.robot.gathered(
+                np.where(turns[:, None], np.cross(axes, moved), axes).transpose(0, 2, 1), q
+            )
             damped = J @ J.transpose(0, 2, 1) + (_DAMPING * self.robot.reach) ** 2 * np.eye(3)
-            step = (J.transpose(0, 2, 1) @ np.linalg.solve(damped, (goals - placed.targets)[..., None]))[..., 0]
+            step = (
+                J.transpose(0, 2, 1) @ np.linalg.solve(damped, (goals - placed.targets)[..., None])
+            )[..., 0]
             q = self.robot.spread(q[:, self.robot.own_joints] + step)
         # Of equivalent positions q + 2 pi k the one nearest to the middle of the range is used.
         middle = np.mean(self.range, axis=0)
-        return self.robot.following(q - np.where(turns, 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), 0.0))
+        return self.robot.following(
+            q - np.where(turns, 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), 0.0)
+        )
 
     def _place(self, q: np.ndarray) -> _Placed:
         frames = self.robot.kinematics.frames(q)
         (_, start, T_start), (_, last, T_tip) = self.robot.path.ends
-        starts, tips = frames[:, start + 1] @ T_start, frames[:, last + 1] @ T_tip
+        starts = frames[:, start + 1] @ T_start
+        tips = frames[:, last + 1] @ T_tip
         places = self.rig.places @ starts[:, :3, :3].transpose(0, 2, 1) + starts[:, None, :3, 3]
         return _Placed(q, frames, tips, tips[:, :3, :3] @ self.target + tips[:, :3, 3], places)
 
-    def _faults(self, placed: _Placed, *, measured: bool, colliding: bool) -> Iterator[tuple[str, np.ndarray]]:
-        """Yield each constraint and the poses that violate it, shape (N,), except poses that already violate others."""
-        limits, left = self.limits, np.ones(len(placed.q), bool)
+    def _faults(
+        self, placed: _Placed, *, measured: bool, colliding: bool
+    ) -> Iterator[tuple[str, np.ndarray]]:
+        """Yield each constraint and the poses that violate it, shape (N,), except poses that
+        already violate others.
+        """
+        limits = self.limits
+        left = np.ones(len(placed.q), bool)
         if limits.floor is not None:
             # Links before it may touch the floor, like the shoulder of a small arm.
-            height = np.minimum(placed.targets[:, 2], self.bodies.boxes.lowest(placed.frames, _OFF_THE_FLOOR))
+            height = np.minimum(
+                placed.targets[:, 2], self.bodies.boxes.lowest(placed.frames, _OFF_THE_FLOOR)
+            )
             yield f"floor at {limits.floor:g} m", height < limits.floor
             left &= height >= limits.floor
         if measured:
@@ -264,13 +336,18 @@ class Reach:
 
     def _unseen(self, placed: _Placed) -> Iterator[tuple[str, np.ndarray]]:
         """Yield each constraint on the measurement of the target, and the poses that violate it."""
-        rig, box = self.rig, self.limits.box
+        rig = self.rig
+        box = self.limits.box
         if rig.held_at:
             off = np.linalg.norm(placed.targets[:, None] - placed.places, axis=2).min(axis=1)
             lower, upper = self.range
-            yield "bringing the target there", (off > _THERE) | np.any((placed.q < lower) | (placed.q > upper), axis=1)
+            yield (
+                "bringing the target there",
+                (off > _THERE) | np.any((placed.q < lower) | (placed.q > upper), axis=1),
+            )
         if box is not None:
-            low, high = np.array(box[:3]), np.array(box[3:])
+            low = np.array(box[:3])
+            high = np.array(box[3:])
             yield "box", np.any((placed.targets < low) | (placed.targets > high), axis=1)
         if rig.instrument is None:
             return
@@ -278,6 +355,8 @@ class Reach:
         if rig.normal is not None:
             normal = placed.tips[:, :3, :3] @ (np.array(rig.normal) / np.linalg.norm(rig.normal))
             sight = eye - placed.targets
-            across = np.einsum("ni,ni->n", normal, sight) < np.cos(rig.cone) * np.linalg.norm(sight, axis=1)
+            across = np.einsum("ni,ni->n", normal, sight) < np.cos(rig.cone) * np.linalg.norm(
+                sight, axis=1
+            )
             yield f"facing the instrument within {np.degrees(rig.cone):g} deg", across
         yield "line of sight", self.bodies.boxes.hide(placed.frames, eye, placed.targets)

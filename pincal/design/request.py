@@ -1,4 +1,6 @@
-"""Specifications of pose designs, and the conditions of their poses: payloads, directions of approach and targets."""
+"""Specifications of pose designs, and the conditions of their poses: payloads, directions of
+approach and targets.
+"""
 
 from __future__ import annotations
 
@@ -28,15 +30,20 @@ class DesignRequest:
     Attributes:
         poses: number of poses; default: as many as ``accuracy`` needs.
         accuracy: predicted error over the task to reach [m].
-        criterion: "task" for the smallest predicted error over the task (I- or V-optimal, with the priors of the fit),
-            "determinant" for the smallest volume of the parameters' uncertainty (D-optimal, with priors).
-        tell_apart: two rival effects, as in :func:`pincal.design.study.find_rival`, to be distinguished instead.
-        task: joint positions of the application, with payloads if they matter; default: the whole reach.
+        criterion: "task" for the smallest predicted error over the task (I- or V-optimal, with the
+            priors of the fit), "determinant" for the smallest volume of the parameters' uncertainty
+            (D-optimal, with priors).
+        tell_apart: two rival effects, as in :func:`pincal.design.study.find_rival`, to be
+            distinguished instead.
+        task: joint positions of the application, with payloads if they matter; default: the whole
+            reach.
         measured: previously measured poses, with their payloads, whose information counts.
         payloads: masses at the tip [kg] to choose from, pose by pose; default: no payload.
-        candidates: number of random poses to choose from; default: 1500, or twice ``poses`` if that is more.
+        candidates: number of random poses to choose from; default: 1500, or twice ``poses`` if that
+            is more.
         refine: whether to refine the chosen poses joint by joint.
-        curve: whether to design for other numbers of poses, too, and to compute the lower bound of the error.
+        curve: whether to design for other numbers of poses, too, and to compute the lower bound of
+            the error.
         seed: seed of all random numbers.
 
     Raises:
@@ -59,14 +66,17 @@ class DesignRequest:
         if self.payloads is not None:
             object.__setattr__(self, "payloads", tuple(float(load) for load in self.payloads))
         if self.poses is None and self.accuracy is None:
-            raise BadInputError("neither a number of poses nor an accuracy is given; expected one of them")
+            raise BadInputError(
+                "neither a number of poses nor an accuracy is given; expected one of them"
+            )
         if self.poses is not None and self.poses < 1:
             raise BadInputError(f"{self.poses} poses; expected 1 or more")
         if self.accuracy is not None and not self.accuracy > 0.0:
             raise BadInputError(f"accuracy {self.accuracy:g} m; expected more than 0")
         if self.n_candidates < self.fewest:
             raise BadInputError(
-                f"{self.n_candidates} candidates for {self.poses or 1} poses; expected at least as many, better 1000"
+                f"{self.n_candidates} candidates for {self.poses or 1} poses; expected at "
+                "least as many, better 1000"
             )
         if self.criterion not in ("task", "determinant"):
             raise BadInputError(f"criterion {self.criterion!r}; expected task or determinant")
@@ -83,7 +93,9 @@ class DesignRequest:
     @property
     def n_candidates(self) -> int:
         """Number of random poses to choose from."""
-        return max(_CANDIDATES, 2 * (self.poses or 0)) if self.candidates is None else self.candidates
+        return (
+            max(_CANDIDATES, 2 * (self.poses or 0)) if self.candidates is None else self.candidates
+        )
 
     @property
     def fewest(self) -> int:
@@ -107,7 +119,11 @@ class PoseBuilder:
     def targets(self) -> tuple[str, ...]:
         """Names of the targets: of previously measured ones, the first is measured again."""
         measured = self.request.measured
-        return ("tool",) if measured is None else tuple(str(name) for name in np.unique(measured.target))
+        return (
+            ("tool",)
+            if measured is None
+            else tuple(str(name) for name in np.unique(measured.target))
+        )
 
     @property
     def _loads(self) -> np.ndarray:
@@ -115,28 +131,49 @@ class PoseBuilder:
 
     def at(self, q: np.ndarray, rng: np.random.Generator) -> Conditions:
         """Return poses with the loads in turn and, if it matters, random directions of approach."""
-        n, loads = len(q), self._loads
-        approach = rng.choice([-1.0, 1.0], q.shape) if self.request.has_approach(self.robot) else None
+        n = len(q)
+        loads = self._loads
+        approach = (
+            rng.choice([-1.0, 1.0], q.shape) if self.request.has_approach(self.robot) else None
+        )
         centre = np.array(self.options.payload_centre, float)
-        return Conditions(q, np.zeros(n, int), loads[np.arange(n) % len(loads)], centre, approach=approach)
+        return Conditions(
+            q, np.zeros(n, int), loads[np.arange(n) % len(loads)], centre, approach=approach
+        )
 
     def of(self, table: Measurements) -> Conditions:
         """Return the poses of a table; rows without a payload have the first of the loads."""
-        n, targets, approach = len(table), self.targets, table.approach
-        index = np.array([targets.index(str(name)) if str(name) in targets else 0 for name in table.target], int)
+        n = len(table)
+        targets = self.targets
+        approach = table.approach
+        index = np.array(
+            [targets.index(str(name)) if str(name) in targets else 0 for name in table.target], int
+        )
         payload = np.full(n, self._loads[0]) if table.payload is None else np.asarray(table.payload)
         if approach is None and self.request.has_approach(self.robot):
             approach = np.zeros(table.q.shape)
         centre = np.array(self.options.payload_centre, float)
         q = table.of_joints(self.robot).q
-        return Conditions(q, index, payload, centre, temperature=table.temperature, time=table.time, approach=approach)
+        return Conditions(
+            q,
+            index,
+            payload,
+            centre,
+            temperature=table.temperature,
+            time=table.time,
+            approach=approach,
+        )
 
 
 def pose_columns(
     robot: Robot, conditions: Conditions, *, has_payloads: bool, targets: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
-    """Return a table to fill in: commanded joints, and target, payload and approach if they are part of the poses."""
-    columns: dict[str, np.ndarray] = dict(zip(robot.joint_names, robot.as_reported(conditions.q).T, strict=True))
+    """Return a table to fill in: commanded joints, and target, payload and approach if they are
+    part of the poses.
+    """
+    columns: dict[str, np.ndarray] = dict(
+        zip(robot.joint_names, robot.as_reported(conditions.q).T, strict=True)
+    )
     if len(targets) > 1:
         columns["target"] = np.array(targets)[conditions.target]
     if has_payloads:

@@ -1,4 +1,6 @@
-"""The common basis of all designs for one robot and rig: candidates, their information, and the criterion."""
+"""The common basis of all designs for one robot and rig: candidates, their information, and the
+criterion.
+"""
 
 from __future__ import annotations
 
@@ -40,14 +42,18 @@ RANDOM_DESIGNS = 50
 _TASK_POSES = 400
 # Numbers of poses of the curve, and its extent as a multiple of the requested number, at least.
 _LADDER = (10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)
-_BEYOND, _AT_LEAST = 2.0, 100
+_BEYOND = 2.0
+_AT_LEAST = 100
 # Passes of an exchange from a nearly optimal design.
 _FEW_PASSES = 2
-# Positions tried of each joint, and the fraction of its range over which they are spread, sweep by sweep.
+# Positions tried of each joint, and the fraction of its range over which they are spread, sweep by
+# sweep.
 _STEPS = 11
 _WINDOWS = (1.0, 0.4, 0.15)
-# Least difference of a joint's positions between poses, as a fraction of its range, and of a pose's share of the range.
-_APART, _OF_SHARE = 2e-3, 0.25
+# Least difference of a joint's positions between poses, as a fraction of its range, and of a pose's
+# share of the range.
+_APART = 2e-3
+_OF_SHARE = 0.25
 # Offset of the trial positions from pose to pose, as a fraction of a step.
 _SHIFT = 0.5 * (5.0**0.5 - 1.0)
 # Relative gain below which a pose is not moved.
@@ -59,8 +65,9 @@ class Quality:
     """Predicted quality of a set of poses.
 
     Attributes:
-        error: predicted rms error of a calibrated model over the task [m], of the position, or of a measured distance. It is
-            due to the posterior uncertainty of the parameters, without noise of a new measurement or model error.
+        error: predicted rms error of a calibrated model over the task [m], of the position, or of a
+            measured distance. It is due to the posterior uncertainty of the parameters, without
+            noise of a new measurement or model error.
         apart: non-centrality after a refit of each rival of typical size; empty without rivals.
     """
 
@@ -71,12 +78,16 @@ class Quality:
     def median(cls, found: Sequence[Quality]) -> Quality:
         """Return the medians over several sets."""
         apart = np.median([quality.apart for quality in found], axis=0)
-        return cls(float(np.median([quality.error for quality in found])), tuple(float(x) for x in apart))
+        return cls(
+            float(np.median([quality.error for quality in found])), tuple(float(x) for x in apart)
+        )
 
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """Designed poses compared with random ones (the median of many draws), both including previously measured poses."""
+    """Designed poses compared with random ones (the median of many draws), both including
+    previously measured poses.
+    """
 
     poses: int
     designed: Quality
@@ -114,7 +125,8 @@ class Study:
         """Draw candidates, and compute the information of each.
 
         Raises:
-            BadInputError: for constraints that leave too few poses, an unknown rival, or an unsupported sensor or model.
+            BadInputError: for constraints that leave too few poses, an unknown rival, or an
+                unsupported sensor or model.
         """
         rng = [np.random.default_rng([request.seed, part]) for part in range(4)]
         log.info("drawing %d candidates within the constraints", request.n_candidates)
@@ -125,7 +137,9 @@ class Study:
         rivals = _rivals(reach, options, request, candidates=candidates)
         known = None if request.measured is None else poses.of(request.measured)
         rows = candidates if known is None else _together(candidates, known)
-        design_model = DesignModel.of(reach.robot, rows, options, reach.rig, rivals=rivals, targets=poses.targets)
+        design_model = DesignModel.of(
+            reach.robot, rows, options, reach.rig, rivals=rivals, targets=poses.targets
+        )
         H = design_model.known.copy()
         if known is not None:
             H += total(design_model.readings(known))
@@ -139,7 +153,17 @@ class Study:
         if rivals:
             W = weights(design_model.rivals, design_model.n_free)
         count = 0 if known is None else len(known)
-        return cls(design_model, drawn, candidates, design_model.readings(candidates), H, count, weight, W, rng[3])
+        return cls(
+            design_model,
+            drawn,
+            candidates,
+            design_model.readings(candidates),
+            H,
+            count,
+            weight,
+            W,
+            rng[3],
+        )
 
     @cached_property
     def mean(self) -> np.ndarray:
@@ -147,7 +171,9 @@ class Study:
         return total(self.A) / len(self.A)
 
     def rank(self, n: int) -> int:
-        """Return the number of directions, including base and tool, that n average candidates identify beyond the priors."""
+        """Return the number of directions, including base and tool, that n average candidates
+        identify beyond the priors.
+        """
         return self.design_model.posterior(n * self.mean).identifiable_rank
 
     def quality(self, H: np.ndarray) -> Quality:
@@ -160,59 +186,83 @@ class Study:
     def design(self, n: int) -> list[int]:
         """Return n candidates that no single exchange improves: the better of two starts.
 
-        Exchanges end in one of many local optima; the optimum of the determinant is another start than a greedy choice.
+        Exchanges end in one of many local optima; the optimum of the determinant is another start
+        than a greedy choice.
         """
         log.info("exchanging %d poses among %d candidates", n, len(self.A))
         found = []
         for W in (self.W, None) if self.W is not None else (None,):
             chosen, _ = choose_greedily(self.A, W, self.H, n)
             found.append(exchange(self.A, self.W, self.H, exchange(self.A, W, self.H, chosen)))
-        return min(found, key=lambda design: value(covariance(self.H + information(self.A, design)), self.W))
+        return min(
+            found,
+            key=lambda design: value(covariance(self.H + information(self.A, design)), self.W),
+        )
 
     def refine(self, design: Conditions, reach: Reach) -> Conditions:
-        """Improve a design by coordinate exchange within the constraints (Meyer and Nachtsheim, Technometrics 37, 1995).
+        """Improve a design by coordinate exchange within the constraints (Meyer and Nachtsheim,
+        Technometrics 37, 1995).
 
-        Each pose in turn is replaced by its best neighbour that differs in one joint; its other conditions, such as the
-        payload, are unchanged. Joint positions do not repeat between poses, as a drive's error would be measured twice at
-        one position and not at all at another.
+        Each pose in turn is replaced by its best neighbour that differs in one joint; its other
+        conditions, such as the payload, are unchanged. Joint positions do not repeat between poses,
+        as a drive's error would be measured twice at one position and not at all at another.
         """
-        q, A = design.q.copy(), self.design_model.readings(design)
+        q = design.q.copy()
+        A = self.design_model.readings(design)
         for sweep, window in enumerate(_WINDOWS):
-            log.info("refining the poses, sweep %d", sweep + 1, extra={"done": sweep, "of": len(_WINDOWS)})
+            log.info(
+                "refining the poses, sweep %d",
+                sweep + 1,
+                extra={"done": sweep, "of": len(_WINDOWS)},
+            )
             for place in range(len(q)):
                 rest = np.delete(A, place, axis=0).reshape(-1, A.shape[2])
                 C = covariance(self.H + rest.T @ rest)
                 trial = _neighbours(q, place, reach, window)
                 if not len(trial):
                     continue
-                readings = self.design_model.readings(replace(design.select(np.full(len(trial), place)), q=trial))
+                readings = self.design_model.readings(
+                    replace(design.select(np.full(len(trial), place)), q=trial)
+                )
                 gain = gains(*spread_of(readings, C, self.W))
                 least = float(gains(*spread_of(A[place][None], C, self.W))[0])
                 better = np.argsort(-gain)[: np.sum(gain > least + _WORTH * abs(least))]
                 k = next((k for k in better if not reach.collides(trial[k : k + 1])[0]), None)
                 if k is not None:
-                    q[place], A[place] = trial[k], readings[k]
+                    q[place] = trial[k]
+                    A[place] = readings[k]
         return replace(design, q=q)
 
     def random(self, n: int) -> list[np.ndarray]:
-        """Return the information of random designs of n poses, including previously measured ones."""
+        """Return the information of random designs of n poses, including previously
+        measured ones.
+        """
         draws = (self.rng.choice(len(self.A), n, replace=False) for _ in range(RANDOM_DESIGNS))
         return [self.H + information(self.A, draw) for draw in draws]
 
     def bound(self, n: int) -> float:
-        """Return the lower bound of the predicted error of n candidates, with the criterion task [m]."""
+        """Return the lower bound of the predicted error of n candidates, with the criterion task
+        [m].
+        """
         return float(np.sqrt(max(lower_bound(self.A, self.task, self.H, n), 0.0)))
 
     def curve(self, known: CurvePoint) -> tuple[CurvePoint, ...]:
-        """Return designs of several numbers of poses, including the number of ``known``, each starting from the previous."""
+        """Return designs of several numbers of poses, including the number of ``known``, each
+        starting from the previous.
+        """
         most = min(max(_BEYOND * known.poses, _AT_LEAST), len(self.A))
-        points, chosen = [], list[int]()
+        points = []
+        chosen = list[int]()
         for n in sorted({n for n in _LADDER if n <= most} | {known.poses}):
             log.info("designing %d poses for the curve", n)
             chosen, _ = choose_greedily(self.A, self.W, self.H, n, chosen)
             chosen = exchange(self.A, self.W, self.H, chosen, passes=_FEW_PASSES)
             designed = self.quality(self.H + information(self.A, chosen))
-            at_random = known.random if n == known.poses else Quality.median([self.quality(H) for H in self.random(n)])
+            at_random = (
+                known.random
+                if n == known.poses
+                else Quality.median([self.quality(H) for H in self.random(n)])
+            )
             points.append(CurvePoint(n, designed, at_random))
         return tuple(points)
 
@@ -228,10 +278,12 @@ class Study:
         enough = np.flatnonzero(np.sqrt(course) <= accuracy)
         if not len(enough):
             raise BadInputError(
-                f"accuracy {1e3 * accuracy:g} mm: {most} poses reach {1e3 * np.sqrt(course[-1]):.4g} mm over the task; "
+                f"accuracy {1e3 * accuracy:g} mm: {most} poses reach "
+                f"{1e3 * np.sqrt(course[-1]):.4g} mm over the task; "
                 "expected more than that, or less noise, another sensor, fewer constraints"
             )
-        low, high = 0, int(enough[0]) + 1
+        low = 0
+        high = int(enough[0]) + 1
         while high - low > 1:
             n = (low + high) // 2
             design = exchange(self.A, self.W, self.H, chosen[:n], passes=_FEW_PASSES)
@@ -241,10 +293,13 @@ class Study:
 
 
 def _neighbours(q: np.ndarray, place: int, reach: Reach, window: float) -> np.ndarray:
-    """Return poses, admissible except for self-collision, that differ from one of q, shape (N, n), in one joint."""
+    """Return poses, admissible except for self-collision, that differ from one of q, shape (N, n),
+    in one joint.
+    """
     lower, upper = reach.range
     half = 0.5 * window * (upper - lower)
-    low, high = np.maximum(lower, q[place] - half), np.minimum(upper, q[place] + half)
+    low = np.maximum(lower, q[place] - half)
+    high = np.minimum(upper, q[place] + half)
     steps = low + (np.arange(_STEPS)[:, None] + place * _SHIFT % 1.0) / _STEPS * (high - low)
     taken = np.delete(q, place, axis=0)
     apart = min(_APART, _OF_SHARE / len(q)) * (upper - lower)
@@ -258,25 +313,33 @@ def _neighbours(q: np.ndarray, place: int, reach: Reach, window: float) -> np.nd
 
 
 def find_rival(text: str, chain: Chain, conditions: Conditions) -> Effect:
-    """Return the effect of a name as by :func:`find_effect`, in the fewest parameters: a drive curve with few pieces."""
+    """Return the effect of a name as by :func:`find_effect`, in the fewest parameters: a drive
+    curve with few pieces.
+    """
     effect = find_effect(text, chain, conditions)
     return effect.reduced(PoseSet(chain, conditions)) if isinstance(effect, Reducible) else effect
 
 
-def _rivals(reach: Reach, options: Options, request: DesignRequest, *, candidates: Conditions) -> list[Effect]:
+def _rivals(
+    reach: Reach, options: Options, request: DesignRequest, *, candidates: Conditions
+) -> list[Effect]:
     chain = Chain.of(reach.robot, moment_frame=options.first_frame, gravity=options.gravity)
     rivals = [find_rival(text, chain, candidates) for text in request.tell_apart or ()]
     if rivals and rivals[0] == rivals[1]:
-        raise BadInputError(f"effects {' and '.join(request.tell_apart or ())}: one and the same; expected two")
+        raise BadInputError(
+            f"effects {' and '.join(request.tell_apart or ())}: one and the same; expected two"
+        )
     return rivals
 
 
 def _check_draw(drawn: Draw, request: DesignRequest) -> None:
     """Refuse constraints that leave too few poses, with the number that each removes."""
-    found, needed = len(drawn.q), request.fewest
+    found = len(drawn.q)
+    needed = request.fewest
     if found < needed:
         raise BadInputError(
-            f"the constraints leave too few poses for {needed}: {drawn.in_words()}; relax the one that removes most"
+            f"the constraints leave too few poses for {needed}: {drawn.in_words()}; relax "
+            "the one that removes most"
         )
     if found < request.n_candidates:
         warn(f"the constraints leave {found} candidates of {request.n_candidates} requested")
@@ -286,6 +349,7 @@ def _together(one: Conditions, other: Conditions) -> Conditions:
     """Return the poses of both, one after the other, without columns that only one of them has."""
     pairs = {f.name: (getattr(one, f.name), getattr(other, f.name)) for f in fields(Conditions)}
     columns: dict[str, Any] = {
-        name: None if a is None or b is None else np.concatenate([a, b]) for name, (a, b) in pairs.items()
+        name: None if a is None or b is None else np.concatenate([a, b])
+        for name, (a, b) in pairs.items()
     }
     return Conditions(**columns | {"payload_centre": one.payload_centre})

@@ -1,1 +1,3 @@
-"""What has changed on a calibrated robot, from a few new poses; and new rows added to a calibration."""
+"""What has changed on a calibrated robot, from a few new poses; and new rows added to a
+calibration.
+"""

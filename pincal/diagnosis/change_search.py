@@ -1,4 +1,6 @@
-"""Stepwise search for the changes of a robot that explain new rows, by the reduction of the squares less its cost."""
+"""Stepwise search for the changes of a robot that explain new rows, by the reduction of the squares
+less its cost.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ class ChangeScore:
         gain: reduction of the squares.
         rank: number of its directions that the rows observe.
         p_value: of the F test, for this change alone.
-        cost: penalty of its parameters (Schwarz's criterion) less the gain; negative is better than no change.
+        cost: penalty of its parameters (Schwarz's criterion) less the gain; negative is better than
+            no change.
     """
 
     change: int
@@ -62,36 +65,48 @@ def limit_for(alpha: float, n_tested: int) -> float:
     return alpha * CHANGES.for_changes / max(n_tested, 1)
 
 
-def search(lineup: ChangeHypotheses, *, alpha: float, degrees: float, apart: np.ndarray | None = None) -> ChangeVerdict:
+def search(
+    lineup: ChangeHypotheses, *, alpha: float, degrees: float, apart: np.ndarray | None = None
+) -> ChangeVerdict:
     """Find the changes of a robot.
 
     Args:
         lineup: the rows and the possible changes.
         alpha: probability of an alarm on a robot that has not changed.
         degrees: degrees of freedom of the calibration's noise estimate.
-        apart: indices of rows that contradict all others wherever instrument and target are; default: none.
+        apart: indices of rows that contradict all others wherever instrument and target are;
+            default: none.
     """
     state = _begun(lineup, alpha, degrees)
     if apart is not None and len(apart) > 1:
         # Wrong readings of some rows may explain more at their cost than a change, or than nothing.
-        best, rest = state.best(), state.without(apart)
+        best = state.best()
+        rest = state.without(apart)
         readings = lineup.station.reading_size
-        cost = len(apart) * readings * state.price - (state.evidence.form.square - rest.evidence.form.square)
+        cost = len(apart) * readings * state.price - (
+            state.evidence.form.square - rest.evidence.form.square
+        )
         if cost < (0.0 if best is None else min(best.score.cost, 0.0)):
             if len(apart) >= CHANGES.too_many * len(state.rows):
                 return replace(state, wrong_rows=tuple(apart.tolist()), is_undecided=True)
             state = rest
     most = _MOST + sum(change.belief is not None for change in lineup.changes)
-    return select_stepwise(state, ChangeVerdict.offers, ChangeVerdict.after, most=most).without_vanished()
+    return select_stepwise(
+        state, ChangeVerdict.offers, ChangeVerdict.after, most=most
+    ).without_vanished()
 
 
 def raises_alarm(lineup: ChangeHypotheses, *, alpha: float, degrees: float) -> bool:
-    """Return whether rows raise an alarm, without a search for changes; arguments as in :func:`search`."""
+    """Return whether rows raise an alarm, without a search for changes; arguments as in
+    :func:`search`.
+    """
     return _begun(lineup, alpha, degrees).p_value < alpha
 
 
 def _begun(lineup: ChangeHypotheses, alpha: float, degrees: float) -> ChangeVerdict:
-    return ChangeVerdict(lineup, lineup.release((), lineup.start), alpha, degrees, np.arange(len(lineup.station)))
+    return ChangeVerdict(
+        lineup, lineup.release((), lineup.start), alpha, degrees, np.arange(len(lineup.station))
+    )
 
 
 @dataclass(frozen=True)
@@ -150,7 +165,9 @@ class ChangeVerdict:
     def none(self) -> ChangeVerdict:
         """Return the verdict that the rows can't decide."""
         start = self.lineup.start
-        return replace(self, values=start, steps=(), unmodelled=(), p_first=self.p_value, is_undecided=True)
+        return replace(
+            self, values=start, steps=(), unmodelled=(), p_first=self.p_value, is_undecided=True
+        )
 
     @property
     def _released(self) -> list[int]:
@@ -181,16 +198,24 @@ class ChangeVerdict:
             for i, change in enumerate(self.lineup.changes)
             if i not in released
         ]
-        return sorted((self._score(i, gain, rank) for i, gain, rank in gains if rank), key=lambda score: score.cost)
+        return sorted(
+            (self._score(i, gain, rank) for i, gain, rank in gains if rank),
+            key=lambda score: score.cost,
+        )
 
     def _score(self, i: int, gain: float, rank: int) -> ChangeScore:
-        rest, degrees = self.evidence.form.square - gain, self.degrees + self.evidence.form.degrees - rank
+        rest = self.evidence.form.square - gain
+        degrees = self.degrees + self.evidence.form.degrees - rank
         F = (gain / rank) / ((self.degrees + max(rest, 0.0)) / max(degrees, 1.0))
         p_value = float(fdtrc(rank, max(degrees, 1.0), F)) if gain > 0.0 else 1.0
         change = self.lineup.changes[i]
         if change.belief is not None:
-            return ChangeScore(i, gain, rank, p_value, self.evidence.odds(self.lineup.places[i], change.belief))
-        return ChangeScore(i, gain, rank, p_value, rank * self.price - gain - CHANGES.usual * change.is_usual)
+            return ChangeScore(
+                i, gain, rank, p_value, self.evidence.odds(self.lineup.places[i], change.belief)
+            )
+        return ChangeScore(
+            i, gain, rank, p_value, rank * self.price - gain - CHANGES.usual * change.is_usual
+        )
 
     @cached_property
     def price(self) -> float:
@@ -221,23 +246,36 @@ class ChangeVerdict:
         shift = self.lineup.motion(self.values)[:, :, places] @ step
         if np.linalg.norm(shift, axis=1).max() > _LINEAR:
             # Too far for first-order tests.
-            close = sorted((self._tried(score) for score in close[:_MOST_TRIED]), key=lambda score: score.cost)
+            close = sorted(
+                (self._tried(score) for score in close[:_MOST_TRIED]), key=lambda score: score.cost
+            )
         chosen = next((score for score in close if score.p_value < limit), None)
         if chosen is None:
             return None
-        equivalent = (score for score in close if score is not chosen and score.cost < chosen.cost + CHANGES.equivalent)
-        return NamedChange(chosen, min(1.0, chosen.p_value * len(self.scores) / CHANGES.for_changes), tuple(equivalent))
+        equivalent = (
+            score
+            for score in close
+            if score is not chosen and score.cost < chosen.cost + CHANGES.equivalent
+        )
+        return NamedChange(
+            chosen,
+            min(1.0, chosen.p_value * len(self.scores) / CHANGES.for_changes),
+            tuple(equivalent),
+        )
 
     def _tried(self, score: ChangeScore) -> ChangeScore:
         if self.lineup.changes[score.change].belief is not None:
             return score
         released = [*self._released, score.change]
         values = self.lineup.release(released, self.values)
-        here, (square, degrees) = self.evidence.form, self.lineup.square_given(values, released)
+        here = self.evidence.form
+        (square, degrees) = self.lineup.square_given(values, released)
         return self._score(score.change, here.square - square, int(here.degrees - degrees))
 
     def after(self, step: NamedChange | int) -> ChangeVerdict:
-        """Return the state with a change, or an unmodelled effect, released; or without a wrong row."""
+        """Return the state with a change, or an unmodelled effect, released; or without a wrong
+        row.
+        """
         if not isinstance(step, NamedChange):
             return self.without(step)
         k = step.score.change
@@ -250,17 +288,21 @@ class ChangeVerdict:
     def _was_there_before(self, score: ChangeScore) -> bool:
         """Return whether an effect was rather present at the calibration, but not modelled.
 
-        Then it was part of what the calibration estimated as noise, and the residuals without it are smaller than that: the
-        likelihood with the noise reduced by it is compared with the likelihood with the noise unchanged.
+        Then it was part of what the calibration estimated as noise, and the residuals without it
+        are smaller than that: the likelihood with the noise reduced by it is compared with the
+        likelihood with the noise unchanged.
         """
         n = max(self.evidence.form.degrees - score.rank, 1)
-        rest, part = self.evidence.form.square - score.gain, (score.gain - score.rank) / n
+        rest = self.evidence.form.square - score.gain
+        part = (score.gain - score.rank) / n
         if not 0.0 < part < CHANGES.part_of_noise:
             return False
         return bool(rest / (1.0 - part) + n * np.log(1.0 - part) < rest)
 
     def without_vanished(self) -> ChangeVerdict:
-        """Return the state without changes that, given all the others, are within their own uncertainty."""
+        """Return the state without changes that, given all the others, are within their own
+        uncertainty.
+        """
         if len(self.steps) < 2:
             return self
         chances = self._chances()
@@ -273,7 +315,9 @@ class ChangeVerdict:
         return replace(state, values=values).without_vanished()
 
     def _chances(self) -> list[float]:
-        """Return the probability of each change as large, given all others, by its own uncertainty alone."""
+        """Return the probability of each change as large, given all others, by its own uncertainty
+        alone.
+        """
         found = self.lineup.reidentify(self.happened, self.values)
         free = self.lineup.free(self.happened)
         chances = []
@@ -292,6 +336,9 @@ class ChangeVerdict:
 
     def without(self, row: int | np.ndarray) -> ChangeVerdict:
         """Return the state without one or some rows."""
-        lineup, wrong = self.lineup.without(row), (*self.wrong_rows, *np.atleast_1d(self.rows[row]).tolist())
+        lineup = self.lineup.without(row)
+        wrong = (*self.wrong_rows, *np.atleast_1d(self.rows[row]).tolist())
         values = lineup.release(self._released, self.values)
-        return replace(self, lineup=lineup, values=values, rows=np.delete(self.rows, row), wrong_rows=wrong)
+        return replace(
+            self, lineup=lineup, values=values, rows=np.delete(self.rows, row), wrong_rows=wrong
+        )

@@ -17,12 +17,15 @@ from pincal.io.diagnosis_file import ExcludedEntry
 
 # Probability of detecting a change of the reported size.
 DETECTED = CHANGES.detected
-# Numbers of further poses to distinguish changes, random poses among which they are chosen, and those shown.
-_MORE, _TRIED, _SHOWN = (3, 6, 12, 25, 50), 200, 2
+# Numbers of further poses to distinguish changes, random poses among which they are chosen, and
+# those shown.
+_MORE = (3, 6, 12, 25, 50)
+_TRIED = 200
+_SHOWN = 2
 # Equivalent changes listed at most.
 _NAMED = 8
-# Displacement [m] that no instrument resolves: the best laser trackers have a tenth of it as resolution, and no less as
-# repeatability on a target at rest.
+# Displacement [m] that no instrument resolves: the best laser trackers have a tenth of it as
+# resolution, and no less as repeatability on a target at rest.
 _RESOLVABLE = 1e-6
 # Fraction of an effect's strength in its best direction below which a direction is not observable.
 _SEEN = 1e-6
@@ -33,7 +36,8 @@ def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[Exclud
 
     ``verdict`` has no changes where the rows can't decide, unlike ``searched``.
     """
-    lineup, found = verdict.lineup, searched.evidence.form
+    lineup = verdict.lineup
+    found = searched.evidence.form
     taken = {lineup.changes[i].heading for i in verdict.happened}
     listed: set[tuple[object, ...]] = set()
     motion = lineup.motion(verdict.values)
@@ -63,8 +67,12 @@ def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[Exclud
 
 
 @lru_cache(maxsize=256)
-def detected_noncentrality(rank: int, degrees: float, limit: float, power: float = DETECTED) -> float:
-    """Return the non-centrality at which a change of some rank is detected with probability ``power``."""
+def detected_noncentrality(
+    rank: int, degrees: float, limit: float, power: float = DETECTED
+) -> float:
+    """Return the non-centrality at which a change of some rank is detected with probability
+    ``power``.
+    """
     from scipy.optimize import brentq
 
     rest = max(degrees - rank, 1.0)
@@ -76,7 +84,9 @@ def detected_noncentrality(rank: int, degrees: float, limit: float, power: float
 
 
 def tell_apart(verdict: ChangeVerdict, step: NamedChange) -> str:
-    """Return, in words, which further poses would distinguish a change from its best rival, and how many."""
+    """Return, in words, which further poses would distinguish a change from its best rival, and how
+    many.
+    """
     rival = next((score.change for score in step.equivalent), None)
     if rival is None:
         return ""
@@ -87,24 +97,38 @@ def tell_apart(verdict: ChangeVerdict, step: NamedChange) -> str:
         if separation(verdict, there.select(np.arange(n)), change, rival) > CHANGES.told_apart:
             shown = ", then ".join(_pose_words(verdict, there, i) for i in range(min(n, _SHOWN)))
             like = " and poses like these" if n > _SHOWN else ""
-            return f"measure {n} more poses in which the two differ most, by {most} at the target: {shown}{like}"
+            return (
+                f"measure {n} more poses in which the two differ most, by {most} at the "
+                f"target: {shown}{like}"
+            )
     few = f"{_MORE[-1]} more poses" if apart[0] > _RESOLVABLE else "any instrument"
-    return f"the two differ by at most {most}, too little for {few}; re-identify either, or inspect the joints themselves"
+    return (
+        f"the two differ by at most {most}, too little for {few}; re-identify either, or "
+        "inspect the joints themselves"
+    )
 
 
-def most_different_poses(verdict: ChangeVerdict, change: int, rival: int) -> tuple[Station, np.ndarray]:
-    """Return a station with random poses, those first in which two changes differ most, and the differences [m].
+def most_different_poses(
+    verdict: ChangeVerdict, change: int, rival: int
+) -> tuple[Station, np.ndarray]:
+    """Return a station with random poses, those first in which two changes differ most, and the
+    differences [m].
 
-    Each change has the size that explains the rows best, with instrument and target relocated, so the difference is what
-    new rows would show.
+    Each change has the size that explains the rows best, with instrument and target relocated, so
+    the difference is what new rows would show.
     """
-    lineup, rng = verdict.lineup, np.random.default_rng(0)
+    lineup = verdict.lineup
+    rng = np.random.default_rng(0)
     others = [i for i in verdict.happened if i != change]
     one, other = (lineup.release([*others, i], verdict.values) for i in (change, rival))
     rows = lineup.station.select(np.resize(np.arange(len(lineup.station)), _TRIED))
-    conditions, robot = rows.conditions, rows.model.chain.robot
+    conditions = rows.conditions
+    robot = rows.model.chain.robot
     payload = rng.choice(lineup.robot.covered.payload, _TRIED)
-    there = replace(rows, conditions=replace(conditions, q=robot.random_configurations(_TRIED, rng), payload=payload))
+    there = replace(
+        rows,
+        conditions=replace(conditions, q=robot.random_configurations(_TRIED, rng), payload=payload),
+    )
     motion = there.model.linearise(there.model.own(lineup.start), there.conditions)[1]
     apart = np.linalg.norm(motion @ there.model.own(one - other), axis=1)
     order = np.argsort(-apart)
@@ -112,14 +136,23 @@ def most_different_poses(verdict: ChangeVerdict, change: int, rival: int) -> tup
 
 
 def separation(verdict: ChangeVerdict, more: Station, change: int, rival: int) -> float:
-    """Return the squared signal of a change that another can't absorb if rows are added, in units of the noise."""
+    """Return the squared signal of a change that another can't absorb if rows are added, in units
+    of the noise.
+    """
     lineup = verdict.lineup
     n = len(lineup.station)
     wider = lineup.station.select(np.resize(np.arange(n), n + len(more)))
-    old, new = lineup.station.conditions, more.conditions
-    both = replace(wider.conditions, q=np.concatenate([old.q, new.q]), payload=np.concatenate([old.payload, new.payload]))
+    old = lineup.station.conditions
+    new = more.conditions
+    both = replace(
+        wider.conditions,
+        q=np.concatenate([old.q, new.q]),
+        payload=np.concatenate([old.payload, new.payload]),
+    )
     others = [i for i in verdict.happened if i != change]
-    found = replace(lineup, station=replace(wider, conditions=both), shared=None).weigh(verdict.values, others)
+    found = replace(lineup, station=replace(wider, conditions=both), shared=None).weigh(
+        verdict.values, others
+    )
     c = lineup.places[change]
     g = np.setdiff1d(lineup.places[rival], c)
     size = (verdict.values - lineup.start)[c]
@@ -130,15 +163,22 @@ def separation(verdict: ChangeVerdict, more: Station, change: int, rival: int) -
 
 def _pose_words(verdict: ChangeVerdict, there: Station, i: int) -> str:
     """Return joint positions, and the load if there is any, in words."""
-    robot, q = there.model.chain.robot, there.conditions.q[i]
+    robot = there.model.chain.robot
+    q = there.conditions.q[i]
     kinds = zip(robot.joint_types, q, strict=True)
-    numbers = " ".join(f"{1e3 * x:.0f}mm" if kind == "prismatic" else f"{np.degrees(x):.0f}" for kind, x in kinds)
+    numbers = " ".join(
+        f"{1e3 * x:.0f}mm" if kind == "prismatic" else f"{np.degrees(x):.0f}" for kind, x in kinds
+    )
     load = float(there.conditions.payload[i])
-    return f"joints at {numbers} deg" + (f" with {load:g} kg" if verdict.lineup.robot.covered.payload.any() else "")
+    return f"joints at {numbers} deg" + (
+        f" with {load:g} kg" if verdict.lineup.robot.covered.payload.any() else ""
+    )
 
 
 def rival_names(changes: tuple[PossibleChange, ...], step: NamedChange) -> list[PossibleChange]:
     """Return the changes equivalent to a step's own, each heading once."""
-    found = {changes[score.change].heading: changes[score.change] for score in reversed(step.equivalent)}
+    found = {
+        changes[score.change].heading: changes[score.change] for score in reversed(step.equivalent)
+    }
     found.pop(changes[step.score.change].heading, None)
     return list(reversed(found.values()))[:_NAMED]

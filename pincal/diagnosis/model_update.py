@@ -10,7 +10,13 @@ import numpy as np
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.placing import Placed
-from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, changes_since, doubts_about, looked_at, relocated
+from pincal.diagnosis.robot_diagnosis import (
+    FALSE_ALARM,
+    changes_since,
+    doubts_about,
+    looked_at,
+    relocated,
+)
 from pincal.errors import BadInputError, ChangedRobotError, IdentificationError, nearest_first
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.station import together
@@ -33,23 +39,27 @@ def update(
     sigma_orientation: float | None = None,
     anew: Sequence[str] = (),
 ) -> CalibratedModel:
-    """Add new rows to a calibration permanently, equivalent to a joint fit of old and new rows, without the old ones.
+    """Add new rows to a calibration permanently, equivalent to a joint fit of old and new rows,
+    without the old ones.
 
     Args:
         calibrated: the robot as it was calibrated.
         measurements: new rows, with any instrument in any set-up.
         alpha: probability that the rows of a robot that has not changed are refused.
-        sigma: noise of the new rows [m]; default: that of the calibration if it was declared, else estimated.
+        sigma: noise of the new rows [m]; default: that of the calibration if it was declared, else
+            estimated.
         sigma_orientation: likewise of orientations [rad].
-        anew: effects of the model, as ``EFFECT`` or ``EFFECT:JOINT``, that are re-estimated from their priors, as named by
-            a diagnosis. Whether the robot has changed is then not tested.
+        anew: effects of the model, as ``EFFECT`` or ``EFFECT:JOINT``, that are re-estimated from
+            their priors, as named by a diagnosis. Whether the robot has changed is then not tested.
 
     Returns:
         The robot at the new station, with the information of old and new rows.
 
     Raises:
-        ChangedRobotError: if the robot has changed since, so that old and new rows can't be combined.
-        IdentificationError: if the rows can't be judged: too many contradict the others, or the instrument was touched.
+        ChangedRobotError: if the robot has changed since, so that old and new rows can't be
+            combined.
+        IdentificationError: if the rows can't be judged: too many contradict the others, or the
+            instrument was touched.
         BadInputError: as :func:`diagnose`, or for an effect that the model does not have.
     """
     model = calibrated.robot_model(measurements.kind)
@@ -59,14 +69,20 @@ def update(
     noise = _Declared(sigma, sigma_orientation)
     if anew:
         released = [effect for text in anew for effect in _named(text, model)]
-        return _taken_in(placed, model, measurements, noise, earlier=_released(model, placed, released))
+        return _taken_in(
+            placed, model, measurements, noise, earlier=_released(model, placed, released)
+        )
     verdict = changes_since(model, placed, alpha)
     if doubts := doubts_about(verdict, placed):
-        raise IdentificationError(f"{measurements.source}: not added: {'; '.join(map(str, doubts))}")
+        raise IdentificationError(
+            f"{measurements.source}: not added: {'; '.join(map(str, doubts))}"
+        )
     if verdict.changed:
         raise ChangedRobotError(
-            f"{measurements.source}: the robot no longer matches its model (p = {verdict.p_value:.2g}), so its old "
-            "rows and these can't be combined; pincal diagnose identifies what has changed and re-estimates it. With --anew "
+            f"{measurements.source}: the robot no longer matches its model (p = "
+            f"{verdict.p_value:.2g}), so its old "
+            "rows and these can't be combined; pincal diagnose identifies what has "
+            "changed and re-estimates it. With --anew "
             "EFFECT:JOINT the rows are added nevertheless, and that effect is re-estimated"
         )
     wrong = some.readings.rows[np.isin(some.row_of, verdict.wrong_rows)]
@@ -83,15 +99,21 @@ def _named(text: str, model: CalibratedModel) -> list[Effect]:
     if not found:
         known = dict.fromkeys(":".join(filter(None, effect.heading[:2])) for effect in of_robot)
         raise BadInputError(
-            f"effect {text!r} is not in the model; expected one of {', '.join(nearest_first([text], known))}"
+            f"effect {text!r} is not in the model; expected one of "
+            f"{', '.join(nearest_first([text], known))}"
         )
     return found
 
 
 def _released(model: CalibratedModel, placed: Placed, effects: Sequence[Effect]) -> Estimate:
-    """Return the estimate of a robot, its covariance widened by the priors of effects that may have changed."""
-    earlier, station = model.robot_estimate, placed.station
-    largest = dict(zip(station.model.names, largest_basis(station.model, station.conditions)[0], strict=True))
+    """Return the estimate of a robot, its covariance widened by the priors of effects that may have
+    changed.
+    """
+    earlier = model.robot_estimate
+    station = placed.station
+    largest = dict(
+        zip(station.model.names, largest_basis(station.model, station.conditions)[0], strict=True)
+    )
     C = earlier.dense_covariance()
     for effect in effects:
         parameters = effect.parameters(station.model.chain)
@@ -99,20 +121,26 @@ def _released(model: CalibratedModel, placed: Placed, effects: Sequence[Effect])
         belief = effect.belief(parameters)
         sizes = np.array([parameter.size / largest[parameter.name] for parameter in parameters])
         wider = np.diag(sizes**2) if belief is None else np.linalg.inv(belief)
-        C[np.ix_(at, at)] += np.where(np.isfinite(wider), wider, 0.0) * np.outer(earlier.free[at], earlier.free[at])
+        C[np.ix_(at, at)] += np.where(np.isfinite(wider), wider, 0.0) * np.outer(
+            earlier.free[at], earlier.free[at]
+        )
     return replace(earlier, covariance=Covariance.of(C[np.ix_(earlier.free, earlier.free)]))
 
 
 @dataclass(frozen=True)
 class _Declared:
-    """Noise of the new rows by the user [m, rad]; None where it is that of the calibration, if declared, else estimated."""
+    """Noise of the new rows by the user [m, rad]; None where it is that of the calibration, if
+    declared, else estimated.
+    """
 
     sigma: float | None
     sigma_orientation: float | None
 
     @classmethod
     def of(cls, model: CalibratedModel, kind: str, given: _Declared) -> _Declared:
-        """Return the noise that is given, else that of the calibration for such readings if it was declared."""
+        """Return the noise that is given, else that of the calibration for such readings if it was
+        declared.
+        """
         known = model.sigma if model.is_noise_declared and model.sensor_kind == kind else ()
         units = [block.unit for block in blocks_of(model.sensor_kind)]
         angles = [float(size) for size, unit in zip(known, units, strict=False) if unit == "rad"]
@@ -121,7 +149,9 @@ class _Declared:
         return cls(sigma, angle)
 
     def of_means(self, placed: Placed, table: Measurements) -> _Declared:
-        """Return the noise of the means of poses, whose readings share the arrival of the drives."""
+        """Return the noise of the means of poses, whose readings share the arrival of
+        the drives.
+        """
         assert table.readings_per_row is not None
         scatter = placed.noise.scatter
         readings = float(1.0 / np.mean(1.0 / table.readings_per_row))
@@ -157,9 +187,11 @@ def _taken_in(
     earlier: Estimate,
     before: RobotInformation | None = None,
 ) -> CalibratedModel:
-    """Return the robot at the station of new rows, fitted to them with its earlier estimate as prior.
+    """Return the robot at the station of new rows, fitted to them with its earlier estimate as
+    prior.
 
-    Without the information ``before`` of the earlier rows, as for a robot that has changed, its own is of the new rows.
+    Without the information ``before`` of the earlier rows, as for a robot that has changed, its own
+    is of the new rows.
     """
     arm = model.model
     gx, gy, gz = map(float, arm.chain.gravity)
@@ -183,23 +215,31 @@ def _taken_in(
         earlier=earlier,
     )
     fit = fit_tables(arm.chain.robot, model.of_its_day(measurements), options)
-    found, information = CalibratedModel.of(fit), RobotInformation.of(fit)
+    found = CalibratedModel.of(fit)
+    information = RobotInformation.of(fit)
     if before is not None:
         information = before + information
-    covered, marks = model.covered.over(found.covered), together(model.rows, found.rows)
+    covered = model.covered.over(found.covered)
+    marks = together(model.rows, found.rows)
     repeatability = placed.noise.repeatability
     found = replace(found, repeatability=repeatability)
     if factor > 1.0:
         # Predictions of single rows have the noise of single rows.
         is_declared = model.is_noise_declared or declared.sigma is not None
         found = replace(found, sigma=found.sigma / factor**0.5, is_noise_declared=is_declared)
-    return replace(found, covered=covered, rows=marks, provenance=model.provenance, information_by=information)
+    return replace(
+        found, covered=covered, rows=marks, provenance=model.provenance, information_by=information
+    )
 
 
 def _shared(placed: Placed) -> float:
-    """Return the factor by which targets of a stop, which share its arrival, increase the variances of an update."""
+    """Return the factor by which targets of a stop, which share its arrival, increase the variances
+    of an update.
+    """
     plan = placed.stops.plan
     if not plan.shares_stops:
         return 1.0
     free = placed.solution.free | (np.diag(placed.model.covariance) > 0.0)
-    return shared_in_fit(placed.station, placed.values, plan, sigma=placed.model.sigma, free=free)[0]
+    return shared_in_fit(placed.station, placed.values, plan, sigma=placed.model.sigma, free=free)[
+        0
+    ]

@@ -1,7 +1,8 @@
-"""Contribution of each drive curve to the error on another day: each is re-estimated alone, with cross-validation.
+"""Contribution of each drive curve to the error on another day: each is re-estimated alone, with
+cross-validation.
 
-A curve is re-estimated with its prior on roughness; everything else is held as calibrated, except for the poses of
-instrument and target.
+A curve is re-estimated with its prior on roughness; everything else is held as calibrated, except
+for the poses of instrument and target.
 """
 
 from __future__ import annotations
@@ -40,11 +41,15 @@ class _Rows:
     off: np.ndarray
     block: np.ndarray
 
-    def found(self, free: np.ndarray, belief: np.ndarray, *, without: int | None = None) -> np.ndarray:
+    def found(
+        self, free: np.ndarray, belief: np.ndarray, *, without: int | None = None
+    ) -> np.ndarray:
         """Return the step of some parameters, shape (F,), perhaps without a block."""
-        H, g = self.whole.H, self.whole.g
+        H = self.whole.H
+        g = self.whole.g
         if without is not None:
-            H, g = H - self.blocks.H[without], g - self.blocks.g[without]
+            H = H - self.blocks.H[without]
+            g = g - self.blocks.g[without]
         return Factor.of(H[np.ix_(free, free)] + belief).solve(g[free])
 
     @cached_property
@@ -56,46 +61,65 @@ class _Rows:
         """Return the cross-validated mean error with some parameters re-estimated [m]."""
         errors = []
         for k in range(len(self.blocks.g)):
-            here, step = np.flatnonzero(self.block == k), self.found(free, belief, without=k)
+            here = np.flatnonzero(self.block == k)
+            step = self.found(free, belief, without=k)
             residuals = self.off[here] - np.einsum("p,pnm->nm", step, self.A[np.ix_(free, here)])
             errors.append(np.linalg.norm(residuals, axis=1))
         return float(np.concatenate(errors).mean())
 
 
-def redrawn_curves(placed: Placed, table: Measurements, *, kept: np.ndarray, session: str) -> CurvesEntry | None:
-    """Return the contribution of each curve to the error on another day; None without curves, or with too few rows."""
+def redrawn_curves(
+    placed: Placed, table: Measurements, *, kept: np.ndarray, session: str
+) -> CurvesEntry | None:
+    """Return the contribution of each curve to the error on another day; None without curves, or
+    with too few rows.
+    """
     model = placed.station.model
     curves = [
         (effect, span, belief)
         for effect, span in zip(model.effects, model.spans, strict=True)
-        if isinstance(effect, Curve) and (belief := effect.belief(effect.parameters(model.chain))) is not None
+        if isinstance(effect, Curve)
+        and (belief := effect.belief(effect.parameters(model.chain))) is not None
     ]
     if not curves or kept.sum() < CHANGES.curve_rows:
         return None
     own = np.flatnonzero(placed.solution.free)
     places = [np.arange(span.start, span.stop) for _, span, _ in curves]
     free = np.unique(np.concatenate([own, *places]))
-    rows = _rows(placed, free, block=row_groups(table, split="blocked", seed=0) % CHANGES.curve_blocks, kept=kept)
+    rows = _rows(
+        placed,
+        free,
+        block=row_groups(table, split="blocked", seed=0) % CHANGES.curve_blocks,
+        kept=kept,
+    )
 
     def reestimated(some: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         at = np.searchsorted(free, np.concatenate([own, *(places[i] for i in some)]))
         return at, block_diag(np.zeros((len(own),) * 2), *(curves[i][2] for i in some))
 
-    entries, seen = [], {curve.effect: curve for curve in curves_at(model, placed.station.conditions.select(kept))}
+    entries = []
+    seen = {
+        curve.effect: curve for curve in curves_at(model, placed.station.conditions.select(kept))
+    }
     for i, (effect, _, _) in enumerate(curves):
         at, believed = reestimated([i])
         change = rows.found(at, believed)[len(own) :]
         entries.append(_entry(placed, effect, seen[effect], change, error=rows.error(at, believed)))
     entries.sort(key=lambda entry: entry.error_mm)
     before, after = (1e3 * rows.error(*reestimated(some)) for some in ((), range(len(curves))))
-    return CurvesEntry(session=session, as_it_was_mm=before, all_anew_mm=after, joints=tuple(entries))
+    return CurvesEntry(
+        session=session, as_it_was_mm=before, all_anew_mm=after, joints=tuple(entries)
+    )
 
 
 def _rows(placed: Placed, free: np.ndarray, *, block: np.ndarray, kept: np.ndarray) -> _Rows:
-    station, sigma = placed.station, placed.model.sigma
+    station = placed.station
+    sigma = placed.model.sigma
     whole, r = rows_in_noise(station, placed.values, sigma, free)
-    N, m = len(station), sum(part.size for part in station.sensor.blocks)
-    A, r = whole[:, : N * m].reshape(len(free), N, m), r[: N * m].reshape(N, m)
+    N = len(station)
+    m = sum(part.size for part in station.sensor.blocks)
+    A = whole[:, : N * m].reshape(len(free), N, m)
+    r = r[: N * m].reshape(N, m)
     names = np.unique(block[kept])
     of = [np.flatnonzero(kept & (block == k)) for k in names]
     parts = [A[:, rows].reshape(len(free), -1) for rows in of]
@@ -112,12 +136,16 @@ def _rows(placed: Placed, free: np.ndarray, *, block: np.ndarray, kept: np.ndarr
     )
 
 
-def _entry(placed: Placed, effect: Curve, seen: SeenCurve, change: np.ndarray, *, error: float) -> CurveEntry:
+def _entry(
+    placed: Placed, effect: Curve, seen: SeenCurve, change: np.ndarray, *, error: float
+) -> CurveEntry:
     """Return the contribution of one curve."""
-    model, chain = placed.station.model, placed.station.model.chain
+    model = placed.station.model
+    chain = placed.station.model.chain
     basis = effect.basis(seen.x)
     basis = basis - basis.mean(axis=1, keepdims=True)
-    old, difference = placed.values[model.spans[model.effects.index(effect)]] @ basis, change @ basis
+    old = placed.values[model.spans[model.effects.index(effect)]] @ basis
+    difference = change @ basis
     new = old + difference
     both = float(np.linalg.norm(old) * np.linalg.norm(new))
     return CurveEntry(

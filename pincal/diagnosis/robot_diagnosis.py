@@ -63,9 +63,14 @@ class Diagnosis:
     model: CalibratedModel
 
     def __repr__(self) -> str:
-        what = ", ".join(" of ".join(filter(None, (change.effect, change.joint))) for change in self.changes)
+        what = ", ".join(
+            " of ".join(filter(None, (change.effect, change.joint))) for change in self.changes
+        )
         answer = f"changed: {what or 'nothing in the catalogue'}" if self.changed else "unchanged"
-        return f"Diagnosis({self.model.model.chain.robot.name!r}: {answer}, p {self.found.p_value:.2g})"
+        return (
+            f"Diagnosis({self.model.model.chain.robot.name!r}: {answer}, p "
+            f"{self.found.p_value:.2g})"
+        )
 
     @property
     def changed(self) -> bool:
@@ -96,7 +101,8 @@ def diagnose(
     sigma: float | None = None,
     sigma_orientation: float | None = None,
 ) -> Diagnosis:
-    """Test whether a robot still matches its model, up to the poses of instrument and target, and identify what has changed.
+    """Test whether a robot still matches its model, up to the poses of instrument and target, and
+    identify what has changed.
 
     Readings within a stop share the arrival of the drives: their mean is one row.
 
@@ -104,17 +110,18 @@ def diagnose(
         calibrated: the robot as it was calibrated.
         measurements: new rows, with any instrument in any set-up.
         alpha: probability of an alarm on a robot that has not changed.
-        sigma: noise of one component of the new readings [m]; default: the column ``sigma``. The residuals of the
-            calibration, which include unmodelled errors, are a lower bound.
-        sigma_orientation: noise of the new orientations about each axis [rad]; default: that of the calibration, which is a
-            lower bound, or, of one without orientations, estimated from the rows.
+        sigma: noise of one component of the new readings [m]; default: the column ``sigma``. The
+            residuals of the calibration, which include unmodelled errors, are a lower bound.
+        sigma_orientation: noise of the new orientations about each axis [rad]; default: that of the
+            calibration, which is a lower bound, or, of one without orientations, estimated from the
+            rows.
 
     Returns:
         The changes with their equivalents, changes that are excluded, and the re-identified model.
 
     Raises:
-        BadInputError: if the rows are too few to locate instrument and target, or the model was fitted to them, or
-            they are not of this robot.
+        BadInputError: if the rows are too few to locate instrument and target, or the model was
+            fitted to them, or they are not of this robot.
 
     Example:
         >>> from pincal import Options, Robot, calibrate, measurements_from_arrays
@@ -134,7 +141,10 @@ def diagnose(
         False
     """
     if not 0.0 < alpha < 0.5:
-        raise BadInputError(f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and 0.5, such as 0.01")
+        raise BadInputError(
+            f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and "
+            "0.5, such as 0.01"
+        )
     model = calibrated.robot_model(measurements.kind)
     measurements = measurements.in_order_of(model.model.chain.robot)
     all_rows = len(measurements)
@@ -145,7 +155,8 @@ def diagnose(
     verdict = searched = changes_since(model, placed, alpha)
     if doubts := doubts_about(verdict, placed):
         verdict = verdict.none()
-    lineup, happened = verdict.lineup, verdict.happened
+    lineup = verdict.lineup
+    happened = verdict.happened
     posterior = lineup.reidentify(happened, lineup.release(happened, verdict.values))
     reidentified = lineup.robot
     if happened:
@@ -154,23 +165,37 @@ def diagnose(
     station = reidentified.readings(measurements)
     after = error_summary(station, reidentified.values)
     _refuse_strange(model, measurements, after["median_mm"], CHANGES.hopeless)
-    session, kept = Path(measurements.source).stem, np.ones(len(measurements), bool)
+    session = Path(measurements.source).stem
+    kept = np.ones(len(measurements), bool)
     kept[list(verdict.wrong_rows)] = False
     curves = redrawn_curves(placed, measurements, kept=kept, session=session)
     changes = list(_entries(verdict, posterior, session))
     if curves is not None:
         # Changed curves are listed by how much each reduces the error.
         order = [entry.joint for entry in curves.joints]
-        ranked = iter(sorted((c for c in changes if c.curve_rms is not None), key=lambda c: order.index(str(c.joint))))
+        ranked = iter(
+            sorted(
+                (c for c in changes if c.curve_rms is not None),
+                key=lambda c: order.index(str(c.joint)),
+            )
+        )
         changes = [change if change.curve_rms is None else next(ranked) for change in changes]
     shifts = [moved(before, reidentified) for before in calibrated.models.values()]
-    nearest = min(shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument)
-    notes: list[Note | str] = [*doubts, *placed.notes, *_unseen(curves), *_notes(verdict, placed, measurements)]
+    nearest = min(
+        shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument
+    )
+    notes: list[Note | str] = [
+        *doubts,
+        *placed.notes,
+        *_unseen(curves),
+        *_notes(verdict, placed, measurements),
+    ]
     notes += _averaged(whole, all_rows)
     notes += _estimated(placed)
     if len(measurements) < len(whole.table):
         notes.append(
-            f"changes were searched for in {len(measurements)} of the {all_rows} rows, sampled from the whole table"
+            f"changes were searched for in {len(measurements)} of the {all_rows} rows, "
+            "sampled from the whole table"
         )
     found = DiagnosisFile(
         changed=verdict.changed,
@@ -200,16 +225,24 @@ def changes_since(model: CalibratedModel, placed: Placed, alpha: float) -> Chang
     """Return the changes of a calibrated robot that was located at a new station."""
     known = Known.of(model, placed.station.conditions)
     lineup = ChangeHypotheses.of(placed.model, placed.station, known, placed.shared)
-    return search(lineup, alpha=alpha, degrees=known_degrees(model, placed.station), apart=row_anomalies(placed))
+    return search(
+        lineup,
+        alpha=alpha,
+        degrees=known_degrees(model, placed.station),
+        apart=row_anomalies(placed),
+    )
 
 
 def row_anomalies(placed: Placed) -> np.ndarray:
     """Return the indices of rows that contradict all others wherever instrument and target are.
 
-    They are outliers among the residuals, not relative to the noise: of a robot that has changed all rows have errors.
+    They are outliers among the residuals, not relative to the noise: of a robot that has changed
+    all rows have errors.
     """
-    station, start = placed.station, placed.values
-    problem, free = Problem((station,)), placed.solution.free
+    station = placed.station
+    start = placed.values
+    problem = Problem((station,))
+    free = placed.solution.free
     sizes = np.array([parameter.size for parameter in station.parameters])
     held = Priors(np.where(free, sizes, np.inf), np.full(len(sizes), np.inf))
     found = solve(problem, start, free, held, Noise((None,) * len(station.sensor.blocks)))
@@ -217,7 +250,9 @@ def row_anomalies(placed: Placed) -> np.ndarray:
 
 
 def doubts_about(verdict: ChangeVerdict, placed: Placed) -> tuple[Note, ...]:
-    """Return why rows can't decide whether a robot has changed, as a calibration of them would; none if they can."""
+    """Return why rows can't decide whether a robot has changed, as a calibration of them would;
+    none if they can.
+    """
     table = placed.table
     rejected = np.isin(np.arange(len(table)), verdict.wrong_rows) & verdict.is_undecided
     at = placed.values, placed.solution.free
@@ -227,39 +262,57 @@ def doubts_about(verdict: ChangeVerdict, placed: Placed) -> tuple[Note, ...]:
         found = [one for one in found if one.kind is not CaveatKind.STEP]
         first = np.sort(np.unique(placed.stops.plan.stop, return_index=True)[1])
         of_each = placed.station.select(first)
-        found += findings_on_outliers(of_each, *at, table=table.select(first), rejected=np.zeros(len(first), bool))
+        found += findings_on_outliers(
+            of_each, *at, table=table.select(first), rejected=np.zeros(len(first), bool)
+        )
     # A single change that explains all rows may look like a step in rows that happen to be ordered.
     explained = len(verdict.steps) == 1 and not verdict.is_unexplained
-    wanted = (CaveatKind.MANY_OUTLIERS,) if explained else (CaveatKind.MANY_OUTLIERS, CaveatKind.STEP)
+    wanted = (
+        (CaveatKind.MANY_OUTLIERS,) if explained else (CaveatKind.MANY_OUTLIERS, CaveatKind.STEP)
+    )
     return tuple(one.note for one in found if one.kind in wanted)
 
 
 def _estimated(placed: Placed) -> Iterator[str]:
-    """Yield a note on noise of readings that the calibration had none of, such as orientations after positions."""
-    blocks = zip(placed.station.sensor.blocks, placed.noise.is_known.tolist(), placed.model.sigma.tolist(), strict=True)
+    """Yield a note on noise of readings that the calibration had none of, such as orientations
+    after positions.
+    """
+    blocks = zip(
+        placed.station.sensor.blocks,
+        placed.noise.is_known.tolist(),
+        placed.model.sigma.tolist(),
+        strict=True,
+    )
     for block, is_known, sigma in blocks:
         if not is_known:
             option = "; --noise-angle declares it" if block.unit == "rad" else ""
             yield (
-                f"the calibration had no {block.name}: its noise, {format_readable(sigma, block.unit, '.3g')}, is estimated "
-                f"from these rows, so that a change that shows in it alone may be taken for noise{option}"
+                f"the calibration had no {block.name}: its noise, "
+                f"{format_readable(sigma, block.unit, '.3g')}, is estimated "
+                "from these rows, so that a change that shows in it alone may be taken "
+                f"for noise{option}"
             )
 
 
 def _averaged(stops: StopRows, n: int) -> Iterator[str]:
-    """Yield notes if some of n rows are copies of others, or rows are means of readings within a stop."""
+    """Yield notes if some of n rows are copies of others, or rows are means of readings within a
+    stop.
+    """
     several = len(stops.readings)
     if several < n:
         yield f"{n - several} of the {n} rows are copies of others, digit by digit, and count once"
     if len(stops.table) < several:
         yield (
-            f"{several} readings at {stops.plan.n_stops} stops of the robot count as {len(stops.table)} rows, their means: "
+            f"{several} readings at {stops.plan.n_stops} stops of the robot count as "
+            f"{len(stops.table)} rows, their means: "
             "readings within a stop share the arrival of the drives"
         )
 
 
 def known_degrees(model: CalibratedModel, station: Station) -> float:
-    """Return the degrees of freedom of a calibration's noise estimate, for readings like a station's."""
+    """Return the degrees of freedom of a calibration's noise estimate, for readings like a
+    station's.
+    """
     rows = count(model.rows)
     if not rows:
         return CHANGES.degrees
@@ -278,14 +331,17 @@ def relocated(
     """Return a calibrated robot at the station of new rows, whose noise may be declared [m, rad].
 
     Raises:
-        BadInputError: if the noise is not a length; if the rows are too few to locate instrument and target, or of an IMU,
-            which measures no position; or if the model was fitted to them, so that they agree whatever happened since.
+        BadInputError: if the noise is not a length; if the rows are too few to locate instrument
+            and target, or of an IMU, which measures no position; or if the model was fitted to
+            them, so that they agree whatever happened since.
     """
     measurements = stops.table
     if measurements.sensor is not None and not measurements.sensor.reads_place:
         raise MeasurementError(
-            f"{measurements.source}: readings of an {measurements.sensor.kind} alone do not determine positions of the "
-            "tool; expected rows of an instrument that measures positions, such as a session with tracker.csv"
+            f"{measurements.source}: readings of an {measurements.sensor.kind} alone do "
+            "not determine positions of the "
+            "tool; expected rows of an instrument that measures positions, such as a "
+            "session with tracker.csv"
         )
     check_table(model.model.chain.robot, measurements, minimum=1)
     if sigma is not None:
@@ -293,56 +349,99 @@ def relocated(
             raise BadInputError(f"noise of {sigma:g} m; expected a length above 0, such as 5e-5")
         stops = replace(stops, table=replace(measurements, sigma=np.full(len(measurements), sigma)))
     if sigma_orientation is not None and not 0.0 < sigma_orientation < np.inf:
-        raise BadInputError(f"noise of {sigma_orientation:g} rad; expected an angle above 0, such as 1e-4")
+        raise BadInputError(
+            f"noise of {sigma_orientation:g} rad; expected an angle above 0, such as 1e-4"
+        )
     placed = place_station(model, stops, sigma_orientation=sigma_orientation)
     known = int(np.sum(fitted_rows(model.rows, placed.model, stops)))
     if known > CHANGES.same_by_chance:
         raise MeasurementError(
-            f"{measurements.source}: the model was fitted to {known} of these {len(stops.readings)} rows, so they can't "
+            f"{measurements.source}: the model was fitted to {known} of these "
+            f"{len(stops.readings)} rows, so they can't "
             "show whether the robot has changed since; expected rows measured later"
         )
-    _refuse_strange(model, measurements, error_summary(placed.station, placed.values)["median_mm"], CHANGES.strange)
+    _refuse_strange(
+        model,
+        measurements,
+        error_summary(placed.station, placed.values)["median_mm"],
+        CHANGES.strange,
+    )
     return placed
 
 
-def _refuse_strange(model: CalibratedModel, measurements: Measurements, median_mm: float, limit: float) -> None:
+def _refuse_strange(
+    model: CalibratedModel, measurements: Measurements, median_mm: float, limit: float
+) -> None:
     """Refuse rows whose median error exceeds this fraction of the robot's reach."""
     if median_mm > 1e3 * limit * model.model.chain.robot.reach:
         raise MeasurementError(
-            f"{measurements.source}: no change in the catalogue brings the model closer than {median_mm:.3g} mm to these "
-            "rows; expected rows of the calibrated robot. Are units, joint zeros and tip those of its table?"
+            f"{measurements.source}: no change in the catalogue brings the model closer "
+            f"than {median_mm:.3g} mm to these "
+            "rows; expected rows of the calibrated robot. Are units, joint zeros and tip "
+            "those of its table?"
         )
 
 
 def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
-    """Yield a note if most of the error is due to a curve that the calibration had not determined everywhere."""
+    """Yield a note if most of the error is due to a curve that the calibration had not determined
+    everywhere.
+    """
     if curves is None:
         return
     best = curves.joints[0]
-    if best.error_mm < CHANGES.worth_a_note * curves.as_it_was_mm and best.seen < CHANGES.worth_a_note:
+    if (
+        best.error_mm < CHANGES.worth_a_note * curves.as_it_was_mm
+        and best.seen < CHANGES.worth_a_note
+    ):
         yield (
-            f"the mean error falls from {curves.as_it_was_mm:.3g} to {best.error_mm:.3g} mm with a re-estimated "
-            f"curve of {best.joint}, which the calibration had determined in {100 * best.seen:.0f} % of these rows: "
+            f"the mean error falls from {curves.as_it_was_mm:.3g} to {best.error_mm:.3g} "
+            "mm with a re-estimated "
+            f"curve of {best.joint}, which the calibration had determined in "
+            f"{100 * best.seen:.0f} % of these rows: "
             "elsewhere this is not a change; pincal update --anew adds the rows"
         )
 
 
 def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Iterator[ChangeEntry]:
-    lineup, changes = verdict.lineup, verdict.lineup.changes
-    model, free = lineup.station.model, lineup.free(verdict.happened)
+    lineup = verdict.lineup
+    changes = verdict.lineup.changes
+    model = lineup.station.model
+    free = lineup.free(verdict.happened)
     for step in verdict.steps:
-        change, places = changes[step.score.change], lineup.places[step.score.change]
-        parameters, curve_rms, at = {}, None, np.searchsorted(free, places)
-        for place, moved_by, sigma in zip(places, posterior.changes[at], posterior.sigma[at], strict=True):
+        change = changes[step.score.change]
+        places = lineup.places[step.score.change]
+        parameters = {}
+        curve_rms = None
+        at = np.searchsorted(free, places)
+        for place, moved_by, sigma in zip(
+            places, posterior.changes[at], posterior.sigma[at], strict=True
+        ):
             parameter = lineup.station.parameters[place]
             before = parameter.nominal + float(lineup.start[place])
-            parameters[parameter.name] = ChangedParameter(before, before + float(moved_by), float(sigma), parameter.unit)
-        curve = next((e for e, span in zip(model.effects, model.spans, strict=True) if span.start == places[0]), None)
+            parameters[parameter.name] = ChangedParameter(
+                before, before + float(moved_by), float(sigma), parameter.unit
+            )
+        curve = next(
+            (
+                e
+                for e, span in zip(model.effects, model.spans, strict=True)
+                if span.start == places[0]
+            ),
+            None,
+        )
         if change.belief is not None and isinstance(curve, Curve):
             # The rms of its change over the rows, without its mean.
-            q = recorded_variable(model.chain, lineup.station.conditions, str(curve.locus.joint), span=curve.locus.span)
+            q = recorded_variable(
+                model.chain,
+                lineup.station.conditions,
+                str(curve.locus.joint),
+                span=curve.locus.span,
+            )
             curve_rms = float(np.std(posterior.changes[at] @ curve.basis(q)))
-        equivalent = (ChangeName(effect=c.name, joint=c.joint, source=c.source) for c in rival_names(changes, step))
+        equivalent = (
+            ChangeName(effect=c.name, joint=c.joint, source=c.source)
+            for c in rival_names(changes, step)
+        )
         yield ChangeEntry(
             effect=change.name,
             joint=change.joint,
@@ -361,22 +460,28 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
             parameters={},
             p_value=verdict.p_value,
             equivalent=(),
-            tell_apart="measure more poses over the whole range of the joints, and calibrate or discover again with them",
+            tell_apart="measure more poses over the whole range of the joints, and calibrate or "
+            "discover again with them",
         )
 
 
-def _notes(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -> Iterator[Note | str]:
+def _notes(
+    verdict: ChangeVerdict, placed: Placed, measurements: Measurements
+) -> Iterator[Note | str]:
     for i in verdict.unmodelled:
         change = verdict.lineup.changes[i]
         where = "" if change.joint is None else f" of {change.joint}"
         yield (
-            f"{change.name}{where} is present in these rows, but judging by its size it was already present at the "
-            "calibration and is not modelled, so it is not a change; discover identifies missing effects"
+            f"{change.name}{where} is present in these rows, but judging by its size it "
+            "was already present at the "
+            "calibration and is not modelled, so it is not a change; discover identifies "
+            "missing effects"
         )
     if len(verdict.steps) >= CHANGES.many:
         yield Note(
             Severity.DOUBT,
-            f"{len(verdict.steps)} changes at once are rare: make sure that the rows are of this robot, not of another one "
+            f"{len(verdict.steps)} changes at once are rare: make sure that the rows are "
+            "of this robot, not of another one "
             "of its type; if they are, calibrate it again",
         )
     if verdict.wrong_rows:
@@ -385,6 +490,7 @@ def _notes(verdict: ChangeVerdict, placed: Placed, measurements: Measurements) -
         others = np.delete(errors, verdict.wrong_rows)
         yield Note(
             Severity.DOUBT,
-            f"{len(verdict.wrong_rows)} of {len(measurements)} rows are excluded because they contradict all others, whose "
+            f"{len(verdict.wrong_rows)} of {len(measurements)} rows are excluded because "
+            "they contradict all others, whose "
             f"mean error is {others.mean():.4f} {unit}; wrong readings or joints: lines {lines}",
         )

@@ -1,8 +1,10 @@
-r"""Evidence of new readings on changes of a calibrated robot, with the uncertainty of its calibration.
+r"""Evidence of new readings on changes of a calibrated robot, with the uncertainty of its
+calibration.
 
-With r the residuals of the new rows in units of their noise, R the Jacobian by the robot's parameters, known with covariance
-C, M by the masses, which a URDF gives to some per cent, F by the parameters of the new station (base, targets, instrument)
-and of changes found already, and G by the changes to be tested,
+With r the residuals of the new rows in units of their noise, R the Jacobian by the robot's
+parameters, known with covariance C, M by the masses, which a URDF gives to some per cent, F by the
+parameters of the new station (base, targets, instrument) and of changes found already, and G by the
+changes to be tested,
 
 .. math:: r = R d + M m + F f + G g + e, \qquad d \sim N(0, C), \quad m \sim N(0, S), \quad e \sim N(0, 1),
 
@@ -10,10 +12,12 @@ d and m are uncertain and f is unconstrained. With all three projected out the g
 
 .. math:: T_g = b_g^T P_{gg}^{-1} b_g, \quad P = G^T V^{-1} G, \quad b = G^T V^{-1} r,
 
-its reduction of the squares: chi-square with as many degrees of freedom as the data observe of it, if it has not happened.
+its reduction of the squares: chi-square with as many degrees of freedom as the data observe of it,
+if it has not happened.
 
-Errors of masses have biased the calibration, too: M m is reduced by what its parameters absorbed. As its rows are not
-available, that part is computed at random poses within the range that they covered.
+Errors of masses have biased the calibration, too: M m is reduced by what its parameters absorbed.
+As its rows are not available, that part is computed at random poses within the range that they
+covered.
 """
 
 from __future__ import annotations
@@ -48,7 +52,8 @@ class Known:
         values: shape (K,).
         root: shape (K, n), root of their covariance.
         masses: errors of masses as an effect; None for a rigid model.
-        taken_up: shape (K, m), what the calibration's parameters absorb of a unit of each mass parameter.
+        taken_up: shape (K, m), what the calibration's parameters absorb of a unit of each mass
+            parameter.
         unmodelled: effects of the rows that it lacks; their parameters are the last of the K.
     """
 
@@ -61,13 +66,19 @@ class Known:
 
     @classmethod
     def of(cls, calibrated: CalibratedModel, conditions: Conditions) -> Known:
-        """Return what is known from a calibrated model, with unmodelled effects that new rows can show."""
+        """Return what is known from a calibrated model, with unmodelled effects that new rows can
+        show.
+        """
         chain = calibrated.model.chain
         effects = (effect for effect in calibrated.model.effects if effect.scope == "robot")
-        names = tuple(parameter.name for effect in effects for parameter in effect.parameters(chain))
+        names = tuple(
+            parameter.name for effect in effects for parameter in effect.parameters(chain)
+        )
         estimate = calibrated.estimate.take(names)
         masses = MassError.of(calibrated.model, calibrated.model_values)
-        taken_up = np.zeros((len(names), 0)) if masses is None else _taken_up(calibrated, names, masses)
+        taken_up = (
+            np.zeros((len(names), 0)) if masses is None else _taken_up(calibrated, names, masses)
+        )
         root = root_of(estimate.dense_covariance())
         if calibrated.repeatability is not None:
             # A calibration takes the targets of a stop to be independent.
@@ -75,16 +86,28 @@ class Known:
         known = cls(names, estimate.values, root, masses, taken_up)
         if (left := calibrated.left) is None:
             return known
-        # The part that the parameters absorbed remains in them where rows lack a column that the effect needs.
-        taken, root = np.zeros((len(names), len(left.values))), root_of(left.covariance)
+        # The part that the parameters absorbed remains in them where rows lack a column that the
+        # effect needs.
+        taken = np.zeros((len(names), len(left.values)))
+        root = root_of(left.covariance)
         taken[[names.index(name) for name in left.names]] = left.taken_up
-        shown = [effect for effect in left.effects if all(conditions.column(name) is not None for name in effect.needs)]
-        own = [left.parameter_names.index(parameter.name) for effect in shown for parameter in effect.parameters(chain)]
+        shown = [
+            effect
+            for effect in left.effects
+            if all(conditions.column(name) is not None for name in effect.needs)
+        ]
+        own = [
+            left.parameter_names.index(parameter.name)
+            for effect in shown
+            for parameter in effect.parameters(chain)
+        ]
         E = len(own)
         return cls(
             names=(*names, *(left.parameter_names[i] for i in own)),
             values=np.concatenate([known.values - taken @ left.values, left.values[own]]),
-            root=np.block([[known.root, -taken @ root], [np.zeros((E, known.root.shape[1])), root[own]]]),
+            root=np.block(
+                [[known.root, -taken @ root], [np.zeros((E, known.root.shape[1])), root[own]]]
+            ),
             masses=masses,
             taken_up=np.vstack([taken_up, np.zeros((E, taken_up.shape[1]))]),
             unmodelled=tuple(shown),
@@ -92,8 +115,11 @@ class Known:
 
 
 def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassError) -> np.ndarray:
-    """Return the change of a calibration's parameters per unit of each mass parameter, shape (K, m)."""
-    model, rng = calibrated.model, np.random.default_rng(0)
+    """Return the change of a calibration's parameters per unit of each mass parameter, shape (K,
+    m).
+    """
+    model = calibrated.model
+    rng = np.random.default_rng(0)
     lower, upper = calibrated.covered.q.T
     q = model.chain.robot.following(rng.uniform(lower, upper, (_POSES, len(lower))))
     conditions = calibrated.conditions_at(model.chain.robot.as_reported(q))
@@ -112,10 +138,15 @@ def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassE
     _, J = wide.linearise(values, conditions)
     columns = J.transpose(2, 0, 1).reshape(J.shape[2], -1) / calibrated.sigma[0]
     G = columns @ columns.T
-    sizes = np.array([parameter.size for parameter in model.parameters]) / largest_basis(model, conditions)[0]
+    sizes = (
+        np.array([parameter.size for parameter in model.parameters])
+        / largest_basis(model, conditions)[0]
+    )
     H = G[:n, :n] + np.diag(sizes**-2.0)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-    slope = np.linalg.lstsq(H * np.outer(scale, scale), scale[:, None] * G[:n, n:], rcond=ROUNDING)[0]
+    slope = np.linalg.lstsq(H * np.outer(scale, scale), scale[:, None] * G[:n, n:], rcond=ROUNDING)[
+        0
+    ]
     return np.asarray((scale[:, None] * slope)[[model.index(name) for name in names]])
 
 
@@ -160,8 +191,9 @@ class RowEvidence:
     def gain(self, j: np.ndarray, belief: np.ndarray | None = None) -> tuple[float, int]:
         """Return T and rank of parameters, by index, that change together.
 
-        With a joint prior on them, of information ``belief``, shape (K, K), these are of the directions in which the rows
-        have more information than the prior: chosen without the readings, so T keeps its distribution.
+        With a joint prior on them, of information ``belief``, shape (K, K), these are of the
+        directions in which the rows have more information than the prior: chosen without the
+        readings, so T keeps its distribution.
         """
         if belief is None:
             return self.form.gain(j)
@@ -175,13 +207,17 @@ class RowEvidence:
         return float(np.sum(np.log1p(information) - along**2 / (1.0 + information)))
 
     def _relative_to(self, belief: np.ndarray, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return information and gradient of the rows along their principal directions in units of the prior, shape (K,)."""
+        """Return information and gradient of the rows along their principal directions in units of
+        the prior, shape (K,).
+        """
         root = root_of_inverse(belief, np.diag(belief), ROUNDING)
         information, axes = np.linalg.eigh(root.T @ self.form.H[np.ix_(j, j)] @ root)
         return np.maximum(information, 0.0), axes.T @ (root.T @ self.form.g[j])
 
     def estimate(self, j: np.ndarray, belief: np.ndarray | None = None) -> np.ndarray:
-        """Return the most probable change of parameters to first order, zero in unobservable directions."""
+        """Return the most probable change of parameters to first order, zero in unobservable
+        directions.
+        """
         if belief is None:
             return self.form.estimate(j)[0]
         H = self.form.H[np.ix_(j, j)] + belief
@@ -190,13 +226,16 @@ class RowEvidence:
 
 
 def prior_root(station: Station, known: Known, surroundings: np.ndarray) -> np.ndarray:
-    """Return the root of the prior covariance of a station's parameters, shape (n, P), of ``surroundings`` by size."""
+    """Return the root of the prior covariance of a station's parameters, shape (n, P), of
+    ``surroundings`` by size.
+    """
     # Tested effects may share names; the parameters of the model and of masses come first.
     index = {parameter.name: i for i, parameter in reversed(list(enumerate(station.parameters)))}
     robot = [index[name] for name in known.names]
     masses = () if known.masses is None else known.masses.parameters(station.model.chain)
     sizes = np.array([parameter.size for parameter in masses])
-    n, k = known.root.shape[1], known.root.shape[1] + len(surroundings)
+    n = known.root.shape[1]
+    k = known.root.shape[1] + len(surroundings)
     out = np.zeros((k + len(masses), len(station.parameters)))
     out[:n, robot] = known.root.T
     out[np.arange(n, k), surroundings] = [station.parameters[i].size for i in surroundings]
@@ -215,11 +254,12 @@ def rows_in_noise(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return Jacobian, shape (P, R), and residuals, shape (R,), in units of the noise, row by row.
 
-    Prior information of the sensor comes last. With places, shape (p,), the Jacobian is by these parameters only, (p, R).
-    Noise that rows share is whitened.
+    Prior information of the sensor comes last. With places, shape (p,), the Jacobian is by these
+    parameters only, (p, R). Noise that rows share is whitened.
     """
     free = np.ones(len(values), bool) if places is None else np.isin(np.arange(len(values)), places)
-    columns, readings = [], []
+    columns = []
+    readings = []
     for piece, residuals, jacobian in station.linearise(values, free):
         whitening = np.empty_like(residuals)
         for rows, size in zip(station.block_rows, sigma, strict=True):
@@ -233,4 +273,6 @@ def rows_in_noise(
         off = shared.whitened(off)
     J, r = belief_rows(station, values, free)
     A = np.hstack([whole, J])
-    return A if places is None else A[np.searchsorted(np.flatnonzero(free), places)], np.concatenate([off, r])
+    return A if places is None else A[
+        np.searchsorted(np.flatnonzero(free), places)
+    ], np.concatenate([off, r])

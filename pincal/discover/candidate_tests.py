@@ -20,7 +20,13 @@ from pincal.discover.decisions import (
     standard_errors,
 )
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.levers import likely_maps, missing_compliances, missing_from, situation_of, strongest_tones
+from pincal.discover.levers import (
+    likely_maps,
+    missing_compliances,
+    missing_from,
+    situation_of,
+    strongest_tones,
+)
 from pincal.discover.policy import TESTING, Policy
 from pincal.discover.scatter import p_value_of_uneven_noise
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
@@ -36,7 +42,9 @@ from pincal.model.effect import Candidate, Effect, ExponentialDrift, Family, Har
 from pincal.model.effects import Compliance
 
 Tester = Callable[..., ScoreTests]
-"""Tests candidates against a fit with nuisances projected out, from effects and, optionally, the block of each row."""
+"""Tests candidates against a fit with nuisances projected out, from effects and, optionally, the
+block of each row.
+"""
 
 
 @dataclass(frozen=True)
@@ -61,12 +69,17 @@ class Search:
 
     def taking_part(self, nameless: Iterable[Effect]) -> list[Effect]:
         """Return the unnamed dependences that are candidates."""
-        return [effect for effect in nameless if self.nameless is None or effect.identity in self.nameless]
+        return [
+            effect
+            for effect in nameless
+            if self.nameless is None or effect.identity in self.nameless
+        ]
 
 
 def choose(fit: ModelFit, search: Search) -> Decision | None:
     """Return the best explanation of the residuals of a fit, if it is accepted."""
-    test, every = GivenNuisances(fit), addable(fit, search)
+    test = GivenNuisances(fit)
+    every = addable(fit, search)
     names = table_of(fit, search, test, every)
     best = next((names.rows[i].effect for i in names.passed(search.policy)), None)
     if isinstance(best, ExponentialDrift) and (about := _about_itself(best, test)) != best:
@@ -77,7 +90,8 @@ def choose(fit: ModelFit, search: Search) -> Decision | None:
 def _about_itself(effect: ExponentialDrift, test: Tester) -> ExponentialDrift:
     """Return an effect with a time constant linearised about its estimate.
 
-    Linearised about another constant it leaves a remainder that a curve of time describes better, on many rows.
+    Linearised about another constant it leaves a remainder that a curve of time describes better,
+    on many rows.
     """
     for _ in range(TESTING.expansions):
         about = effect.about(test([effect]).estimate([0]))
@@ -88,15 +102,26 @@ def _about_itself(effect: ExponentialDrift, test: Tester) -> ExponentialDrift:
 
 
 def explanation(
-    fit: ModelFit, search: Search, test: Tester, names: CandidateTable, *, predicting: Effect | None = None
+    fit: ModelFit,
+    search: Search,
+    test: Tester,
+    names: CandidateTable,
+    *,
+    predicting: Effect | None = None,
 ) -> Decision | None:
-    """Return the best explanation, given the table of named candidates, and an effect taken to predict held-out rows."""
+    """Return the best explanation, given the table of named candidates, and an effect taken to
+    predict held-out rows.
+    """
 
     def contest_of(close: Sequence[Row]) -> CandidateTable:
         nameless = unnamed_given(fit, [row.effect for row in close], search)
         together = [*(row.effect for row in close), *nameless]
         costs = {id(row.effect): row.cost for row in close}
-        return table_of(fit, search, test, together, costs, predicting=predicting) if nameless else names
+        return (
+            table_of(fit, search, test, together, costs, predicting=predicting)
+            if nameless
+            else names
+        )
 
     decision = decide(names, contest_of, search.policy)
     if decision is None or not decision.effect.is_nameless:
@@ -110,7 +135,8 @@ def hidden_wave(fit: ModelFit, search: Search) -> Decision | None:
     Before, residuals of coarser curves may have hidden it.
     """
     every = addable(fit, search)
-    waves, among = [effect for effect in every if isinstance(effect, Harmonic)], len({effect.identity for effect in every})
+    waves = [effect for effect in every if isinstance(effect, Harmonic)]
+    among = len({effect.identity for effect in every})
     if not waves:
         return None
     table = table_of(fit, search, GivenNuisances(fit), waves, among=among)
@@ -118,20 +144,34 @@ def hidden_wave(fit: ModelFit, search: Search) -> Decision | None:
 
 
 def _with_neighbours(decision: Decision, fit: ModelFit, search: Search, test: Tester) -> Decision:
-    """Return a decision for an unnamed term with equivalents on neighbouring joints, perhaps no candidates before.
+    """Return a decision for an unnamed term with equivalents on neighbouring joints, perhaps no
+    candidates before.
 
     A rotation of a joint resembles a tilt of its neighbour that depends on the same variable.
     """
-    effect, chain = decision.effect, fit.problem.chain
-    at, names = effect.locus, list(chain.robot.joint_names)
+    effect = decision.effect
+    chain = fit.problem.chain
+    at = effect.locus
+    names = list(chain.robot.joint_names)
     if at.joint not in names:
         return decision
     i = names.index(at.joint)
-    near = nameless_candidates(chain, fit.problem.conditions, names[max(i - 1, 0) : i] + names[i + 1 : i + 2])
-    similar = [e for e in near if (e.locus.follows, e.locus.shape, e.locus.order) == (at.follows, at.shape, at.order)]
+    near = nameless_candidates(
+        chain, fit.problem.conditions, names[max(i - 1, 0) : i] + names[i + 1 : i + 2]
+    )
+    similar = [
+        e
+        for e in near
+        if (e.locus.follows, e.locus.shape, e.locus.order) == (at.follows, at.shape, at.order)
+    ]
     every = [effect, *missing_from(fit, similar)]
-    rivals = table_of(fit, search, test, every, {id(effect): decision.row.cost}).rivals(0, search.policy)
-    return replace(decision, equivalent=each_heading_once([*decision.equivalent, *rivals], effect, search.policy))
+    rivals = table_of(fit, search, test, every, {id(effect): decision.row.cost}).rivals(
+        0, search.policy
+    )
+    return replace(
+        decision,
+        equivalent=each_heading_once([*decision.equivalent, *rivals], effect, search.policy),
+    )
 
 
 def table_of(
@@ -144,22 +184,32 @@ def table_of(
     predicting: Effect | None = None,
     among: int | None = None,
 ) -> CandidateTable:
-    """Return the table of named and unnamed candidates; each kind shares the probability of a false name.
+    """Return the table of named and unnamed candidates; each kind shares the probability of a false
+    name.
 
-    Costs that are known are given by ``id``; ``predicting`` is taken to predict held-out rows, untested; ``among`` is the
-    number of candidates that share the probability, by default those of the kind.
+    Costs that are known are given by ``id``; ``predicting`` is taken to predict held-out rows,
+    untested; ``among`` is the number of candidates that share the probability, by default those of
+    the kind.
     """
-    policy, costs = search.policy, costs or {}
+    policy = search.policy
+    costs = costs or {}
 
     def left_out(effect: Effect) -> Unfitted:
-        # Blocks of rows take a multiple of the memory, so only the few candidates that need them are tested by blocks.
+        # Blocks of rows take a multiple of the memory, so only the few candidates that need them
+        # are tested by blocks.
         tests = test([effect], search.groups)
-        return Unfitted(standard_errors(tests.gains_by_block([0])), partial(p_value_of_uneven_noise, fit, tests))
+        return Unfitted(
+            standard_errors(tests.gains_by_block([0])), partial(p_value_of_uneven_noise, fit, tests)
+        )
 
-    is_small, spare = is_small_table(fit, policy), spare_compliances(fit, effects, policy)
-    tests, known = test([*effects, *spare]), {predicting.identity} if predicting else set()
+    is_small = is_small_table(fit, policy)
+    spare = spare_compliances(fit, effects, policy)
+    tests = test([*effects, *spare])
+    known = {predicting.identity} if predicting else set()
     least = policy.least_gain(tests.squares, declared=fit.is_declared)
-    count = {kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)}
+    count = {
+        kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)
+    }
     rows = []
     for i, effect in enumerate(effects):
         n = among or count[effect.is_nameless]
@@ -179,22 +229,33 @@ def table_of(
         )
         # Only needed for significant candidates.
         if is_small and is_more_than_chance(row, policy):
-            evidence = tests.log_evidence([i, *given]) - tests.log_evidence(given) if given else tests.log_evidence([i])
+            evidence = (
+                tests.log_evidence([i, *given]) - tests.log_evidence(given)
+                if given
+                else tests.log_evidence([i])
+            )
             row = replace(row, evidence=evidence)
         rows.append(row)
     return CandidateTable(rows, tests)
 
 
 def spare_compliances(fit: ModelFit, effects: Sequence[Effect], policy: Policy) -> list[Effect]:
-    """Return further compliances, of drives and bearings in all directions, given which candidates are tested.
+    """Return further compliances, of drives and bearings in all directions, given which candidates
+    are tested.
 
     On few rows the model may lack compliances, for which other effects of loads would substitute.
     """
     if not is_small_table(fit, policy) or not any(effect.is_of_loads for effect in effects):
         return []
-    missing, chain = missing_compliances(fit), fit.problem.chain
-    bearings = [effect for effect in (*fit.problem.effects, *missing) if isinstance(effect, Compliance)]
-    return [*missing, *missing_from(fit, (e for e in bearing_features(chain, bearings) if e.uses_moments))]
+    missing = missing_compliances(fit)
+    chain = fit.problem.chain
+    bearings = [
+        effect for effect in (*fit.problem.effects, *missing) if isinstance(effect, Compliance)
+    ]
+    return [
+        *missing,
+        *missing_from(fit, (e for e in bearing_features(chain, bearings) if e.uses_moments)),
+    ]
 
 
 def is_small_table(fit: ModelFit, policy: Policy) -> bool:
@@ -207,11 +268,15 @@ def addable(fit: ModelFit, search: Search) -> list[Effect]:
     return _addable(fit, search.extra, search.policy)
 
 
-def named_tests(fit: ModelFit, extra: Sequence[Effect], policy: Policy, others: Sequence[Effect] = ()) -> ScoreTests:
+def named_tests(
+    fit: ModelFit, extra: Sequence[Effect], policy: Policy, others: Sequence[Effect] = ()
+) -> ScoreTests:
     """Test all addable named effects, and others, on the rows from which effects are selected."""
     few, _ = sampled(fit, policy)
     every = _addable(fit, extra, policy)
-    return score_test_given_nuisances(few, [*every, *(effect for effect in others if effect not in every)])
+    return score_test_given_nuisances(
+        few, [*every, *(effect for effect in others if effect not in every)]
+    )
 
 
 def _addable(fit: ModelFit, extra: Sequence[Effect], policy: Policy) -> list[Effect]:
@@ -223,19 +288,29 @@ def _addable(fit: ModelFit, extra: Sequence[Effect], policy: Policy) -> list[Eff
 
 
 def _of_stations(fit: ModelFit) -> Iterator[Effect]:
-    """Yield effects of single stations, if there are several; from the second on also changes since the first."""
+    """Yield effects of single stations, if there are several; from the second on also changes since
+    the first.
+    """
     stations = fit.problem.stations
     if len(stations) == 1:
         return
     situations = [PoseSet(station.model.chain, station.conditions) for station in stations]
     tested = [testable(situation) for situation in situations]
     # The instrument may be the same at all stations, or each have its own errors.
-    of_each = [[form for of in candidates for form in of.forms if form.is_sighted] for candidates in tested]
+    of_each = [
+        [form for of in candidates for form in of.forms if form.is_sighted] for candidates in tested
+    ]
     everywhere = [form for form in of_each[0] if all(form in forms for forms in of_each[1:])]
     yield from everywhere
     for k, station in enumerate(stations):
-        yield from (own for own in own_effects(tested[k], station.name) if own.effect not in everywhere)
-        yield from changed_effects(fit.problem.effects, situations[k], tested[k], station.name) if k else ()
+        yield from (
+            own for own in own_effects(tested[k], station.name) if own.effect not in everywhere
+        )
+        yield from (
+            changed_effects(fit.problem.effects, situations[k], tested[k], station.name)
+            if k
+            else ()
+        )
 
 
 def has_compliance(effects: Sequence[Effect]) -> bool:
@@ -244,7 +319,9 @@ def has_compliance(effects: Sequence[Effect]) -> bool:
 
 
 def variants(fit: ModelFit, acts_on: Collection[str] | None = None) -> Iterator[Effect]:
-    """Yield the effects that the data can test, perhaps only those acting in some places, each in its distinct forms."""
+    """Yield the effects that the data can test, perhaps only those acting in some places, each in
+    its distinct forms.
+    """
     return _forms(fit, testable(situation_of(fit), acts_on))
 
 
@@ -258,16 +335,28 @@ def _forms(fit: ModelFit, tested: Sequence[Candidate]) -> Iterator[Effect]:
 def unnamed_given(fit: ModelFit, names: Sequence[Effect], search: Search) -> list[Effect]:
     """Return the unnamed candidates that compete with some names, the best first; all without any.
 
-    These are all on the best name's joint and its neighbours, and those of the same variable in the place of any other name.
+    These are all on the best name's joint and its neighbours, and those of the same variable in the
+    place of any other name.
     """
     if search.nameless is not None and not search.nameless:
         return []
-    chain, conditions = fit.problem.chain, fit.problem.conditions
+    chain = fit.problem.chain
+    conditions = fit.problem.conditions
     joints = chain.robot.measured_joints
     likeliest = names[0].locus.joint if names else None
-    near = tuple(j for j in joints if chain.robot.are_neighbours(j, likeliest)) if likeliest in joints else joints
-    likes = {_place(effect) for effect in names if effect.locus.joint in joints and effect.locus.joint not in near}
-    beyond = nameless_candidates(chain, conditions, [joint for joint in joints if joint in {of for of, *_ in likes}])
+    near = (
+        tuple(j for j in joints if chain.robot.are_neighbours(j, likeliest))
+        if likeliest in joints
+        else joints
+    )
+    likes = {
+        _place(effect)
+        for effect in names
+        if effect.locus.joint in joints and effect.locus.joint not in near
+    }
+    beyond = nameless_candidates(
+        chain, conditions, [joint for joint in joints if joint in {of for of, *_ in likes}]
+    )
     further = (effect for effect in beyond if _place(effect) in likes)
     every = [*nameless_candidates(chain, conditions, near), *further, *likely_maps(fit, near)]
     return search.taking_part(missing_from(fit, every))
@@ -280,16 +369,24 @@ def _place(effect: Effect) -> tuple[str | None, str | None, bool]:
 
 
 def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
-    """Return a fit on a sample of its rows, evenly spread, that is enough to select effects, and their indices."""
+    """Return a fit on a sample of its rows, evenly spread, that is enough to select effects, and
+    their indices.
+    """
     sizes = [station.reading_size for station in fit.problem.stations]
-    n, most = len(fit.problem), policy.enough_readings // max(sizes)
+    n = len(fit.problem)
+    most = policy.enough_readings // max(sizes)
     if n <= most:
         return fit, np.arange(n)
-    rows, few = np.linspace(0, n - 1, most).astype(int), list[Station]()
+    rows = np.linspace(0, n - 1, most).astype(int)
+    few = list[Station]()
     for whole, span in zip(fit.problem.stations, fit.problem.rows, strict=True):
         own = rows[(rows >= span.start) & (rows < span.stop)] - span.start
         # The same objects on each call, so that evaluations at these poses are cached.
-        few.append(replace(whole.select(own), conditions=part_of(whole.conditions, own, (n, most, span.start))))
+        few.append(
+            replace(
+                whole.select(own), conditions=part_of(whole.conditions, own, (n, most, span.start))
+            )
+        )
     return fit.over(few, fit.solution.weights[rows]), rows
 
 
@@ -298,7 +395,12 @@ def over_rows_of(fit: ModelFit, whole: ModelFit) -> ModelFit:
     stations = []
     for of, part in zip(whole.problem.stations, fit.problem.stations, strict=True):
         # The parameters of correlated noise are those of the part.
-        serial, known = of.serial, part.serial
-        serial = None if serial is None or known is None else replace(serial, phi=known.phi, share=known.share)
+        serial = of.serial
+        known = part.serial
+        serial = (
+            None
+            if serial is None or known is None
+            else replace(serial, phi=known.phi, share=known.share)
+        )
         stations.append(replace(of, model=part.model, serial=serial))
     return fit.over(stations, whole.solution.weights)

@@ -1,7 +1,8 @@
-"""Decisions: which effect explains the residuals of a model, and whether a name is accepted. Neither fits nor data here.
+"""Decisions: which effect explains the residuals of a model, and whether a name is accepted.
+Neither fits nor data here.
 
-Every pass of a search calls :func:`accepted`. The thresholds are in ``policy.py``, the tests in ``first_order.py``;
-docs/criteria.md derives them.
+Every pass of a search calls :func:`accepted`. The thresholds are in ``policy.py``, the tests in
+``first_order.py``; docs/criteria.md derives them.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from pincal.discover.policy import TESTING, Policy
 from pincal.model.effect import Curve, Effect, Harmonic
 
 Question = Literal["enter", "elastic", "stay", "rest"]
-"""What is tested: whether a name enters, an arm is compliant, a name stays, or is the remainder of another."""
+"""What is tested: whether a name enters, an arm is compliant, a name stays, or is the remainder of
+another.
+"""
 
 
 class Unfitted(NamedTuple):
@@ -39,7 +42,8 @@ class Row:
     Attributes:
         effect: the candidate.
         score: its test.
-        cost: extended Bayesian information criterion, plus a surcharge if unnamed; negative is better than nothing.
+        cost: extended Bayesian information criterion, plus a surcharge if unnamed; negative is
+            better than nothing.
         which: the effects that it consists of, by index among the tested ones.
         question: what is tested.
         among: number of candidates that share the probability of a false name.
@@ -73,22 +77,28 @@ def allowed_chance(question: Question, among: float, policy: Policy) -> float:
 
 
 def is_more_than_chance(row: Row, policy: Policy) -> bool:
-    """Return whether a candidate is significant, relevant, and not contradicted by priors, on the fitted rows."""
+    """Return whether a candidate is significant, relevant, and not contradicted by priors, on the
+    fitted rows.
+    """
     limit = allowed_chance(row.question, row.among, policy)
-    return row.score.p_value < limit and row.score.gain >= row.least and row.evidence >= -np.log(limit)
+    return (
+        row.score.p_value < limit and row.score.gain >= row.least and row.evidence >= -np.log(limit)
+    )
 
 
 def accepted(row: Row, policy: Policy) -> bool:
     """Return whether a name is accepted.
 
-    It has to be significant (F test) and relevant, not contradicted by the prior on its size (Bayes factor, on few rows),
-    and to significantly improve the prediction of held-out blocks (cross-validation), also with uneven noise.
+    It has to be significant (F test) and relevant, not contradicted by the prior on its size (Bayes
+    factor, on few rows), and to significantly improve the prediction of held-out blocks
+    (cross-validation), also with uneven noise.
     """
     if not is_more_than_chance(row, policy):
         return False
     if row.left_out is None:
         return True
-    held_out, limit = row.left_out(), allowed_chance(row.question, row.among, policy)
+    held_out = row.left_out()
+    limit = allowed_chance(row.question, row.among, policy)
     return held_out.errors > row.enough and (held_out.p_value is None or held_out.p_value() < limit)
 
 
@@ -113,30 +123,44 @@ class CandidateTable:
         return [i for i in self.cheapest() if is_more_than_chance(self.rows[i], policy)]
 
     def rivals(self, best: int, policy: Policy) -> list[Effect]:
-        """Return the candidates that explain the data as well: the best adds little to one of them."""
+        """Return the candidates that explain the data as well: the best adds little to
+        one of them.
+        """
         found = []
         for i in self.cheapest():
-            row, worse = self.rows[i], self.rows[i].cost - self.rows[best].cost
+            row = self.rows[i]
+            worse = self.rows[i].cost - self.rows[best].cost
             if i == best or not row.score.rank or worse >= policy.near_tie:
                 continue
-            if self.p_value_given([best], [i]) > (policy.told_apart if worse < policy.tie else policy.adds_nothing):
+            if self.p_value_given([best], [i]) > (
+                policy.told_apart if worse < policy.tie else policy.adds_nothing
+            ):
                 found.append(row.effect)
         return found
 
     def parts(self, whole: int, policy: Policy) -> list[int]:
-        """Return the lower-rank simple curves of a joint's position that together are equivalent to one; else none.
+        """Return the lower-rank simple curves of a joint's position that together are equivalent to
+        one; else none.
 
-        A name that is equivalent to several simpler ones of the same joint together is not determined by the data.
+        A name that is equivalent to several simpler ones of the same joint together is not
+        determined by the data.
         """
-        effect, rank = self.rows[whole].effect, self.rows[whole].score.rank
+        effect = self.rows[whole].effect
+        rank = self.rows[whole].score.rank
         if not is_own_curve(effect):
             return []
         found = [
             i
             for i, row in enumerate(self.rows)
-            if is_own_curve(row.effect) and row.effect.locus.joint == effect.locus.joint and 0 < row.score.rank < rank
+            if is_own_curve(row.effect)
+            and row.effect.locus.joint == effect.locus.joint
+            and 0 < row.score.rank < rank
         ]
-        return found if len(found) > 1 and self.p_value_given([whole], found) > policy.told_apart else []
+        return (
+            found
+            if len(found) > 1 and self.p_value_given([whole], found) > policy.told_apart
+            else []
+        )
 
 
 @dataclass(frozen=True)
@@ -165,23 +189,37 @@ class Decision:
 
     @property
     def is_single(self) -> bool:
-        """Whether it is one effect of one joint: of compliances, whether one drive or bearing is all that is compliant."""
+        """Whether it is one effect of one joint: of compliances, whether one drive or bearing is
+        all that is compliant.
+        """
         return len(self.effects) == 1 and self.effect.locus.joint is not None
 
 
-def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], CandidateTable], policy: Policy) -> Decision | None:
-    """Return the best explanation of the residuals of a fit, from all named candidates; None if nothing is significant.
+def decide(
+    names: CandidateTable, contest_of: Callable[[Sequence[Row]], CandidateTable], policy: Policy
+) -> Decision | None:
+    """Return the best explanation of the residuals of a fit, from all named candidates; None if
+    nothing is significant.
 
-    ``contest_of`` returns the table of some of them, the best first and at the same costs, and of unnamed dependences.
+    ``contest_of`` returns the table of some of them, the best first and at the same costs, and of
+    unnamed dependences.
     """
     best = next((i for i in names.cheapest() if accepted(names.rows[i], policy)), None)
     best = best if best is None else _without_equivalents(names, best, policy)
-    close = [] if best is None else [best, *(i for i in names.cheapest()[: policy.close] if i != best)]
+    close = (
+        [] if best is None else [best, *(i for i in names.cheapest()[: policy.close] if i != best)]
+    )
     contest = contest_of([names.rows[i] for i in close])
-    nameless = _better_without_name(contest, None if best is None else names.rows[best].effect, policy)
+    nameless = _better_without_name(
+        contest, None if best is None else names.rows[best].effect, policy
+    )
     if nameless is not None:
         effect = contest.rows[nameless].effect
-        curves = (row.effect for row in names.rows if isinstance(row.effect, Curve) and is_own_curve(effect))
+        curves = (
+            row.effect
+            for row in names.rows
+            if isinstance(row.effect, Curve) and is_own_curve(effect)
+        )
         whole = [curve for curve in curves if curve.locus.joint == effect.locus.joint][:1]
         return _decision(contest, nameless, whole, policy)
     if best is None:
@@ -193,14 +231,20 @@ def decide(names: CandidateTable, contest_of: Callable[[Sequence[Row]], Candidat
 
 
 def _without_equivalents(names: CandidateTable, best: int, policy: Policy) -> int:
-    """Return the best of simpler effects that together explain more than the best candidate; this if they don't."""
+    """Return the best of simpler effects that together explain more than the best candidate; this
+    if they don't.
+    """
     parts = names.parts(best, policy)
     if not parts or names.p_value_given(parts, [best]) > policy.adds_nothing:
         return best
-    return next((i for i in names.cheapest() if i in parts and accepted(names.rows[i], policy)), best)
+    return next(
+        (i for i in names.cheapest() if i in parts and accepted(names.rows[i], policy)), best
+    )
 
 
-def _better_without_name(contest: CandidateTable, best: Effect | None, policy: Policy) -> int | None:
+def _better_without_name(
+    contest: CandidateTable, best: Effect | None, policy: Policy
+) -> int | None:
     """Return the unnamed dependence that is accepted at lower cost than the best name, if any."""
     rows = contest.rows
     nameless = next((i for i in contest.passed(policy) if rows[i].effect.is_nameless), None)
@@ -210,14 +254,22 @@ def _better_without_name(contest: CandidateTable, best: Effect | None, policy: P
     return nameless if rows[nameless].cost < to_beat and accepted(rows[nameless], policy) else None
 
 
-def _decision(table: CandidateTable, best: int, others: Iterable[Effect], policy: Policy) -> Decision:
+def _decision(
+    table: CandidateTable, best: int, others: Iterable[Effect], policy: Policy
+) -> Decision:
     row = table.rows[best]
     same = row.effect.same if isinstance(row.effect, Harmonic) else ()
-    return Decision(row, each_heading_once([*table.rivals(best, policy), *others, *same], row.effect, policy))
+    return Decision(
+        row, each_heading_once([*table.rivals(best, policy), *others, *same], row.effect, policy)
+    )
 
 
-def each_heading_once(effects: Iterable[Effect], best: Effect, policy: Policy) -> tuple[Effect, ...]:
-    """Return effects, each heading once and without the best one's; waves of different orders are different."""
+def each_heading_once(
+    effects: Iterable[Effect], best: Effect, policy: Policy
+) -> tuple[Effect, ...]:
+    """Return effects, each heading once and without the best one's; waves of different orders are
+    different.
+    """
     found: dict[object, Effect] = {}
     for effect in effects:
         found.setdefault(_title(effect), effect)
@@ -230,30 +282,46 @@ def _title(effect: Effect) -> object:
 
 
 def is_near(effect: Effect, other: Effect, near: float) -> bool:
-    """Return whether two effects are waves of one name on one joint, of orders less than ``near`` apart."""
-    if not (isinstance(effect, Harmonic) and isinstance(other, Harmonic)) or effect.heading != other.heading:
+    """Return whether two effects are waves of one name on one joint, of orders less than ``near``
+    apart.
+    """
+    if (
+        not (isinstance(effect, Harmonic) and isinstance(other, Harmonic))
+        or effect.heading != other.heading
+    ):
         return False
     return abs((effect.locus.order or 0.0) - (other.locus.order or 0.0)) < near
 
 
 def is_own_curve(effect: Effect) -> bool:
-    """Return whether an effect is a simple curve of the joint's own position, about its own axis."""
+    """Return whether an effect is a simple curve of the joint's own position, about its
+    own axis.
+    """
     at = effect.locus
     is_about_axis = at.acts_on in ("drive", "gamma_z")
-    return is_about_axis and at.joint is not None and at.follows == at.joint and not isinstance(effect, Curve | Harmonic)
+    return (
+        is_about_axis
+        and at.joint is not None
+        and at.follows == at.joint
+        and not isinstance(effect, Curve | Harmonic)
+    )
 
 
 def standard_errors(gains: np.ndarray) -> float:
-    """Return the sum of the gains of held-out blocks over its standard error, from the differences between blocks.
+    """Return the sum of the gains of held-out blocks over its standard error, from the differences
+    between blocks.
 
-    A prediction is called better above 1. A single block, such as a region that the others don't reach, can't veto the
-    others: above ``TESTING.veto`` standard errors with the extreme blocks replaced by their neighbours (Winsor's mean), the
-    larger value counts.
+    A prediction is called better above 1. A single block, such as a region that the others don't
+    reach, can't veto the others: above ``TESTING.veto`` standard errors with the extreme blocks
+    replaced by their neighbours (Winsor's mean), the larger value counts.
     """
     if len(gains) < 2:
         return 0.0
-    every, inner = _in_errors(gains), _in_errors(np.clip(gains, *np.sort(gains)[[1, -2]]))
-    return max(every, inner) if len(gains) >= TESTING.fewest_blocks and inner > TESTING.veto else every
+    every = _in_errors(gains)
+    inner = _in_errors(np.clip(gains, *np.sort(gains)[[1, -2]]))
+    return (
+        max(every, inner) if len(gains) >= TESTING.fewest_blocks and inner > TESTING.veto else every
+    )
 
 
 def _in_errors(gains: np.ndarray) -> float:
@@ -261,5 +329,7 @@ def _in_errors(gains: np.ndarray) -> float:
 
 
 def enough_errors(effect: Effect) -> float:
-    """Return the required gain of held-out blocks, in standard errors; more if an effect was selected among many on them."""
+    """Return the required gain of held-out blocks, in standard errors; more if an effect was
+    selected among many on them.
+    """
     return TESTING.searched if effect.trials > 1.0 else TESTING.predicts

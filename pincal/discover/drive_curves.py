@@ -1,14 +1,15 @@
 r"""Resolution and roughness of drive curves.
 
-The roughness maximises the marginal likelihood (empirical Bayes). With G, g the normal equations of all parameters, the
-curves as fine as the poses allow, L the information of all priors and :math:`R_j / w_j^2` that of the roughness of curve j,
-the coefficients x have the covariance :math:`C = (G + L + \sum_j R_j / w_j^2)^{-1}`, and the likelihood marginalised over x
-is largest where
+The roughness maximises the marginal likelihood (empirical Bayes). With G, g the normal equations of
+all parameters, the curves as fine as the poses allow, L the information of all priors and
+:math:`R_j / w_j^2` that of the roughness of curve j, the coefficients x have the covariance
+:math:`C = (G + L + \sum_j R_j / w_j^2)^{-1}`, and the likelihood marginalised over x is largest
+where
 
 .. math:: w_j^2 = \frac{x_j^T R_j x_j}{\operatorname{tr} R_j (P_j^{-1} - C_j)} w_j^2, \qquad P_j = D_j^{-2} + R_j / w_j^2,
 
-for priors of size D (Wood and Fasiolo 2017, Biometrics 73, 1071-1081, equation 4); the noise follows from the residuals. One
-pass over the data serves all iterations.
+for priors of size D (Wood and Fasiolo 2017, Biometrics 73, 1071-1081, equation 4); the noise
+follows from the residuals. One pass over the data serves all iterations.
 """
 
 from __future__ import annotations
@@ -36,23 +37,31 @@ from pincal.robot.robot import Robot
 def smoothed(
     fit: ModelFit, curves: Sequence[Curve], finer: float = 1.0
 ) -> tuple[dict[Curve, tuple[Curve, np.ndarray]], ModelFit]:
-    """Return curves, in the fit or new, with the resolution and roughness that the data determine, and coefficients.
+    """Return curves, in the fit or new, with the resolution and roughness that the data determine,
+    and coefficients.
 
-    Also the fit with its other parameters moved accordingly, to first order. The resolution is ``finer`` times that of the
-    shortest wave of which rows have as much information as the prior on roughness.
+    Also the fit with its other parameters moved accordingly, to first order. The resolution is
+    ``finer`` times that of the shortest wave of which rows have as much information as the prior on
+    roughness.
     """
-    situation, sigma = situation_of(fit), fit.solution.estimated
+    situation = situation_of(fit)
+    sigma = fit.solution.estimated
     fine, smooth = ({curve: curve.smooth(situation, w) for curve in curves} for w in (None, 1.0))
     present = fit.options.effects
     every = [*present, *(curve for curve in curves if curve not in present)]
     problem, problem_smooth = (
-        fit.problem.with_effects([by.get(e, e) if isinstance(e, Curve) else e for e in every]) for by in (fine, smooth)
+        fit.problem.with_effects([by.get(e, e) if isinstance(e, Curve) else e for e in every])
+        for by in (fine, smooth)
     )
     start = carried(fit.solution, fit.problem, problem)
     places = [problem.places_at(curve) for curve in fine.values()]
     sizes = priors_of(problem_smooth, fit.options).sizes
     for curve, at in zip(curves, places, strict=True):
-        heights = fit.values[fit.problem.places_at(curve)] if curve in present else np.zeros(curve.resolution)
+        heights = (
+            fit.values[fit.problem.places_at(curve)]
+            if curve in present
+            else np.zeros(curve.resolution)
+        )
         start.values[at] = _resampled(curve, heights, fine[curve])
         start.free[at] = True
     here = Linearised(problem, start.values, start.free, start.weights, sizes)
@@ -76,17 +85,22 @@ def smoothed(
         # Beyond many pieces, a finer curve costs time and adds little.
         pieces = max(waves, min(finer * waves, CURVES.enough_pieces))
         smooth[curve] = curve.smooth(situation, float(w), int(np.ceil(pieces)))
-        chosen[curve] = smooth[curve], _resampled(fine[curve], start.values[at] + step[own], smooth[curve])
+        chosen[curve] = (
+            smooth[curve],
+            _resampled(fine[curve], start.values[at] + step[own], smooth[curve]),
+        )
     start.values[kept] += step
     others = problem.carried_over(start.values, fit.problem)
     return chosen, replace(fit, solution=replace(fit.solution, values=others))
 
 
 def _pieces(curve: Curve, information: np.ndarray, roughness: float) -> float:
-    """Return the number of half waves, over the range, of which rows have as much information as the prior on roughness.
+    """Return the number of half waves, over the range, of which rows have as much information as
+    the prior on roughness.
 
-    Of k radians per unit the prior has k^4 / w^2, and rows of levers l the sum of l^2 over their range, for any k;
-    ``information``, shape (K, K), is that of the rows on the curve's coefficients, ``roughness`` is w.
+    Of k radians per unit the prior has k^4 / w^2, and rows of levers l the sum of l^2 over their
+    range, for any k; ``information``, shape (K, K), is that of the rows on the curve's
+    coefficients, ``roughness`` is w.
     """
     q, span = _along(curve)
     wave = 0.25 * np.pi * curve.resolution / span * q
@@ -101,8 +115,14 @@ def _resampled(curve: Curve, heights: np.ndarray, other: Curve) -> np.ndarray:
 
 
 def _heights(curve: Curve, sampled: np.ndarray) -> np.ndarray:
-    """Return the coefficients of a curve, shape (..., K), by its values at dense positions, shape (..., N)."""
-    return np.asarray(lstsq(curve.basis(_along(curve)[0]).T, sampled.T, lapack_driver="gelsy", check_finite=False)[0].T)
+    """Return the coefficients of a curve, shape (..., K), by its values at dense positions, shape
+    (..., N).
+    """
+    return np.asarray(
+        lstsq(
+            curve.basis(_along(curve)[0]).T, sampled.T, lapack_driver="gelsy", check_finite=False
+        )[0].T
+    )
 
 
 def _along(curve: Curve) -> tuple[np.ndarray, float]:
@@ -131,40 +151,60 @@ class CurveSquares:
     squares: float
     readings: int
 
-    def likeliest(self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the roughness of each curve that maximises the likelihood, the step of all parameters, and the noise.
+    def likeliest(
+        self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the roughness of each curve that maximises the likelihood, the step of all
+        parameters, and the noise.
 
         The noise is a variance; the arguments are the columns and R of each curve.
         """
-        w, noise = np.full(len(columns), CURVES.roughness), 1.0
-        alone = [eigvalsh(R * np.outer(self.sizes[at], self.sizes[at])) for at, R in zip(columns, bends, strict=True)]
+        w = np.full(len(columns), CURVES.roughness)
+        noise = 1.0
+        alone = [
+            eigvalsh(R * np.outer(self.sizes[at], self.sizes[at]))
+            for at, R in zip(columns, bends, strict=True)
+        ]
         for _ in range(CURVES.moves):
             step, spent, traces = self._posterior(columns, bends, w, noise)
-            residual = self.squares - 2.0 * float(self.rows.g @ step) + float(step @ self.rows.H @ step)
+            residual = (
+                self.squares - 2.0 * float(self.rows.g @ step) + float(step @ self.rows.H @ step)
+            )
             noise = max(residual / max(self.readings - spent, 1.0), CURVES.least_noise)
             before = w.copy()
-            for j, (at, R, known, trace) in enumerate(zip(columns, bends, alone, traces, strict=True)):
+            for j, (at, R, known, trace) in enumerate(
+                zip(columns, bends, alone, traces, strict=True)
+            ):
                 x = self.values[at] + step[at]
                 free = float(np.sum(known / (1.0 + known / w[j] ** 2))) - trace
                 factor = np.sqrt(float(x @ R @ x) / max(free, 1e-300))
-                w[j] = max(w[j] * np.clip(factor, 1.0 / CURVES.farthest, CURVES.farthest), CURVES.least)
+                w[j] = max(
+                    w[j] * np.clip(factor, 1.0 / CURVES.farthest, CURVES.farthest), CURVES.least
+                )
             if np.max(np.abs(np.log(w / before))) < CURVES.settled:
                 break
-        # The other parameters have narrower priors about correspondingly nearer values: the same pull, smaller steps.
+        # The other parameters have narrower priors about correspondingly nearer values: the same
+        # pull, smaller steps.
         firm = np.full(len(self.sizes), 1.0 + CURVES.firm)
         firm[np.concatenate(columns)] = 1.0
         firmly = replace(self, sizes=self.sizes / np.sqrt(firm), values=self.values / firm)
         return w, firmly._posterior(columns, bends, w, noise)[0], noise
 
     def _posterior(
-        self, columns: Sequence[np.ndarray], bends: Sequence[np.ndarray], w: np.ndarray, noise: float
+        self,
+        columns: Sequence[np.ndarray],
+        bends: Sequence[np.ndarray],
+        w: np.ndarray,
+        noise: float,
     ) -> tuple[np.ndarray, float, list[float]]:
-        """Return the step to the posterior mode with roughness w, shape (F,), and the effective number of parameters.
+        """Return the step to the posterior mode with roughness w, shape (F,), and the effective
+        number of parameters.
 
         Also, for each curve, the trace of R times the covariance of its coefficients.
         """
         precision = self.sizes**-2.0
-        H, g = self.rows.H / noise + self.believed.H, self.rows.g / noise + self.believed.g - precision * self.values
+        H = self.rows.H / noise + self.believed.H
+        g = self.rows.g / noise + self.believed.g - precision * self.values
         H.flat[:: len(H) + 1] += precision
         for at, R, each in zip(columns, bends, w, strict=True):
             H[np.ix_(at, at)] += R / each**2
@@ -173,10 +213,13 @@ class CurveSquares:
         factor = Factor.of(H)
         root, _ = dtrtri(factor.L, lower=1, overwrite_c=1)
         root *= factor.scale
-        # The effective number of parameters: all, less the shares of priors, joint priors and roughness.
+        # The effective number of parameters: all, less the shares of priors, joint priors and
+        # roughness.
         beliefs = np.flatnonzero(np.any(self.believed.H, axis=1))
         inner = root[:, beliefs]
-        spent = len(H) - float(np.einsum("ij,ij->j", root, root) @ (precision + ROUNDING / factor.scale**2))
+        spent = len(H) - float(
+            np.einsum("ij,ij->j", root, root) @ (precision + ROUNDING / factor.scale**2)
+        )
         spent -= float(np.vdot(inner.T @ inner, self.believed.H[np.ix_(beliefs, beliefs)]))
         traces = []
         for at, R, each in zip(columns, bends, w, strict=True):
@@ -188,23 +231,30 @@ class CurveSquares:
 
 def notes_on_repeats(robot: Robot, q: np.ndarray) -> Iterator[str]:
     """Yield notes on joints with few distinct positions, q of shape (N, n)."""
-    for joint, kind, x, does in zip(robot.joint_names, robot.joint_types, q.T, moves(q), strict=True):
+    for joint, kind, x, does in zip(
+        robot.joint_names, robot.joint_types, q.T, moves(q), strict=True
+    ):
         values = distinct_values(x) if does else 1
         if 1 < values < CURVES.enough and values == most_pieces(x):
             step = 2.0 * float(np.ptp(x)) / (values - 1)
             wave = f"{step:.3g} m" if kind == "prismatic" else f"{np.degrees(step):.3g} deg"
             yield (
-                f"{joint} takes {values} distinct positions in {len(x)} rows: its drive error between them is not "
-                f"observable, and a period shorter than {wave} is aliased to a longer one; choose positions that don't "
+                f"{joint} takes {values} distinct positions in {len(x)} rows: its drive "
+                "error between them is not "
+                f"observable, and a period shorter than {wave} is aliased to a longer "
+                "one; choose positions that don't "
                 "repeat, as pincal design does"
             )
 
 
-def resolved(fit: ModelFit, effect: Effect, groups: np.ndarray) -> tuple[Effect, np.ndarray, np.ndarray]:
-    """Return an effect that a fit lacks with the resolution that the rows determine; itself if it has none.
+def resolved(
+    fit: ModelFit, effect: Effect, groups: np.ndarray
+) -> tuple[Effect, np.ndarray, np.ndarray]:
+    """Return an effect that a fit lacks with the resolution that the rows determine; itself if it
+    has none.
 
-    A curve's follows from the marginal likelihood, that of other effects from the prediction of held-out blocks. Also its
-    parameters, and those of the effect as given, to first order.
+    A curve's follows from the marginal likelihood, that of other effects from the prediction of
+    held-out blocks. Also its parameters, and those of the effect as given, to first order.
     """
     test = GivenNuisances(fit)
     estimate = test([effect]).estimate([0])

@@ -1,4 +1,6 @@
-"""Compliances of an arm: which enter together, which are significant, their equivalents, and deciding measurements."""
+"""Compliances of an arm: which enter together, which are significant, their equivalents, and
+deciding measurements.
+"""
 
 from __future__ import annotations
 
@@ -33,29 +35,46 @@ from pincal.parameters import Estimate
 def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
     """Return the compliances that a fit lacks; None if they are not significant.
 
-    One drive or one bearing enters alone if all others add nothing significant to it: among twenty correlated parameters it
-    could not be identified. On a small table drives without bearings, or one of either, may be more probable than all.
+    One drive or one bearing enters alone if all others add nothing significant to it: among twenty
+    correlated parameters it could not be identified. On a small table drives without bearings, or
+    one of either, may be more probable than all.
     """
-    chain, block = fit.problem.chain, missing_compliances(fit)
+    chain = fit.problem.chain
+    block = missing_compliances(fit)
     if not block:
         return None
     parts = [part for effect in block for part in effect.parts(chain)]
-    # A single bearing has its own principal directions; its place is not observable before it is compliant.
-    forms = [(part, *(e for e in bearing_features(chain, (part,)) if e.uses_moments)) for part in parts]
+    # A single bearing has its own principal directions; its place is not observable before it is
+    # compliant.
+    forms = [
+        (part, *(e for e in bearing_features(chain, (part,)) if e.uses_moments)) for part in parts
+    ]
     starts = np.cumsum([0, *map(len, forms)])
-    # All arms are compliant, so geometric errors beyond their priors are not preferred to deflection by gravity.
-    tests = score_test_given_nuisances(fit, [effect for form in forms for effect in form], wider=1.0)
+    # All arms are compliant, so geometric errors beyond their priors are not preferred to
+    # deflection by gravity.
+    tests = score_test_given_nuisances(
+        fit, [effect for form in forms for effect in form], wider=1.0
+    )
     whole = [int(i) for i in starts[:-1]]
-    families = [[i for i, part in zip(whole, parts, strict=True) if part.name == effect.name] for effect in block]
+    families = [
+        [i for i, part in zip(whole, parts, strict=True) if part.name == effect.name]
+        for effect in block
+    ]
     singles = [range(a, b) for a, b in pairwise(starts)]
     if is_small_table(fit, policy):
-        ways = [*zip(zip(parts, strict=True), singles, strict=True), *zip(zip(block, strict=True), families, strict=True)]
+        ways = [
+            *zip(zip(parts, strict=True), singles, strict=True),
+            *zip(zip(block, strict=True), families, strict=True),
+        ]
         return _likeliest(tests, [*ways, (block, whole)], policy)
     chances = _chance(tests, singles), _chance(tests, [whole]), _chance(tests, families)
     every = _row(tests, block[0], whole, 1)
     if not _is_accepted(every, min(chances), policy):
         return None
-    table = CandidateTable([_row(tests, part, of, len(singles)) for part, of in zip(parts, singles, strict=True)], tests)
+    table = CandidateTable(
+        [_row(tests, part, of, len(singles)) for part, of in zip(parts, singles, strict=True)],
+        tests,
+    )
     best = table.cheapest()[0]
     beyond = _chance(tests, [whole], singles[best]), _chance(tests, singles, singles[best])
     if not _is_accepted(table.rows[best], chances[0], policy) or min(beyond) < policy.adds_nothing:
@@ -76,9 +95,14 @@ def _is_accepted(row: Row, p_value: float, policy: Policy) -> bool:
 def _likeliest(
     tests: ScoreTests, ways: Sequence[tuple[tuple[Compliance, ...], Sequence[int]]], policy: Policy
 ) -> Decision | None:
-    """Return the way of largest evidence, corrected for the number of its kind; None if it is not accepted."""
+    """Return the way of largest evidence, corrected for the number of its kind; None if it is not
+    accepted.
+    """
     kinds = [len(effects) == 1 and effects[0].only is not None for effects, _ in ways]
-    evidence = [tests.log_evidence(of) - np.log(kinds.count(kind)) for (_, of), kind in zip(ways, kinds, strict=True)]
+    evidence = [
+        tests.log_evidence(of) - np.log(kinds.count(kind))
+        for (_, of), kind in zip(ways, kinds, strict=True)
+    ]
     effects, of = ways[int(np.argmax(evidence))]
     # The evidence decides, not the p-value.
     row = replace(_row(tests, effects[0], of, 1), question="enter", evidence=max(evidence))
@@ -86,17 +110,26 @@ def _likeliest(
 
 
 def with_features(fit: ModelFit, effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Return effects with the features of bearings among them, which are added and removed together."""
-    found, chain = list(effects), fit.problem.chain
+    """Return effects with the features of bearings among them, which are added and removed
+    together.
+    """
+    found = list(effects)
+    chain = fit.problem.chain
     for effect in effects:
         if isinstance(effect, Compliance):
             joints = [part.only for part in effect.parts(chain)]
-            found += [e for e in fit.problem.effects if e.locus.cause == effect.name and e.locus.joint in joints]
+            found += [
+                e
+                for e in fit.problem.effects
+                if e.locus.cause == effect.name and e.locus.joint in joints
+            ]
     return tuple(found)
 
 
 def _chance(tests: ScoreTests, ways: Sequence[Sequence[int]], given: Sequence[int] = ()) -> float:
-    """Return the smallest p-value of several ways, corrected for their number, perhaps given others in the model."""
+    """Return the smallest p-value of several ways, corrected for their number, perhaps given others
+    in the model.
+    """
     scores = (tests.score_given(way, given) if given else tests.score(way, 1) for way in ways)
     return len(ways) * min(score.p_value for score in scores)
 
@@ -107,7 +140,8 @@ class JointCompliance(NamedTuple):
     Attributes:
         effect: the drive or the bearing.
         estimate: its parameters and features.
-        p_value: of its compliances, perhaps conditional on another one, or of the whole step if none is significant.
+        p_value: of its compliances, perhaps conditional on another one, or of the whole step if
+            none is significant.
         others: compliances that it could be instead.
         given: parameters of another compliance, if it is significant only conditional on that.
     """
@@ -122,11 +156,14 @@ class JointCompliance(NamedTuple):
 def significant_compliances(
     fit: ModelFit, effects: Iterable[Effect], equivalent: tuple[Effect, ...] = ()
 ) -> list[JointCompliance]:
-    """Return the compliances among effects of a fit that are significantly different from zero, largest statistic first.
+    """Return the compliances among effects of a fit that are significantly different from zero,
+    largest statistic first.
 
-    If none is, the first alone is returned, with the others and ``equivalent`` as rivals, and the p-value of all together.
+    If none is, the first alone is returned, with the others and ``equivalent`` as rivals, and the
+    p-value of all together.
     """
-    found, chain = list[tuple[float, int, JointCompliance]](), fit.problem.chain
+    found = list[tuple[float, int, JointCompliance]]()
+    chain = fit.problem.chain
     for effect in effects:
         if not isinstance(effect, Compliance):
             continue
@@ -135,62 +172,99 @@ def significant_compliances(
         for single in effect.parts(chain):
             estimate = fit.estimate.take(p.name for p in own if p.element == single.only)
             z2, size = _squares(estimate)
-            found.append((z2, size, JointCompliance(single, estimate, float(chdtrc(size, z2)), equivalent)))
+            found.append(
+                (z2, size, JointCompliance(single, estimate, float(chdtrc(size, z2)), equivalent))
+            )
     found.sort(key=lambda item: -item[0])
     sure = [(z2, entry) for z2, size, entry in found if z2 > TESTING.sure**2 * size]
-    sure += _significant_given(fit, [entry for z2, size, entry in found if z2 <= TESTING.sure**2 * size])
+    sure += _significant_given(
+        fit, [entry for z2, size, entry in found if z2 <= TESTING.sure**2 * size]
+    )
     if sure:
         return [entry for _, entry in sorted(sure, key=lambda item: -item[0])]
     first, *others = (entry for _, _, entry in found)
-    rivals = each_heading_once((*equivalent, *(other.effect for other in others)), first.effect, POLICY)
-    z2, size = _squares(fit.estimate.take({name for _, _, entry in found for name in entry.estimate.names}))
+    rivals = each_heading_once(
+        (*equivalent, *(other.effect for other in others)), first.effect, POLICY
+    )
+    z2, size = _squares(
+        fit.estimate.take({name for _, _, entry in found for name in entry.estimate.names})
+    )
     return [first._replace(others=rivals, p_value=float(chdtrc(size, z2)))]
 
 
 def _squares(estimate: Estimate, known: Estimate | None = None) -> tuple[float, int]:
-    """Return Wald's statistic of compliances, and their number; ``known`` are these, then others conditioned on."""
+    """Return Wald's statistic of compliances, and their number; ``known`` are these, then others
+    conditioned on.
+    """
     # The place of a bearing is not part of the test.
-    bends = [np.array([p.is_compliance for p in some.parameters]) for some in (estimate, known or estimate)]
-    values, size = estimate.values[bends[0]], int(bends[0].sum())
+    bends = [
+        np.array([p.is_compliance for p in some.parameters])
+        for some in (estimate, known or estimate)
+    ]
+    values = estimate.values[bends[0]]
+    size = int(bends[0].sum())
     covariance = (known or estimate).dense_covariance()[np.ix_(bends[1], bends[1])]
     information = np.linalg.pinv(covariance, hermitian=True)[:size, :size]
     return float(values @ information @ values), size
 
 
-def _significant_given(fit: ModelFit, uncertain: Sequence[JointCompliance]) -> Iterator[tuple[float, JointCompliance]]:
-    """Yield Wald's statistic and compliances that are significant conditional on another one, each with the best such.
+def _significant_given(
+    fit: ModelFit, uncertain: Sequence[JointCompliance]
+) -> Iterator[tuple[float, JointCompliance]]:
+    """Yield Wald's statistic and compliances that are significant conditional on another one, each
+    with the best such.
 
-    A drive and the bearing of the previous joint may be nearly equivalent: that one of them is compliant is significant, but
-    not which.
+    A drive and the bearing of the previous joint may be nearly equivalent: that one of them is
+    compliant is significant, but not which.
     """
     for one in uncertain:
         pairs = []
         for other in (entry for entry in uncertain if entry is not one):
-            z2, size = _squares(one.estimate, fit.estimate.take((*one.estimate.names, *other.estimate.names)))
+            z2, size = _squares(
+                one.estimate, fit.estimate.take((*one.estimate.names, *other.estimate.names))
+            )
             pairs.append((z2, size, other))
         z2, size, other = max(pairs, key=lambda pair: pair[0], default=(0.0, 1, one))
         if z2 > TESTING.sure**2 * size:
             others = each_heading_once((other.effect, *one.others), one.effect, POLICY)
-            yield z2, one._replace(p_value=float(chdtrc(size, z2)), others=others, given=other.estimate.names)
+            yield (
+                z2,
+                one._replace(
+                    p_value=float(chdtrc(size, z2)), others=others, given=other.estimate.names
+                ),
+            )
 
 
 def instead_of(
-    tests: ScoreTests, compliance: Effect, estimate: Estimate, given: Collection[str] = (), policy: Policy = POLICY
+    tests: ScoreTests,
+    compliance: Effect,
+    estimate: Estimate,
+    given: Collection[str] = (),
+    policy: Policy = POLICY,
 ) -> tuple[Effect, ...]:
     """Return the effects of loads that explain the data as well as one joint's compliances do.
 
-    A tilting bearing is equivalent to a tilting foundation at the first joint, and to a bending link at others; as all
-    bearings entered together, none of them was tested against these.
+    A tilting bearing is equivalent to a tilting foundation at the first joint, and to a bending
+    link at others; as all bearings entered together, none of them was tested against these.
 
-    The tests are against the last model, which includes the compliance, with parameters ``estimate``. Parameters ``given``
-    of another compliance are held fixed, as it would absorb most itself.
+    The tests are against the last model, which includes the compliance, with parameters
+    ``estimate``. Parameters ``given`` of another compliance are held fixed, as it would absorb most
+    itself.
     """
     # Without compliance the place of a bearing has no effect, so it is kept.
-    lost = {p.name: float(value) * p.is_compliance for p, value in zip(estimate.parameters, estimate.values, strict=True)}
+    lost = {
+        p.name: float(value) * p.is_compliance
+        for p, value in zip(estimate.parameters, estimate.values, strict=True)
+    }
     # An effect in the same place is a finer form of it.
-    loads = [i for i, e in enumerate(tests.effects) if e.family is Family.LOAD and _place(e) != _place(compliance)]
+    loads = [
+        i
+        for i, e in enumerate(tests.effects)
+        if e.family is Family.LOAD and _place(e) != _place(compliance)
+    ]
     if given and loads:
-        tests, loads = _holding(tests.among(loads, ()), given), list(range(len(loads)))
+        tests = _holding(tests.among(loads, ()), given)
+        loads = list(range(len(loads)))
     costs = sorted(zip(costs_instead(tests, loads, lost), loads, strict=True))
     rivals = [tests.effects[i] for cost, i in costs if cost < policy.tie]
     return each_heading_once(rivals, compliance, policy)
@@ -203,27 +277,35 @@ def _holding(tests: ScoreTests, names: Collection[str]) -> ScoreTests:
     return replace(tests, model=Information(tests.model.blocks, replace(tests.model.prior, H=H)))
 
 
-def costs_instead(tests: ScoreTests, which: Sequence[int], lost: Mapping[str, float]) -> list[float]:
-    """Return the changes of the information criterion if each candidate replaced some parameters of the model.
+def costs_instead(
+    tests: ScoreTests, which: Sequence[int], lost: Mapping[str, float]
+) -> list[float]:
+    """Return the changes of the information criterion if each candidate replaced some parameters of
+    the model.
 
     To first order: from a model with both, the parameters are reduced by ``lost``.
     """
     j = np.array([i for i, name in enumerate(tests.names) if name in lost], int)
     columns = tests.model.factor.solve(np.eye(tests.n_model)[:, j])
-    values = np.array([lost[tests.names[i]] for i in j]) + columns.T @ (tests.model.rows.g + tests.model.prior.g)
+    values = np.array([lost[tests.names[i]] for i in j]) + columns.T @ (
+        tests.model.rows.g + tests.model.prior.g
+    )
     spared = float(np.sum(np.clip(1.0 - np.diag(columns[j]) * tests.precision[j], 0.0, 1.0)))
     costs = []
     for i, (c, S, b) in ((i, tests.within([i])) for i in which):
         inverse = np.linalg.inv(S + tests.prior([i]))
         cross = columns.T @ tests.cross[:, c]
         rest = values - cross @ inverse @ b
-        loss = rest @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, rest) - b @ inverse @ b
+        loss = (
+            rest @ np.linalg.solve(columns[j] + cross @ inverse @ cross.T, rest) - b @ inverse @ b
+        )
         costs.append(float(loss + (len(c) - spared) * np.log(tests.readings)))
     return costs
 
 
 def without_compliance(fit: ModelFit, *compliances: Effect) -> ModelFit:
-    """Return a fit without some compliances, of one joint each, not refitted, but with the noise of a refit.
+    """Return a fit without some compliances, of one joint each, not refitted, but with the noise of
+    a refit.
 
     To first order the squares increase by Wald's statistic of the compliances.
     """
@@ -233,13 +315,17 @@ def without_compliance(fit: ModelFit, *compliances: Effect) -> ModelFit:
     near = fit.with_effects(effects)
     known = {parameter.name for parameter in near.problem.parameters}
     lost = fit.estimate.take(name for name in fit.estimate.names if name not in known)
-    grown = float(lost.values @ np.linalg.pinv(lost.dense_covariance(), hermitian=True) @ lost.values)
+    grown = float(
+        lost.values @ np.linalg.pinv(lost.dense_covariance(), hermitian=True) @ lost.values
+    )
     noise = fit.solution.sigma**2 * grown / fit.solution.degrees
     solution = replace(near.solution, estimated=np.sqrt(fit.solution.estimated**2 + noise))
     return replace(near, solution=solution, priors=priors_of(near.problem, near.options))
 
 
-def _without(effects: Iterable[Effect], compliance: Effect, joints: Sequence[str]) -> Iterator[Effect]:
+def _without(
+    effects: Iterable[Effect], compliance: Effect, joints: Sequence[str]
+) -> Iterator[Effect]:
     """Yield effects without the compliance of one joint and its features."""
     joint = compliance.locus.joint
     for effect in effects:
@@ -260,13 +346,15 @@ def _place(effect: Effect) -> tuple[str | None, str, str | None]:
 
 
 def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *rivals: Effect) -> str:
-    """Return, in words, the cheapest further measurement that would distinguish an effect from rivals, all together.
+    """Return, in words, the cheapest further measurement that would distinguish an effect from
+    rivals, all together.
 
-    The power of each kind of further run is computed from the Jacobian at its poses, for a fit without the effect, and its
-    parameters, shape (K,).
+    The power of each kind of further run is computed from the Jacobian at its poses, for a fit
+    without the effect, and its parameters, shape (K,).
     """
     few, _ = sampled(fit, POLICY)
-    stations, rows_each = few.problem.stations, len(fit.problem) / len(few.problem)
+    stations = few.problem.stations
+    rows_each = len(fit.problem) / len(few.problem)
 
     def tests_at(poses: Iterable[Conditions]) -> ScoreTests:
         there = few.over(replace(at, conditions=c) for at, c in zip(stations, poses, strict=True))
@@ -280,28 +368,45 @@ def deciding_measurement(fit: ModelFit, effect: Effect, value: np.ndarray, *riva
         except (ValueError, KeyError):
             continue
         power = _separation([here, there], rows_each, value)
-        if power > SIGHT.told_apart and power > SIGHT.telling * _separation([here, here], rows_each, value):
+        if power > SIGHT.told_apart and power > SIGHT.telling * _separation(
+            [here, here], rows_each, value
+        ):
             return words
     many = SIGHT.told_apart / max(_separation([here], rows_each, value), 1e-9)
     if many < SIGHT.repetitions:
         return f"about {int(np.ceil(many)) * len(fit.problem)} poses of this kind"
-    return "no further measurement of this kind distinguishes them; inspect the joint itself, or its drive's own encoder"
+    return (
+        "no further measurement of this kind distinguishes them; inspect the joint itself, or "
+        "its drive's own encoder"
+    )
 
 
 def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) -> float:
-    """Return the squared signal in all runs of the first effect, of parameters ``value``, that the others can't absorb."""
+    """Return the squared signal in all runs of the first effect, of parameters ``value``, that the
+    others can't absorb.
+    """
     c, *others = runs[0].columns
     g = np.concatenate(others)
     whole, cross, inner = (
         np.asarray(weight * sum(of))
-        for of in ((run.model.rows.H for run in runs), (run.cross for run in runs), (run.inner for run in runs))
+        for of in (
+            (run.model.rows.H for run in runs),
+            (run.cross for run in runs),
+            (run.inner for run in runs),
+        )
     )
     taken = Factor.of(whole + runs[0].model.prior.H).half(cross)
     S = inner - taken.T @ taken
     G = S[np.ix_(g, g)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))
-    taken = scale[:, None] * np.linalg.pinv(G * np.outer(scale, scale), rcond=1e-6, hermitian=True) * scale
-    return float(max(value @ (S[np.ix_(c, c)] - S[np.ix_(c, g)] @ taken @ S[np.ix_(g, c)]) @ value, 0.0))
+    taken = (
+        scale[:, None]
+        * np.linalg.pinv(G * np.outer(scale, scale), rcond=1e-6, hermitian=True)
+        * scale
+    )
+    return float(
+        max(value @ (S[np.ix_(c, c)] - S[np.ix_(c, g)] @ taken @ S[np.ix_(g, c)]) @ value, 0.0)
+    )
 
 
 def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
@@ -309,18 +414,25 @@ def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
     runs: dict[str, Conditions] = chain.kept.about("further runs", c, most=16)
     if runs:
         return runs
-    robot, rng = chain.robot, np.random.default_rng(0)
+    robot = chain.robot
+    rng = np.random.default_rng(0)
     if c.sighted is not None:
         # A quarter turn around the poses, its axes unchanged; relocating it costs six readings.
         x, y, _ = c.sighted.mean(axis=0)
         away = replace(c, sighted=c.sighted - [x + y, y - x, 0.0])
-        runs["the same poses with the instrument on another side of the robot, as a second station"] = away
-    load = 0.1 * float(robot.masses.sum()) if not np.any(c.payload) else 2.0 * float(c.payload.max())
+        runs[
+            "the same poses with the instrument on another side of the robot, as a second station"
+        ] = away
+    load = (
+        0.1 * float(robot.masses.sum()) if not np.any(c.payload) else 2.0 * float(c.payload.max())
+    )
     if np.ptp(c.payload) == 0.0:
         runs["the same poses with a second payload"] = replace(c, payload=np.full(len(c), load))
     if c.approach is None or not np.ptp(c.approach):
         sides = replace(c, approach=rng.choice([-1.0, 1.0], c.q.shape))
-        runs["the same poses approached from both directions, with the columns approach_<joint>"] = sides
+        runs[
+            "the same poses approached from both directions, with the columns approach_<joint>"
+        ] = sides
     if c.move is not None:
         moves = np.random.default_rng(1).choice(SIGHT.moves, c.q.shape)
         reached = replace(c, move=moves, approach=np.sign(moves))
@@ -334,8 +446,11 @@ def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
     return runs
 
 
-def likeliest_fit(fit: ModelFit, compliances: Sequence[Effect], frames: Sequence[MomentFrame]) -> ModelFit:
-    """Return a fit with compliances in the moment frame in which they explain most; the first unless significant.
+def likeliest_fit(
+    fit: ModelFit, compliances: Sequence[Effect], frames: Sequence[MomentFrame]
+) -> ModelFit:
+    """Return a fit with compliances in the moment frame in which they explain most; the first
+    unless significant.
 
     The comparison includes bearing features that the data require; these may enter after names.
     """

@@ -1,4 +1,6 @@
-"""Findings of a discovery from its history: significance and equivalents of each effect, and where the misfit was."""
+"""Findings of a discovery from its history: significance and equivalents of each effect, and where
+the misfit was.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +78,8 @@ def findings_of(
         trail: the history.
         gaps: the errors at the start and after each change of the model.
         traces: partial residuals of each effect.
-        measured: the last fit over the rows as measured, each reading of a pose a row; default: those of the fit.
+        measured: the last fit over the rows as measured, each reading of a pose a row; default:
+            those of the fit.
         held_out: the errors at the start and in the end on rows held out in each way.
         approach_from: origin of the directions of approach, in words; None without any.
         arrivals: from :func:`pincal.discover.scatter.arrivals_within`.
@@ -87,7 +90,11 @@ def findings_of(
     floor, unexplained = _errors_of(final)
     is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < MISFIT
     periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
-    effects = tuple(found for step in trail.steps for found in _found(fit, trail, step, gaps=gaps, periods=periods))
+    effects = tuple(
+        found
+        for step in trail.steps
+        for found in _found(fit, trail, step, gaps=gaps, periods=periods)
+    )
     return Findings(
         noise_floor_mm=floor,
         gap={"before": gaps[0].gap, "after": gaps[-1].gap},
@@ -95,8 +102,11 @@ def findings_of(
         where=where_of(trail, excess, is_misfit=is_misfit, arrivals=arrivals),
         effects=effects,
         scatter=() if scatter is None else (scatter,),
-        not_testable=tuple(Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)),
-        # Whether residuals exceed a noise is judged with the result, which knows what replicates scatter.
+        not_testable=tuple(
+            Untestable.of(effect, reason=reason) for effect, reason in _not_testable(trail)
+        ),
+        # Whether residuals exceed a noise is judged with the result, which knows what replicates
+        # scatter.
         verdict=judge(None, incomplete=excess is not None),
         unexplained_mm=unexplained,
         approach_from=approach_from,
@@ -105,13 +115,18 @@ def findings_of(
 
 
 def _errors_of(fit: ModelFit) -> tuple[float, float]:
-    """Return the rms errors due to noise and those in excess of it, over the rows of all stations [mm]."""
-    squares, every, rows = [], noise_floor(fit), []
+    """Return the rms errors due to noise and those in excess of it, over the rows of all stations
+    [mm].
+    """
+    squares = []
+    every = noise_floor(fit)
+    rows = []
     for station, places, blocks in fit.stations:
         if not station.sensor.reads_place:
             continue
         rows.append(len(station))
-        sigma, found = every[blocks.start], fit.solution.estimated[blocks.start]
+        sigma = every[blocks.start]
+        found = fit.solution.estimated[blocks.start]
         to_mm = 1e3 * station.metres_per_reading(fit.values[places])
         of_noise_and_rest = np.array([sigma**2, max(found**2 - sigma**2, 0.0)])
         squares.append(of_noise_and_rest * station.sensor.blocks[0].size * to_mm**2)
@@ -120,19 +135,37 @@ def _errors_of(fit: ModelFit) -> tuple[float, float]:
 
 
 def _found(
-    fit: ModelFit, trail: History, step: SearchStep, *, gaps: tuple[Stage, ...], periods: dict[Effect, float | None]
+    fit: ModelFit,
+    trail: History,
+    step: SearchStep,
+    *,
+    gaps: tuple[Stage, ...],
+    periods: dict[Effect, float | None],
 ) -> Iterator[FoundEffect]:
     """Yield the effects of one step; elasticity joint by joint."""
     place = next(i for i, change in enumerate(trail.changes) if change.fit is step.after)
-    before, after = gaps[place], gaps[place + 1]
-    known, score, of_blocks = fit.estimate, step.score, fit.solution.of_blocks
+    before = gaps[place]
+    after = gaps[place + 1]
+    known = fit.estimate
+    score = step.score
+    of_blocks = fit.solution.of_blocks
     if step.is_elastic:
         found = [
-            (sure.effect, e := sure.estimate, known.take(e.names).fitted_sigma, sure.p_value, *_in_its_place(trail, sure))
+            (
+                sure.effect,
+                e := sure.estimate,
+                known.take(e.names).fitted_sigma,
+                sure.p_value,
+                *_in_its_place(trail, sure),
+            )
             for sure in significant_compliances(trail.final, step.effects, step.equivalent)
         ]
     else:
-        estimate = known.take(trail.final.names_of(step.effects if isinstance(step.effect, Harmonic) else step.effects[:1]))
+        estimate = known.take(
+            trail.final.names_of(
+                step.effects if isinstance(step.effect, Harmonic) else step.effects[:1]
+            )
+        )
         # By rows that are independent or, if it is larger, by blocks of consecutive rows.
         correlated = float(chdtrc(score.rank, score.gain / of_blocks)) if of_blocks > 1.0 else 0.0
         p_value = max(score.p_value, correlated)
@@ -140,8 +173,13 @@ def _found(
     line = line_details(trail, step)
     for effect, estimate, sigma, p_value, equivalent, decide in found:
         sure_as = replace(score, p_value=p_value)
-        if step.is_elastic and trail.has_prior_elasticity and not accepted(Row(effect, sure_as, score.ebic), trail.policy):
-            # Given all other compliances, which on few rows depend on priors, it is not significant.
+        if (
+            step.is_elastic
+            and trail.has_prior_elasticity
+            and not accepted(Row(effect, sure_as, score.ebic), trail.policy)
+        ):
+            # Given all other compliances, which on few rows depend on priors, it is not
+            # significant.
             continue
         yield FoundEffect.of(
             effect,
@@ -159,30 +197,46 @@ def _found(
 
 
 def _deciding(step: SearchStep) -> str:
-    """Return the measurement that would distinguish an effect from its first equivalent, or from several together."""
+    """Return the measurement that would distinguish an effect from its first equivalent, or from
+    several together.
+    """
     tested = (step.before, step.tested, step.estimate)
     if not step.together:
         return "".join(deciding_measurement(*tested, rival) for rival in step.equivalent[:1])
-    names = [f"{effect.name} of order {at.order}" if (at := effect.locus).order else effect.name for effect in step.together]
-    words = f"{', '.join(names[:-1])} and {names[-1]} of {step.effect.locus.joint} are together equivalent"
+    names = [
+        f"{effect.name} of order {at.order}" if (at := effect.locus).order else effect.name
+        for effect in step.together
+    ]
+    words = (
+        f"{', '.join(names[:-1])} and {names[-1]} of {step.effect.locus.joint} are together "
+        "equivalent"
+    )
     return f"{words}; {deciding_measurement(*tested, *step.together)}"
 
 
 def _in_its_place(trail: History, sure: JointCompliance) -> tuple[tuple[Effect, ...], str]:
     """Return the equivalents of one joint's compliance, and the measurement that would decide."""
     compliance = sure.effect
-    rivals = tuple(dict.fromkeys((*instead_of(trail.last, compliance, sure.estimate, sure.given), *sure.others)))
+    rivals = tuple(
+        dict.fromkeys(
+            (*instead_of(trail.last, compliance, sure.estimate, sure.given), *sure.others)
+        )
+    )
     if not rivals:
         return (), ""
     rest = without_compliance(trail.final, compliance, *(sure.others[:1] if sure.given else ()))
-    own = np.array([sure.estimate[parameter.name] for parameter in compliance.parameters(rest.problem.chain)])
+    own = np.array(
+        [sure.estimate[parameter.name] for parameter in compliance.parameters(rest.problem.chain)]
+    )
     return rivals, deciding_measurement(rest, compliance, own, rivals[0])
 
 
 def _parameters(estimate: Estimate, sigmas: np.ndarray) -> dict[str, FoundParameter]:
     """Return parameters by name, infinite standard deviations as None."""
     return {
-        p.name: FoundParameter(p.nominal + float(value), float(sigma) if np.isfinite(sigma) else None, p.unit)
+        p.name: FoundParameter(
+            p.nominal + float(value), float(sigma) if np.isfinite(sigma) else None, p.unit
+        )
         for p, value, sigma in zip(estimate.parameters, estimate.values, sigmas, strict=True)
     }
 
@@ -199,7 +253,9 @@ def _not_testable(trail: History) -> Iterator[tuple[Effect, str]]:
 
 
 def noise_floor(fit: ModelFit) -> np.ndarray:
-    """Return the declared standard deviations of the blocks, shape (blocks,), or of the residuals where none is declared."""
+    """Return the declared standard deviations of the blocks, shape (blocks,), or of the residuals
+    where none is declared.
+    """
     pairs = zip(fit.noise.declared, fit.solution.estimated, strict=True)
     return np.array([estimated if declared is None else declared for declared, estimated in pairs])
 
@@ -209,12 +265,13 @@ def where_of(
 ) -> tuple[Disagreement, ...]:
     """Return where model and data disagree, with shares of the excess over the noise.
 
-    The disagreement is located in the first fit with elasticity, if the arm is elastic, else in the first of all,
-    regardless of later names; last is the final excess along the lever of one joint, or of all, or a misfit
-    that is nowhere located.
+    The disagreement is located in the first fit with elasticity, if the arm is elastic, else in the
+    first of all, regardless of later names; last is the final excess along the lever of one joint,
+    or of all, or a misfit that is nowhere located.
     """
     robot = trail.final.problem.chain.robot
-    fit, found = trail.first, list[Disagreement]()
+    fit = trail.first
+    found = list[Disagreement]()
     sigma = noise_floor(trail.final)
     for step in trail.steps:
         if step.is_elastic:
@@ -222,14 +279,20 @@ def where_of(
             found.append(_elastic(step, sigma))
     places, regions = _located(fit, sigma)
     for name, place in places:
-        region, words = None if place.joint else "whole arm", _words(place, robot)
+        region = None if place.joint else "whole arm"
+        words = _words(place, robot)
         words = f"{name}: {words}" if name else words
-        found.append(Disagreement(words, place.share, place.joint, region, place.acts_on, place.depends_on))
+        found.append(
+            Disagreement(words, place.share, place.joint, region, place.acts_on, place.depends_on)
+        )
     found += regions
     if excess:
         found.append(_left_along(trail.final, excess, sigma))
     elif arrivals is not None:
-        statement = f"all drives stop alike to {format_small(arrivals, 'rad')} from pose to pose (one standard deviation)"
+        statement = (
+            f"all drives stop alike to {format_small(arrivals, 'rad')} from pose to pose (one "
+            "standard deviation)"
+        )
         found.append(Disagreement(statement, 1.0, region="whole arm"))
     elif is_misfit and not places:
         statement = "the residuals depend on no joint position, load or recorded column"
@@ -237,13 +300,21 @@ def where_of(
     return tuple(found)
 
 
-def _located(fit: ModelFit, sigma: np.ndarray) -> tuple[list[tuple[str, Located]], list[Disagreement]]:
-    """Return where a fit and its data disagree, with the names of several stations, the largest first."""
+def _located(
+    fit: ModelFit, sigma: np.ndarray
+) -> tuple[list[tuple[str, Located]], list[Disagreement]]:
+    """Return where a fit and its data disagree, with the names of several stations, the largest
+    first.
+    """
     places: list[tuple[str, Located]] = []
     regions: list[Disagreement] = []
     for station, alone, blocks in fit.in_places:
         here, found = locate(alone, sigma[blocks])
-        part = 1.0 if not station.name else _excess(alone, sigma[blocks]) / max(_excess(fit, sigma), 1e-300)
+        part = (
+            1.0
+            if not station.name
+            else _excess(alone, sigma[blocks]) / max(_excess(fit, sigma), 1e-300)
+        )
         part = float(np.clip(part, 0.0, 1.0))
         places += [(station.name, replace(place, share=part * place.share)) for place in here]
         name = f"{station.name}: " if station.name else ""
@@ -268,16 +339,21 @@ def _elastic(step: SearchStep, sigma: np.ndarray) -> Disagreement:
     whole = _excess(step.before, sigma)
     share = 1.0 - max(_excess(step.after, sigma), 0.0) / whole if whole > 0.0 else 0.0
     joint = significant_compliances(step.after, step.effects)[0].effect.locus.joint
-    statement = f"the residuals of the geometric model follow the static moments on the joints, mainly on {joint}"
+    statement = (
+        "the residuals of the geometric model follow the static moments on the joints, "
+        f"mainly on {joint}"
+    )
     return Disagreement(statement, float(np.clip(share, 0.0, 1.0)), joint)
 
 
 def _left_along(fit: ModelFit, excess: Excess, sigma: np.ndarray) -> Disagreement:
     """Return how much of the final residuals is along the lever of one joint."""
-    chain, made = fit.problem.chain, 0.0
+    chain = fit.problem.chain
+    made = 0.0
     drive = int(chain.drives[chain.robot.joint_names.index(excess.joint)])
     for _, alone, blocks in fit.in_places:
-        lever, rows = levers(alone, (drive,))[0], alone.solution.weights > 0.0
+        lever = levers(alone, (drive,))[0]
+        rows = alone.solution.weights > 0.0
         squares = float(np.sum(lever[: alone.station.sensor.blocks[0].size, rows] ** 2))
         made += excess.sigma**2 * squares / float(sigma[blocks.start]) ** 2
     share = made / max(_excess(fit, sigma), made)
@@ -285,7 +361,9 @@ def _left_along(fit: ModelFit, excess: Excess, sigma: np.ndarray) -> Disagreemen
 
 
 def _words(place: Located, robot: Robot) -> str:
-    """Return a disagreement in words: where it acts, on what it depends, and the range that contains most of it."""
+    """Return a disagreement in words: where it acts, on what it depends, and the range that
+    contains most of it.
+    """
     units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
     if place.acts_on == "base":
         moves = "the whole arm moves on its base"
@@ -296,34 +374,48 @@ def _words(place: Located, robot: Robot) -> str:
     elif units[place.joint or ""] == "m":
         moves = f"{place.joint} has an error along its axis of {format_small(place.size, 'm')} rms"
     else:
-        moves = f"{place.joint} has an error about its own axis of {format_small(place.size, 'rad')} rms"
-    whose = "its own position" if place.depends_on == place.joint else f"the position of {place.depends_on}"
+        moves = (
+            f"{place.joint} has an error about its own axis of "
+            f"{format_small(place.size, 'rad')} rms"
+        )
+    whose = (
+        "its own position"
+        if place.depends_on == place.joint
+        else f"the position of {place.depends_on}"
+    )
     text = f"{moves}, {_FOLLOWED.get(place.depends_on, f'following {whose}')}"
     if place.window is None:
         return text
-    form, unit, factor = (".3f", "m", 1.0) if units[place.depends_on] == "m" else (".0f", "deg", np.degrees(1.0))
+    form, unit, factor = (
+        (".3f", "m", 1.0) if units[place.depends_on] == "m" else (".0f", "deg", np.degrees(1.0))
+    )
     low, high = (f"{x * factor:{form}}" for x in place.window)
     return f"{text}; {100 * place.inside:.0f} % of it between {low} and {high} {unit}"
 
 
 def bootstrap_last(trail: History) -> Bootstrap | None:
-    """Return the p-value of the effect accepted last by a parametric bootstrap; None if only elasticity was accepted.
+    """Return the p-value of the effect accepted last by a parametric bootstrap; None if only
+    elasticity was accepted.
 
-    Data drawn from the model without it, with the estimated noise, are tested against all candidates, and the best score is
-    compared with that of the real data. That tests the selection as a whole, unlike the p-value of a single candidate. To
-    first order nothing is refitted: with normal noise the projected products b' of the score tests are normal, with
-    covariance S'.
+    Data drawn from the model without it, with the estimated noise, are tested against all
+    candidates, and the best score is compared with that of the real data. That tests the selection
+    as a whole, unlike the p-value of a single candidate. To first order nothing is refitted: with
+    normal noise the projected products b' of the score tests are normal, with covariance S'.
     """
     steps = [step for step in trail.steps if not step.is_elastic]
     if not steps:
         return None
     rest = reduce(without, steps[-1].effects, trail.final)
     tests = named_tests(rest, trail.extra, trail.policy, steps[-1].effects)
-    return Bootstrap.of(steps[-1].effect, p_value=chance_of_best(tests, TESTING.drawn), draws=TESTING.drawn)
+    return Bootstrap.of(
+        steps[-1].effect, p_value=chance_of_best(tests, TESTING.drawn), draws=TESTING.drawn
+    )
 
 
 def chance_of_best(tests: ScoreTests, draws: int, seed: int = 0) -> float:
-    """Return the probability that noise alone gives some candidate as small a p-value as the best, from so many draws."""
+    """Return the probability that noise alone gives some candidate as small a p-value as the best,
+    from so many draws.
+    """
     _, S, _ = tests.within(range(len(tests.effects)))
     rng = np.random.default_rng(seed)
     scale = np.sqrt(np.maximum(np.diag(S), 1e-300))
@@ -334,7 +426,8 @@ def chance_of_best(tests: ScoreTests, draws: int, seed: int = 0) -> float:
     # Noise outside the span of the candidates is never explained.
     unseen = max(tests.dof - noise.shape[1], 1.0)
     squares = np.sum(noise**2, axis=1) + rng.chisquare(unseen, draws)
-    observed, drawn = 1.0, np.ones(draws)
+    observed = 1.0
+    drawn = np.ones(draws)
     for i, effect in enumerate(tests.effects):
         observed = min(observed, tests.score([i], 1).p_value)
         places, whitening = tests.whitening([i])

@@ -1,16 +1,19 @@
 r"""Score tests of candidate effects on the Jacobian of a fitted model, and refits to first order.
 
-With A the whitened Jacobian by all parameters (of the model, N, and of every candidate, at zero), r the whitened residuals,
-S = A A^T and b = A r, all criteria follow from S and b: with the model's tangent space and its priors L projected out,
+With A the whitened Jacobian by all parameters (of the model, N, and of every candidate, at zero), r
+the whitened residuals, S = A A^T and b = A r, all criteria follow from S and b: with the model's
+tangent space and its priors L projected out,
 
 .. math:: S'_{gg} = S_{gg} - S_{gN} (S_{NN} + L)^{-1} S_{Ng}, \qquad b'_g = b_g - S_{gN} (S_{NN} + L)^{-1} (b_N - L x)
 
-are information and gradient of candidates given a refit of the model, x its parameters less their prior means, and
+are information and gradient of candidates given a refit of the model, x its parameters less their
+prior means, and
 
 .. math:: T_g = b'^T_g S'^{-1}_{gg} b'_g
 
-is the reduction of the sum of squares by adding effect g and refitting everything (Rao's score test; chi-square with k_g
-degrees of freedom if g is absent). One pass over the data serves all candidates. docs/criteria.md derives the criteria.
+is the reduction of the sum of squares by adding effect g and refitting everything (Rao's score
+test; chi-square with k_g degrees of freedom if g is absent). One pass over the data serves all
+candidates. docs/criteria.md derives the criteria.
 """
 
 from __future__ import annotations
@@ -38,8 +41,10 @@ class ScoreResult:
     Attributes:
         gain: T, the reduction of the sum of squares (in units of the residual noise).
         rank: k, number of its observable directions.
-        p_value: of the F test, corrected for the places or frequencies among which the candidate was chosen.
-        ebic: change of the extended Bayesian information criterion (Chen and Chen 2008); negative is better.
+        p_value: of the F test, corrected for the places or frequencies among which the candidate
+            was chosen.
+        ebic: change of the extended Bayesian information criterion (Chen and Chen 2008); negative
+            is better.
     """
 
     gain: float
@@ -59,13 +64,15 @@ class ScoreTests:
         columns: for each of them its columns among all C columns of candidates.
         names: the N parameters of the model and of nuisance effects.
         values: shape (N,), of these.
-        sizes: shape (N + C,), standard deviations of the priors, of the candidates' parameters last.
+        sizes: shape (N + C,), standard deviations of the priors, of the candidates' parameters
+            last.
         unsure: shape (N,), which parameters have a prior of uncertain size about zero.
         model: information of rows and priors on the N parameters, by block of poses.
-        blocks_H: shape (B, N + C, C), products of all columns with the candidates' columns, by block of poses.
+        blocks_H: shape (B, N + C, C), products of all columns with the candidates' columns, by
+            block of poses.
         blocks_g: shape (B, C), products of the candidates' columns with the residuals.
-        is_partial: whether ``blocks_H`` lacks products between different candidates, which are computed from the rows on
-            demand, as few pairs are needed.
+        is_partial: whether ``blocks_H`` lacks products between different candidates, which are
+            computed from the rows on demand, as few pairs are needed.
         parts: the rows.
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
@@ -100,8 +107,12 @@ class ScoreTests:
 
     @cached_property
     def H(self) -> np.ndarray:
-        """Products of all columns with the candidates' columns, shape (N + C, C); see ``is_partial``."""
-        return self.blocks_H[0] if len(self.blocks_H) == 1 else np.asarray(self.blocks_H.sum(axis=0))
+        """Products of all columns with the candidates' columns, shape (N + C, C); see
+        ``is_partial``.
+        """
+        return (
+            self.blocks_H[0] if len(self.blocks_H) == 1 else np.asarray(self.blocks_H.sum(axis=0))
+        )
 
     @property
     def cross(self) -> np.ndarray:
@@ -133,9 +144,12 @@ class ScoreTests:
         return self._asked[key]
 
     def prior(self, which: Sequence[int]) -> np.ndarray:
-        """Return the information of the priors of some candidates' J parameters, smoothness of curves included, (J, J)."""
+        """Return the information of the priors of some candidates' J parameters, smoothness of
+        curves included, (J, J).
+        """
         own = self.places(which)
-        L, start = np.diag(self.precision[self.n_model + own]), 0
+        L = np.diag(self.precision[self.n_model + own])
+        start = 0
         for i in which:
             end = start + len(self.columns[i])
             if (smooth := self.effects[i].smoothness()) is not None:
@@ -151,13 +165,19 @@ class ScoreTests:
 
     @cached_property
     def _beliefs(self) -> list[tuple[float, Self]]:
-        """The tests with each choice of the uncertain sizes, and -2 log of its posterior probability up to a constant."""
+        """The tests with each choice of the uncertain sizes, and -2 log of its posterior
+        probability up to a constant.
+        """
         if not self.unsure.any():
             return [(0.0, self)]
         found = []
         for factor, cost in TESTING.mass_beliefs:
-            known = self.model.prior.H + np.diag(self.unsure * self.precision[: self.n_model] * (factor**-2.0 - 1.0))
-            tests = replace(self, unsure=np.zeros_like(self.unsure), model=self.model.believing(factor, known))
+            known = self.model.prior.H + np.diag(
+                self.unsure * self.precision[: self.n_model] * (factor**-2.0 - 1.0)
+            )
+            tests = replace(
+                self, unsure=np.zeros_like(self.unsure), model=self.model.believing(factor, known)
+            )
             evidence = 0.5 * (tests.model.factor.log_det - tests.model.slope @ tests.model.slope)
             evidence += np.count_nonzero(self.unsure) * np.log(factor)
             found.append((cost + 2.0 * float(evidence), tests))
@@ -165,19 +185,25 @@ class ScoreTests:
         return [(cost - least, tests) for cost, tests in found]
 
     def likeliest(self, which: Sequence[int]) -> tuple[float, Self]:
-        """Return the tests with the most probable uncertain sizes given some candidates, and their cost.
+        """Return the tests with the most probable uncertain sizes given some candidates, and their
+        cost.
 
         The cost is relative to the most probable sizes without the candidates.
         """
         return min(self._beliefs, key=lambda belief: belief[0] - belief[1].gain(which)[0])
 
     def within(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the J columns of some candidates, and S' and b' of these, shape (J, J) and (J,)."""
-        j, (taken, b) = self.places(which), self._projection
+        """Return the J columns of some candidates, and S' and b' of these, shape (J, J)
+        and (J,).
+        """
+        j = self.places(which)
+        (taken, b) = self._projection
         return j, self.inner_of(which) - taken[j] @ taken[j].T, b[j]
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
-        """Return T and rank of some candidates together, with the most probable uncertain sizes with and without them."""
+        """Return T and rank of some candidates together, with the most probable uncertain sizes
+        with and without them.
+        """
         if len(which) == 1:
             gains, ranks, _ = self._alone
             return float(gains[which[0]]), int(ranks[which[0]])
@@ -190,31 +216,45 @@ class ScoreTests:
 
     @cached_property
     def _alone(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """T, rank and p-value of each candidate by itself, vectorised over candidates of one size."""
-        sizes, trials = np.array([len(j) for j in self.columns]), np.array([effect.trials for effect in self.effects])
-        gains, ranks = np.zeros(len(sizes)), np.zeros(len(sizes), int)
+        """T, rank and p-value of each candidate by itself, vectorised over candidates
+        of one size.
+        """
+        sizes = np.array([len(j) for j in self.columns])
+        trials = np.array([effect.trials for effect in self.effects])
+        gains = np.zeros(len(sizes))
+        ranks = np.zeros(len(sizes), int)
         if self.unsure.any():
             each = [(tests._alone[0] - cost, tests._alone[1]) for cost, tests in self._beliefs]
             gains, ranks = (np.array(of) for of in zip(*each, strict=True))
             best = np.argmax(gains, axis=0), np.arange(len(sizes))
-            gains, ranks = gains[best], ranks[best]
+            gains = gains[best]
+            ranks = ranks[best]
         for size in () if self.unsure.any() else np.unique(sizes):
-            some, (taken, b) = np.flatnonzero(sizes == size), self._projection
+            some = np.flatnonzero(sizes == size)
+            (taken, b) = self._projection
             j = np.array([self.columns[i] for i in some])
             inner = self.H[self.n_model + j[:, :, None], j[:, None]]
             roots, seen = self._roots(j, inner - taken[j] @ taken[j].swapaxes(1, 2))
             gains[some] = np.sum(np.einsum("gi,gik->gk", b[j], roots) ** 2, axis=1)
             ranks[some] = seen.sum(axis=1)
-        return gains, ranks, np.minimum(trials * chance_of(gains, ranks, self.squares, self.dof), 1.0)
+        return (
+            gains,
+            ranks,
+            np.minimum(trials * chance_of(gains, ranks, self.squares, self.dof), 1.0),
+        )
 
     def whitening(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b' at these columns."""
+        """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b'
+        at these columns.
+        """
         j, S, _ = self.within(which)
         roots, seen = self._roots(j, S)
         return j, roots[:, seen]
 
     def _roots(self, j: np.ndarray, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the root of S^-1 of J columns, shape (..., J, J), zero in unobservable directions, and a mask of others."""
+        """Return the root of S^-1 of J columns, shape (..., J, J), zero in unobservable directions,
+        and a mask of others.
+        """
         scale = 1.0 / np.sqrt(np.maximum(self.H[self.n_model + j, j], 1e-300))
         values, vectors = np.linalg.eigh(S * scale[..., None] * scale[..., None, :])
         expected = (self.sizes[self.n_model + j] / scale) ** 2
@@ -224,18 +264,23 @@ class ScoreTests:
         return scale[..., None] * vectors * root[..., None, :], seen
 
     def gains_by_block(self, which: Sequence[int]) -> np.ndarray:
-        """Return the reduction of the squared prediction error on each held-out block by some candidates, shape (B,).
+        """Return the reduction of the squared prediction error on each held-out block by some
+        candidates, shape (B,).
 
-        The model with and without the candidates is refitted, to first order, without each block, with the uncertain sizes
-        that are most probable with the candidates.
+        The model with and without the candidates is refitted, to first order, without each block,
+        with the uncertain sizes that are most probable with the candidates.
         """
         tests = self.likeliest(which)[1]
         return np.array([tests._gain_left_out(k, which) for k in range(len(self.model.blocks.H))])
 
     def _gain_left_out(self, k: int, which: Sequence[int]) -> float:
-        """Return the reduction of the squared error on block k by some candidates fitted without it."""
-        j, (model, model_step) = self.places(which), self.model.without_block[k]
-        model_S, model_b = self.model.blocks.H[k], self.model.blocks.g[k]
+        """Return the reduction of the squared error on block k by some candidates fitted without
+        it.
+        """
+        j = self.places(which)
+        (model, model_step) = self.model.without_block[k]
+        model_S = self.model.blocks.H[k]
+        model_b = self.model.blocks.g[k]
         (across, own), b = np.split(self.blocks_H[k][:, j], [self.n_model]), self.blocks_g[k, j]
         own = own[j]
         cross = self.cross[:, j] - across
@@ -247,13 +292,20 @@ class ScoreTests:
         change = -model.back(taken @ step)
         along = model_S @ change + across @ step, across.T @ change + own @ step
         rest = model_b - model_S @ model_step, b - across.T @ model_step
-        return float(2.0 * (change @ rest[0] + step @ rest[1]) - change @ along[0] - step @ along[1])
+        return float(
+            2.0 * (change @ rest[0] + step @ rest[1]) - change @ along[0] - step @ along[1]
+        )
 
     def among(self, which: Sequence[int], gone: Collection[str]) -> Self:
-        """Return the tests of some candidates against the model with the parameters ``gone`` removed, to first order."""
+        """Return the tests of some candidates against the model with the parameters ``gone``
+        removed, to first order.
+        """
         stays = np.array([name not in gone for name in self.names], bool)
-        kept, out = np.flatnonzero(stays), np.flatnonzero(~stays)
-        values, rows, undone = self.values[out], self.model.rows.part(out), np.zeros(len(self.sizes))
+        kept = np.flatnonzero(stays)
+        out = np.flatnonzero(~stays)
+        values = self.values[out]
+        rows = self.model.rows.part(out)
+        undone = np.zeros(len(self.sizes))
         undone[out] = values
         return replace(
             self.rearranged(kept, which, undone),
@@ -265,15 +317,20 @@ class ScoreTests:
         )
 
     def rearranged(self, model: np.ndarray, which: Sequence[int], undone: np.ndarray) -> Self:
-        """Return the products of some candidates with another model's columns; the attributes of the model are unchanged.
+        """Return the products of some candidates with another model's columns; the attributes of
+        the model are unchanged.
 
         Args:
             model: its columns, by index among all N + C.
             which: the candidates.
-            undone: shape (N + C,), values of parameters that are set to zero, which changes the residuals.
+            undone: shape (N + C,), values of parameters that are set to zero, which changes the
+                residuals.
         """
-        j, ends, gone = self.places(which), np.cumsum([0, *(len(self.columns[i]) for i in which)]), np.flatnonzero(undone)
-        order, slots = np.concatenate([model, self.n_model + j]), np.full(len(self.sizes) + 1, -1)
+        j = self.places(which)
+        ends = np.cumsum([0, *(len(self.columns[i]) for i in which)])
+        gone = np.flatnonzero(undone)
+        order = np.concatenate([model, self.n_model + j])
+        slots = np.full(len(self.sizes) + 1, -1)
         slots[order] = np.arange(len(order))
         return replace(
             self,
@@ -285,18 +342,25 @@ class ScoreTests:
             parts=tuple(part.among(slots, undone) for part in self.parts),
         )
 
-    def along_rows(self, which: Sequence[int], steps: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield rows, their residuals after a refit of the model, and their motions by steps of candidates with a refit.
+    def along_rows(
+        self, which: Sequence[int], steps: np.ndarray
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Yield rows, their residuals after a refit of the model, and their motions by steps of
+        candidates with a refit.
 
         Args:
             which: candidates.
             steps: shape (J, R), R steps of their J parameters.
 
         Yields:
-            Indices of the rows, shape (n,), whitened residuals, shape (m, n), and motions, shape (R, m, n).
+            Indices of the rows, shape (n,), whitened residuals, shape (m, n), and motions, shape
+            (R, m, n).
         """
-        model, j = self.model, self.places(which)
-        taken = model.factor.solve(np.column_stack([self.cross[:, j] @ steps, -model.rows.g - model.prior.g]))
+        model = self.model
+        j = self.places(which)
+        taken = model.factor.solve(
+            np.column_stack([self.cross[:, j] @ steps, -model.rows.g - model.prior.g])
+        )
         every = np.vstack([-taken, np.zeros((len(self.g), taken.shape[1]))])
         every[self.n_model + j, :-1] = steps
         for part in self.parts:
@@ -316,37 +380,54 @@ class ScoreTests:
     def score(self, which: Sequence[int], groups: int) -> ScoreResult:
         """Return the test of some candidates together, one of so many tested groups."""
         (gain, rank), trials = self.gain(which), math.prod(self.effects[i].trials for i in which)
-        chance = self._alone[2][which[0]] if len(which) == 1 else trials * chance_of(gain, rank, self.squares, self.dof)
+        chance = (
+            self._alone[2][which[0]]
+            if len(which) == 1
+            else trials * chance_of(gain, rank, self.squares, self.dof)
+        )
         return self._judged(gain, rank, float(chance), self.squares, groups * trials)
 
-    def score_given(self, which: Sequence[int], given: Sequence[int], groups: int = 1) -> ScoreResult:
+    def score_given(
+        self, which: Sequence[int], given: Sequence[int], groups: int = 1
+    ) -> ScoreResult:
         """Return the test of some candidates given others in the model."""
         both, rank_both = self.gain(sorted({*which, *given}))
         alone, rank_alone = self.gain(given)
-        gain, rank, squares = both - alone, max(rank_both - rank_alone, 0), max(self.squares - alone, 1e-6 * self.squares)
+        gain = both - alone
+        rank = max(rank_both - rank_alone, 0)
+        squares = max(self.squares - alone, 1e-6 * self.squares)
         chance = float(chance_of(gain, rank, squares, self.dof - rank_alone))
         return self._judged(gain, rank, chance, squares, groups)
 
     def p_value_of_any(self, which: Sequence[int]) -> float:
-        """Return the smaller p-value of all candidates together and of the best one alone, corrected for its selection.
+        """Return the smaller p-value of all candidates together and of the best one alone,
+        corrected for its selection.
 
-        A single compliant drive is not significant among the many parameters of all drives and bearings.
+        A single compliant drive is not significant among the many parameters of all drives and
+        bearings.
         """
         alone = (len(which) * self.score([i], 1).p_value for i in which)
         return min(self.score(which, 1).p_value, *alone)
 
-    def _judged(self, gain: float, rank: int, chance: float, squares: float, groups: float) -> ScoreResult:
+    def _judged(
+        self, gain: float, rank: int, chance: float, squares: float, groups: float
+    ) -> ScoreResult:
         if rank == 0:
             return ScoreResult(0.0, 0, 1.0, np.inf)
-        gain, n = min(gain, TESTING.most_explained * squares), self.readings
-        cost = n * float(np.log1p(-gain / squares)) + rank * float(np.log(n)) + 2.0 * float(np.log(max(groups, 1.0)))
+        gain = min(gain, TESTING.most_explained * squares)
+        n = self.readings
+        cost = (
+            n * float(np.log1p(-gain / squares))
+            + rank * float(np.log(n))
+            + 2.0 * float(np.log(max(groups, 1.0)))
+        )
         return ScoreResult(gain, rank, min(chance, 1.0), cost)
 
     def log_evidence(self, which: Sequence[int]) -> float:
         """Return the log Bayes factor in favour of some candidates, to first order.
 
-        It is corrected for the places or frequencies among which they were chosen. Unlike a p-value it depends on the width
-        of their priors.
+        It is corrected for the places or frequencies among which they were chosen. Unlike a p-value
+        it depends on the width of their priors.
         """
         cost, tests = self.likeliest(which)
         j, S, b = tests.within(which)
@@ -360,7 +441,10 @@ class ScoreTests:
 
 
 def chance_of(
-    gain: np.ndarray | float, rank: np.ndarray | int, squares: np.ndarray | float, dof: np.ndarray | float
+    gain: np.ndarray | float,
+    rank: np.ndarray | int,
+    squares: np.ndarray | float,
+    dof: np.ndarray | float,
 ) -> np.ndarray:
     """Return the p-value of the F test of a gain, arguments of any shape; 1 of rank 0.
 
@@ -370,6 +454,9 @@ def chance_of(
         squares: before, in the same unit.
         dof: degrees of freedom before.
     """
-    gain, rest = np.minimum(gain, TESTING.most_explained * squares), np.maximum(dof - rank, 1.0)
+    gain = np.minimum(gain, TESTING.most_explained * squares)
+    rest = np.maximum(dof - rank, 1.0)
     seen = np.maximum(rank, 1)
-    return np.asarray(np.where(rank, fdtrc(seen, rest, (gain / seen) / ((squares - gain) / rest)), 1.0))
+    return np.asarray(
+        np.where(rank, fdtrc(seen, rest, (gain / seen) / ((squares - gain) / rest)), 1.0)
+    )

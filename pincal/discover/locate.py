@@ -1,7 +1,9 @@
-"""Localisation of misfit before anything is named: joint, variable, range of the variable, and region of the workspace.
+"""Localisation of misfit before anything is named: joint, variable, range of the variable, and
+region of the workspace.
 
-Misfit is located at a place if a motion of it along a curve of some variable explains it, given a refit of the model: a
-score test, as of any effect, of the dependence of every place on every variable.
+Misfit is located at a place if a motion of it along a curve of some variable explains it, given a
+refit of the model: a score test, as of any effect, of the dependence of every place on every
+variable.
 """
 
 from __future__ import annotations
@@ -37,10 +39,12 @@ class Located:
 
     Attributes:
         joint: the joint, None for the whole arm.
-        acts_on: "drive" (about or along the joint's own axis), "gamma_x" or "gamma_y" (across it), "base" or "lengths".
+        acts_on: "drive" (about or along the joint's own axis), "gamma_x" or "gamma_y" (across it),
+            "base" or "lengths".
         depends_on: a joint's name, "approach", "move", "load", "payload", "temperature" or "time".
         share: fraction of the excess of the squared residuals that it explains, 0 to 1.
-        size: rms of the motion that a refit does not absorb [rad; m of prismatic joints; 1 for "lengths"; none for "base"].
+        size: rms of the motion that a refit does not absorb [rad; m of prismatic joints; 1 for
+            "lengths"; none for "base"].
         window: narrow range of the variable that contains most of it, None if it is spread.
         inside: fraction of it in this range.
     """
@@ -56,7 +60,8 @@ class Located:
 
 @dataclass(frozen=True, eq=False)
 class MovedPlace(Effect):
-    """Motion of a joint, the base or all lengths along curves of a variable, at the poses of one table.
+    """Motion of a joint, the base or all lengths along curves of a variable, at the poses of one
+    table.
 
     Attributes:
         joint, acts_on, depends_on: as of :class:`Located`.
@@ -79,7 +84,13 @@ class MovedPlace(Effect):
         """Return the independent motions, each as displacements of coordinates."""
         if self.joint is not None:
             i = chain.robot.joint_names.index(self.joint)
-            return [{int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on): 1.0}]
+            return [
+                {
+                    int(chain.drives[i])
+                    if self.acts_on == "drive"
+                    else chain.joint(i, self.acts_on): 1.0
+                }
+            ]
         if self.acts_on == "base":
             return [{chain.base(symbol): 1.0} for symbol in FRAME_SYMBOLS]
         # All lengths are scaled by the same factor.
@@ -88,17 +99,30 @@ class MovedPlace(Effect):
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Coefficients of the curves, without a prior."""
-        stem, shape = f"{self.joint}.{self.acts_on}_of_{self.depends_on}", (len(self.moved(chain)), len(self.curves))
-        return tuple(Parameter(f"{stem}_{shape[1]}_{k}", "rad", self.name, 0.0, 1.0) for k in range(np.prod(shape)))
+        stem = f"{self.joint}.{self.acts_on}_of_{self.depends_on}"
+        shape = (len(self.moved(chain)), len(self.curves))
+        return tuple(
+            Parameter(f"{stem}_{shape[1]}_{k}", "rad", self.name, 0.0, 1.0)
+            for k in range(np.prod(shape))
+        )
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         """Add the curves to each coordinate."""
-        columns = enumerate((motion, curve) for motion in self.moved(chain) for curve in self.curves)
-        return tuple(Term(p, k, scale * curve) for p, (motion, curve) in columns for k, scale in motion.items())
+        columns = enumerate(
+            (motion, curve) for motion in self.moved(chain) for curve in self.curves
+        )
+        return tuple(
+            Term(p, k, scale * curve)
+            for p, (motion, curve) in columns
+            for k, scale in motion.items()
+        )
 
 
 def locate(fit: ModelFit, sigma: np.ndarray) -> tuple[list[Located], list[Disagreement]]:
-    """Return where a fit and its data disagree, the largest first, and the regions of the workspace with most misfit.
+    """Return where a fit and its data disagree, the largest first, and the regions of the workspace
+    with most misfit.
 
     Args:
         fit: the fit, preferably with elasticity, so that only unknown effects remain.
@@ -109,14 +133,19 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> tuple[list[Located], list[Disagr
     # Rows are taken to be independent.
     fit = fit.over([replace(fit.station, whitening=None, serial=None, arrival=None)])
     fit = replace(fit, solution=replace(fit.solution, estimated=sigma))
-    every, places = _motions(fit), list[Located]()
+    every = _motions(fit)
+    places = list[Located]()
     masses = MassError.of(fit.model, fit.values)
     tests = Tangent.at(fit, [masses] if masses else [], None).tests(every, wider=1.0)
     # Squares after a refit, with those of priors; the sizes of mass errors are certain.
-    known = float(np.sum((fit.values / fit.priors.sizes) ** 2)) + fit.problem.beliefs.square(fit.values, fit.priors.sizes)
+    known = float(np.sum((fit.values / fit.priors.sizes) ** 2)) + fit.problem.beliefs.square(
+        fit.values, fit.priors.sizes
+    )
     squares = tests.squares + known - float(tests.model.slope @ tests.model.slope)
     tests = replace(tests, unsure=np.zeros_like(tests.unsure), squares=squares)
-    residuals, dof, excess = _projected(tests), tests.dof, tests.squares - tests.dof
+    residuals = _projected(tests)
+    dof = tests.dof
+    excess = tests.squares - tests.dof
     is_noise = chdtrc(dof, tests.squares) >= WHERE.chance
     while len(places) < WHERE.places and (best := _best(tests)) is not None:
         place = _described(fit, tests, best, excess)
@@ -131,17 +160,26 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> tuple[list[Located], list[Disagr
 
 def _given(tests: ScoreTests, best: int) -> ScoreTests:
     """Return the tests of the other motions given one in the model."""
-    model, n, j, H = tests.model, tests.n_model, tests.columns[best], tests.blocks_H.copy()
-    mine, every = n + j, n + np.arange(len(tests.g))
+    model = tests.model
+    n = tests.n_model
+    j = tests.columns[best]
+    H = tests.blocks_H.copy()
+    mine = n + j
+    every = n + np.arange(len(tests.g))
     H[0, mine] = sum(part.products(mine, every) for part in tests.parts)
     others = [i for i in range(len(tests.effects)) if i != best]
-    nothing, cross = np.zeros(len(j)), H[0, :n, j].T
+    nothing = np.zeros(len(j))
+    cross = H[0, :n, j].T
     rows = np.block([[model.rows.H, cross], [cross.T, H[0, mine[:, None], j]]])
     blocks = Form.of(rows[None], np.append(model.rows.g, tests.g[j])[None])
-    prior = Form.of(block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, nothing))
+    prior = Form.of(
+        block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, nothing)
+    )
     both = Information(blocks, prior)
     return replace(
-        replace(tests, blocks_H=H).rearranged(np.append(np.arange(n), mine), others, np.zeros(n + len(every))),
+        replace(tests, blocks_H=H).rearranged(
+            np.append(np.arange(n), mine), others, np.zeros(n + len(every))
+        ),
         names=(*tests.names, *(f"{best}.{k}" for k in j)),
         values=np.append(tests.values, nothing),
         unsure=np.append(tests.unsure, nothing > 0.0),
@@ -153,7 +191,9 @@ def _given(tests: ScoreTests, best: int) -> ScoreTests:
 
 def _projected(tests: ScoreTests) -> np.ndarray:
     """Return the residuals after a refit, shape (m, N)."""
-    return np.concatenate([residuals for _, residuals, _ in tests.along_rows((), np.zeros((0, 0)))], axis=1)
+    return np.concatenate(
+        [residuals for _, residuals, _ in tests.along_rows((), np.zeros((0, 0)))], axis=1
+    )
 
 
 def _best(tests: ScoreTests) -> int | None:
@@ -166,15 +206,23 @@ def _best(tests: ScoreTests) -> int | None:
 
 def _described(fit: ModelFit, tests: ScoreTests, best: int, excess: float) -> Located:
     """Return a motion with its share of the whole excess, its size and its range."""
-    motion, (_, whitening) = tests.effects[best], tests.whitening([best])
+    motion = tests.effects[best]
+    (_, whitening) = tests.whitening([best])
     assert isinstance(motion, MovedPlace)
     height = whitening @ (whitening.T @ tests.within([best])[2])
-    change = np.concatenate([moved[0] for _, _, moved in tests.along_rows([best], height[:, None])], axis=1)
+    change = np.concatenate(
+        [moved[0] for _, _, moved in tests.along_rows([best], height[:, None])], axis=1
+    )
     noise = np.repeat(fit.solution.estimated, fit.station.block_sizes)
     scale = fit.station.weights * fit.solution.weights / noise[:, None]
-    each = (np.tensordot([*by.values()], levers(fit, [*by]), axes=1) * scale for by in motion.moved(fit.model.chain))
+    each = (
+        np.tensordot([*by.values()], levers(fit, [*by]), axes=1) * scale
+        for by in motion.moved(fit.model.chain)
+    )
     lever = sum(float(np.sum(moved**2)) for moved in each)
-    gain, window, inside = float(tests.gain([best])[0]) - whitening.shape[1], None, 0.0
+    gain = float(tests.gain([best])[0]) - whitening.shape[1]
+    window = None
+    inside = 0.0
     if motion.depends_on in fit.model.chain.robot.joint_names:
         x = _variable(fit, None, motion.depends_on)
         window, inside = _window(x, np.sum(change**2, axis=0))
@@ -185,26 +233,36 @@ def _described(fit: ModelFit, tests: ScoreTests, best: int, excess: float) -> Lo
 
 def _motions(fit: ModelFit) -> list[MovedPlace]:
     """Return the motions of all places along all variables."""
-    names, conditions = fit.model.chain.robot.measured_joints, fit.station.conditions
+    names = fit.model.chain.robot.measured_joints
+    conditions = fit.station.conditions
     slow = [v for v in ("payload", "temperature", "time") if varies(conditions.column(v))]
     curves = {v: _curves(_variable(fit, None, v), WHERE.slow_pieces) for v in slow}
     moving = [name for name in names if name in PoseSet(fit.model.chain, conditions).moving]
-    everywhere = curves | {name: _curves(_variable(fit, None, name), WHERE.pieces) for name in moving}
+    everywhere = curves | {
+        name: _curves(_variable(fit, None, name), WHERE.pieces) for name in moving
+    }
     every = [
         MovedPlace(joint, acts_on, variable, basis)
         for joint in names
         for acts_on in ("drive", "gamma_x", "gamma_y")
-        for variable, basis in (*everywhere.items(), *(_of_own_drive(fit, joint) if acts_on == "drive" else ()))
+        for variable, basis in (
+            *everywhere.items(),
+            *(_of_own_drive(fit, joint) if acts_on == "drive" else ()),
+        )
     ]
     every += [
-        MovedPlace(None, acts_on, variable, basis) for variable, basis in curves.items() for acts_on in ("base", "lengths")
+        MovedPlace(None, acts_on, variable, basis)
+        for variable, basis in curves.items()
+        for acts_on in ("base", "lengths")
     ]
     # A variable that does not vary has no curves.
     return [motion for motion in every if len(motion.curves)]
 
 
 def _of_own_drive(fit: ModelFit, joint: str) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield further variables of a drive, with curves: fine waves of its gear, direction of approach, last move, load."""
+    """Yield further variables of a drive, with curves: fine waves of its gear, direction of
+    approach, last move, load.
+    """
     conditions = fit.station.conditions
     q = _variable(fit, None, joint)
     does = joint in PoseSet(fit.model.chain, conditions).moving
@@ -223,8 +281,12 @@ def _variable(fit: ModelFit, joint: str | None, name: str) -> np.ndarray:
 
 
 def _curves(x: np.ndarray, size: int) -> np.ndarray:
-    """Return curves of a variable, shape (k, N): splines, or powers where it takes few values; none of a constant."""
-    count, lower, upper = distinct_values(x), float(x.min()), float(x.max())
+    """Return curves of a variable, shape (k, N): splines, or powers where it takes few values; none
+    of a constant.
+    """
+    count = distinct_values(x)
+    lower = float(x.min())
+    upper = float(x.max())
     if count < 2:
         return np.zeros((0, len(x)))
     if count < 2 * size:
@@ -234,12 +296,17 @@ def _curves(x: np.ndarray, size: int) -> np.ndarray:
 
 
 def _window(x: np.ndarray, energy: np.ndarray) -> tuple[tuple[float, float] | None, float]:
-    """Return the narrowest range of x that contains most of the rows' energy, and how much; None if it is not narrow."""
+    """Return the narrowest range of x that contains most of the rows' energy, and how much; None if
+    it is not narrow.
+    """
     order = np.argsort(x, kind="stable")
-    x, total = x[order], np.concatenate([[0.0], np.cumsum(energy[order])])
+    x = x[order]
+    total = np.concatenate([[0.0], np.cumsum(energy[order])])
     if not total[-1] > 0.0 or len(np.unique(x)) < WHERE.distinct:
         return None, 0.0
-    last = np.searchsorted(total, total[:-1] + WHERE.most * total[-1] * (1.0 - 1e-12), side="left") - 1
+    last = (
+        np.searchsorted(total, total[:-1] + WHERE.most * total[-1] * (1.0 - 1e-12), side="left") - 1
+    )
     width = np.where(last < len(x), x[np.minimum(last, len(x) - 1)] - x, np.inf)
     i = int(np.argmin(width))
     j = int(last[i])
@@ -249,18 +316,27 @@ def _window(x: np.ndarray, energy: np.ndarray) -> tuple[tuple[float, float] | No
 
 
 def regions_of(fit: ModelFit, residuals: np.ndarray, expected: float) -> Iterator[Disagreement]:
-    """Yield the range of reach or height and the direction in which residuals of positions are concentrated.
+    """Yield the range of reach or height and the direction in which residuals of positions are
+    concentrated.
 
-    These are whitened, shape (3, N), in the frame of the instrument; noise explains the square ``expected`` of a row.
+    These are whitened, shape (3, N), in the frame of the instrument; noise explains the square
+    ``expected`` of a row.
     """
-    robot, gravity = fit.model.chain.robot, fit.model.chain.gravity
+    robot = fit.model.chain.robot
+    gravity = fit.model.chain.gravity
     energy = np.sum(residuals**2, axis=0) - expected
     if energy.sum() <= 0.0:
         return
     up = -gravity / np.linalg.norm(gravity)
-    away = robot.forward_kinematics(fit.station.conditions.q)[:, :3, 3] - robot.frames.T_base_first[:3, 3]
+    away = (
+        robot.forward_kinematics(fit.station.conditions.q)[:, :3, 3]
+        - robot.frames.T_base_first[:3, 3]
+    )
     first = robot.joint_names[0]
-    ranges = ("reach", f"from {first}", np.linalg.norm(away, axis=1)), ("height", f"above {first}", away @ up)
+    ranges = (
+        ("reach", f"from {first}", np.linalg.norm(away, axis=1)),
+        ("height", f"above {first}", away @ up),
+    )
     found = [region for name, where, x in ranges for region in _densest(name, where, x, energy)]
     if found:
         yield max(found, key=lambda region: region.share)
@@ -268,7 +344,9 @@ def regions_of(fit: ModelFit, residuals: np.ndarray, expected: float) -> Iterato
 
 
 def _densest(name: str, where: str, x: np.ndarray, energy: np.ndarray) -> Iterator[Disagreement]:
-    """Yield the third of the rows, adjacent in x [m], with most of the excess, if it is significant."""
+    """Yield the third of the rows, adjacent in x [m], with most of the excess, if it is
+    significant.
+    """
     order = np.argsort(x, kind="stable")
     third = max(len(x) // 3, 1)
 
@@ -282,14 +360,21 @@ def _densest(name: str, where: str, x: np.ndarray, energy: np.ndarray) -> Iterat
         return
     inside = order[np.argmax(found) :][:third]
     span = f"{x[inside].min():.2f} to {x[inside].max():.2f} m"
-    statement = f"it appears where the tip is {span} {where}, in {100 * third / len(x):.0f} % of the poses"
-    yield Disagreement(statement, min(float(energy[inside].sum() / energy.sum()), 1.0), region=f"{name} {span}")
+    statement = (
+        f"it appears where the tip is {span} {where}, in {100 * third / len(x):.0f} % of the poses"
+    )
+    yield Disagreement(
+        statement, min(float(energy[inside].sum() / energy.sum()), 1.0), region=f"{name} {span}"
+    )
 
 
-def _direction(residuals: np.ndarray, away: np.ndarray, up: np.ndarray, expected: float) -> Iterator[Disagreement]:
+def _direction(
+    residuals: np.ndarray, away: np.ndarray, up: np.ndarray, expected: float
+) -> Iterator[Disagreement]:
     """Yield the direction that contains more than half of the excess, if there is one.
 
-    All in the base frame: whitened residuals, shape (3, N), the tip from the first joint, shape (N, 3) [m], and up, (3,).
+    All in the base frame: whitened residuals, shape (3, N), the tip from the first joint, shape (N,
+    3) [m], and up, (3,).
     """
     outward = away - np.outer(away @ up, up)
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
@@ -298,11 +383,15 @@ def _direction(residuals: np.ndarray, away: np.ndarray, up: np.ndarray, expected
         "radial": np.sum(outward.T * residuals, axis=0),
         "tangential": np.sum(np.cross(up, outward).T * residuals, axis=0),
     }
-    excess = {name: float(np.sum(part**2) - len(part) * expected / 3.0) for name, part in parts.items()}
+    excess = {
+        name: float(np.sum(part**2) - len(part) * expected / 3.0) for name, part in parts.items()
+    }
     name = max(excess, key=lambda key: excess[key])
     whole = sum(max(value, 0.0) for value in excess.values())
     # A sum of squares of N normal numbers has a standard deviation of the root of 2 N.
-    if excess[name] >= WHERE.pointed * whole and excess[name] >= WHERE.above * np.sqrt(2.0 * residuals.shape[1]):
+    if excess[name] >= WHERE.pointed * whole and excess[name] >= WHERE.above * np.sqrt(
+        2.0 * residuals.shape[1]
+    ):
         direction = f"{name} direction"
         statement = f"the error points in the {direction} (a third would be isotropic)"
         yield Disagreement(statement, excess[name] / whole, region=direction)

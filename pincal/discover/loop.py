@@ -1,4 +1,6 @@
-"""The search for effects that a fit lacks: a sequence of passes, each from one state to the next."""
+"""The search for effects that a fit lacks: a sequence of passes, each from one state to
+the next.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ from functools import partial
 import numpy as np
 
 from pincal.discover.backward import drop_unneeded, judge_remainders, merge_parts, name_again
-from pincal.discover.candidate_tests import Search, addable, has_compliance, is_small_table, sampled, table_of, variants
+from pincal.discover.candidate_tests import (
+    Search,
+    addable,
+    has_compliance,
+    is_small_table,
+    sampled,
+    table_of,
+    variants,
+)
 from pincal.discover.decisions import Decision, Row, accepted, each_heading_once
 from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.ending import fit_all_rows, name_lines
@@ -60,8 +70,8 @@ def discover_effects(
     Args:
         fit: the model to start from, usually the geometric one.
         groups: shape (N,), blocks of training rows for cross-validation.
-        frames: moment frames to choose from; default: that of the fit. The first is kept unless another fits significantly
-            better.
+        frames: moment frames to choose from; default: that of the fit. The first is kept unless
+            another fits significantly better.
         extra: effects of the user, candidates like those of the catalogue.
         policy: thresholds and limits.
         nameless: identities of the unnamed dependences that are candidates; default: all.
@@ -74,11 +84,15 @@ def discover_effects(
         for step_on in _PASSES:
             state = step_on(state, search)
         first = in_frame(first, state.fit.problem.chain.moment_frame)
-        return History(state.fit, state.steps, state.changes, first=first, extra=search.extra, policy=policy)
+        return History(
+            state.fit, state.steps, state.changes, first=first, extra=search.extra, policy=policy
+        )
 
     if fit.options.serial and any(station.serial is not None for station in fit.problem.stations):
         # Correlation along the rows may be due to the effects searched for.
-        fit = refit(with_serial(fit, (None,) * len(fit.problem.stations)), fit.options.effects, start={})
+        fit = refit(
+            with_serial(fit, (None,) * len(fit.problem.stations)), fit.options.effects, start={}
+        )
     found = searched(fit)
     if not fit.options.serial:
         return found
@@ -86,12 +100,19 @@ def discover_effects(
     along = [effect for effect in names if _follows_the_order(effect, found.final)]
     if not along and not is_dependent(found.final):
         return found
-    # Where residuals depend on the order of the rows, names may be artefacts of it: the search is repeated with weighted
-    # rows. The correlation is estimated with all that was found, or else without, as a missing effect may resemble it.
+    # Where residuals depend on the order of the rows, names may be artefacts of it: the search is
+    # repeated with weighted rows. The correlation is estimated with all that was found, or else
+    # without, as a missing effect may resemble it.
     named = {e.identity for step in found.steps if not step.is_elastic for e in step.effects}
-    plain = refit(found.final, [e for e in found.final.options.effects if e.identity not in named], until=Tolerance.CLOSE)
+    plain = refit(
+        found.final,
+        [e for e in found.final.options.effects if e.identity not in named],
+        until=Tolerance.CLOSE,
+    )
     noise = next((of for of in map(serial_noise, (found.final, plain)) if any(of)), None)
-    if noise is None or not (is_dependent(found.final) or _may_be_order(along, with_serial(plain, noise), policy)):
+    if noise is None or not (
+        is_dependent(found.final) or _may_be_order(along, with_serial(plain, noise), policy)
+    ):
         return found
     log.info("the residuals depend on the order of the rows: repeating with weighted rows")
     found = searched(refit(with_serial(fit, noise), fit.options.effects, start={}))
@@ -99,15 +120,19 @@ def discover_effects(
 
 
 IsShifted = Callable[[ModelFit], bool]
-"""Tells from single visits of poses whether something changed between them, which the means of poses do not show."""
+"""Tells from single visits of poses whether something changed between them, which the means of
+poses do not show.
+"""
 
 
 def withdraw_names_at_change(found: History, is_shifted: IsShifted) -> History:
-    """Withdraw all names if something changed midway in a table, which can be mistaken for effects of the robot.
+    """Withdraw all names if something changed midway in a table, which can be mistaken for effects
+    of the robot.
 
-    A model that describes neither half leaves residuals that some name always fits partly. Elasticity is kept. An effect
-    of a variable that changes most between two rows, as time does between two sessions, describes both halves; it is
-    withdrawn if a step there explains the rows as well.
+    A model that describes neither half leaves residuals that some name always fits partly.
+    Elasticity is kept. An effect of a variable that changes most between two rows, as time does
+    between two sessions, describes both halves; it is withdrawn if a step there explains the rows
+    as well.
     """
     names = [step for step in found.steps if not step.is_elastic]
     if not names:
@@ -117,8 +142,11 @@ def withdraw_names_at_change(found: History, is_shifted: IsShifted) -> History:
     return _without(found, names, is_shifted)
 
 
-def _withdraw_steps_in_time(found: History, names: Sequence[SearchStep], is_shifted: IsShifted) -> History:
-    """Withdraw all names if a step midway explains what those do that follow a variable of the session.
+def _withdraw_steps_in_time(
+    found: History, names: Sequence[SearchStep], is_shifted: IsShifted
+) -> History:
+    """Withdraw all names if a step midway explains what those do that follow a variable of the
+    session.
 
     The others are kept if the step is not seen without them.
     """
@@ -135,10 +163,14 @@ def _withdraw_steps_in_time(found: History, names: Sequence[SearchStep], is_shif
 
 
 def _without(found: History, names: Sequence[SearchStep], is_shifted: IsShifted) -> History:
-    """Return the history in which names were withdrawn at the end; as it is if no change is seen without them."""
+    """Return the history in which names were withdrawn at the end; as it is if no change is seen
+    without them.
+    """
     effects = tuple(effect for step in names for effect in step.effects)
     gone = {effect.identity for effect in effects}
-    fit = refit(found.final, [e for e in found.final.options.effects if e.identity not in gone], start={})
+    fit = refit(
+        found.final, [e for e in found.final.options.effects if e.identity not in gone], start={}
+    )
     if not _is_changed_midway(fit) and not is_shifted(fit):
         return found
     log.info("withdrawn because of a change during the session: %s", listed(effects))
@@ -147,10 +179,14 @@ def _without(found: History, names: Sequence[SearchStep], is_shifted: IsShifted)
 
 
 def _is_changed_midway(fit: ModelFit, variable: str | None = None) -> bool:
-    """Return whether something changed between two rows of a station, rather than in proportion to a variable if given."""
+    """Return whether something changed between two rows of a station, rather than in proportion to
+    a variable if given.
+    """
     for station, places, _ in fit.stations:
         along = None if variable is None else station.conditions.column(variable)
-        if change_in(station, fit.values[places], fit.solution.free[places], _order(station), along=along):
+        if change_in(
+            station, fit.values[places], fit.solution.free[places], _order(station), along=along
+        ):
             return True
     return False
 
@@ -160,7 +196,9 @@ def _order(station: Station) -> np.ndarray:
 
 
 def _follows_the_order(effect: Effect, fit: ModelFit) -> bool:
-    """Return whether an effect depends on a joint that moved by small steps along the rows of a station."""
+    """Return whether an effect depends on a joint that moved by small steps along the rows of a
+    station.
+    """
     names = fit.problem.chain.robot.joint_names
     if effect.locus.follows not in names:
         return False
@@ -176,14 +214,17 @@ def _follows_the_order(effect: Effect, fit: ModelFit) -> bool:
 def _may_be_order(effects: Sequence[Effect], weighed: ModelFit, policy: Policy) -> bool:
     """Return whether correlated noise explains some of the effects, none of which is in the fit.
 
-    Where a joint moves along the rows, an effect of that joint and drift differ only in rows that are close in the joint and
-    far apart in the order.
+    Where a joint moves along the rows, an effect of that joint and drift differ only in rows that
+    are close in the joint and far apart in the order.
     """
     fit = refit(weighed, weighed.options.effects, start={}, until=Tolerance.CLOSE)
     few, _ = sampled(fit, policy)
     tests = score_test_given_nuisances(few, effects)
     scores = (tests.score([i], 1) for i in range(len(effects)))
-    rows = (Row(effect, score, score.ebic, question="stay") for effect, score in zip(effects, scores, strict=True))
+    rows = (
+        Row(effect, score, score.ebic, question="stay")
+        for effect, score in zip(effects, scores, strict=True)
+    )
     return not all(accepted(row, policy) for row in rows)
 
 
@@ -199,7 +240,8 @@ def start_in_likeliest_frame(state: SearchState, search: Search) -> SearchState:
     every = missing_compliances(state.fit)
     whole = likeliest_fit(state.fit, every, search.frames)
     frame = whole.problem.chain.moment_frame
-    fit, way = in_frame(state.fit, frame), ways.get(frame)
+    fit = in_frame(state.fit, frame)
+    way = ways.get(frame)
     if way is None:
         return SearchState(fit)
     if way.effects != every:
@@ -209,7 +251,9 @@ def start_in_likeliest_frame(state: SearchState, search: Search) -> SearchState:
 
 
 def compare_frames(state: SearchState, search: Search) -> SearchState:
-    """Continue in the moment frame that fits best with the effects found, unless the present one then explains as much."""
+    """Continue in the moment frame that fits best with the effects found, unless the present one
+    then explains as much.
+    """
     frame = best_frame(state, search)
     if frame == state.fit.problem.chain.moment_frame:
         return state
@@ -217,18 +261,32 @@ def compare_frames(state: SearchState, search: Search) -> SearchState:
     other = SearchState(in_frame(sampled(search.first, search.policy)[0], frame))
     for step in state.steps:
         if not is_brought(step):
-            start = {effect: state.fit.values[state.fit.problem.places_at(effect)] for effect in step.effects}
-            after = refit(other.fit, [*other.fit.options.effects, *step.effects], start=start, until=Tolerance.CLOSE)
+            start = {
+                effect: state.fit.values[state.fit.problem.places_at(effect)]
+                for effect in step.effects
+            }
+            after = refit(
+                other.fit,
+                [*other.fit.options.effects, *step.effects],
+                start=start,
+                until=Tolerance.CLOSE,
+            )
             other = other.with_step(replace(step, before=other.fit, after=after))
     return min(state, add_effects(other, search), key=lambda found: _cost(found, search))
 
 
 def _cost(state: SearchState, search: Search) -> float:
-    """Return the extended Bayesian information criterion of a state, with the surcharge of another moment frame."""
+    """Return the extended Bayesian information criterion of a state, with the surcharge of another
+    moment frame.
+    """
     named = sum(not step.is_elastic for step in state.steps)
     is_other = state.fit.problem.chain.moment_frame != search.frames[0]
     choices = max(len(addable(state.fit, search)), 2)
-    return fit_cost(state.fit) + 2.0 * named * float(np.log(choices)) + CRITERIA.moment_frame * is_other
+    return (
+        fit_cost(state.fit)
+        + 2.0 * named * float(np.log(choices))
+        + CRITERIA.moment_frame * is_other
+    )
 
 
 def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
@@ -241,8 +299,12 @@ def in_frame(fit: ModelFit, frame: MomentFrame) -> ModelFit:
     return fit.with_effects(effects, moment_frame=frame)
 
 
-def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -> dict[MomentFrame, Decision]:
-    """Return the compliances of an arm by moment frame, where significant; empty if the fit has elasticity."""
+def elastic_ways(
+    fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy
+) -> dict[MomentFrame, Decision]:
+    """Return the compliances of an arm by moment frame, where significant; empty if the fit has
+    elasticity.
+    """
     if has_compliance(fit.options.effects):
         return {}
     return {frame: way for frame in frames if (way := elastic_way(in_frame(fit, frame), policy))}
@@ -251,32 +313,50 @@ def elastic_ways(fit: ModelFit, frames: Sequence[MomentFrame], policy: Policy) -
 def single_compliance(
     ways: Mapping[MomentFrame, Decision], frames: Sequence[MomentFrame], policy: Policy
 ) -> tuple[MomentFrame, Decision] | None:
-    """Return the moment frame in which a single drive or bearing is compliant, and that; None otherwise.
+    """Return the moment frame in which a single drive or bearing is compliant, and that; None
+    otherwise.
 
-    Among all parameters of an arm, its moment frame would not be significant. The first frame is kept unless another is
-    significantly better. What explains as much in another frame is equivalent.
+    Among all parameters of an arm, its moment frame would not be significant. The first frame is
+    kept unless another is significantly better. What explains as much in another frame is
+    equivalent.
     """
     if not ways:
         return None
     costs = {frame: way.row.cost for frame, way in ways.items()}
     least = min(costs, key=lambda frame: costs[frame])
-    frame = frames[0] if costs.get(frames[0], np.inf) < costs[least] + CRITERIA.moment_frame else least
+    frame = (
+        frames[0] if costs.get(frames[0], np.inf) < costs[least] + CRITERIA.moment_frame else least
+    )
     if not ways[frame].is_single:
         return None
-    close = [way for other, way in ways.items() if way.is_single and costs[other] < costs[frame] + policy.tie]
-    every = (*ways[frame].equivalent, *(effect for way in close for effect in (*way.effects, *way.equivalent)))
-    return frame, replace(ways[frame], equivalent=each_heading_once(every, ways[frame].effects[0], policy))
+    close = [
+        way
+        for other, way in ways.items()
+        if way.is_single and costs[other] < costs[frame] + policy.tie
+    ]
+    every = (
+        *ways[frame].equivalent,
+        *(effect for way in close for effect in (*way.effects, *way.equivalent)),
+    )
+    return frame, replace(
+        ways[frame], equivalent=each_heading_once(every, ways[frame].effects[0], policy)
+    )
 
 
 def best_frame(state: SearchState, search: Search) -> MomentFrame:
-    """Return the moment frame in which to continue the search: that of the fit unless another is better.
+    """Return the moment frame in which to continue the search: that of the fit unless another is
+    better.
 
-    Another frame has to fit the effects found better, or as well without artefacts of a wrong frame, or with an effect of
-    loads that a wrong frame mistakes for a compliance, as a tilting base resembles a tilting bearing. Where only elasticity
-    was found, the improvement has to be as large as that of an effect.
+    Another frame has to fit the effects found better, or as well without artefacts of a wrong
+    frame, or with an effect of loads that a wrong frame mistakes for a compliance, as a tilting
+    base resembles a tilting bearing. Where only elasticity was found, the improvement has to be as
+    large as that of an effect.
     """
-    frames, policy = search.frames, search.policy
-    fit, effects, here = state.fit, state.fit.options.effects, state.fit.problem.chain.moment_frame
+    frames = search.frames
+    policy = search.policy
+    fit = state.fit
+    effects = state.fit.options.effects
+    here = state.fit.problem.chain.moment_frame
     others = [frame for frame in frames if frame != here]
     if not others or not any(effect.uses_moments for effect in effects):
         return here
@@ -290,29 +370,39 @@ def best_frame(state: SearchState, search: Search) -> MomentFrame:
         other = refit(fit, effects, moment_frame=frame, until=Tolerance.CLOSE)
         costs[frame] = fit_cost(other) + enough + _still_to_gain(other, search)
         if brought:
-            costs[frame] = min(costs[frame], fit_cost(refit(fit, plain, moment_frame=frame, until=Tolerance.CLOSE)))
+            costs[frame] = min(
+                costs[frame], fit_cost(refit(fit, plain, moment_frame=frame, until=Tolerance.CLOSE))
+            )
     best = min(others, key=lambda frame: costs[frame])
     return best if costs[best] < cost else here
 
 
 def _still_to_gain(fit: ModelFit, search: Search) -> float:
-    """Return the change of the information criterion by the best effect of loads on base or links; 0 if not accepted.
+    """Return the change of the information criterion by the best effect of loads on base or links;
+    0 if not accepted.
 
     Not on few rows, where it may substitute for bearings that the model lacks.
     """
     if is_small_table(fit, search.policy):
         return 0.0
     # Other motions of base or links, as with time, are the same in every moment frame.
-    others = (effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects)
+    others = (
+        effect for effect in variants(fit, _LIKE_A_BEARING) if effect not in fit.problem.effects
+    )
     effects = [effect for effect in others if effect.is_of_loads]
     if not effects:
         return 0.0
     table = table_of(fit, search, partial(score_test, fit), effects, among=len(effects))
-    return next((table.rows[i].cost for i in table.cheapest() if accepted(table.rows[i], search.policy)), 0.0)
+    return next(
+        (table.rows[i].cost for i in table.cheapest() if accepted(table.rows[i], search.policy)),
+        0.0,
+    )
 
 
 def is_brought(step: SearchStep) -> bool:
-    """Return whether a step may be an artefact of a wrong moment frame: an effect of loads, or an unnamed one."""
+    """Return whether a step may be an artefact of a wrong moment frame: an effect of loads, or an
+    unnamed one.
+    """
     return any(effect.is_of_loads or effect.is_nameless for effect in step.effects)
 
 

@@ -1,7 +1,7 @@
 """Thresholds of a discovery: every number by which it decides, and its origin.
 
-A user may change those of :class:`Policy`. The others are the same in every search: one class and one object of it for each
-subject. docs/criteria.md derives the criteria that use them.
+A user may change those of :class:`Policy`. The others are the same in every search: one class and
+one object of it for each subject. docs/criteria.md derives the criteria that use them.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ _REPEATS = "test_repeats.py::"
 _BLOCKS = "test_rows.py::test_one_block_does_not_veto"
 _SCAN = "test_tones.py::test_the_scan_is_least_squares_of_a_sine_and_a_cosine"
 _SOFT = "test_elastic_rivals.py::test_a_compliance_is_as_sure_as_a_fit_without_it_is_bad"
-_TWO_SOFT = "test_elastic_rivals.py::test_two_compliances_of_which_one_gives_way_are_told_for_each_other"
+_TWO_SOFT = (
+    "test_elastic_rivals.py::test_two_compliances_of_which_one_gives_way_are_told_for_each_other"
+)
 _BENT = "test_selection.py::test_small_tables_of_a_bent_arm_keep_its_elasticity"
 _UNEVEN = "test_uneven.py::test_a_scattering_joint_makes_no_more_of_chance_than_it_says"
 _CONSTANT = "test_settling.py::test_the_time_constant_is_found_and_its_uncertainty"
@@ -74,10 +76,12 @@ class Policy:
         "one tie: a named effect is preferred unless the odds against it are 20 to 1")
     across: float = _number(2.0, _CRITERION, _NO_NAME,
         "by how much more if it acts across a joint's axis",
-        "a rotation of a joint across its axis often resembles one of a neighbour about its own, which is simpler")
+        "a rotation of a joint across its axis often resembles one of a neighbour about "
+                "its own, which is simpler")
     hint: float = _number(0.3, "probability", "test_whole_curves.py::test_a_simple_curve_may_be_part_of_a_whole_one",
         "p-value below which a simple curve of a joint's position may be part of a finer one",
-        "a hint, not a finding: it only adds an equivalent effect, so it may be wrong in a third of the cases")
+        "a hint, not a finding: it only adds an equivalent effect, so it may be wrong in "
+                "a third of the cases")
     adds_nothing: float = _number(1e-3, "probability", _MANY_NAMED,
         "p-value above which an effect adds nothing to another of higher cost",
         "chosen: strict, because many rivals are tested against each effect")
@@ -97,7 +101,8 @@ class Policy:
         "below which the priors on effects have to support an effect, too",
         "with fewer, the model adapts to a few rows, and p-values count that as evidence")
     share: float = _number(0.01, "ratio", _DECISIONS + "test_what_matters_to_nobody_is_left_out",
-        "fraction of the weighted squares that a relevant effect has to remove; twice if the noise is not declared",
+        "fraction of the weighted squares that a relevant effect has to remove; twice if "
+                "the noise is not declared",
         "0.5 % of the error: less than any user would act on")
     gain: float = _number(100.0, "noise variance", _DECISIONS + "test_what_matters_to_nobody_is_left_out",
         "reduction of the weighted squares that is enough, however many readings there are",
@@ -107,19 +112,25 @@ class Policy:
     most_steps: int = _number(14, "steps", _EXAMPLES,
         "effects that are added at most", "chosen: a bound on the time")
     finer: float = _number(2.0, "ratio", _FINER,
-        "resolution of final curves relative to the shortest waves of which rows have as much information as the prior",
-        "a curve cut off there states 65 % of its variance, cut off at half of them 95 %; 1 in subsamples")
+        "resolution of final curves relative to the shortest waves of which rows have as "
+                "much information as the prior",
+        "a curve cut off there states 65 % of its variance, cut off at half of them 95 %; "
+                "1 in subsamples")
     most_rivals: int = _number(6, "effects", _DECISIONS + "test_each_heading_is_listed_once",
         "equivalent effects that are listed", "what a reader can act on")
     enough_readings: int = _number(12000, "readings", "benchmark.py",
-        "readings from which effects are chosen; in the end all rows are fitted and resolve the curves",
-        "an effect that reduces the squares of more readings by 100 still reduces these enough; UR10 B gives the same "
+        "readings from which effects are chosen; in the end all rows are fitted and "
+                "resolve the curves",
+        "an effect that reduces the squares of more readings by 100 still reduces these "
+                "enough; UR10 B gives the same "
         "names")
 
     def least_gain(self, squares: float, *, declared: bool) -> float:
-        """Return the smallest relevant reduction of a sum of squares by an effect, both in units of the noise.
+        """Return the smallest relevant reduction of a sum of squares by an effect, both in units of
+        the noise.
 
-        Where the noise is not declared, the residuals may contain other errors, of which any effect explains a little.
+        Where the noise is not declared, the residuals may contain other errors, of which any effect
+        explains a little.
         """
         return min(self.gain, (1.0 if declared else 2.0) * self.share * squares)
 
@@ -130,8 +141,10 @@ class ScoreNumbers:
 
     wider: float = _number(10.0, "ratio", "test_bearings.py::test_no_wobble_is_found_where_geometry_is_beyond_its_priors",
         "factor by which the priors of geometry are widened where effects are tested",
-        "an effect distinguished from geometry only by the priors would be found wherever a machine exceeds them, as arms "
-        "with nearly parallel axes do: small errors of the axes are large displacements of their common normal")
+        "an effect distinguished from geometry only by the priors would be found wherever "
+                "a machine exceeds them, as arms "
+        "with nearly parallel axes do: small errors of the axes are large displacements "
+                "of their common normal")
     blocks: int = _number(8, "blocks", _EXAMPLES,
         "blocks of poses that are held out in turn", "seven eighths determine the model nearly as well as all")
     predicts: float = _number(1.0, "standard errors", _EXAMPLES,
@@ -139,28 +152,33 @@ class ScoreNumbers:
         "one in six by chance; other criteria are stricter")
     searched: float = _number(2.0, "standard errors", _STAGE,
         "the same for an effect selected among many on all blocks, such as waves of all orders",
-        "selection favours chance in held-out blocks, too: of the significant ripples on a real UR10 only one is "
+        "selection favours chance in held-out blocks, too: of the significant ripples on "
+                "a real UR10 only one is "
         "found in both series, at 2.4 and 2.2; the others reach 1.7 at most")
     veto: float = _number(2.0, "standard errors", _BLOCKS,
         "that blocks of poses have to improve for one of them not to have a veto", "1 in 40 by chance")
     fewest_blocks: int = _number(6, "blocks", _BLOCKS,
         "among which the extreme ones can be identified", "four remain without them")
     against: float = _number(2.0, "standard errors", _BENT,
-        "by which the prediction of blocks has to deteriorate with a prior to contradict it", "1 in 40 by chance")
+        "by which the prediction of blocks has to deteriorate with a prior to contradict "
+                "it", "1 in 40 by chance")
     most_explained: float = _number(0.999999, "ratio", _EXAMPLES,
         "largest fraction of the squares that can be removed", "keeps the F ratio finite")
     observed: float = _number(0.01, "ratio", "test_bearings.py::test_what_geometry_takes_of_a_wobble_is_not_counted",
         "smallest reduction of an observable parameter's prior variance by the data, as a fraction",
-        "an effect distinguished only by the model's priors is not observable, such as a tilt that implausible geometry "
+        "an effect distinguished only by the model's priors is not observable, such as a "
+                "tilt that implausible geometry "
         "would explain")
     held: float = _number(1e6, "ratio", _TWO_SOFT,
         "prior information of held parameters, in units of that of the data",
         "a thousandth of their standard deviation: negligible")
     mass_beliefs: tuple[tuple[float, float], ...] = _number(((0.4, 0.0), (2.0, 2.0 * log(30.0))), "ratio, " + _CRITERION,
         "test_selection.py::test_priors_in_doubt_are_the_likeliest_ones_with_a_candidate_and_without",
-        "alternative factors for these, and their costs: 2 %, or, with odds of 30 to 1 against it, 10 %; the data "
+        "alternative factors for these, and their costs: 2 %, or, with odds of 30 to 1 "
+                "against it, 10 %; the data "
         "determine which is likelier, with an effect and without",
-        "gravity compensators and wrong payloads (lambda >= 60, masses 3 % off) are then named on more arms than with 5 % "
+        "gravity compensators and wrong payloads (lambda >= 60, masses 3 % off) are then "
+                "named on more arms than with 5 % "
         "for all, and arms whose masses are 10 % off get no more false names")
     most_taken: float = _number(0.9, "ratio", "test_uneven.py::test_even_noise_changes_nothing",
         "largest leverage of a visit on an effect",
@@ -171,10 +189,12 @@ class ScoreNumbers:
     drawn: int = _number(200, "tables", "test_stability.py::test_a_bootstrap_of_noise_has_any_chance_alike",
         "tables that a bootstrap draws", "the smallest p-value that they can show is 1/201")
     drawn_from: float = _number(1e-10, "ratio", "test_stability.py::test_what_is_there_is_no_chance",
-        "fraction of the largest eigenvalue of S', scaled to a diagonal of 1, below which one is rounding",
+        "fraction of the largest eigenvalue of S', scaled to a diagonal of 1, below which "
+                "one is rounding",
         "above the accumulated rounding errors of products, 1e-16 each")
     order: float = _number(0.1, "ratio", "test_rows.py::test_correlated_noise_is_estimated_and_left_white",
-        "mean square of a joint's steps from row to row, over that of random ones, below which it moved along the rows",
+        "mean square of a joint's steps from row to row, over that of random ones, below "
+                "which it moved along the rows",
         "a path of a few turning points, or sorted poses")
     expansions: int = _number(8, "times", _CONSTANT,
         "that an effect with a time constant is linearised again at most", "chosen: each is a Newton step")
@@ -236,7 +256,8 @@ class CurveNumbers:
         "distinct positions of a joint that are enough for most gears", "fewer are worth a note if there are more poses")
     forms: int = _number(3, "resolutions", _RATES + "test_a_whole_curve_takes_the_place_of_its_part",
         "of a whole curve, the coarsest ones, that are tested in addition to a simple one",
-        "chosen: three are enough to detect a remainder, and p-values are corrected for their number")
+        "chosen: three are enough to detect a remainder, and p-values are corrected for "
+                "their number")
     roughness: float = _number(0.1, "rad^-0.5", _LIKELIEST,
         "where the search for the roughness begins", "chosen: only the time depends on it")
     moves: int = _number(15, "times", _LIKELIEST,
@@ -250,7 +271,8 @@ class CurveNumbers:
     least_noise: float = _number(1e-3, "ratio", _SMOOTH,
         "lower bound on the estimated noise, as a fraction of its variance", "curves through all readings leave no noise")
     firm: float = _number(30.0, "ratio", _SMOOTH,
-        "additional prior information of other parameters in the step with the curves, in units of their priors'",
+        "additional prior information of other parameters in the step with the curves, in "
+                "units of their priors'",
         "a full step diverges where compliances multiply positions of bearings")
     enough_pieces: int = _number(180, "pieces", "test_smooth_curves.py::test_a_curve_ends_finer_up_to_enough_pieces",
         "up to which a curve ends finer than the shortest resolved wave", "for time: 12000 poses resolve more")
@@ -298,7 +320,8 @@ class NoiseNumbers:
 
     scatter: float = _number(25.0, "2 log likelihood", "test_scatter.py::test_noise_of_several_targets_is_no_scatter",
         "smallest gain by scatter of a joint",
-        "5 standard deviations of one parameter, so that no joint exceeds it by chance: neither noise nor several targets "
+        "5 standard deviations of one parameter, so that no joint exceeds it by chance: "
+                "neither noise nor several targets "
         "do, 50 urad of scatter do")
     ratios: tuple[float, float, int] = _number((-2.0, 3.0, 101), "log10, log10, number", _SCATTER,
         "candidate variances of the joint, in units of the noise seen at the joint's mean lever",
@@ -316,7 +339,8 @@ class NoiseNumbers:
         "of which neighbours have to be near for a function of them to be excluded",
         "as many as those on which an effect of the catalogue depends")
     beyond: float = _number(2.0, "standard deviations", _NEIGHBOURS,
-        "beyond the critical value at which a smooth function is expected, for its absence to exclude it",
+        "beyond the critical value at which a smooth function is expected, for its "
+                "absence to exclude it",
         "1 in 40 by chance")
     draws: int = _number(299, "permutations", _NEIGHBOURS,
         "of the errors", "three of them exceed the limit by chance")

@@ -1,4 +1,6 @@
-"""Precheck of tables before they are fitted: coverage, rank, expected uncertainty, smallest detectable effects."""
+"""Precheck of tables before they are fitted: coverage, rank, expected uncertainty, smallest
+detectable effects.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,9 @@ FTest = tuple[float, int, int]  # residual degrees of freedom, rank, groups test
 
 @dataclass(frozen=True)
 class JointRange:
-    """Range and limits of a joint's positions in a table [rad or m], and the number of distinct ones."""
+    """Range and limits of a joint's positions in a table [rad or m], and the number of distinct
+    ones.
+    """
 
     joint: str
     low: float
@@ -71,7 +75,8 @@ class DetectabilityTable:
 
     Attributes:
         model: "elastic" or "geometric": the model fitted along with every effect.
-        sigma_m: the underlying noise [m]; of an image, at the distance of its points; None of an IMU alone.
+        sigma_m: the underlying noise [m]; of an image, at the distance of its points; None of an
+            IMU alone.
         source: "declared", "estimated" or "assumed".
         alpha: probability of any false name.
         power: probability of finding an effect of the detectable size.
@@ -94,7 +99,8 @@ class DataReport:
         kind: what was measured.
         rows: number of rows.
         joints: coverage of each joint.
-        nominal: errors with only base and tool fitted, each pose predicted by a fit without it, as a calibration has them.
+        nominal: errors with only base and tool fitted, each pose predicted by a fit without it, as
+            a calibration has them.
         noise: standard deviation on which expectations are based [m], and its origin.
         rank: number of directions that the poses determine better than the priors do.
         released: number of parameters that a fit would release.
@@ -122,12 +128,15 @@ class DataReport:
             "joints": [vars(joint) for joint in self.joints],
             "parameters": [vars(p) | {"reason": str(p.reason)} for p in self.parameters],
             "warnings": to_builtins(self.warnings),
-            "detectable": vars(self.detectable) | {"effects": [found.to_dict() for found in self.detectable.effects]},
+            "detectable": vars(self.detectable)
+            | {"effects": [found.to_dict() for found in self.detectable.effects]},
         }
 
 
 def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport:
-    """Check tables as a calibration with these options would, fitting only base and tool; errors as of a calibration."""
+    """Check tables as a calibration with these options would, fitting only base and tool; errors as
+    of a calibration.
+    """
     admitted = admit(robot, tables_of(measurements), lambda name: options.at(name).setup)
     tables = admitted.tables
     fit = expected_fit(robot, tables, options)
@@ -135,7 +144,9 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     if corrected is not None:
         robot = corrected.of(robot)
         fit = expected_fit(robot, tables, options)
-    unseen = [list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()]
+    unseen = [
+        list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()
+    ]
     notes = [*(() if corrected is None else corrected.notes), *admitted.notes, *admitted.idle]
     notes += [note for note in unseen[0] if all(note in other for other in unseen)]
     notes += notes_on_masses(robot, options.effects)
@@ -143,9 +154,13 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     posterior = fit.solution.posterior
     lead = leading_block(fit)
     rows = [StationRows.of(name, table) for name, table in tables.items()]
-    rows = [replace(part, name=at.name) for part, at in zip(rows, fit.problem.stations, strict=True)]
+    rows = [
+        replace(part, name=at.name) for part, at in zip(rows, fit.problem.stations, strict=True)
+    ]
     nominal = nominal_errors(fit, rows, Folds.of(fit.problem, WAYS["both"]))
-    fitted = error_statistics(pose_error_sizes(at, fit.nominal.values[places]) for at, places, _ in fit.stations)
+    fitted = error_statistics(
+        pose_error_sizes(at, fit.nominal.values[places]) for at, places, _ in fit.stations
+    )
     return DataReport(
         kind=" and ".join(dict.fromkeys(table.kind for table in tables.values())),
         rows=len(fit.problem),
@@ -168,16 +183,28 @@ def _outlook(robot: Robot, fit: ModelFit) -> DetectabilityTable:
     """Return the effects that could be found beyond the elastic model."""
     base = refit(fit, ELASTIC)
     can_estimate = base.solution.degrees >= SIGHT.fewest
-    usual = base.solution.estimated if can_estimate else [block.noise for block in base.problem.blocks]
-    sigma = np.array([s if d is None else d for s, d in zip(usual, fit.noise.declared, strict=True)])
+    usual = (
+        base.solution.estimated if can_estimate else [block.noise for block in base.problem.blocks]
+    )
+    sigma = np.array(
+        [s if d is None else d for s, d in zip(usual, fit.noise.declared, strict=True)]
+    )
     source = "declared" if fit.is_declared else "estimated" if can_estimate else "assumed"
-    chain, conditions = base.problem.chain, base.problem.conditions
+    chain = base.problem.chain
+    conditions = base.problem.conditions
     sights = minimum_detectable(base, candidates(chain, conditions), sigma=sigma)
-    sights += [Detectable(effect, reason=reason) for effect, reason in untestable(chain, conditions)]
+    sights += [
+        Detectable(effect, reason=reason) for effect, reason in untestable(chain, conditions)
+    ]
     seen = (station for station in fit.stations if station[0].sensor.reads_place)
-    in_metres = (float(sigma[of][0]) * s.metres_per_reading(fit.nominal.values[places]) for s, places, of in seen)
+    in_metres = (
+        float(sigma[of][0]) * s.metres_per_reading(fit.nominal.values[places])
+        for s, places, of in seen
+    )
     sigma_m = next(in_metres, None)
-    return DetectabilityTable("elastic", sigma_m, source, POLICY.false_name, SIGHT.power, tuple(sights))
+    return DetectabilityTable(
+        "elastic", sigma_m, source, POLICY.false_name, SIGHT.power, tuple(sights)
+    )
 
 
 def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:
@@ -188,7 +215,9 @@ def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:
 
 
 def _expectations(fit: ModelFit) -> Iterator[Expectation]:
-    for p, sigma, finding in zip(fit.problem.parameters, fit.estimate.sigma, explain(fit), strict=True):
+    for p, sigma, finding in zip(
+        fit.problem.parameters, fit.estimate.sigma, explain(fit), strict=True
+    ):
         known = float(sigma) if np.isfinite(sigma) else 0.0
         yield Expectation(p.name, p.unit, known, finding.status, finding.reason, p.effect)
 
@@ -199,13 +228,15 @@ class Detectable:
 
     Attributes:
         effect: the effect.
-        measure: the measured quantity: the name of the effect's only parameter, "amplitude" (the norm of its parameters),
-            "rms of the curve" or, of compliances, "largest rotation in these poses".
+        measure: the measured quantity: the name of the effect's only parameter, "amplitude" (the
+            norm of its parameters), "rms of the curve" or, of compliances, "largest rotation in
+            these poses".
         unit: unit of the sizes.
-        size: size that is found with probability ``SIGHT.power``, for random directions of its parameters; None if no size
-            is detectable.
+        size: size that is found with probability ``SIGHT.power``, for random directions of its
+            parameters; None if no size is detectable.
         best: the same in the most visible direction.
-        absorbed: fraction of the squared signal that a refitted model absorbs (mean over the directions).
+        absorbed: fraction of the squared signal that a refitted model absorbs (mean over the
+            directions).
         reason: why no size is detectable; empty otherwise.
     """
 
@@ -220,24 +251,34 @@ class Detectable:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data, the effect by name, joint, source, order and frame."""
         at = self.effect.locus
-        which = zip(("effect", "joint", "source", "order", "frame"), (*self.effect.heading, at.order, at.frame), strict=True)
+        which = zip(
+            ("effect", "joint", "source", "order", "frame"),
+            (*self.effect.heading, at.order, at.frame),
+            strict=True,
+        )
         return dict(which) | {key: value for key, value in vars(self).items() if key != "effect"}
 
 
-def minimum_detectable(fit: ModelFit, effects: Sequence[Effect], *, sigma: np.ndarray | None = None) -> list[Detectable]:
+def minimum_detectable(
+    fit: ModelFit, effects: Sequence[Effect], *, sigma: np.ndarray | None = None
+) -> list[Detectable]:
     """Return the smallest detectable size of each effect with these poses and this noise.
 
-    An effect of parameters beta has the non-centrality beta^T S' beta with everything else refitted, uncertain masses
-    included. It is found if its gain passes the tests of the search: the F test corrected for the number of groups, and the
-    smallest relevant gain. The power follows from the non-central F distribution.
+    An effect of parameters beta has the non-centrality beta^T S' beta with everything else
+    refitted, uncertain masses included. It is found if its gain passes the tests of the search: the
+    F test corrected for the number of groups, and the smallest relevant gain. The power follows
+    from the non-central F distribution.
 
     Args:
         fit: the model to which every effect would be added.
         effects: the effects.
-        sigma: shape (blocks,), standard deviation of one component of each block of readings; default: of the residuals.
+        sigma: shape (blocks,), standard deviation of one component of each block of readings;
+            default: of the residuals.
     """
     situation = situation_of(fit)
-    tested = [effect.reduced(situation) if isinstance(effect, Reducible) else effect for effect in effects]
+    tested = [
+        effect.reduced(situation) if isinstance(effect, Reducible) else effect for effect in effects
+    ]
     noise = fit.solution.estimated if sigma is None else sigma
     quiet = replace(fit, solution=replace(fit.solution, estimated=noise))
     found = score_test_given_nuisances(quiet, tested)
@@ -248,7 +289,10 @@ def minimum_detectable(fit: ModelFit, effects: Sequence[Effect], *, sigma: np.nd
 
 
 def _too_few(found: ScoreTests) -> str:
-    return f"{found.readings} readings leave only {found.dof:.0f} degrees of freedom for the tests; measure more poses"
+    return (
+        f"{found.readings} readings leave only {found.dof:.0f} degrees of freedom for the "
+        "tests; measure more poses"
+    )
 
 
 def _sizes(fit: ModelFit, found: ScoreTests, i: int, groups: int) -> Iterator[Detectable]:
@@ -269,12 +313,18 @@ def _sizes(fit: ModelFit, found: ScoreTests, i: int, groups: int) -> Iterator[De
         whole = found.inner_of([i])[np.ix_(own, own)]
         signal = scale.T @ found.within([i])[1][np.ix_(own, own)] @ scale
         size, best = _size_at(np.maximum(np.linalg.eigvalsh(signal), 0.0), test)
-        absorbed = float(np.clip(1.0 - np.trace(signal) / np.trace(scale.T @ whole @ scale), 0.0, 1.0))
+        absorbed = float(
+            np.clip(1.0 - np.trace(signal) / np.trace(scale.T @ whole @ scale), 0.0, 1.0)
+        )
         yield Detectable(effect, measure, shown, size, best, absorbed)
 
 
-def _measure(effect: Effect, fit: ModelFit, own: np.ndarray, unit: str) -> tuple[str, str, np.ndarray]:
-    """Return the measure of the size of some parameters, its unit, and parameter vectors of size 1, shape (p, k)."""
+def _measure(
+    effect: Effect, fit: ModelFit, own: np.ndarray, unit: str
+) -> tuple[str, str, np.ndarray]:
+    """Return the measure of the size of some parameters, its unit, and parameter vectors of size 1,
+    shape (p, k).
+    """
     if isinstance(effect, Curve):
         return "rms of the curve", unit, _unit_curves(effect, fit)
     if "N m" in unit:
@@ -282,11 +332,17 @@ def _measure(effect: Effect, fit: ModelFit, own: np.ndarray, unit: str) -> tuple
         largest, felt = largest_basis(Model(fit.problem.chain, (effect,)), fit.problem.conditions)
         return "largest rotation in these poses", "rad", np.diag(1.0 / largest[own])[:, felt[own]]
     one = len(own) == 1
-    return effect.parameters(fit.problem.chain)[own[0]].name if one else "amplitude", unit, np.eye(len(own))
+    return (
+        effect.parameters(fit.problem.chain)[own[0]].name if one else "amplitude",
+        unit,
+        np.eye(len(own)),
+    )
 
 
 def _unit_curves(effect: Curve, fit: ModelFit) -> np.ndarray:
-    """Return coefficients, shape (size, k), of orthogonal curves whose rms about their mean over the poses is 1."""
+    """Return coefficients, shape (size, k), of orthogonal curves whose rms about their mean over
+    the poses is 1.
+    """
     terms = effect.terms(fit.problem.chain, fit.problem.conditions, None)
     basis = np.stack([term.basis for term in terms if term.basis is not None])
     basis = basis - basis.mean(axis=1, keepdims=True)
@@ -296,9 +352,11 @@ def _unit_curves(effect: Curve, fit: ModelFit) -> np.ndarray:
 
 
 def _size_at(strengths: np.ndarray, test: FTest) -> tuple[float, float]:
-    """Return the size that is found with probability SIGHT.power in a random direction, and in the best one.
+    """Return the size that is found with probability SIGHT.power in a random direction, and in the
+    best one.
 
-    ``strengths``, shape (k,), are the non-centralities of an effect of size 1 along its principal directions.
+    ``strengths``, shape (k,), are the non-centralities of an effect of size 1 along its principal
+    directions.
     """
     from scipy.optimize import brentq
 
@@ -308,7 +366,9 @@ def _size_at(strengths: np.ndarray, test: FTest) -> tuple[float, float]:
     z = np.random.default_rng(0).standard_normal((SIGHT.shapes, len(strengths)))
     along = (z**2 / np.sum(z**2, axis=1, keepdims=True)) @ strengths
     grid, powers = _power_curve(test)
-    missing = lambda log_size: float(np.mean(np.interp(np.exp(2.0 * log_size) * along, grid, powers))) - SIGHT.power  # noqa: E731
+    missing = lambda log_size: (  # noqa: E731
+        float(np.mean(np.interp(np.exp(2.0 * log_size) * along, grid, powers))) - SIGHT.power
+    )
     return float(np.exp(brentq(missing, np.log(0.1 * best), np.log(1e6 * best)))), best
 
 
@@ -323,14 +383,17 @@ def critical_gain(test: FTest) -> float:
 def power_of(noncentrality: float, test: FTest) -> float:
     """Return the probability that an effect of a non-centrality is accepted."""
     dof, rank, *_ = test
-    gain, rest = critical_gain(test), max(dof - rank, 1.0)
+    gain = critical_gain(test)
+    rest = max(dof - rank, 1.0)
     F = (gain / rank) / (max(dof - gain, 1e-9) / rest)
     return 1.0 - float(ncfdtr(rank, rest, noncentrality, F))
 
 
 @lru_cache(maxsize=256)
 def detectable_noncentrality(test: FTest) -> float:
-    """Return the non-centrality that is found with probability SIGHT.power; inf where no effect passes the test."""
+    """Return the non-centrality that is found with probability SIGHT.power; inf where no effect
+    passes the test.
+    """
     from scipy.optimize import brentq
 
     upper = 10.0 * critical_gain(test) + 100.0

@@ -1,4 +1,6 @@
-"""Components of score tests: the information of rows and priors on a model, and the rows with all columns."""
+"""Components of score tests: the information of rows and priors on a model, and the rows with all
+columns.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ from pincal.identify.quadratic import Factor, Form
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Information of rows and priors on the N parameters of a model, by block of poses; the same for all candidates.
+    """Information of rows and priors on the N parameters of a model, by block of poses; the same
+    for all candidates.
 
     Attributes:
         blocks: of the rows of each of B blocks.
@@ -42,11 +45,14 @@ class Information:
         return self.factor.half(self.rows.g + self.prior.g)
 
     def believing(self, factor: float, H: np.ndarray) -> Information:
-        """Return the same with uncertain sizes multiplied by a factor, with H the resulting information of the priors."""
+        """Return the same with uncertain sizes multiplied by a factor, with H the resulting
+        information of the priors.
+        """
         return self.variants.setdefault(factor, Information(self.blocks, replace(self.prior, H=H)))
 
     def without(self, model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Information:
-        """Return the same of some parameters, ``model``, with the others, ``gone``, set from ``values`` to zero.
+        """Return the same of some parameters, ``model``, with the others, ``gone``, set from
+        ``values`` to zero.
 
         To first order the residuals r grow by J v for columns J of value v, and g by H v.
         """
@@ -74,7 +80,8 @@ class RowPart(NamedTuple):
         residuals: shape (m, n).
         model: the station's columns of the model.
         candidates: the station's columns of the candidates.
-        at: indices of the model's and then the candidates' columns among all columns; -1 for removed ones.
+        at: indices of the model's and then the candidates' columns among all columns; -1 for
+            removed ones.
     """
 
     rows: np.ndarray
@@ -84,22 +91,32 @@ class RowPart(NamedTuple):
     at: np.ndarray
 
     def moved(self, steps: np.ndarray) -> np.ndarray:
-        """Return how R steps of the parameters of all columns, shape (N + C, R), move the rows, shape (R, m, n)."""
+        """Return how R steps of the parameters of all columns, shape (N + C, R), move the rows,
+        shape (R, m, n).
+        """
         # Removed columns take no step.
-        steps, n = np.vstack([steps, np.zeros(steps.shape[1])]), self.model.size
+        steps = np.vstack([steps, np.zeros(steps.shape[1])])
+        n = self.model.size
         some = np.flatnonzero(steps[self.at[n:]].any(axis=1))
         added = self.candidates.only(some).along(steps[self.at[n + some]])
         return np.asarray(self.model.along(steps[self.at[:n]]) + added)
 
     def products(self, some: np.ndarray, others: np.ndarray) -> np.ndarray:
-        """Return the products of J columns of candidates with K others, by index among all, shape (J, K)."""
+        """Return the products of J columns of candidates with K others, by index among all, shape
+        (J, K).
+        """
         pairs = (np.nonzero(of[:, None] == self.at[self.model.size :]) for of in (some, others))
         (here, mine), (there, theirs) = pairs
-        own, found = np.zeros((len(here), len(there))), np.zeros((len(some), len(others)))
+        own = np.zeros((len(here), len(there)))
+        found = np.zeros((len(some), len(others)))
         self.candidates.only(mine).add_products(self.candidates.only(theirs), own)
         found[np.ix_(here, there)] = own
         return found
 
     def among(self, slots: np.ndarray, undone: np.ndarray) -> RowPart:
-        """Return the rows with columns at other indices, shape (N + C + 1,), and values ``undone`` set to zero."""
-        return self._replace(residuals=self.residuals + self.moved(undone[:, None])[0], at=slots[self.at])
+        """Return the rows with columns at other indices, shape (N + C + 1,), and values ``undone``
+        set to zero.
+        """
+        return self._replace(
+            residuals=self.residuals + self.moved(undone[:, None])[0], at=slots[self.at]
+        )

@@ -1,12 +1,13 @@
 """Discovery of effects that a calibration lacks: findings, a model with them, and their stability.
 
-The search is repeated on subsamples of half of the regions of joint space; a half and the other regions are a complementary
-pair (Shah and Samworth 2013, J. R. Stat. Soc. B 75, 55-80). A name found in 19 of 20 halves does not depend on a few poses
-and would probably be found with other poses; one found in less than 60 % is a hint.
+The search is repeated on subsamples of half of the regions of joint space; a half and the other
+regions are a complementary pair (Shah and Samworth 2013, J. R. Stat. Soc. B 75, 55-80). A name
+found in 19 of 20 halves does not depend on a few poses and would probably be found with other
+poses; one found in less than 60 % is a hint.
 
-A search on a half starts from the geometric fit of all rows, in their moment frame, with all effects of the catalogue and
-those unnamed dependences that were found on all rows. Where effects are selected on a sample of the rows, see
-``Policy.enough_readings``, halves are of this sample.
+A search on a half starts from the geometric fit of all rows, in their moment frame, with all
+effects of the catalogue and those unnamed dependences that were found on all rows. Where effects
+are selected on a sample of the rows, see ``Policy.enough_readings``, halves are of this sample.
 """
 
 from __future__ import annotations
@@ -42,7 +43,13 @@ from pincal.discover.scatter import arrivals_within
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
 from pincal.discover.steps import History, listed
 from pincal.errors import BadInputError, PincalError
-from pincal.identify.calibrate import Tables, nominal_without_outliers, reads_places, refit, tables_of
+from pincal.identify.calibrate import (
+    Tables,
+    nominal_without_outliers,
+    reads_places,
+    refit,
+    tables_of,
+)
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
@@ -82,7 +89,10 @@ class Discovery:
     traces: tuple[PartialResidual, ...]
 
     def __repr__(self) -> str:
-        named = ", ".join(" of ".join(filter(None, (entry.effect, entry.joint))) for entry in self.findings.effects)
+        named = ", ".join(
+            " of ".join(filter(None, (entry.effect, entry.joint)))
+            for entry in self.findings.effects
+        )
         robot = self.calibration.robot.name
         return f"Discovery({robot!r}: {named or 'no effect'}; {self.findings.verdict})"
 
@@ -116,27 +126,31 @@ def run_discovery(
     executor: Executor | None = None,
     **choices: Unpack[Choices],
 ) -> Discovery:
-    """Calibrate, identify and add the effects that the model lacks, and validate each step on held-out rows.
+    """Calibrate, identify and add the effects that the model lacks, and validate each step on
+    held-out rows.
 
     Args:
         robot: the arm.
         measurements: the table, or several, a station each.
-        options: how to calibrate; its effects are the model to start from, default: the geometric one.
+        options: how to calibrate; its effects are the model to start from, default: the geometric
+            one.
         extra: additional candidate effects of the user.
         policy: thresholds and limits.
-        stability: number of subsamples on which the search is repeated, to count how often each name is found; a
-            bootstrap then also tests the effect accepted last; default: none.
-        executor: runs these searches, and the discoveries that leave a station out; default: sequentially, here.
+        stability: number of subsamples on which the search is repeated, to count how often each
+            name is found; a bootstrap then also tests the effect accepted last; default: none.
+        executor: runs these searches, and the discoveries that leave a station out; default:
+            sequentially, here.
 
     Keyword Args:
-        test_fraction: fraction of the poses to hold out for good; default: none, errors are stated by cross-validation.
-        split: how poses are divided into folds, or chosen; default: whole regions of joint space, and stretches of
-            consecutive rows, the headline being the one predicted worse. With "station" each station is predicted by a
-            discovery on the others.
+        test_fraction: fraction of the poses to hold out for good; default: none, errors are stated
+            by cross-validation.
+        split: how poses are divided into folds, or chosen; default: whole regions of joint space,
+            and stretches of consecutive rows, the headline being the one predicted worse. With
+            "station" each station is predicted by a discovery on the others.
         seed: of the choice; default: 0.
         holdout: other measurements to hold out instead.
-        moment_frames: moment frames to choose from by the data; default: as in the options. The first is kept unless
-            another fits significantly better.
+        moment_frames: moment frames to choose from by the data; default: as in the options. The
+            first is kept unless another fits significantly better.
 
     Returns:
         The calibration with all effects found, and the history of the search.
@@ -160,12 +174,16 @@ def run_discovery(
         [('gear_eccentricity', 'joint_4')]
     """
     if stability < 0:
-        raise BadInputError(f"stability is {stability}; expected a number of subsamples, 0 for none")
+        raise BadInputError(
+            f"stability is {stability}; expected a number of subsamples, 0 for none"
+        )
     tables = tables_of(measurements)
     if not reads_places(tables):
         raise BadInputError(
-            f"{', '.join(table.source for table in tables.values())}: an IMU alone measures no positions, which a discovery "
-            "needs to distinguish causes; add a tracker in motion or some static poses, or only calibrate (pincal calibrate)"
+            f"{', '.join(table.source for table in tables.values())}: an IMU alone "
+            "measures no positions, which a discovery "
+            "needs to distinguish causes; add a tracker in motion or some static poses, "
+            "or only calibrate (pincal calibrate)"
         )
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
@@ -186,7 +204,9 @@ def run_discovery(
     # Correlation along the rows may be due to the effects searched for.
     plain = replace(options, serial=False)
     first = fit_admitted(robot, measurements, plain, **held_back)
-    first = replace(first, fit=replace(first.fit, options=replace(first.fit.options, serial=options.serial)))
+    first = replace(
+        first, fit=replace(first.fit, options=replace(first.fit.options, serial=options.serial))
+    )
     trail, notes = search(first)
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # The following runs while workers search the halves.
@@ -198,7 +218,9 @@ def run_discovery(
     fit = replace(fit, nominal=nominal_without_outliers(fit))
     validated = Validated.of(fit, first.stations, first.folds)
     gaps, held_out = stages_of(trail, first.stations, validated)
-    origins = ", ".join(dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations))))
+    origins = ", ".join(
+        dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations)))
+    )
     measured = as_measured(trail.final, first.stations)
     arrivals = arrivals_within(trail.final)
     findings = findings_of(
@@ -224,15 +246,22 @@ def run_discovery(
         validated=validated,
         arrivals=arrivals,
     )
-    final = Calibration(first.robot, first.stations, CalibratedFit.of(fit), result, notes, validated)
-    # The search decides whether the model is inadequate; whether it is adequate, the rule common to all commands.
+    final = Calibration(
+        first.robot, first.stations, CalibratedFit.of(fit), result, notes, validated
+    )
+    # The search decides whether the model is inadequate; whether it is adequate, the rule common to
+    # all commands.
     verdict = result.verdict_of(incomplete=findings.verdict is Verdict.NOT_ADEQUATE)
     findings = changed(findings, verdict=verdict, warnings=result.warnings)
     return Discovery(final, trail, findings, gaps, traces)
 
 
 def _search(
-    first: FittedTables, *, frames: tuple[MomentFrame, ...], extra: tuple[Effect, ...], policy: Policy
+    first: FittedTables,
+    *,
+    frames: tuple[MomentFrame, ...],
+    extra: tuple[Effect, ...],
+    policy: Policy,
 ) -> tuple[History, tuple[Note, ...]]:
     """Return the history of a search from a calibration on, and notes."""
     blocks = np.concatenate(_regions(first)) % TESTING.blocks
@@ -248,10 +277,16 @@ def _search(
     ]
     if trail is not found:
         names = listed(trail.changes[-1].left)
-        notes.append(f"withdrawn, since a change during the session may explain them: {names}; run again with two stations")
-    was, frame = first.fit.options.moment_frame, trail.final.options.moment_frame
+        notes.append(
+            f"withdrawn, since a change during the session may explain them: {names}; run "
+            "again with two stations"
+        )
+    was = first.fit.options.moment_frame
+    frame = trail.final.options.moment_frame
     if frame != was:
-        notes.append(f"moments are computed as with --moment-frame {frame}, which fits better than {was}")
+        notes.append(
+            f"moments are computed as with --moment-frame {frame}, which fits better than {was}"
+        )
     if of_joints := note_on_joints(trail.final):
         notes.append(of_joints)
     return trail, doubts_first(notes)
@@ -288,9 +323,19 @@ class Subsamples:
         return sum(any(heading in group for group in groups) for groups in self.named)
 
     def others(self, known: Sequence[Heading], share: float) -> list[tuple[Heading, int]]:
-        """Return unknown names that were found, not only as equivalents, in at least a share of the halves, with counts."""
-        first = Counter(heading for groups in self.named for heading in dict.fromkeys(group[0] for group in groups))
-        return [(name, n) for name, n in first.most_common() if name not in known and n >= share * len(self)]
+        """Return unknown names that were found, not only as equivalents, in at least a share of the
+        halves, with counts.
+        """
+        first = Counter(
+            heading
+            for groups in self.named
+            for heading in dict.fromkeys(group[0] for group in groups)
+        )
+        return [
+            (name, n)
+            for name, n in first.most_common()
+            if name not in known and n >= share * len(self)
+        ]
 
 
 def begin_subsamples(
@@ -302,7 +347,8 @@ def begin_subsamples(
         trail: the search on all rows.
         regions: for each station shape (rows,), the region of joint space of each training row.
         count: number of halves.
-        executor: runs the searches, all started now; default: sequentially, here, when they are waited for.
+        executor: runs the searches, all started now; default: sequentially, here, when they are
+            waited for.
     """
     if not count:
         return lambda: Subsamples((), 0)
@@ -310,27 +356,37 @@ def begin_subsamples(
     # The correlation along the rows is estimated from all rows.
     few = replace(few, options=replace(few.options, serial=False))
     offsets = np.cumsum([0, *(int(part.max()) + 1 for part in regions)])
-    joined = np.concatenate([part + offset for part, offset in zip(regions, offsets, strict=False)])[rows]
+    joined = np.concatenate(
+        [part + offset for part, offset in zip(regions, offsets, strict=False)]
+    )[rows]
     parts = [np.unique(joined[span]) for span in few.problem.rows]
     found = [effect for step in trail.steps for effect in (*step.effects, *step.equivalent)]
     nameless = frozenset(effect.identity for effect in found if effect.is_nameless)
     # Names do not depend on the final resolution of curves.
-    run = partial(_names_in_half, few, joined, trail.extra, replace(trail.policy, finer=1.0), nameless)
+    run = partial(
+        _names_in_half, few, joined, trail.extra, replace(trail.policy, finer=1.0), nameless
+    )
     halves = list(_subsamples(parts, joined, count))
     poses = round(float(np.mean([np.count_nonzero(np.isin(joined, half)) for half in halves])))
     named = spread(run, halves, label="subsample", executor=executor)
     return lambda: Subsamples(tuple(groups for groups in named if groups is not None), poses)
 
 
-def _subsamples(parts: Sequence[np.ndarray], regions: np.ndarray, count: int) -> Iterator[np.ndarray]:
+def _subsamples(
+    parts: Sequence[np.ndarray], regions: np.ndarray, count: int
+) -> Iterator[np.ndarray]:
     """Yield the regions of each half, with about half of the rows of every station."""
-    rng, sizes = np.random.default_rng(0), np.bincount(regions)
+    rng = np.random.default_rng(0)
+    sizes = np.bincount(regions)
     for k in range(count):
         if k % 2 == 0:
             orders = [rng.permutation(part) for part in parts]
             sums = [np.cumsum(sizes[order]) for order in orders]
             # At least one region, and not all.
-            cuts = [int(np.clip(np.argmin(np.abs(n - 0.5 * n[-1])) + 1, 1, max(len(n) - 1, 1))) for n in sums]
+            cuts = [
+                int(np.clip(np.argmin(np.abs(n - 0.5 * n[-1])) + 1, 1, max(len(n) - 1, 1)))
+                for n in sums
+            ]
         pairs = zip(orders, cuts, strict=True)
         yield np.concatenate([order[cut:] if k % 2 else order[:cut] for order, cut in pairs])
 
@@ -349,7 +405,9 @@ def _names_in_half(
     try:
         few = first.select(rows)
         start = refit(few, few.options.effects, start={})
-        return tuple(_groups(discover_effects(start, groups, extra=extra, policy=policy, nameless=nameless)))
+        return tuple(
+            _groups(discover_effects(start, groups, extra=extra, policy=policy, nameless=nameless))
+        )
     except PincalError:
         return None
 
@@ -358,26 +416,45 @@ def _groups(trail: History) -> Iterator[Group]:
     """Yield the names found by a search, as in its findings: elasticity joint by joint."""
     for step in trail.steps:
         if step.is_elastic:
-            yield from ((sure.effect.heading,) for sure in significant_compliances(trail.final, step.effects))
+            yield from (
+                (sure.effect.heading,)
+                for sure in significant_compliances(trail.final, step.effects)
+            )
         else:
             yield (step.effect.heading, *(other.heading for other in step.equivalent))
 
 
-def with_subsamples(findings: Findings, halves: Subsamples, bootstrap: Bootstrap | None) -> Findings:
-    """Return findings with their stability, from names in halves of the poses, and a bootstrap of the last effect."""
+def with_subsamples(
+    findings: Findings, halves: Subsamples, bootstrap: Bootstrap | None
+) -> Findings:
+    """Return findings with their stability, from names in halves of the poses, and a bootstrap of
+    the last effect.
+    """
     if not halves:
         return changed(findings, bootstrap=bootstrap)
-    every = [(entry, Stability(halves.count(_heading(entry)), len(halves))) for entry in findings.effects]
+    every = [
+        (entry, Stability(halves.count(_heading(entry)), len(halves))) for entry in findings.effects
+    ]
     effects = tuple(changed(entry, stability=of) for entry, of in every)
-    names = ({key: getattr(entry, key) for key in EffectName.__struct_fields__} for entry in effects)
-    hints = (Repeated(**name, stability=of) for name, (_, of) in zip(names, every, strict=True) if of.share < SURE)
+    names = (
+        {key: getattr(entry, key) for key in EffectName.__struct_fields__} for entry in effects
+    )
+    hints = (
+        Repeated(**name, stability=of)
+        for name, (_, of) in zip(names, every, strict=True)
+        if of.share < SURE
+    )
     # Names found in most halves that are neither found on all rows nor equivalents.
     known = [_heading(name) for entry in effects for name in (entry, *entry.equivalent)]
     only = (
         Repeated(effect=effect, joint=joint, source=source, stability=Stability(named, len(halves)))
         for (effect, joint, source), named in halves.others(known, SURE)
     )
-    stability: dict[str, Any] = {"hints": tuple(hints), "only_in_halves": tuple(only), "poses_in_a_half": halves.poses}
+    stability: dict[str, Any] = {
+        "hints": tuple(hints),
+        "only_in_halves": tuple(only),
+        "poses_in_a_half": halves.poses,
+    }
     return changed(findings, effects=effects, bootstrap=bootstrap, **stability)
 
 

@@ -1,22 +1,24 @@
 r"""Scatter of one joint from pose to pose, and score tests for noise that is uneven because of it.
 
-Residuals in excess of the noise along the lever of a joint are due either to its repeatability or to an unknown function of
-the pose. Repeated poses distinguish these; so do poses that are close in some joints, where a smooth function has nearly the
-same value and scatter has not.
+Residuals in excess of the noise along the lever of a joint are due either to its repeatability or
+to an unknown function of the pose. Repeated poses distinguish these; so do poses that are close in
+some joints, where a smooth function has nearly the same value and scatter has not.
 
-Drives that all stop to some tens of micro-radians leave an excess along every lever, the longest most.
-One joint is named only if it scatters more than the others: with L_v the levers of all joints at visit v,
+Drives that all stop to some tens of micro-radians leave an excess along every lever, the longest
+most. One joint is named only if it scatters more than the others: with L_v the levers of all joints
+at visit v,
 
 .. math:: V_v = \sigma^2 I + L_v^T \, \mathrm{diag}(s^2 + s_j^2) \, L_v
 
 has to be far more likely with s_j of one joint than with s alone.
 
-A score test assumes a single noise variance. Where a joint does not repeat, readings are noisier along its lever than across
-it, and the test understates the p-values of effects on this joint. The noise along an effect follows from the scores of
-single visits, :math:`s_v = W^T \sum_{n \in v} X'_n{}^T r_n` (X' the effect's columns with the model's tangent space
-projected out, whitened by W, r the residuals with the effect): with even noise their components have a mean square of 1 in
-total. Divided by a mean square that is significantly larger, the test is valid for any noise (Rao and Scott 1981, first
-order).
+A score test assumes a single noise variance. Where a joint does not repeat, readings are noisier
+along its lever than across it, and the test understates the p-values of effects on this joint. The
+noise along an effect follows from the scores of single visits,
+:math:`s_v = W^T \sum_{n \in v} X'_n{}^T r_n` (X' the effect's columns with the model's tangent
+space projected out, whitened by W, r the residuals with the effect): with even noise their
+components have a mean square of 1 in total. Divided by a mean square that is significantly larger,
+the test is valid for any noise (Rao and Scott 1981, first order).
 """
 
 from __future__ import annotations
@@ -53,7 +55,8 @@ class Excess:
         sigma: standard deviation of its position that would explain it [rad or m].
         missing: the column that could explain it.
         shown_by: evidence that it is scatter: "replicates" or "neighbours"; "" without any.
-        follows: the joints on whose positions it depends, or the order of the rows, according to neighbours; else empty.
+        follows: the joints on whose positions it depends, or the order of the rows, according to
+            neighbours; else empty.
         is_repeated: whether repeated poses reproduce it.
     """
 
@@ -67,42 +70,58 @@ class Excess:
     @property
     def scattering(self) -> ScatteringJoint | None:
         """The entry of the findings, if scatter is shown."""
-        return ScatteringJoint(self.joint, self.sigma, self.missing, self.shown_by) if self.shown_by else None
+        return (
+            ScatteringJoint(self.joint, self.sigma, self.missing, self.shown_by)
+            if self.shown_by
+            else None
+        )
 
     @property
     def statement(self) -> str:
         """The finding in words."""
         if self.shown_by == "replicates":
-            return f"{self.joint} does not return to the same position about its own axis, even when a pose is repeated"
+            return (
+                f"{self.joint} does not return to the same position about its own axis, even "
+                "when a pose is repeated"
+            )
         if self.shown_by:
             return (
-                f"{self.joint} does not return to the same position about its own axis, regardless of pose and recorded "
+                f"{self.joint} does not return to the same position about its own axis, "
+                "regardless of pose and recorded "
                 "columns: neighbouring poses have unrelated errors"
             )
         if self.follows:
-            of = " and ".join(self.follows) if len(self.follows) <= NOISE.most_joints else "all joints"
+            of = (
+                " and ".join(self.follows)
+                if len(self.follows) <= NOISE.most_joints
+                else "all joints"
+            )
             return (
-                f"{self.joint} has an error about its own axis that follows {of}: neighbouring poses have correlated "
+                f"{self.joint} has an error about its own axis that follows {of}: "
+                "neighbouring poses have correlated "
                 "errors; it does not scatter, and more poses would resolve it"
             )
         if self.is_repeated:
             return (
-                f"{self.joint} has an error about its own axis that is a function of the pose: repeated poses reproduce it; "
+                f"{self.joint} has an error about its own axis that is a function of the "
+                "pose: repeated poses reproduce it; "
                 "more poses would resolve it"
             )
         return (
-            f"{self.joint} has an error about its own axis that is scatter or a function of the pose: no pose was repeated, "
+            f"{self.joint} has an error about its own axis that is scatter or a function "
+            "of the pose: no pose was repeated, "
             "and too few are neighbours to decide; measure ten poses three times each"
         )
 
 
 def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | None:
-    """Return the joint with the largest excess along its lever, if significant, and whether it is scatter.
+    """Return the joint with the largest excess along its lever, if significant, and whether it is
+    scatter.
 
     Scatter that all joints have alike is none of one. It is scatter if replicates differ by it, in
-    ``measured`` if the rows of the fit are means of poses. Without replicates it is scatter if neighbours
-    in the positions of some joints have unrelated errors although a smooth function of these joints
-    would have been detected, in a permutation test.
+    ``measured`` if the rows of the fit are means of poses. Without replicates it is scatter if
+    neighbours in the positions of some joints have unrelated errors although a smooth function of
+    these joints would have been detected, in a permutation test.
     """
     found = [(one.scatter(), one) for _, alone, _ in fit.in_places for one in _along_levers(alone)]
     index = max(range(len(found)), key=lambda i: found[i][0].gain)
@@ -127,27 +146,35 @@ def _largest(found: list[tuple[_Component, _AlongLever]], joint: str) -> int:
     return max(own, key=lambda i: found[i][0].gain)
 
 
-def _excess_of(found: list[tuple[_Component, _AlongLever]], index: int, measured: ModelFit | None) -> Excess:
+def _excess_of(
+    found: list[tuple[_Component, _AlongLever]], index: int, measured: ModelFit | None
+) -> Excess:
     """Return the excess along one of the levers of all stations, and whether it is scatter."""
     whole, best = found[index]
     conditions = best.station.conditions
     missing = "time" if conditions.temperature is not None else "temperature"
     missing = missing if conditions.approach is not None else f"approach_{best.joint}"
-    single = best if measured is None else [one for _, alone, _ in measured.in_places for one in _along_levers(alone)][index]
+    single = (
+        best
+        if measured is None
+        else [one for _, alone, _ in measured.in_places for one in _along_levers(alone)][index]
+    )
     again = single.differences()
     if again is not None and again.gain > chdtri(1, 2.0 * NOISE.chance):
         return Excess(best.joint, again.sigma, missing, "replicates")
-    follows, is_repeated = best.follows(whole), again is not None
+    follows = best.follows(whole)
+    is_repeated = again is not None
     shown_by: Literal["neighbours", ""] = "neighbours" if follows == () and not is_repeated else ""
     return Excess(best.joint, whole.sigma, missing, shown_by, follows or (), is_repeated)
 
 
 def arrivals_within(fit: ModelFit) -> float | None:
-    """Return to how much all drives alike would have to stop to explain residuals beyond the declared noise [rad].
+    """Return to how much all drives alike would have to stop to explain residuals beyond the
+    declared noise [rad].
 
-    None if no noise is declared, if it explains the residuals, or if such scatter does not: one joint
-    scatters more than others, a larger noise of the instrument is likelier, errors of neighbours are
-    related, or something is left.
+    None if no noise is declared, if it explains the residuals, or if such scatter does not: one
+    joint scatters more than others, a larger noise of the instrument is likelier, errors of
+    neighbours are related, or something is left.
     """
     solution = fit.solution
     if not fit.is_declared or chdtrc(solution.degrees, solution.chi2) >= MISFIT:
@@ -162,13 +189,16 @@ def arrivals_within(fit: ModelFit) -> float | None:
     if chdtrc(arrivals.readings, left) < MISFIT:
         return None
     levers_of_all = (one for _, alone, _ in fit.in_places for one in _along_levers(alone))
-    whole, best = max(((one.scatter(), one) for one in levers_of_all), key=lambda pair: pair[0].gain)
+    whole, best = max(
+        ((one.scatter(), one) for one in levers_of_all), key=lambda pair: pair[0].gain
+    )
     return float(np.sqrt(alike)) if best.follows(whole) == () else None
 
 
 @dataclass(frozen=True)
 class _Arrivals:
-    """Sums over the readings of each of V visits, in units of the noise, from which the scatter of all n joints follows.
+    """Sums over the readings of each of V visits, in units of the noise, from which the scatter of
+    all n joints follows.
 
     Attributes:
         joints: names of the joints.
@@ -193,8 +223,13 @@ class _Arrivals:
 
     @classmethod
     def of(cls, fit: ModelFit, *, between: bool = False) -> _Arrivals:
-        """Return the sums of a fit over visits, as many as the variances need, or over differences between replicates."""
-        gram, along, squares, readings = list[np.ndarray](), list[np.ndarray](), 0.0, 0
+        """Return the sums of a fit over visits, as many as the variances need, or over differences
+        between replicates.
+        """
+        gram = list[np.ndarray]()
+        along = list[np.ndarray]()
+        squares = 0.0
+        readings = 0
         for _, alone, blocks in fit.in_places:
             declared = alone.noise.declared[0]
             sigma = fit.solution.estimated[blocks.start] if declared is None else declared
@@ -205,11 +240,14 @@ class _Arrivals:
             if not sets:
                 continue
             lever = np.stack([of[0] for of in sets]) / sigma
-            residuals, visit = sets[0][1] / sigma, sets[0][2]
+            residuals = sets[0][1] / sigma
+            visit = sets[0][2]
             count = int(visit.max()) + 1
             some = np.unique(np.linspace(0, count - 1, min(count, NOISE.visits)).astype(int))
             kept = np.isin(visit, some)
-            lever, residuals, visit = lever[:, :, kept], residuals[:, kept], visit[kept]
+            lever = lever[:, :, kept]
+            residuals = residuals[:, kept]
+            visit = visit[kept]
             products = np.einsum("imr,jmr->rij", lever, lever)
             sums = np.zeros((count, len(every), len(every)))
             np.add.at(sums, visit, products)
@@ -221,9 +259,13 @@ class _Arrivals:
             readings += residuals.size
         robot = fit.problem.chain.robot
         turns = np.array([kind != "prismatic" for kind in robot.joint_types])
-        return cls(robot.joint_names, turns, np.concatenate(gram), np.concatenate(along), squares, readings)
+        return cls(
+            robot.joint_names, turns, np.concatenate(gram), np.concatenate(along), squares, readings
+        )
 
-    def likelihood(self, variances: np.ndarray, sigma2: float | None = None) -> tuple[float, float, float]:
+    def likelihood(
+        self, variances: np.ndarray, sigma2: float | None = None
+    ) -> tuple[float, float, float]:
         """Return 2 log-likelihood, the noise's variance, and the squares weighted by all variances.
 
         Args:
@@ -237,10 +279,16 @@ class _Arrivals:
         left = max(self.squares - float(explained), 1e-300)
         variance = left / self.readings if sigma2 is None else sigma2
         volume = float(np.sum(np.linalg.slogdet(inner)[1]))
-        return -self.readings * float(np.log(variance)) - volume - left / variance, variance, left / variance
+        return (
+            -self.readings * float(np.log(variance)) - volume - left / variance,
+            variance,
+            left / variance,
+        )
 
     def alike(self, sigma2: float | None = None) -> tuple[float, float]:
-        """Return the variance that all revolute joints have in common, relative to the noise's, and 2 log-likelihood."""
+        """Return the variance that all revolute joints have in common, relative to the noise's, and
+        2 log-likelihood.
+        """
         likelihoods = [self.likelihood(ratio * self.turns, sigma2)[0] for ratio in self._ratios]
         best = int(np.argmax(likelihoods))
         return float(self._ratios[best]), likelihoods[best]
@@ -248,19 +296,28 @@ class _Arrivals:
     @property
     def _ratios(self) -> np.ndarray:
         """Candidate variances of a joint."""
-        lever2 = np.mean(np.einsum("vii->vi", self.gram)[:, self.turns]) if self.turns.any() else 1.0
-        return np.asarray(np.concatenate([[0.0], np.logspace(*NOISE.ratios)]) / max(float(lever2), 1e-300))
+        lever2 = (
+            np.mean(np.einsum("vii->vi", self.gram)[:, self.turns]) if self.turns.any() else 1.0
+        )
+        return np.asarray(
+            np.concatenate([[0.0], np.logspace(*NOISE.ratios)]) / max(float(lever2), 1e-300)
+        )
 
     def beyond_others(self) -> dict[str, float]:
-        """Return by how much 2 log-likelihood increases if one joint scatters more than all do alike, by its name."""
+        """Return by how much 2 log-likelihood increases if one joint scatters more than all do
+        alike, by its name.
+        """
         common, without = self.alike()
-        ratios, found = self._ratios, dict[str, float]()
+        ratios = self._ratios
+        found = dict[str, float]()
 
         def likelihood(at: float, extra: float, own: np.ndarray) -> float:
             return self.likelihood(at * self.turns + extra * own)[0]
 
         for j, name in enumerate(self.joints):
-            own, shared, gain = np.eye(self.n_joints)[j], common, 0.0
+            own = np.eye(self.n_joints)[j]
+            shared = common
+            gain = 0.0
             for _ in range(NOISE.turns):
                 more = ratios[np.argmax([likelihood(shared, extra, own) for extra in ratios])]
                 shared = ratios[np.argmax([likelihood(at, more, own) for at in ratios])]
@@ -271,7 +328,9 @@ class _Arrivals:
 
 @dataclass(frozen=True)
 class _Component:
-    """A variance component: its gain in 2 log-likelihood, its standard deviation [rad or m], and that of the noise."""
+    """A variance component: its gain in 2 log-likelihood, its standard deviation [rad or m], and
+    that of the noise.
+    """
 
     gain: float
     sigma: float
@@ -306,21 +365,28 @@ class _AlongLever:
         return None if contrasts is None else _scatter_along(*contrasts)
 
     def contrasts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Return lever and residuals of differences of replicates, and their visits, as :func:`_scatter_along` takes them.
+        """Return lever and residuals of differences of replicates, and their visits, as
+        :func:`_scatter_along` takes them.
 
-        None without replicates. They are n - 1 orthonormal contrasts (Helmert) of n replicates, in which the pose's mean
-        cancels; contrasts of different targets in the same visits share the scatter.
+        None without replicates. They are n - 1 orthonormal contrasts (Helmert) of n replicates, in
+        which the pose's mean cancels; contrasts of different targets in the same visits share the
+        scatter.
         """
         conditions = self.station.conditions
         pose, thing = _things(self.station)
         load = np.round(conditions.payload, 3)
         sides = np.zeros((len(load), 0)) if conditions.approach is None else conditions.approach
         _, same = np.unique(np.column_stack([thing, load, sides]), axis=0, return_inverse=True)
-        lever, residuals, visit = list[np.ndarray](), list[np.ndarray](), list[tuple[int, int]]()
-        for rows in (np.flatnonzero(same.ravel() == k) for k in np.flatnonzero(np.bincount(same.ravel()) > 1)):
+        lever = list[np.ndarray]()
+        residuals = list[np.ndarray]()
+        visit = list[tuple[int, int]]()
+        for rows in (
+            np.flatnonzero(same.ravel() == k) for k in np.flatnonzero(np.bincount(same.ravel()) > 1)
+        ):
             for k in range(1, len(rows)):
                 residuals.append(
-                    (self.residuals[:, rows[:k]].sum(axis=1) - k * self.residuals[:, rows[k]]) / np.sqrt(k * k + k)
+                    (self.residuals[:, rows[:k]].sum(axis=1) - k * self.residuals[:, rows[k]])
+                    / np.sqrt(k * k + k)
                 )
                 lever.append(self.lever[:, rows].mean(axis=1))
                 visit.append((pose[rows[0]], k))
@@ -330,7 +396,9 @@ class _AlongLever:
         return np.transpose(lever), np.transpose(residuals), shared
 
     def follows(self, whole: _Component) -> tuple[str, ...] | None:
-        """Return on what the errors depend according to neighbours; empty if unrelated, None if too few are near."""
+        """Return on what the errors depend according to neighbours; empty if unrelated, None if too
+        few are near.
+        """
         _, first = np.unique(self.visit, return_index=True)
         a2 = np.bincount(self.visit, np.sum(self.lever**2, axis=0))
         along = np.bincount(self.visit, np.sum(self.residuals * self.lever, axis=0))
@@ -343,8 +411,11 @@ class _AlongLever:
         return related(dict(zip(names, q.T, strict=True)), errors[some], share[some])
 
 
-def related(joints: dict[str, np.ndarray], errors: np.ndarray, share: np.ndarray) -> tuple[str, ...] | None:
-    """Return the joints, few or all, whose neighbours have related errors; empty if none, None if undecided.
+def related(
+    joints: dict[str, np.ndarray], errors: np.ndarray, share: np.ndarray
+) -> tuple[str, ...] | None:
+    """Return the joints, few or all, whose neighbours have related errors; empty if none, None if
+    undecided.
 
     Args:
         joints: name -> shape (V,), positions.
@@ -360,11 +431,13 @@ def related(joints: dict[str, np.ndarray], errors: np.ndarray, share: np.ndarray
         sets.append(tuple(moving))
     spaces = {names: np.column_stack([moving[name] for name in names]) for names in sets}
     spaces[(_ROW_ORDER,)] = np.arange(len(errors))[:, None] / len(errors)
-    values, expected = np.empty((len(spaces), NOISE.draws + 1)), np.empty(len(spaces))
+    values = np.empty((len(spaces), NOISE.draws + 1))
+    expected = np.empty(len(spaces))
     for k, places in enumerate(spaces.values()):
         pairs, expected[k] = _neighbours(places, share)
         values[k] = np.einsum("vd,vd->d", drawn, pairs @ drawn)
-    mean, spread = values[:, 1:].mean(axis=1), values[:, 1:].std(axis=1)
+    mean = values[:, 1:].mean(axis=1)
+    spread = values[:, 1:].std(axis=1)
     scores = (values - mean[:, None]) / spread[:, None]
     critical = float(np.quantile(scores[:, 1:].max(axis=0), 1.0 - NOISE.chance))
     # Related if at least half of the excess is smooth.
@@ -373,19 +446,26 @@ def related(joints: dict[str, np.ndarray], errors: np.ndarray, share: np.ndarray
         # Irrelevant joints in the distance make neighbours fewer, not farther.
         enough = 0.5 * scores[is_related, 0].max()
         close = is_related & (scores[:, 0] > enough)
-        return min((len(names), -scores[k, 0], names) for k, names in enumerate(spaces) if close[k])[2]
+        return min(
+            (len(names), -scores[k, 0], names) for k, names in enumerate(spaces) if close[k]
+        )[2]
     few = np.array([len(names) <= NOISE.near_joints for names in spaces])
     return () if np.all(expected[few] > (critical + NOISE.beyond) * spread[few]) else None
 
 
 def _neighbours(places: np.ndarray, share: np.ndarray) -> tuple[coo_array, float]:
-    """Return the weights of the products of neighbours' errors, shape (V, V), and their sum for a smooth function."""
+    """Return the weights of the products of neighbours' errors, shape (V, V), and their sum for a
+    smooth function.
+    """
     n_near = min(NOISE.neighbours, len(places) - 1)
     distance, near = cKDTree(places).query(places, n_near + 1)
     row = np.repeat(np.arange(len(places)), n_near + 1)
-    column, distance = near.ravel(), distance.ravel()
+    column = near.ravel()
+    distance = distance.ravel()
     others = row != column
-    row, column, distance = row[others], column[others], distance[others]
+    row = row[others]
+    column = column[others]
+    distance = distance[others]
     weight = share[row] * share[column]
     pairs = coo_array((weight, (row, column)), shape=(len(places), len(places))).tocsr()
     return pairs, float(np.sum(weight**2 * np.exp(-0.5 * (distance / NOISE.smooth) ** 2)))
@@ -393,9 +473,11 @@ def _neighbours(places: np.ndarray, share: np.ndarray) -> tuple[coo_array, float
 
 def _along_levers(fit: ModelFit) -> Iterator[_AlongLever]:
     """Yield the readings of the only station along the lever of each joint."""
-    chain, rows = fit.model.chain, fit.station.block_rows[0]
+    chain = fit.model.chain
+    rows = fit.station.block_rows[0]
     sound = fit.solution.weights > 0.0
-    weights, visit = fit.station.weights[sound], visits(fit.station)[sound]
+    weights = fit.station.weights[sound]
+    visit = visits(fit.station)[sound]
     residuals = fit.station.residuals(fit.values)[rows, sound] * weights
     moved = levers(fit, tuple(map(int, chain.drives)))[:, rows, sound] * weights
     station = fit.station.select(np.flatnonzero(sound))
@@ -405,15 +487,21 @@ def _along_levers(fit: ModelFit) -> Iterator[_AlongLever]:
 
 
 def _things(station: Station) -> tuple[np.ndarray, np.ndarray]:
-    """Return pose numbers of the rows, and numbers that are equal for replicates of a target or point, shape (N,) each."""
+    """Return pose numbers of the rows, and numbers that are equal for replicates of a target or
+    point, shape (N,) each.
+    """
     pose = same_joints(station.conditions.q)
     point = station.sensor.groups
-    read = np.column_stack([pose, station.conditions.target, np.zeros(len(pose), int) if point is None else point])
+    read = np.column_stack(
+        [pose, station.conditions.target, np.zeros(len(pose), int) if point is None else point]
+    )
     return pose, np.unique(read, axis=0, return_inverse=True)[1].ravel()
 
 
 def visits(station: Station) -> np.ndarray:
-    """Return the visit of each row, shape (N,): rows of the same joint positions, except replicates."""
+    """Return the visit of each row, shape (N,): rows of the same joint positions, except
+    replicates.
+    """
     pose, thing = _things(station)
     count = np.bincount(thing)
     order = np.argsort(thing, kind="stable")
@@ -423,14 +511,17 @@ def visits(station: Station) -> np.ndarray:
 
 
 def _scatter_along(lever: np.ndarray, residuals: np.ndarray, visit: np.ndarray) -> _Component:
-    """Return the scatter along a lever, by maximum likelihood with the noise's variance profiled out.
+    """Return the scatter along a lever, by maximum likelihood with the noise's variance profiled
+    out.
 
-    Along the lever, of length a_i at visit i, the variance is sigma^2 + s^2 a_i^2, and sigma^2 across it. Readings of one
-    visit, of several targets or the points of an image, share the joint's position. See :class:`_AlongLever`.
+    Along the lever, of length a_i at visit i, the variance is sigma^2 + s^2 a_i^2, and sigma^2
+    across it. Readings of one visit, of several targets or the points of an image, share the
+    joint's position. See :class:`_AlongLever`.
     """
     a2 = np.bincount(visit, np.sum(lever**2, axis=0))
     along2 = np.bincount(visit, np.sum(residuals * lever, axis=0)) ** 2 / np.maximum(a2, 1e-300)
-    across2, readings = float(np.sum(residuals**2) - np.sum(along2)), residuals.size
+    across2 = float(np.sum(residuals**2) - np.sum(along2))
+    readings = residuals.size
     # In the first row without any scatter.
     ratios = np.concatenate([[0.0], np.logspace(*NOISE.ratios)])
     spread = 1.0 + np.outer(ratios, a2 / np.mean(a2))
@@ -439,12 +530,16 @@ def _scatter_along(lever: np.ndarray, residuals: np.ndarray, visit: np.ndarray) 
     best = 1 + int(np.argmax(likelihood[1:]))
     gain = float(likelihood[best] - likelihood[0])
     return _Component(
-        max(gain, 0.0), float(np.sqrt(ratios[best] * sigma2[best] / np.mean(a2))), float(np.sqrt(sigma2[best]))
+        max(gain, 0.0),
+        float(np.sqrt(ratios[best] * sigma2[best] / np.mean(a2))),
+        float(np.sqrt(sigma2[best])),
     )
 
 
 def p_value_of_uneven_noise(fit: ModelFit, tests: ScoreTests) -> float:
-    """Return the p-value of the score test of a single candidate against a fit, valid for uneven noise of visits."""
+    """Return the p-value of the score test of a single candidate against a fit, valid for uneven
+    noise of visits.
+    """
     (effect,) = tests.effects
     _, whitening = tests.whitening([0])
     if not whitening.shape[1]:
@@ -461,13 +556,22 @@ def p_value_of_uneven_noise(fit: ModelFit, tests: ScoreTests) -> float:
     return min(effect.trials * float(fdtrc(rank, max(many - rank, 1.0), gain / uneven / rank)), 1.0)
 
 
-def _scores_by_visit(fit: ModelFit, tests: ScoreTests, whitening: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the scores of residuals with the effect, shape (V, rank), and the leverage of each visit, shape (V,)."""
-    each, step = [visits(station) for station in fit.problem.stations], whitening.T @ tests.within([0])[2]
+def _scores_by_visit(
+    fit: ModelFit, tests: ScoreTests, whitening: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scores of residuals with the effect, shape (V, rank), and the leverage of each
+    visit, shape (V,).
+    """
+    each = [visits(station) for station in fit.problem.stations]
+    step = whitening.T @ tests.within([0])[2]
     starts = np.cumsum([0, *(int(of.max()) + 1 for of in each)])
     visit = np.concatenate([start + of for start, of in zip(starts, each, strict=False)])
     sums, shares = np.zeros((2, int(visit.max()) + 1, len(step)))
     for rows, residuals, moved in tests.along_rows([0], whitening):
-        np.add.at(sums, visit[rows], np.einsum("rmn,mn->nr", moved, residuals - np.tensordot(step, moved, axes=1)))
+        np.add.at(
+            sums,
+            visit[rows],
+            np.einsum("rmn,mn->nr", moved, residuals - np.tensordot(step, moved, axes=1)),
+        )
         np.add.at(shares, visit[rows], np.einsum("rmn,rmn->nr", moved, moved))
     return sums, shares.sum(axis=1)

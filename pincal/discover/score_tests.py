@@ -1,4 +1,6 @@
-"""Score tests of a fit: columns of the model, computed once for all tests against it, and columns of candidates."""
+"""Score tests of a fit: columns of the model, computed once for all tests against it, and columns
+of candidates.
+"""
 
 from __future__ import annotations
 
@@ -45,7 +47,8 @@ class _Piece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tangent:
-    """The columns of a model at a fit and of nuisance effects, whitened by the residual noise; shared by all tests.
+    """The columns of a model at a fit and of nuisance effects, whitened by the residual noise;
+    shared by all tests.
 
     Attributes:
         fit: the fit.
@@ -74,27 +77,46 @@ class Tangent:
 
     @classmethod
     def at(cls, fit: ModelFit, nuisance: Sequence[Effect], groups: np.ndarray | None) -> Tangent:
-        """Return the columns at a fit; ``groups``, shape (N,), are the blocks of rows, default: one."""
+        """Return the columns at a fit; ``groups``, shape (N,), are the blocks of rows, default:
+        one.
+        """
         problem, known = extended(fit.problem, nuisance)
-        values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
-        values[known], free[known] = fit.values, fit.solution.free
-        n_blocks, size = 1 if groups is None else int(groups.max()) + 1, int(free.sum())
-        H, g = np.zeros((n_blocks, size, size)), np.zeros((n_blocks, size))
-        column, orders, pieces = np.cumsum(free) - 1, list[np.ndarray | slice](), list[tuple[_Piece, ...]]()
+        values = np.zeros(len(problem.parameters))
+        free = np.ones(len(problem.parameters), bool)
+        values[known] = fit.values
+        free[known] = fit.solution.free
+        n_blocks = 1 if groups is None else int(groups.max()) + 1
+        size = int(free.sum())
+        H = np.zeros((n_blocks, size, size))
+        g = np.zeros((n_blocks, size))
+        column = np.cumsum(free) - 1
+        orders = list[np.ndarray | slice]()
+        pieces = list[tuple[_Piece, ...]]()
         for i, station in enumerate(problem.stations):
-            rows, places = problem.rows[i], problem.places[i]
+            rows = problem.rows[i]
+            places = problem.places[i]
             blocks = np.zeros(len(station), int) if groups is None else groups[rows]
-            order: np.ndarray | slice = slice(None) if n_blocks == 1 else np.argsort(blocks, kind="stable")
-            station, local = _sorted(station, order), (values[places], free[places])
+            order: np.ndarray | slice = (
+                slice(None) if n_blocks == 1 else np.argsort(blocks, kind="stable")
+            )
+            station = _sorted(station, order)
+            local = (values[places], free[places])
             noise = np.repeat(fit.solution.estimated[problem.block_spans[i]], station.block_sizes)
             weights = station.weights * fit.solution.weights[rows][order] / noise[:, None]
-            mine, numbers, found = column[places[local[1]]], np.arange(rows.start, rows.stop)[order], list[_Piece]()
+            mine = column[places[local[1]]]
+            numbers = np.arange(rows.start, rows.stop)[order]
+            found = list[_Piece]()
             own = np.zeros((n_blocks, len(mine), len(mine))), np.zeros((n_blocks, len(mine)))
             for piece, residuals, jacobian in station.linearise_shared(*local):
-                scale, parts = weights[:, piece], list(_blocks(blocks[order][piece]))
-                part = _Piece(numbers[piece], parts, scale, residuals * scale, jacobian.weighted(scale))
+                scale = weights[:, piece]
+                parts = list(_blocks(blocks[order][piece]))
+                part = _Piece(
+                    numbers[piece], parts, scale, residuals * scale, jacobian.weighted(scale)
+                )
                 for k, some in parts:
-                    part.jacobian.poses(some).add_gram(part.residuals[:, some], own[0][k], own[1][k])
+                    part.jacobian.poses(some).add_gram(
+                        part.residuals[:, some], own[0][k], own[1][k]
+                    )
                 found.append(part)
             if (facts := believed(station, *local)) is not None:
                 own = own[0] + facts.H / n_blocks, own[1] + facts.g / n_blocks
@@ -102,14 +124,31 @@ class Tangent:
             _add(own[0], mine, mine, H)
             orders.append(order)
             pieces.append(tuple(found))
-        squares = sum(float(np.sum(part.residuals**2)) for of_station in pieces for part in of_station)
+        squares = sum(
+            float(np.sum(part.residuals**2)) for of_station in pieces for part in of_station
+        )
         form = Form.of(H, g)
-        return cls(fit, tuple(nuisance), problem, values, free, known, tuple(orders), tuple(pieces), form, squares)
+        return cls(
+            fit,
+            tuple(nuisance),
+            problem,
+            values,
+            free,
+            known,
+            tuple(orders),
+            tuple(pieces),
+            form,
+            squares,
+        )
 
     def tests(self, candidates: Sequence[Effect], *, wider: float = TESTING.wider) -> ScoreTests:
-        """Return the tests of candidates, none of them in the model; ``wider`` as of :func:`score_test`."""
-        fit, (problem, known) = self.fit, extended(self.problem, candidates)
-        model, of_fit = known[self.free], known[self.known]
+        """Return the tests of candidates, none of them in the model; ``wider`` as of
+        :func:`score_test`.
+        """
+        fit = self.fit
+        (problem, known) = extended(self.problem, candidates)
+        model = known[self.free]
+        of_fit = known[self.known]
         values = np.zeros(len(problem.parameters))
         values[known] = self.values
         # Priors of nuisance parameters are not widened.
@@ -118,11 +157,13 @@ class Tangent:
         for effect in fit.problem.effects:
             sizes[problem.places_at(effect)] *= wider if effect.family is Family.GEOMETRY else 1.0
         alone = fit.problem.with_effects(candidates)
-        own, places = priors_of(alone, fit.options).sizes, [problem.places_at(effect) for effect in candidates]
+        own = priors_of(alone, fit.options).sizes
+        places = [problem.places_at(effect) for effect in candidates]
         for effect, at in zip(candidates, places, strict=True):
             sizes[at] = own[alone.places_at(effect)]
         if wider not in self.information:
-            beyond, precision = problem.beliefs.beyond_priors(model, values, sizes), sizes[model] ** -2.0
+            beyond = problem.beliefs.beyond_priors(model, values, sizes)
+            precision = sizes[model] ** -2.0
             prior = Form.of(beyond.H + np.diag(precision), beyond.g - values[model] * precision)
             self.information[wider] = Information(self.blocks, prior)
         masses = (effect for effect in self.nuisance if isinstance(effect, MassError))
@@ -148,20 +189,37 @@ class Tangent:
     def _products(
         self, problem: Problem, values: np.ndarray, places: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, tuple[RowPart, ...]]:
-        """Return ``blocks_H``, ``blocks_g`` and ``parts`` of :class:`ScoreTests`, for the columns at some indices."""
-        tested, free = np.concatenate([np.zeros(0, int), *places]), np.zeros(len(values), bool)
+        """Return ``blocks_H``, ``blocks_g`` and ``parts`` of :class:`ScoreTests`, for the columns
+        at some indices.
+        """
+        tested = np.concatenate([np.zeros(0, int), *places])
+        free = np.zeros(len(values), bool)
         free[tested] = True
-        n_model, n_blocks, n = self.blocks.H.shape[1], len(self.blocks.H), len(tested)
-        of_model, of_tested = np.cumsum(self.free) - 1, np.zeros(len(values), int)
+        n_model = self.blocks.H.shape[1]
+        n_blocks = len(self.blocks.H)
+        n = len(tested)
+        of_model = np.cumsum(self.free) - 1
+        of_tested = np.zeros(len(values), int)
         of_tested[tested] = np.arange(n)
-        candidate = np.repeat(np.arange(len(places)), list(map(len, places))) if n_blocks == 1 else np.zeros(n, int)
-        H, g, parts = np.zeros((n_blocks, n_model + n, n)), np.zeros((n_blocks, n)), list[RowPart]()
+        candidate = (
+            np.repeat(np.arange(len(places)), list(map(len, places)))
+            if n_blocks == 1
+            else np.zeros(n, int)
+        )
+        H = np.zeros((n_blocks, n_model + n, n))
+        g = np.zeros((n_blocks, n))
+        parts = list[RowPart]()
         for i, station in enumerate(problem.stations):
-            local, before = problem.places[i], self.problem.places[i]
-            mine, ours = of_model[before[self.free[before]]], of_tested[local[free[local]]]
-            own_inner, own_g = np.zeros((n_blocks, len(ours), len(ours))), np.zeros((n_blocks, len(ours)))
+            local = problem.places[i]
+            before = self.problem.places[i]
+            mine = of_model[before[self.free[before]]]
+            ours = of_tested[local[free[local]]]
+            own_inner = np.zeros((n_blocks, len(ours), len(ours)))
+            own_g = np.zeros((n_blocks, len(ours)))
             own_cross = np.zeros((n_blocks, len(mine), len(ours)))
-            linearised = _sorted(station, self.orders[i]).linearise_shared(values[local], free[local])
+            linearised = _sorted(station, self.orders[i]).linearise_shared(
+                values[local], free[local]
+            )
             for piece, (_, _, jacobian) in zip(self.pieces[i], linearised, strict=True):
                 added = jacobian.weighted(piece.whitening)
                 for k, some in piece.blocks:
@@ -196,11 +254,14 @@ def _add(own: np.ndarray, rows: np.ndarray, columns: np.ndarray, whole: np.ndarr
 
 
 def nuisances(fit: ModelFit, effects: Sequence[Effect]) -> list[Effect]:
-    """Return the nuisance effects: errors of masses, and bearing features that neither a fit nor the tested effects have.
+    """Return the nuisance effects: errors of masses, and bearing features that neither a fit nor
+    the tested effects have.
 
-    That a bearing is compliant at another place or in other directions than nominal must not be attributed to a name.
+    That a bearing is compliant at another place or in other directions than nominal must not be
+    attributed to a name.
     """
-    masses, named = MassError.of(*fit.arm), {effect.identity for effect in effects}
+    masses = MassError.of(*fit.arm)
+    named = {effect.identity for effect in effects}
     features = [feature for feature in missing_features(fit) if feature.identity not in named]
     return [masses, *features] if masses else features
 
@@ -213,32 +274,48 @@ class GivenNuisances:
     _tangents: dict[object, Tangent] = field(default_factory=dict, repr=False)
 
     def __call__(
-        self, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = TESTING.wider
+        self,
+        effects: Sequence[Effect],
+        groups: np.ndarray | None = None,
+        *,
+        wider: float = TESTING.wider,
     ) -> ScoreTests:
         """Return the tests of candidates; arguments as of :func:`score_test`."""
         nuisance = nuisances(self.fit, effects)
-        key = (tuple(effect.identity for effect in nuisance), None if groups is None else groups.tobytes())
+        key = (
+            tuple(effect.identity for effect in nuisance),
+            None if groups is None else groups.tobytes(),
+        )
         if key not in self._tangents:
             self._tangents[key] = Tangent.at(self.fit, nuisance, groups)
         return self._tangents[key].tests(effects, wider=wider)
 
 
 def score_test_given_nuisances(
-    fit: ModelFit, effects: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = TESTING.wider
+    fit: ModelFit,
+    effects: Sequence[Effect],
+    groups: np.ndarray | None = None,
+    *,
+    wider: float = TESTING.wider,
 ) -> ScoreTests:
     """Test effects against a fit with :func:`nuisances` projected out; see :func:`score_test`."""
     return GivenNuisances(fit)(effects, groups, wider=wider)
 
 
 def score_test(
-    fit: ModelFit, candidates: Sequence[Effect], groups: np.ndarray | None = None, *, wider: float = TESTING.wider
+    fit: ModelFit,
+    candidates: Sequence[Effect],
+    groups: np.ndarray | None = None,
+    *,
+    wider: float = TESTING.wider,
 ) -> ScoreTests:
     """Test candidates against a fit.
 
     Args:
         fit: the fitted model.
         candidates: effects to test, none of them in the model.
-        groups: shape (N,), the block of each training row, for cross-validation; default: one block.
+        groups: shape (N,), the block of each training row, for cross-validation; default: one
+            block.
         wider: factor on the widths of the fit's priors on geometry.
     """
     return Tangent.at(fit, (), groups).tests(candidates, wider=wider)

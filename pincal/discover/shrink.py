@@ -29,31 +29,45 @@ from pincal.validate.accuracy import error_statistics, pose_error_sizes
 _OF_BOTH = ("product", "map")
 
 
-def gaps_of(fit: ModelFit, rows: Sequence[StationRows], folds: Folds | None = None) -> dict[str, Gap]:
-    """Return the errors of a fit at rows that it has not seen, by the ways of dividing them; else those of the fitted rows.
+def gaps_of(
+    fit: ModelFit, rows: Sequence[StationRows], folds: Folds | None = None
+) -> dict[str, Gap]:
+    """Return the errors of a fit at rows that it has not seen, by the ways of dividing them; else
+    those of the fitted rows.
 
     ``folds`` divide the fitted rows; default: rows were held out for good, of which "test" is all.
     """
     fit = placed_at_mean(fit)
-    errors = errors_held_out(fit, fit.solution, rows, None if folds is None else folds.over(fit.problem))
+    errors = errors_held_out(
+        fit, fit.solution, rows, None if folds is None else folds.over(fit.problem)
+    )
     if not errors:
-        errors = {"test": error_statistics(pose_error_sizes(at, fit.values[places]) for at, places, _ in fit.stations)}
+        errors = {
+            "test": error_statistics(
+                pose_error_sizes(at, fit.values[places]) for at, places, _ in fit.stations
+            )
+        }
     return _gaps(errors)
 
 
 def _gaps(errors: Mapping[str, Mapping[str, float]]) -> dict[str, Gap]:
     """Return error statistics, part by part, as gaps."""
-    return {part: Gap(**{key: of[key] for key in Gap.__struct_fields__ if key in of}) for part, of in errors.items()}
+    return {
+        part: Gap(**{key: of[key] for key in Gap.__struct_fields__ if key in of})
+        for part, of in errors.items()
+    }
 
 
 def stages_of(
     trail: History, rows: Sequence[StationRows], validated: Validated | None = None
 ) -> tuple[tuple[Stage, ...], dict[str, dict[Literal["before", "after"], Gap]]]:
-    """Return the errors at the start and after each change of the model, and at start and end on rows held out in each way.
+    """Return the errors at the start and after each change of the model, and at start and end on
+    rows held out in each way.
 
-    The share of a change is its reduction of the mean square given the previous changes, so that nothing counts twice.
-    (Shapley values would divide it evenly, but need a fit of every subset.) ``validated`` are the errors of the last fit by
-    cross-validation; default: rows were held out for good, or none.
+    The share of a change is its reduction of the mean square given the previous changes, so that
+    nothing counts twice. (Shapley values would divide it evenly, but need a fit of every subset.)
+    ``validated`` are the errors of the last fit by cross-validation; default: rows were held out
+    for good, or none.
     """
     folds = None if validated is None else validated.folds
     final = trail.changes[-1].fit if trail.changes else trail.first
@@ -67,16 +81,27 @@ def stages_of(
     squares = [gap.rms_mm**2 for gap in gaps]
     fell = squares[0] - squares[-1]
     stages = [Stage(name="at the start", **asdict(gaps[0]))]
-    for change, gap, before, after in zip(trail.changes, gaps[1:], squares, squares[1:], strict=False):
-        entered, left = (tuple(EffectName.of(effect) for effect in effects) for effects in (change.entered, change.left))
+    for change, gap, before, after in zip(
+        trail.changes, gaps[1:], squares, squares[1:], strict=False
+    ):
+        entered, left = (
+            tuple(EffectName.of(effect) for effect in effects)
+            for effects in (change.entered, change.left)
+        )
         share = (before - after) / fell if fell > 0.0 else None
-        stages.append(Stage(name=_words(change), entered=entered, left=left, share=share, **asdict(gap)))
-    return tuple(stages), {way: {"before": first[way], "after": last[way]} for way in last if way != "test"}
+        stages.append(
+            Stage(name=_words(change), entered=entered, left=left, share=share, **asdict(gap))
+        )
+    return tuple(stages), {
+        way: {"before": first[way], "after": last[way]} for way in last if way != "test"
+    }
 
 
 def _words(change: ModelChange) -> str:
     """Return a change in words."""
-    entered, left = (", ".join(_title(effect) for effect in effects) for effects in (change.entered, change.left))
+    entered, left = (
+        ", ".join(_title(effect) for effect in effects) for effects in (change.entered, change.left)
+    )
     if entered and left:
         return f"{entered} instead of {left}"
     if entered or left:
@@ -91,16 +116,18 @@ class PartialResidual:
 
     Attributes:
         effect: the effect; of elasticity the most significant compliance.
-        variable: its variable: a joint's name, "approach", "moment", "payload", "temperature" or "time".
+        variable: its variable: a joint's name, "approach", "moment", "payload", "temperature" or
+            "time".
         unit: of the variable: "rad", "m", "N m", "kg", "deg C", "s" or "".
         x: shape (N,), the variable.
-        before: shape (N,), error of the coordinate that would explain each row's residual, with the effect removed from
-            the final model without a refit [``error_unit``].
+        before: shape (N,), error of the coordinate that would explain each row's residual, with the
+            effect removed from the final model without a refit [``error_unit``].
         after: the same with the effect.
         fitted: shape (N,), the effect.
         weights: shape (N,), inverse variance of ``before`` and ``after`` [1 / ``error_unit``^2].
         error_unit: "rad" or "m".
-        own: shape (N,), of an effect of two joints' positions that of the joint on which it acts; else None.
+        own: shape (N,), of an effect of two joints' positions that of the joint on which it acts;
+            else None.
     """
 
     effect: Effect
@@ -126,15 +153,21 @@ class PartialResidual:
 
 
 def partial_residuals(trail: History) -> tuple[PartialResidual, ...]:
-    """Return the partial residuals of each step's effect in the final model, at the rows that count.
+    """Return the partial residuals of each step's effect in the final model, at the rows that
+    count.
 
-    An effect on one coordinate of the chain is projected on the lever of this coordinate, any other on its motion of the
-    target.
+    An effect on one coordinate of the chain is projected on the lever of this coordinate, any other
+    on its motion of the target.
     """
     fit = trail.final
-    kept = [[effect for effect in step.effects if effect in fit.problem.effects] for step in trail.steps]
+    kept = [
+        [effect for effect in step.effects if effect in fit.problem.effects] for step in trail.steps
+    ]
     shown = [(effects[0], _shown(fit, effects[0])) for effects in kept if effects]
-    return tuple(_joined(parts) for parts in zip(*(_at_station(alone, shown) for _, alone, _ in fit.in_places), strict=True))
+    return tuple(
+        _joined(parts)
+        for parts in zip(*(_at_station(alone, shown) for _, alone, _ in fit.in_places), strict=True)
+    )
 
 
 def _shown(fit: ModelFit, effect: Effect) -> Effect:
@@ -149,26 +182,41 @@ def _shown(fit: ModelFit, effect: Effect) -> Effect:
 def _joined(parts: Sequence[PartialResidual | None]) -> PartialResidual:
     """Return the partial residuals of an effect at all stations that have it."""
     first, *others = filter(None, parts)
-    names = ["x", "before", "after", "fitted", "weights"] + (["own"] if first.own is not None else [])
-    arrays: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in (first, *others)]) for name in names}
+    names = ["x", "before", "after", "fitted", "weights"] + (
+        ["own"] if first.own is not None else []
+    )
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in (first, *others)]) for name in names
+    }
     return replace(first, **arrays)
 
 
-def _at_station(fit: ModelFit, shown: Sequence[tuple[Effect, Effect]]) -> Iterator[PartialResidual | None]:
-    """Yield the partial residuals of effects, each with the effect to show, at the only station; None where absent."""
+def _at_station(
+    fit: ModelFit, shown: Sequence[tuple[Effect, Effect]]
+) -> Iterator[PartialResidual | None]:
+    """Yield the partial residuals of effects, each with the effect to show, at the only station;
+    None where absent.
+    """
     fit = fit.select(np.flatnonzero(fit.solution.weights > 0.0))
-    station, chain, few = fit.station, fit.model.chain, fit.station.conditions.select(np.zeros(1, int))
-    moments, present = fit.model.static_moments(fit.model_values, station.conditions), fit.model.effects
+    station = fit.station
+    chain = fit.model.chain
+    few = fit.station.conditions.select(np.zeros(1, int))
+    moments = fit.model.static_moments(fit.model_values, station.conditions)
+    present = fit.model.effects
     scale = station.weights / np.repeat(fit.solution.estimated, station.block_sizes)[:, None]
     residuals = station.residuals(fit.values) * scale
-    moved = [{t.coordinate for t in part.terms(chain, few, moments[:1])} if e in present else set() for e, part in shown]
+    moved = [
+        {t.coordinate for t in part.terms(chain, few, moments[:1])} if e in present else set()
+        for e, part in shown
+    ]
     single = tuple(dict.fromkeys(k for of in moved if len(of) == 1 for k in of))
     lever_of = dict(zip(single, levers(fit, single) * scale, strict=True))
     for (effect, part), coordinates in zip(shown, moved, strict=True):
         if effect not in present:
             yield None
             continue
-        idle, at = fit.values.copy(), part.locus
+        idle = fit.values.copy()
+        at = part.locus
         idle[[fit.model.index(parameter.name) for parameter in part.parameters(chain)]] = 0.0
         without = station.residuals(idle) * scale
         if len(coordinates) == 1:
@@ -177,13 +225,21 @@ def _at_station(fit: ModelFit, shown: Sequence[tuple[Effect, Effect]]) -> Iterat
             unit_errors = lever / np.maximum(weights, 1e-300)
             unit = "rad" if at.joint is None else drive_unit(chain, at.joint)
         else:
-            along = (without - residuals) / np.maximum(np.linalg.norm(without - residuals, axis=0), 1e-300)
+            along = (without - residuals) / np.maximum(
+                np.linalg.norm(without - residuals, axis=0), 1e-300
+            )
             sigma = float(fit.solution.estimated[0]) * station.metres_per_reading(fit.values)
-            unit_errors, weights, unit = along * sigma, np.full(len(station), sigma**-2.0), "m"
-        before, after, fitted = (np.sum(unit_errors * r, axis=0) for r in (without, residuals, without - residuals))
+            unit_errors = along * sigma
+            weights = np.full(len(station), sigma**-2.0)
+            unit = "m"
+        before, after, fitted = (
+            np.sum(unit_errors * r, axis=0) for r in (without, residuals, without - residuals)
+        )
         is_of_both = at.shape in _OF_BOTH and at.joint is not None
         own = recorded_variable(chain, station.conditions, str(at.joint)) if is_of_both else None
-        yield PartialResidual(part, *_explaining(fit, at, moments), before, after, fitted, weights, unit, own)
+        yield PartialResidual(
+            part, *_explaining(fit, at, moments), before, after, fitted, weights, unit, own
+        )
 
 
 def _explaining(fit: ModelFit, at: Locus, moments: np.ndarray) -> tuple[str, str, np.ndarray]:
@@ -196,24 +252,33 @@ def _explaining(fit: ModelFit, at: Locus, moments: np.ndarray) -> tuple[str, str
         both = np.hypot(moments[:, 3 * i], moments[:, 3 * i + 1])
         return MOMENT, "N m", both if at.joint is None else moments[:, 3 * i + 2]
     name = at.follows or at.joint or names[0]
-    unit = drive_unit(chain, name) if name in names else RECORDABLE[name].unit if name in RECORDABLE else ""
+    unit = (
+        drive_unit(chain, name)
+        if name in names
+        else RECORDABLE[name].unit
+        if name in RECORDABLE
+        else ""
+    )
     return name, unit, recorded_variable(chain, fit.station.conditions, name, joint=at.joint)
 
 
 def period_of(trace: PartialResidual) -> float | None:
     """Return the period of an effect, in units of its variable; None if it is not periodic.
 
-    It is called periodic if one tone explains most of the excess over the noise, and about two periods are observed, in a
-    weighted periodogram of the error at the joint (Lomb and Scargle).
+    It is called periodic if one tone explains most of the excess over the noise, and about two
+    periods are observed, in a weighted periodogram of the error at the joint (Lomb and Scargle).
     """
-    x, y, w = trace.x, trace.before, trace.weights
+    x = trace.x
+    y = trace.before
+    w = trace.weights
     width = float(np.ptp(x))
     if width <= 0.0 or len(x) < WAVES.fewest:
         return None
     if (order := trace.effect.locus.order) is not None:
         period = 2.0 * np.pi / order
         return float(period) if width >= WAVES.periods * period else None
-    angle, end = 2.0 * np.pi * (x - x.min()) / width, WAVES.finest * len(x)
+    angle = 2.0 * np.pi * (x - x.min()) / width
+    end = WAVES.finest * len(x)
     if end <= WAVES.periods:
         return None
     steps = {"start": WAVES.periods, "step": 1.0 / WAVES.oversampled, "end": end}
@@ -222,7 +287,11 @@ def period_of(trace: PartialResidual) -> float | None:
     excess = float(np.sum(w * (y - np.average(y, weights=w)) ** 2)) - len(y)
     best = int(np.argmax(gains))
     sure = gains[best] > 2.0 * np.log(len(cycles) / WAVES.period)
-    return width / float(cycles[best]) if sure and gains[best] - 2.0 > WAVES.tone * max(excess, 1e-9) else None
+    return (
+        width / float(cycles[best])
+        if sure and gains[best] - 2.0 > WAVES.tone * max(excess, 1e-9)
+        else None
+    )
 
 
 def _title(effect: Effect) -> str:

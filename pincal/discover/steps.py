@@ -10,7 +10,14 @@ from typing import Self
 
 import numpy as np
 
-from pincal.discover.candidate_tests import Search, choose, has_compliance, hidden_wave, is_small_table, named_tests
+from pincal.discover.candidate_tests import (
+    Search,
+    choose,
+    has_compliance,
+    hidden_wave,
+    is_small_table,
+    named_tests,
+)
 from pincal.discover.decisions import Decision, standard_errors
 from pincal.discover.drive_curves import resolved
 from pincal.discover.elastic import elastic_way, likeliest_fit
@@ -67,7 +74,9 @@ class SearchStep:
 
 @dataclass(frozen=True, eq=False)
 class ModelChange:
-    """A change of the model: the fit after it, and the effects that entered and left; none for a mere refit."""
+    """A change of the model: the fit after it, and the effects that entered and left; none for a
+    mere refit.
+    """
 
     fit: ModelFit
     entered: tuple[Effect, ...] = ()
@@ -83,10 +92,16 @@ class SearchState:
     changes: tuple[ModelChange, ...] = ()
 
     def changed(
-        self, fit: ModelFit, steps: tuple[SearchStep, ...], entered: tuple[Effect, ...], left: tuple[Effect, ...]
+        self,
+        fit: ModelFit,
+        steps: tuple[SearchStep, ...],
+        entered: tuple[Effect, ...],
+        left: tuple[Effect, ...],
     ) -> Self:
         """Return the state after a recorded change of the model."""
-        return replace(self, fit=fit, steps=steps, changes=(*self.changes, ModelChange(fit, entered, left)))
+        return replace(
+            self, fit=fit, steps=steps, changes=(*self.changes, ModelChange(fit, entered, left))
+        )
 
     def with_step(self, step: SearchStep) -> SearchState:
         """Return the state with one more step."""
@@ -97,15 +112,27 @@ class SearchState:
         return replace(self, steps=tuple(by if other is step else other for other in self.steps))
 
     def tuned(self, step: SearchStep, by: SearchStep) -> SearchState:
-        """Return the state with the wave of one step at another order close by, recorded as if it had entered so."""
-        changes = [replace(c, entered=tuple(by.effect if e is step.effect else e for e in c.entered)) for c in self.changes]
+        """Return the state with the wave of one step at another order close by, recorded as if it
+        had entered so.
+        """
+        changes = [
+            replace(c, entered=tuple(by.effect if e is step.effect else e for e in c.entered))
+            for c in self.changes
+        ]
         state = self.with_replaced(step, replace(by, before=step.before, after=step.after))
         return replace(state, changes=tuple(changes)).fitted_again(by.after)
 
     def fitted_again(self, fit: ModelFit) -> Self:
-        """Return the state with another fit of the same model, recorded as if it had been the first."""
-        changes = tuple(replace(change, fit=fit) if change.fit is self.fit else change for change in self.changes)
-        steps = tuple(replace(step, after=fit) if step.after is self.fit else step for step in self.steps)
+        """Return the state with another fit of the same model, recorded as if it had been the
+        first.
+        """
+        changes = tuple(
+            replace(change, fit=fit) if change.fit is self.fit else change
+            for change in self.changes
+        )
+        steps = tuple(
+            replace(step, after=fit) if step.after is self.fit else step for step in self.steps
+        )
         return replace(self, fit=fit, steps=steps, changes=changes)
 
     def without_step(self, step: SearchStep) -> SearchState:
@@ -136,7 +163,11 @@ class History(SearchState):
     def has_prior_elasticity(self) -> bool:
         """Whether the model has elasticity that entered on priors, without a name."""
         named = [effect for step in self.steps for effect in step.effects]
-        return any(isinstance(e, Compliance) and e not in named for change in self.changes for e in change.entered)
+        return any(
+            isinstance(e, Compliance) and e not in named
+            for change in self.changes
+            for e in change.entered
+        )
 
     @cached_property
     def last(self) -> ScoreTests:
@@ -147,7 +178,8 @@ class History(SearchState):
 def add_effects(state: SearchState, search: Search) -> SearchState:
     """Add the effect that explains most of the residuals, until none is accepted.
 
-    Bearing features that the data require enter once no name explains more, as they would absorb effects of drives.
+    Bearing features that the data require enter once no name explains more, as they would absorb
+    effects of drives.
     """
 
     def offers(state: SearchState) -> Iterator[Scored[SearchStep | tuple[Effect, ...]]]:
@@ -161,11 +193,15 @@ def add_effects(state: SearchState, search: Search) -> SearchState:
 
     def taken(state: SearchState, found: SearchStep | tuple[Effect, ...]) -> SearchState:
         if isinstance(found, SearchStep):
-            residuals = (1e3 * float(fit.solution.estimated[0]) for fit in (found.before, found.after))
+            residuals = (
+                1e3 * float(fit.solution.estimated[0]) for fit in (found.before, found.after)
+            )
             log.info("found %s: residual %.4f -> %.4f mm", listed(found.effects), *residuals)
             return _trusting_clusters(_weighted_by_stops(state.with_step(found)))
         log.info("bearings: %s", listed(found))
-        fit = refit(state.fit, [*state.fit.options.effects, *found], start={}, until=Tolerance.CLOSE)
+        fit = refit(
+            state.fit, [*state.fit.options.effects, *found], start={}, until=Tolerance.CLOSE
+        )
         return _trusting_clusters(_weighted_by_stops(state.changed(fit, state.steps, found, ())))
 
     return select_stepwise(_trusting_clusters(state), offers, taken, most=search.policy.most_steps)
@@ -180,23 +216,34 @@ def _weighted_by_stops(state: SearchState) -> SearchState:
 
 
 def _trusting_clusters(state: SearchState) -> SearchState:
-    """Return the state in which outliers that cluster along a joint count, as they may be an effect."""
-    fit, stations = state.fit, list[Station]()
+    """Return the state in which outliers that cluster along a joint count, as they may be an
+    effect.
+    """
+    fit = state.fit
+    stations = list[Station]()
     for station, places, _ in fit.stations:
         rows = fit.problem.rows[len(stations)]
         rejected = fit.solution.weights[rows] == 0.0
         for found in (gathering_of(station, rejected), bump_in(station, fit.values[places])):
             if found is None or found.variable == "line":
                 continue
-            trusted = np.zeros(len(station), bool) if station.trusted is None else station.trusted.copy()
+            trusted = (
+                np.zeros(len(station), bool) if station.trusted is None else station.trusted.copy()
+            )
             trusted[found.rows] = True
             if station.trusted is None or (trusted != station.trusted).any():
-                log.info("%d rows cluster at %s and are included from now on", len(found.rows), found.variable)
+                log.info(
+                    "%d rows cluster at %s and are included from now on",
+                    len(found.rows),
+                    found.variable,
+                )
                 station = replace(station, trusted=trusted)
         stations.append(station)
     if all(a is b for a, b in zip(stations, fit.problem.stations, strict=True)):
         return state
-    return state.fitted_again(refit(fit.over(stations), fit.options.effects, start={}, until=Tolerance.CLOSE))
+    return state.fitted_again(
+        refit(fit.over(stations), fit.options.effects, start={}, until=Tolerance.CLOSE)
+    )
 
 
 def reject_outliers_again(state: SearchState, search: Search) -> SearchState:
@@ -211,8 +258,8 @@ def reject_outliers_again(state: SearchState, search: Search) -> SearchState:
 def add_prior_elasticity(state: SearchState, search: Search) -> SearchState:
     """Add unnamed elasticity on few rows, unless held-out blocks contradict it.
 
-    Few rows can't show that an arm is compliant, as every arm is: its prior predicts better than a rigid model, whose
-    intervals would be too narrow.
+    Few rows can't show that an arm is compliant, as every arm is: its prior predicts better than a
+    rigid model, whose intervals would be too narrow.
     """
     fit = state.fit
     missing = () if has_compliance(search.first.problem.effects) else missing_compliances(fit)
@@ -233,11 +280,14 @@ def _predicting(fit: ModelFit, features: Sequence[Effect], search: Search) -> tu
     """Return the bearing features that improve the prediction of held-out blocks."""
     if not features:
         return ()
-    tests, found, gains = score_test(fit, features, search.groups, wider=1.0), list[int](), 0.0
+    tests = score_test(fit, features, search.groups, wider=1.0)
+    found = list[int]()
+    gains = 0.0
     for i in range(len(features)):
         gain = float(tests.gains_by_block([*found, i]).sum())
         if gain > gains:
-            found, gains = [*found, i], gain
+            found = [*found, i]
+            gains = gain
     return tuple(features[i] for i in found)
 
 
@@ -252,7 +302,9 @@ def add_hidden_waves(state: SearchState, search: Search) -> SearchState:
     def offers(state: SearchState) -> Iterator[Scored[SearchStep]]:
         if (found := hidden_wave(state.fit, search)) is not None:
             log.info("found %s as the cause of the curves", listed(found.effects))
-            yield Scored(named_step(state.fit, found, search, until=Tolerance.SETTLED), found.row.cost)
+            yield Scored(
+                named_step(state.fit, found, search, until=Tolerance.SETTLED), found.row.cost
+            )
 
     return select_stepwise(state, offers, SearchState.with_step, most=search.policy.most_steps)
 
@@ -269,18 +321,33 @@ def _next_step(fit: ModelFit, search: Search) -> SearchStep | None:
 def elastic_step(fit: ModelFit, way: Decision, after: ModelFit | None = None) -> SearchStep:
     """Return the step that adds compliances, with the fit after it if known."""
     after = refit(fit, [*fit.options.effects, *way.effects]) if after is None else after
-    return SearchStep(way.effects, way.row.score, way.equivalent, fit, after, way.effect, np.zeros(0))
+    return SearchStep(
+        way.effects, way.row.score, way.equivalent, fit, after, way.effect, np.zeros(0)
+    )
 
 
-def named_step(fit: ModelFit, decision: Decision, search: Search, until: Tolerance = Tolerance.CLOSE) -> SearchStep:
-    """Return the step that adds the effect of a decision, in the resolution that the data determine."""
+def named_step(
+    fit: ModelFit, decision: Decision, search: Search, until: Tolerance = Tolerance.CLOSE
+) -> SearchStep:
+    """Return the step that adds the effect of a decision, in the resolution that the data
+    determine.
+    """
     tested = decision.effect
     effect, start, estimate = resolved(fit, tested, search.groups)
     after = refit(fit, [*fit.options.effects, effect], start={effect: start}, until=until)
     if isinstance(effect, ExponentialDrift):
         # The time constant is refined once nothing else is missing.
         after, effect = linearised_about_itself(after, effect, until)
-    return SearchStep((effect,), decision.row.score, decision.equivalent, fit, after, tested, estimate, decision.together)
+    return SearchStep(
+        (effect,),
+        decision.row.score,
+        decision.equivalent,
+        fit,
+        after,
+        tested,
+        estimate,
+        decision.together,
+    )
 
 
 def listed(effects: Sequence[Effect]) -> str:
@@ -300,7 +367,8 @@ def linearised_about_itself(
         start = np.zeros(len(values))
         start[0] = values[0]
         others = [other for other in fit.options.effects if other != effect]
-        fit, effect = refit(fit, [*others, about], start={about: start}, until=until), about
+        fit = refit(fit, [*others, about], start={about: start}, until=until)
+        effect = about
     return fit, effect
 
 

@@ -1,4 +1,6 @@
-"""The calibrated model as C99 without dependencies: for a controller's cycle, without allocation or unbounded loops."""
+"""The calibrated model as C99 without dependencies: for a controller's cycle, without allocation or
+unbounded loops.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +8,35 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from pincal.calibration.calibrated import CalibratedModel
-from pincal.export.exported import FORMATS, Exported, Format, as_comment, filled, header, identifier, notes_on, placed_in
+from pincal.export.exported import (
+    FORMATS,
+    Exported,
+    Format,
+    as_comment,
+    filled,
+    header,
+    identifier,
+    notes_on,
+    placed_in,
+)
 from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.export.numpy_source import numpy_source, refuse_wrong
 
 _C = Language(
     statement="    const double {} = {};",
-    functions={"arcsin": "asin", "arccos": "acos", "arctan": "atan", "arcsinh": "asinh", "arctan2": "atan2"},
+    functions={
+        "arcsin": "asin",
+        "arccos": "acos",
+        "arctan": "atan",
+        "arcsinh": "asinh",
+        "arctan2": "atan2",
+    },
     select="{} ? {} : {}",
     is_select_atom=False,
     input=lambda name: name if name.startswith("moments") else f"state->{name}",
-    curve=lambda i, curve, x: f"cubic({x}, {curve.lower!r}, {curve.upper!r}, {len(curve.pieces)}, curve_{i})",
+    curve=lambda i, curve, x: (
+        f"cubic({x}, {curve.lower!r}, {curve.upper!r}, {len(curve.pieces)}, curve_{i})"
+    ),
 )
 
 
@@ -36,7 +56,10 @@ class CSource(Format):
     def export(self, calibrated: CalibratedModel) -> Exported:
         formulas = formulas_of(placed_in(calibrated, self.frame))
         name = identifier(calibrated.model.chain.robot.name)
-        files = {f"{name}.{kind}": _file(formulas, name, kind=kind, frame=self.frame).encode() for kind in "hc"}
+        files = {
+            f"{name}.{kind}": _file(formulas, name, kind=kind, frame=self.frame).encode()
+            for kind in "hc"
+        }
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame=self.frame))
         return Exported(files, notes_on(calibrated), worst)
 
@@ -48,7 +71,9 @@ def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:
         f"model.{kind}.in",
         formulas,
         frame=frame,
-        numbers=lambda values: ", ".join(repr(float(value)).replace("inf", "INFINITY") for value in values),
+        numbers=lambda values: ", ".join(
+            repr(float(value)).replace("inf", "INFINITY") for value in values
+        ),
         header="\n".join(f" * {line}".rstrip() for line in header(formulas, frame=frame)),
         name=name,
         NAME=name.upper(),
@@ -65,11 +90,16 @@ def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:
 def _functions(formulas: Formulas, name: str) -> tuple[str, str]:
     """Return the functions that evaluate the formulas, and their tables."""
     (lines, results), *parts, used = written(_C, formulas.moments, formulas.pose, formulas.columns)
-    functions, taken = [], ""
+    functions = []
+    taken = ""
     if formulas.moments:
         returned = [f"    taken[{i}] = {text};" for i, text in enumerate(results)]
-        arguments = f"const {name}_state *state, const double moments[MOMENTS], double taken[MOMENTS]"
-        functions.append("\n".join([f"static void moments_of({arguments})", "{", *lines, *returned, "}", ""]))
+        arguments = (
+            f"const {name}_state *state, const double moments[MOMENTS], double taken[MOMENTS]"
+        )
+        functions.append(
+            "\n".join([f"static void moments_of({arguments})", "{", *lines, *returned, "}", ""])
+        )
         taken = _TAKEN
     blocks = [
         [*lines, *(f"    {target}[{i}] = {text};" for i, text in enumerate(results))]

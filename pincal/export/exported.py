@@ -1,4 +1,6 @@
-"""Exports, the registry of formats (one class per format, by name), and what source code in all languages shares."""
+"""Exports, the registry of formats (one class per format, by name), and what source code in all
+languages shares.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,9 @@ class Exported:
     Attributes:
         files: contents by name in the output folder; the name of a single file is empty.
         notes: what the format can't represent.
-        max_error_m: largest distance between target or tip by the written file, read back (for C, by its formulas), and by
-            what the format can represent of the model [m]; None if there is nothing to compare.
+        max_error_m: largest distance between target or tip by the written file, read back (for C,
+            by its formulas), and by what the format can represent of the model [m]; None if there
+            is nothing to compare.
     """
 
     files: dict[str, bytes]
@@ -56,7 +59,9 @@ class Exported:
                 try:
                     Path(path).mkdir(parents=True, exist_ok=True)
                 except OSError as error:
-                    raise OutputError(f"{path}: no folder ({error.strerror}); choose another one") from None
+                    raise OutputError(
+                        f"{path}: no folder ({error.strerror}); choose another one"
+                    ) from None
             write_atomic(Path(path, name) if name else path, content, advice="choose another place")
 
 
@@ -82,7 +87,9 @@ class Format(ABC):
         """
 
 
-FORMATS: Registry[Format] = Registry("export format", group="pincal.formats", name_of=lambda cls: cls.name)
+FORMATS: Registry[Format] = Registry(
+    "export format", group="pincal.formats", name_of=lambda cls: cls.name
+)
 
 
 def export_model(
@@ -102,7 +109,10 @@ def export_model(
     """
     known = FORMATS.known()
     if format not in known:
-        raise BadInputError(f"format {format!r}: unknown; expected one of {', '.join(nearest_first([format], known))}")
+        raise BadInputError(
+            f"format {format!r}: unknown; expected one of "
+            f"{', '.join(nearest_first([format], known))}"
+        )
     try:
         chosen = known[format](**options)
     except TypeError as error:
@@ -117,19 +127,24 @@ def export_model(
     return exported
 
 
-# Weight of a rotation against a translation in compensation, over the robot's reach; see pincal.compensate.ik_problem.
+# Weight of a rotation against a translation in compensation, over the robot's reach; see
+# pincal.compensate.ik_problem.
 _LEVER = 1.0 / 3.0
 _CHECKED_POSES = 200
-_PAYLOAD, _WARM, _LONG = 20.0, (5.0, 45.0), 1e5
+_PAYLOAD = 20.0
+_WARM = (5.0, 45.0)
+_LONG = 1e5
 
 NOTES = (
     "standard deviations and the parameters of the sensor itself are in model.json only",
-    "the model is not validated outside the measured range: pincal predict and compensate report such poses",
+    "the model is not validated outside the measured range: pincal predict and compensate "
+    "report such poses",
 )
 
 
 def placed_in(calibrated: CalibratedModel, frame: str) -> CalibratedModel:
-    """Return a calibrated model that predicts poses of targets, not readings of them, in a frame: "instrument" or "base".
+    """Return a calibrated model that predicts poses of targets, not readings of them, in a frame:
+    "instrument" or "base".
 
     Raises:
         BadInputError: for another name.
@@ -139,17 +154,32 @@ def placed_in(calibrated: CalibratedModel, frame: str) -> CalibratedModel:
     if frame == "base":
         return in_base_frame(calibrated)
     has_reading_errors = any(effect.is_sighted for effect in calibrated.model.effects)
-    return calibrated.with_effects(lambda effect: not effect.is_sighted) if has_reading_errors else calibrated
+    return (
+        calibrated.with_effects(lambda effect: not effect.is_sighted)
+        if has_reading_errors
+        else calibrated
+    )
 
 
 def notes_on(calibrated: CalibratedModel) -> tuple[str, ...]:
     """Return what source code can't represent of a calibrated model."""
     read = ", ".join(effect.name for effect in calibrated.model.effects if effect.is_sighted)
-    return (*NOTES, f"{read}: an error of the instrument; it is in model.json only") if read else NOTES
+    return (
+        (*NOTES, f"{read}: an error of the instrument; it is in model.json only") if read else NOTES
+    )
 
 
-def filled(template: str, formulas: Formulas, *, frame: str, numbers: Callable[[np.ndarray], str], **words: str) -> str:
-    """Return a template filled with the words that all languages share, and others; ``numbers`` writes a list of numbers."""
+def filled(
+    template: str,
+    formulas: Formulas,
+    *,
+    frame: str,
+    numbers: Callable[[np.ndarray], str],
+    **words: str,
+) -> str:
+    """Return a template filled with the words that all languages share, and others; ``numbers``
+    writes a list of numbers.
+    """
     robot = formulas.calibrated.model.chain.robot
     # Reported positions of coupled joints have no limits of their own.
     coupled = (robot.combination != np.eye(robot.n_joints)).any(axis=1)
@@ -171,7 +201,8 @@ def header(formulas: Formulas, *, frame: str) -> list[str]:
     found = formulas.calibrated
     effects = ", ".join(dict.fromkeys(effect.name for effect in found.model.effects)) or "none"
     return [
-        f"{as_comment(found.model.chain.robot.name)}: the calibrated robot, written by pincal {version('pincal')}.",
+        f"{as_comment(found.model.chain.robot.name)}: the calibrated robot, written by "
+        f"pincal {version('pincal')}.",
         "",
         f"Poses of the target in the {frame} frame, with every effect of the model:",
         f"{effects}.",
@@ -189,13 +220,21 @@ def identifier(name: str) -> str:
 
 def as_comment(text: str) -> str:
     """Return a name that is safe in a comment of any language."""
-    return re.sub(r"[^\w .:;()'/,-]", "_", text, flags=re.ASCII).replace("*/", "_").replace("/*", "_")
+    return (
+        re.sub(r"[^\w .:;()'/,-]", "_", text, flags=re.ASCII).replace("*/", "_").replace("/*", "_")
+    )
 
 
 def checked_poses(calibrated: CalibratedModel) -> Conditions:
-    """Return poses at which an export is compared with the model: over the joint ranges, with all conditions recorded."""
-    robot, rng, n = calibrated.model.chain.robot, np.random.default_rng(0), _CHECKED_POSES
-    found = Conditions.at(robot.random_configurations(n, rng), payload_centre=calibrated.payload_centre)
+    """Return poses at which an export is compared with the model: over the joint ranges, with all
+    conditions recorded.
+    """
+    robot = calibrated.model.chain.robot
+    rng = np.random.default_rng(0)
+    n = _CHECKED_POSES
+    found = Conditions.at(
+        robot.random_configurations(n, rng), payload_centre=calibrated.payload_centre
+    )
     return replace(
         found,
         target=rng.integers(0, len(calibrated.model.chain.targets), n),

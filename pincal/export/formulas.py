@@ -1,4 +1,5 @@
-"""The calibrated model as formulas of joint positions and conditions, and these as statements of a programming language.
+"""The calibrated model as formulas of joint positions and conditions, and these as statements of a
+programming language.
 
 Common subexpressions are evaluated once.
 """
@@ -31,10 +32,12 @@ class Formulas:
 
     Attributes:
         calibrated: the model.
-        moments: the static moments as functions of the inputs and of themselves, if they are taken on the deflected arm;
-            else empty.
-        pose: the target's rotation and translation in the instrument's frame, row by row, 12 entries.
-        columns: translation (3) and rotation (3) of the target by each of the m independent joints, row by row, 6 m entries.
+        moments: the static moments as functions of the inputs and of themselves, if they are taken
+            on the deflected arm; else empty.
+        pose: the target's rotation and translation in the instrument's frame, row by row, 12
+            entries.
+        columns: translation (3) and rotation (3) of the target by each of the m independent joints,
+            row by row, 6 m entries.
     """
 
     calibrated: CalibratedModel
@@ -50,7 +53,8 @@ class Formulas:
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the columns of conditions, and "target", that the pose depends on."""
-        found, seen = set(), set()
+        found = set()
+        seen = set()
         ahead: list[Any] = [*self.moments, *self.pose]
         while ahead:
             node = ahead.pop()
@@ -67,8 +71,11 @@ def formulas_of(calibrated: CalibratedModel) -> Formulas:
     Raises:
         BadInputError: naming the effect that can't be expressed as a formula.
     """
-    model, values = calibrated.model, calibrated.model_values
-    chain, n, layout = model.chain, model.chain.robot.n_joints, model.layout(values)
+    model = calibrated.model
+    values = calibrated.model_values
+    chain = model.chain
+    n = model.chain.robot.n_joints
+    layout = model.layout(values)
     at = _symbolic_conditions(chain, calibrated.payload_centre)
     bends = any(effect.uses_moments for effect in model.effects)
     rigid = _coordinates(model, values, conditions=at, moments=None)
@@ -83,17 +90,24 @@ def formulas_of(calibrated: CalibratedModel) -> Formulas:
             moments = tuple(walk.symbolic_moments(layout, x, at.payload[0], at.payload_centre))
     tool = _by_target(chain.tool_rotations, at.target[0])
     pose, columns = walk.tip_pose(layout, x, tool, [int(k) for k in chain.drives])
-    columns, own = chain.robot.gathered(columns), chain.robot.own_joints
+    columns = chain.robot.gathered(columns)
+    own = chain.robot.own_joints
     if chain.robot.couplings:
         columns = columns @ chain.robot.combination[np.ix_(own, own)]
     return Formulas(calibrated, moments, tuple(pose.ravel()), tuple(columns.ravel()))
 
 
 def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions:
-    robot, own = chain.robot, chain.robot.own_joints
+    robot = chain.robot
+    own = chain.robot.own_joints
     q, approach = np.zeros((2, 1, robot.n_joints), object)
-    q[0, own], approach[0, own] = (symbols(*(f"{name}[{i}]" for i in range(len(own)))) for name in ("q", "approach"))
-    columns = {"q": robot.from_reported(robot.following(q)), "approach": sides_following(robot, approach)}
+    q[0, own], approach[0, own] = (
+        symbols(*(f"{name}[{i}]" for i in range(len(own)))) for name in ("q", "approach")
+    )
+    columns = {
+        "q": robot.from_reported(robot.following(q)),
+        "approach": sides_following(robot, approach),
+    }
     columns |= {name: symbols(name) for name in ("payload", "temperature", "time")}
     target = symbols("target") if len(chain.targets) > 1 else np.zeros(1, int)
     return Conditions(**columns, target=target, payload_centre=np.asarray(payload_centre, float))
@@ -101,7 +115,8 @@ def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions
 
 def sides_following(robot: Robot, sides: np.ndarray) -> np.ndarray:
     """Return directions of approach, shape (N, n), in which mimic joints follow their sources."""
-    out, index = sides.copy(), robot.joint_names.index
+    out = sides.copy()
+    index = robot.joint_names.index
     for mimic in robot.mimics:
         out[:, index(mimic.joint)] = out[:, index(mimic.source)] * np.sign(mimic.multiplier)
     return out
@@ -114,7 +129,9 @@ def _coordinates(
     x: list[Any] = [float(value) for value in model.chain.nominal]
     for span, effect in zip(model.spans, model.effects, strict=True):
         if moments is not None or not effect.uses_moments:
-            for k, change in _changes(effect, model.chain, values[span], conditions=conditions, moments=moments).items():
+            for k, change in _changes(
+                effect, model.chain, values[span], conditions=conditions, moments=moments
+            ).items():
                 x[k] = x[k] + change
     for i, k in enumerate(model.chain.drives):
         x[k] = x[k] + conditions.q[0, i]
@@ -122,7 +139,12 @@ def _coordinates(
 
 
 def _changes(
-    effect: Effect, chain: Chain, values: np.ndarray, *, conditions: Conditions, moments: np.ndarray | None
+    effect: Effect,
+    chain: Chain,
+    values: np.ndarray,
+    *,
+    conditions: Conditions,
+    moments: np.ndarray | None,
 ) -> dict[int, Any]:
 
     def added() -> dict[int, Any]:
@@ -130,14 +152,17 @@ def _changes(
         for term in effect.terms(chain, conditions, moments if effect.uses_moments else None):
             change = float(values[term.parameter])
             basis = 1.0 if term.basis is None else np.asarray(term.basis)[0]
-            found[term.coordinate] = found.get(term.coordinate, 0.0) + multiply(change, scalar(basis))
+            found[term.coordinate] = found.get(term.coordinate, 0.0) + multiply(
+                change, scalar(basis)
+            )
         return found
 
     try:
         return either_way(added)
     except Exception as error:  # Effects may be third-party code.
         raise BadInputError(
-            f"{effect.name}: can't be exported as a formula ({error}); export without it or take its value from predict"
+            f"{effect.name}: can't be exported as a formula ({error}); export without it "
+            "or take its value from predict"
         ) from error
 
 
@@ -190,7 +215,9 @@ class Language:
 
 @dataclass
 class Writer:
-    """Writes formulas with common subexpressions; ``curves`` are the piecewise cubics written so far, by number."""
+    """Writes formulas with common subexpressions; ``curves`` are the piecewise cubics written so
+    far, by number.
+    """
 
     language: Language
     uses: Counter[int]
@@ -207,7 +234,9 @@ class Writer:
         return cls(language, uses)
 
     def statements(self, formulas: Sequence[Expression]) -> tuple[list[str], list[str]]:
-        """Return the statements still needed for some of the formulas, and an expression for each formula."""
+        """Return the statements still needed for some of the formulas, and an expression for each
+        formula.
+        """
         lines = []
         for node in _in_order(formulas):
             if id(node) in self._texts:
@@ -217,7 +246,8 @@ class Writer:
                 name = f"v{self._named}"
                 self._named += 1
                 lines.append(self.language.statement.format(name, text))
-                text, level = name, _ATOM
+                text = name
+                level = _ATOM
             self._texts[id(node)] = text, level
         return lines, [self._text(formula, _SELECT) for formula in formulas]
 
@@ -228,7 +258,9 @@ class Writer:
             return language.input(node.about), _ATOM
         if operation in _INFIX:
             text, level, levels = _INFIX[operation]
-            return text.format(*(self._text(o, at) for o, at in zip(operands, levels, strict=True))), level
+            return text.format(
+                *(self._text(o, at) for o, at in zip(operands, levels, strict=True))
+            ), level
         if operation == "select":
             text = language.select.format(*(self._text(o, _COMPARISON) for o in operands))
             return text, _ATOM if language.is_select_atom else _SELECT
@@ -241,7 +273,9 @@ class Writer:
         return f"{name}({', '.join(self._text(o, _SELECT) for o in operands)})", _ATOM
 
     def _text(self, value: Expression, level: int) -> str:
-        text, own = self._texts[id(value)] if isinstance(value, Symbol) else (repr(float(value)), _ATOM)
+        text, own = (
+            self._texts[id(value)] if isinstance(value, Symbol) else (repr(float(value)), _ATOM)
+        )
         return f"({text})" if own < level or (level == _ATOM and text.startswith("-")) else text
 
 
@@ -250,10 +284,16 @@ WrittenPart = tuple[list[str], list[str]]
 
 
 def written(
-    language: Language, moments: Sequence[Expression], pose: Sequence[Expression], columns: Sequence[Expression]
+    language: Language,
+    moments: Sequence[Expression],
+    pose: Sequence[Expression],
+    columns: Sequence[Expression],
 ) -> tuple[WrittenPart, WrittenPart, WrittenPart, list[Cubic]]:
-    """Return moments, pose and columns in a language, and their curves; pose and columns share subexpressions."""
-    first, last = Writer.of(language, moments), Writer.of(language, (*pose, *columns))
+    """Return moments, pose and columns in a language, and their curves; pose and columns share
+    subexpressions.
+    """
+    first = Writer.of(language, moments)
+    last = Writer.of(language, (*pose, *columns))
     last.curves = first.curves
     return first.statements(moments), last.statements(pose), last.statements(columns), last.curves
 

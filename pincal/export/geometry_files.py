@@ -1,15 +1,18 @@
-r"""The calibrated geometry as files for other programs: URDF, Denavit-Hartenberg tables, frames of controllers.
+r"""The calibrated geometry as files for other programs: URDF, Denavit-Hartenberg tables, frames of
+controllers.
 
-A table of Denavit-Hartenberg parameters, standard or modified, is, between a base frame and a tool frame, with q added to
-theta, or to d of a prismatic joint,
+A table of Denavit-Hartenberg parameters, standard or modified, is, between a base frame and a tool
+frame, with q added to theta, or to d of a prismatic joint,
 
 .. math::
 
     \text{standard:}\; \prod_i R_z(\theta_i) T_z(d_i) T_x(a_i) R_x(\alpha_i) R_y(\beta_i), \qquad
     \text{modified:}\; \prod_i T_x(a_i) R_x(\alpha_i) R_y(\beta_i) R_z(\theta_i) T_z(d_i).
 
-:math:`\beta` is Hayati's parameter [Hayati1983]_: the common normal of two axes that are parallel to a fraction of a
-milliradian is kilometres away, too far for the numbers of a controller; beta is zero for all other axes.
+:math:`\beta` is Hayati's parameter [Hayati1983]_: the common normal of two axes that are parallel
+  to a fraction of a
+milliradian is kilometres away, too far for the numbers of a controller; beta is zero for all other
+axes.
 
 .. [Hayati1983] S. Hayati, Robot arm geometric link parameter estimation, IEEE CDC 1983.
 """
@@ -53,7 +56,8 @@ class DhTable(Format):
     of_robot: ClassVar[bool] = True
 
     def export(self, calibrated: CalibratedModel) -> Exported:
-        model, values = calibrated.model, calibrated.model_values
+        model = calibrated.model
+        values = calibrated.model_values
         robot = model.chain.robot
         frames = _calibrated_frames(model, values)
         rows = _rows(frames)
@@ -61,19 +65,27 @@ class DhTable(Format):
         true = rigid_tips(model, values, q)[:, :, 3]
         slides = np.array([kind == "prismatic" for kind in robot.joint_types])
         tables = {"standard": rows, "modified": _modified(rows)}
-        tips = {name: _tips(name, table, frames, q=q, slides=slides) for name, table in tables.items()}
+        tips = {
+            name: _tips(name, table, frames, q=q, slides=slides) for name, table in tables.items()
+        }
         worst = max(float(np.linalg.norm(found - true, axis=1).max()) for found in tips.values())
         if not worst <= _TOLERANCE:
-            raise BadInputError(f"{robot.name}: its parameters would be off by up to {worst:.2g} m; use another format")
+            raise BadInputError(
+                f"{robot.name}: its parameters would be off by up to {worst:.2g} m; use "
+                "another format"
+            )
         notes = rigid_notes(model, what="table of DH parameters")
         notes += tuple(
-            f"{mimic.joint} follows {mimic.source}: {mimic.multiplier!r} times its position plus {mimic.offset!r}"
+            f"{mimic.joint} follows {mimic.source}: {mimic.multiplier!r} times its "
+            f"position plus {mimic.offset!r}"
             for mimic in robot.mimics
         )
         if np.any(rows[:, 4]):
             flat = _tips("standard", rows * [1.0, 1.0, 1.0, 1.0, 0.0], frames, q=q, slides=slides)
             off = 1e3 * float(np.linalg.norm(flat - true, axis=1).max())
-            pairs = ", ".join(f"{robot.joint_names[i]} and the next" for i in np.flatnonzero(rows[:, 4]))
+            pairs = ", ".join(
+                f"{robot.joint_names[i]} and the next" for i in np.flatnonzero(rows[:, 4])
+            )
             cost = f"without beta the tip is off by up to {off:.3f} mm"
             notes += (f"beta (Hayati): the axes of {pairs} are nearly parallel; {cost}",)
         text = [f"# {note}" for note in notes] + [",".join(_HEAD)]
@@ -84,31 +96,45 @@ class DhTable(Format):
 
 def _calibrated_frames(model: Model, values: np.ndarray) -> DhFrames:
     """Return DH frames along the calibrated axes."""
-    chain, x = model.chain, model.rigid_coordinates(values)
-    frame, origins, axes = chain.robot.frames.T_base_first, [], []
+    chain = model.chain
+    x = model.rigid_coordinates(values)
+    frame = chain.robot.frames.T_base_first
+    origins = []
+    axes = []
     for i in range(chain.robot.n_joints):
         at = {s: x[chain.joint(i, s)] for s in ("s_x", "s_y", "theta", "d", "a", "alpha")}
         frame = frame @ rotation("x", at["s_x"]) @ rotation("y", at["s_y"])
         origins.append(frame[:3, 3])
         axes.append(frame[:3, 2])
-        frame = frame @ rotation("z", at["theta"]) @ translation(at["a"], 0.0, at["d"]) @ rotation("x", at["alpha"])
+        frame = (
+            frame
+            @ rotation("z", at["theta"])
+            @ translation(at["a"], 0.0, at["d"])
+            @ rotation("x", at["alpha"])
+        )
     return dh_frames(np.array(origins), np.array(axes), frame @ chain.robot.frames.T_last_tip)
 
 
 def _rows(frames: DhFrames) -> np.ndarray:
-    """Return theta, d, a, alpha, beta of each joint, shape (n, 5): the tilt before an axis is part of the previous row."""
+    """Return theta, d, a, alpha, beta of each joint, shape (n, 5): the tilt before an axis is part
+    of the previous row.
+    """
     tilt = np.vstack([frames.parameters[1:, :2], np.zeros((1, 2))])
     theta, d, a, alpha = frames.parameters[:, 2:].T
     return np.column_stack([theta, d, a, alpha + tilt[:, 0], tilt[:, 1]])
 
 
 def _modified(rows: np.ndarray) -> np.ndarray:
-    """Return the rows with a, alpha and beta before their joint; after the last joint they are zero."""
+    """Return the rows with a, alpha and beta before their joint; after the last joint they are
+    zero.
+    """
     assert not rows[-1, 2:].any()
     return np.column_stack([rows[:, :2], np.vstack([np.zeros((1, 3)), rows[:-1, 2:]])])
 
 
-def _tips(name: str, rows: np.ndarray, frames: DhFrames, *, q: np.ndarray, slides: np.ndarray) -> np.ndarray:
+def _tips(
+    name: str, rows: np.ndarray, frames: DhFrames, *, q: np.ndarray, slides: np.ndarray
+) -> np.ndarray:
     """Return the tip's positions by a table, shape (N, 3) [m]."""
     out = []
     for at in q:
@@ -122,12 +148,16 @@ def _tips(name: str, rows: np.ndarray, frames: DhFrames, *, q: np.ndarray, slide
     return np.array(out)
 
 
-def _lines(name: str, rows: np.ndarray, frames: DhFrames, *, names: tuple[str, ...], types: tuple[str, ...]) -> list[str]:
+def _lines(
+    name: str, rows: np.ndarray, frames: DhFrames, *, names: tuple[str, ...], types: tuple[str, ...]
+) -> list[str]:
     """Return the lines of one convention; numbers in full precision."""
 
     def frame(what: str, T: np.ndarray) -> str:
         pose = [*T[:3, 3], *rpy_of(T[:3, :3], np.zeros(3))]
-        return ",".join([name, what, "frame", *[""] * len(_COLUMNS), *(repr(float(v)) for v in pose)])
+        return ",".join(
+            [name, what, "frame", *[""] * len(_COLUMNS), *(repr(float(v)) for v in pose)]
+        )
 
     joints = [
         ",".join([name, joint, kind, *(repr(float(v)) for v in row), *[""] * len(_POSE)])
@@ -144,10 +174,12 @@ _DIGITS = 9
 @FORMATS.register
 @dataclass(frozen=True)
 class ControllerFrames(Format):
-    """The instrument's frame seen from the robot's base, and the targets on the tip, in a controller's convention.
+    """The instrument's frame seen from the robot's base, and the targets on the tip, in a
+    controller's convention.
 
     Attributes:
-        controller: "kuka" (X Y Z A B C), "fanuc" (X Y Z W P R), "abb" (x y z q1 q2 q3 q4) or "ur" (x y z rx ry rz).
+        controller: "kuka" (X Y Z A B C), "fanuc" (X Y Z W P R), "abb" (x y z q1 q2 q3 q4) or "ur"
+            (x y z rx ry rz).
     """
 
     controller: str = "kuka"
@@ -156,40 +188,68 @@ class ControllerFrames(Format):
 
     def export(self, calibrated: CalibratedModel) -> Exported:
         if self.controller not in get_args(Controller):
-            raise BadInputError(f"controller {self.controller!r}; expected one of {', '.join(get_args(Controller))}")
-        convention, frames = CONVENTIONS[self.controller], _frames(calibrated)
+            raise BadInputError(
+                f"controller {self.controller!r}; expected one of {', '.join(get_args(Controller))}"
+            )
+        convention = CONVENTIONS[self.controller]
+        frames = _frames(calibrated)
         unit, per_metre = ("m", 1.0) if self.controller == "ur" else ("mm", 1e3)
-        poses = {name: [*per_metre * T[:3, 3], *convention.values(T[:3, :3])] for name, T in frames.items()}
+        poses = {
+            name: [*per_metre * T[:3, 3], *convention.values(T[:3, :3])]
+            for name, T in frames.items()
+        }
         cells = {name: [f"{value:.{_DIGITS}f}" for value in pose] for name, pose in poses.items()}
         angles = f" [{convention.unit}]" if convention.unit else ""
         notes = _notes(calibrated, convention.words)
-        head = ",".join(["frame", *(f"{axis} [{unit}]" for axis in "xyz"), *(f"{c}{angles}" for c in convention.columns)])
+        head = ",".join(
+            [
+                "frame",
+                *(f"{axis} [{unit}]" for axis in "xyz"),
+                *(f"{c}{angles}" for c in convention.columns),
+            ]
+        )
         body = [",".join([as_comment(name), *row]) for name, row in cells.items()]
-        lost = [np.linalg.norm(T[:3, 3] - np.array(cells[name][:3], float) / per_metre) for name, T in frames.items()]
+        lost = [
+            np.linalg.norm(T[:3, 3] - np.array(cells[name][:3], float) / per_metre)
+            for name, T in frames.items()
+        ]
         text = "\n".join([*(f"# {note}" for note in notes), head, *body]) + "\n"
         return Exported({"": text.encode()}, notes, float(max(lost)))
 
 
 def _frames(calibrated: CalibratedModel) -> dict[str, np.ndarray]:
-    model, estimate = calibrated.model, calibrated.estimate
+    model = calibrated.model
+    estimate = calibrated.estimate
     chain = model.chain
     found = {}
     if "base.x" in estimate.names:
         found["base"] = np.linalg.inv(placed(chain.base_rotation, estimate.frame("base")))
-    return found | {t: placed(R, estimate.frame(t)) for t, R in zip(chain.targets, chain.tool_rotations, strict=True)}
+    return found | {
+        t: placed(R, estimate.frame(t))
+        for t, R in zip(chain.targets, chain.tool_rotations, strict=True)
+    }
 
 
 def _notes(calibrated: CalibratedModel, words: str) -> tuple[str, ...]:
-    model, robot = calibrated.model, calibrated.model.chain.robot
-    base, tip = as_comment(robot.base), as_comment(robot.tip)
-    turned = "" if model.has_tool_orientation else "; only their positions were measured, their axes are the tip's"
+    model = calibrated.model
+    robot = calibrated.model.chain.robot
+    base = as_comment(robot.base)
+    tip = as_comment(robot.tip)
+    turned = (
+        ""
+        if model.has_tool_orientation
+        else "; only their positions were measured, their axes are the tip's"
+    )
     moving = [e.name for e in model.effects if e.scope == "station" and e.needs]
     lacking = (f"{', '.join(moving)}: the frames are those at its reference",) if moving else ()
     return (
         f"orientation as {words}",
-        f"base: the instrument's frame seen from {base}; the others: targets seen from {tip}{turned}",
-        f"a controller whose own base or flange is not {base} or {tip} needs them transformed by the difference",
-        "frames hold no geometry, elasticity or other effects: they are valid with the calibrated robot only",
+        f"base: the instrument's frame seen from {base}; the others: targets seen from "
+        f"{tip}{turned}",
+        f"a controller whose own base or flange is not {base} or {tip} needs them "
+        "transformed by the difference",
+        "frames hold no geometry, elasticity or other effects: they are valid with the "
+        "calibrated robot only",
         *lacking,
     )
 
@@ -207,14 +267,17 @@ _MOVED = 1e-9
 @FORMATS.register
 @dataclass(frozen=True)
 class UrKinematics(Format):
-    """The yaml of ur_description: expanded through its xacro (``kinematics_params``) it is the calibrated arm."""
+    """The yaml of ur_description: expanded through its xacro (``kinematics_params``) it is the
+    calibrated arm.
+    """
 
     name: ClassVar[str] = "ur-kinematics"
     meaning: ClassVar[str] = "the kinematics of ur_description"
     of_robot: ClassVar[bool] = True
 
     def export(self, calibrated: CalibratedModel) -> Exported:
-        model, robot = calibrated.model, calibrated.model.chain.robot
+        model = calibrated.model
+        robot = calibrated.model.chain.robot
         _refuse_others(calibrated)
         found = calibrated_urdf(model, calibrated.model_values)
         origins = read_origins(found.text, robot.source)
@@ -222,7 +285,9 @@ class UrKinematics(Format):
         for joint, part in zip(robot.joint_names, _JOINTS.values(), strict=True):
             pose = (*origins[joint].xyz, *origins[joint].rpy)
             lines.append(f"  {part}:")
-            lines += [f"    {key}: {float(value)!r}" for key, value in zip(_POSE, pose, strict=True)]
+            lines += [
+                f"    {key}: {float(value)!r}" for key, value in zip(_POSE, pose, strict=True)
+            ]
         digest = int.from_bytes(hashlib.sha256("\n".join(lines).encode()).digest()[:8]) >> 1
         lines.append(f"  hash: calib_{digest}")
         notes = (*rigid_notes(model, what="yaml of ur_description"), *_tip_note(calibrated))
@@ -234,8 +299,13 @@ def _refuse_others(calibrated: CalibratedModel) -> None:
     """Refuse an arm that is not one of ur_description with an error that names the difference."""
     robot = calibrated.model.chain.robot
     expected = "expected a robot of ur_description, expanded from its xacro"
-    if len(robot.joint_names) != len(_JOINTS) or not all(map(str.endswith, robot.joint_names, _JOINTS)):
-        raise BadInputError(f"{robot.name}: joints {', '.join(robot.joint_names)} are not the joints of a UR; {expected}")
+    if len(robot.joint_names) != len(_JOINTS) or not all(
+        map(str.endswith, robot.joint_names, _JOINTS)
+    ):
+        raise BadInputError(
+            f"{robot.name}: joints {', '.join(robot.joint_names)} are not the joints of a "
+            f"UR; {expected}"
+        )
     tree = parse_urdf(robot.urdf, source=robot.source)
     foot = next(joint.parent for joint in tree.joints if joint.name == robot.joint_names[0])
     axes = joint_mounts(calibrated.model.chain)[:, 2, :3]
@@ -245,13 +315,21 @@ def _refuse_others(calibrated: CalibratedModel) -> None:
 
 def _tip_note(calibrated: CalibratedModel) -> tuple[str, ...]:
     model = calibrated.model
-    (_, before), (_, after) = (joint_placements(model, v) for v in (0.0 * calibrated.model_values, calibrated.model_values))
+    (_, before), (_, after) = (
+        joint_placements(model, v) for v in (0.0 * calibrated.model_values, calibrated.model_values)
+    )
     change = np.linalg.inv(before) @ after
-    moved, turned = change[:3, 3], rotation_vectors(change[None, :3, :3])[0]
+    moved = change[:3, 3]
+    turned = rotation_vectors(change[None, :3, :3])[0]
     if max(np.abs(moved).max(), np.abs(turned).max()) <= _MOVED:
         return ()
-    numbers = "x {:.6f} y {:.6f} z {:.6f} mm, rx {:.6f} ry {:.6f} rz {:.6f} mrad".format(*(1e3 * moved), *(1e3 * turned))
-    return (f"the tip has moved by {numbers} in its own axes, which the yaml can't hold; add it to the tool",)
+    numbers = "x {:.6f} y {:.6f} z {:.6f} mm, rx {:.6f} ry {:.6f} rz {:.6f} mrad".format(
+        *(1e3 * moved), *(1e3 * turned)
+    )
+    return (
+        f"the tip has moved by {numbers} in its own axes, which the yaml can't hold; add "
+        "it to the tool",
+    )
 
 
 @FORMATS.register
@@ -265,7 +343,9 @@ class CalibratedUrdf(Format):
 
     def export(self, calibrated: CalibratedModel) -> Exported:
         if not calibrated.model.chain.robot.urdf:
-            raise BadInputError("the model holds no URDF to correct; calibrate again from a URDF file")
+            raise BadInputError(
+                "the model holds no URDF to correct; calibrate again from a URDF file"
+            )
         found = calibrated_urdf(calibrated.model, calibrated.values)
         return Exported({"": found.text}, found.notes, found.max_error_m)
 

@@ -1,4 +1,6 @@
-"""The calibrated model as JavaScript, and a page around it that corrects programs in any browser, offline."""
+"""The calibrated model as JavaScript, and a page around it that corrects programs in any browser,
+offline.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,17 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import base_in_instrument, nominal_robot
-from pincal.export.exported import FORMATS, Exported, Format, as_comment, checked_poses, filled, header, notes_on, placed_in
+from pincal.export.exported import (
+    FORMATS,
+    Exported,
+    Format,
+    as_comment,
+    checked_poses,
+    filled,
+    header,
+    notes_on,
+    placed_in,
+)
 from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.export.numpy_source import numpy_source, refuse_wrong
 from pincal.export.python_to_js import Translator, as_text
@@ -48,14 +60,16 @@ _OWN = frozenset((
 ))  # fmt: skip
 
 
-# A base is fixed if it varies less than this over all checked times and temperatures [m, elements of the rotation matrix].
+# A base is fixed if it varies less than this over all checked times and temperatures [m, elements
+# of the rotation matrix].
 _STILL = 1e-12
 
 
 @FORMATS.register
 @dataclass(frozen=True)
 class CorrectorPage(Format):
-    """A single-file page that corrects tables and programs by the model in any browser, without network access.
+    """A single-file page that corrects tables and programs by the model in any browser, without
+    network access.
 
     Attributes:
         frame: default frame of positions: "instrument" or "base".
@@ -72,11 +86,20 @@ class CorrectorPage(Format):
         formulas = formulas_of(placed_in(calibrated, "base"))
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame="base"))
         templates = files("pincal.export").joinpath("templates")
-        names = ("corrector.css", "corrector_table.js", "python.js", "programs.js", "corrector_programs.js", "corrector.js")
+        names = (
+            "corrector.css",
+            "corrector_table.js",
+            "python.js",
+            "programs.js",
+            "corrector_programs.js",
+            "corrector.js",
+        )
         style, table, *scripts = (templates.joinpath(name).read_text("utf-8") for name in names)
         scripts.insert(2, programs_in_js())
         loader = jinja2.PackageLoader("pincal.export", "templates")
-        page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template("corrector.html.j2")
+        page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(
+            "corrector.html.j2"
+        )
         html = page.render(
             title=calibrated.model.chain.robot.name,
             version=version("pincal"),
@@ -90,7 +113,9 @@ class CorrectorPage(Format):
 
 
 def js_source(formulas: Formulas) -> str:
-    """Return the calibrated model and its compensation in JavaScript; ``formulas`` are in the base frame."""
+    """Return the calibrated model and its compensation in JavaScript; ``formulas`` are in the base
+    frame.
+    """
     found = formulas.calibrated
     robot = found.model.chain.robot
     nominal = formulas_of(nominal_robot(found))
@@ -98,8 +123,12 @@ def js_source(formulas: Formulas) -> str:
         "model.js.in",
         formulas,
         frame="base",
-        numbers=lambda values: ", ".join(repr(float(value)).replace("inf", "Infinity") for value in values),
-        header="\n// ".join(as_comment(line) for line in header(formulas, frame="base")).replace("// \n", "//\n"),
+        numbers=lambda values: ", ".join(
+            repr(float(value)).replace("inf", "Infinity") for value in values
+        ),
+        header="\n// ".join(as_comment(line) for line in header(formulas, frame="base")).replace(
+            "// \n", "//\n"
+        ),
         joints=in_script(json.dumps([robot.joint_names[i] for i in formulas.joints])),
         targets=in_script(json.dumps(found.model.chain.targets)),
         needs=", ".join(("q", *formulas.inputs)),
@@ -112,11 +141,18 @@ def _function(formulas: Formulas, name: str) -> str:
     moments, pose, columns, used = written(_JS, formulas.moments, formulas.pose, formulas.columns)
     lines = [f"const {name} = (() => {{"]
     if used:
-        lines += ["const CURVES = ["] + [f"  {json.dumps(curve.pieces)}," for curve in used] + ["];"]
+        lines += (
+            ["const CURVES = ["] + [f"  {json.dumps(curve.pieces)}," for curve in used] + ["];"]
+        )
     taken = []
     if formulas.moments:
         size = 3 * formulas.calibrated.model.chain.robot.n_joints
-        lines += ["const taken = (state, moments) => {", *moments[0], f"  return [{', '.join(moments[1])}];", "};"]
+        lines += [
+            "const taken = (state, moments) => {",
+            *moments[0],
+            f"  return [{', '.join(moments[1])}];",
+            "};",
+        ]
         taken = [_TAKEN.format(n=size)]
     results = (f"[{', '.join(found)}]" for _, found in (pose, columns))
     body = (*taken, *pose[0], *columns[0], f"  return [{', '.join(results)}];", "};")
@@ -133,11 +169,17 @@ _TAKEN = """  let moments = new Array({n}).fill(0);
 
 def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[str, Any]:
     """Return the data of the robot on the page in addition to the formulas."""
-    chain, own, at = calibrated.model.chain, formulas.joints, checked_poses(calibrated)
-    robot, days = chain.robot, calibrated.covered.days
+    chain = calibrated.model.chain
+    own = formulas.joints
+    at = checked_poses(calibrated)
+    robot = chain.robot
+    days = calibrated.covered.days
     bases = base_in_instrument(calibrated, at)
-    stands = bool(np.ptp(bases, axis=0).max() <= _STILL) and not np.allclose(bases[0], np.eye(4)[:3], rtol=0.0, atol=_STILL)
-    shown, combination = robot.kinematics, robot.combination[np.ix_(own, own)]
+    stands = bool(np.ptp(bases, axis=0).max() <= _STILL) and not np.allclose(
+        bases[0], np.eye(4)[:3], rtol=0.0, atol=_STILL
+    )
+    shown = robot.kinematics
+    combination = robot.combination[np.ix_(own, own)]
     return {
         "robot": robot.name,
         "types": [robot.joint_types[i] for i in own],
@@ -168,7 +210,9 @@ def _limit(value: float) -> float | None:
 
 
 def _place(robot: Robot, name: str) -> list[float]:
-    """Return the pose of the controller's world in the base, or of its flange in the tip, row by row."""
+    """Return the pose of the controller's world in the base, or of its flange in the tip, row by
+    row.
+    """
     found = rigid_pose(robot, *(("base", robot.base) if name == "world" else ("tool0", robot.tip)))
     return [float(x) for x in (np.eye(4) if found is None else found)[:3].ravel()]
 
@@ -178,29 +222,45 @@ def _follows(calibrated: CalibratedModel) -> list[list[float]]:
     robot = calibrated.model.chain.robot
     place = {robot.joint_names[i]: k for k, i in enumerate(robot.own_joints)}
     mimics = {m.joint: [place[m.source], m.multiplier, m.offset] for m in robot.mimics}
-    return [mimics[name] if name in mimics else [place[name], 1.0, 0.0] for name in robot.joint_names]
+    return [
+        mimics[name] if name in mimics else [place[name], 1.0, 0.0] for name in robot.joint_names
+    ]
 
 
 def programs_in_js() -> str:
-    """Return the readers of all languages of pincal as JavaScript, to be placed after ``templates/programs.js``."""
-    known = [cls for cls in LANGUAGES.known().values() if cls.__module__.startswith("pincal.programs.")]
+    """Return the readers of all languages of pincal as JavaScript, to be placed after
+    ``templates/programs.js``.
+    """
+    known = [
+        cls for cls in LANGUAGES.known().values() if cls.__module__.startswith("pincal.programs.")
+    ]
     names = [*_MODULES, *(cls.__module__.rpartition(".")[2] for cls in known)]
-    texts = {name: files("pincal.programs").joinpath(f"{name}.py").read_text("utf-8") for name in names}
-    tables = (f"GRAMMARS[{as_text(grammar)}] = {grammar_table(grammar)};" for cls in known for grammar in cls.grammars)
+    texts = {
+        name: files("pincal.programs").joinpath(f"{name}.py").read_text("utf-8") for name in names
+    }
+    tables = (
+        f"GRAMMARS[{as_text(grammar)}] = {grammar_table(grammar)};"
+        for cls in known
+        for grammar in cls.grammars
+    )
     return "\n".join(("const GRAMMARS = {};", *tables, Translator(skip=_OWN).translate(texts)))
 
 
 def grammar_table(grammar: str) -> str:
-    """Return the LALR table of a grammar as JSON: patterns of terminals, when they are tried, and their actions."""
+    """Return the LALR table of a grammar as JSON: patterns of terminals, when they are tried, and
+    their actions.
+    """
     front = parser_of(grammar).parser
     table: Any = front.parser._parse_table
     lexers = front.lexer.lexers
-    names, patterns, rules = list[str](), list[str](), list[Any]()
+    names = list[str]()
+    patterns = list[str]()
+    rules = list[Any]()
     hidden = set[str]()
     places: dict[Any, int] = {}
     states = []
-    # The parser numbers its states by the iteration order of sets, which differs between processes; here states are numbered
-    # as they are reached.
+    # The parser numbers its states by the iteration order of sets, which differs between processes;
+    # here states are numbered as they are reached.
     reached = [table.start_states["start"]]
     for number in reached:
         actions = {}
@@ -214,7 +274,11 @@ def grammar_table(grammar: str) -> str:
                 places[argument] = len(rules)
                 origin = str(argument.origin.name)
                 rules.append([origin, len(argument.expansion), str(argument.alias or origin)])
-                hidden |= {str(part.name) for part in argument.expansion if getattr(part, "filter_out", False)}
+                hidden |= {
+                    str(part.name)
+                    for part in argument.expansion
+                    if getattr(part, "filter_out", False)
+                }
             actions[str(symbol)] = [1, places[argument]]
         tried = []
         if number in lexers:
@@ -231,7 +295,9 @@ def grammar_table(grammar: str) -> str:
 
 
 def _pattern(pattern: str) -> str:
-    r"""Return a pattern for JavaScript, where ``\s`` and ``\w`` match other characters beyond ASCII."""
+    r"""Return a pattern for JavaScript, where ``\s`` and ``\w`` match other characters beyond
+    ASCII.
+    """
     spaces = "".join(chr(k) for k in range(256) if chr(k).isspace())
     letters = "0-9A-Z_a-z" + "".join(chr(k) for k in range(128, 256) if chr(k).isalnum())
     return pattern.replace("\\s", spaces).replace("\\w", letters)

@@ -1,8 +1,10 @@
-"""The calibrated robot as a MuJoCo model: bodies in the calibrated geometry, linear compliances as springs.
+"""The calibrated robot as a MuJoCo model: bodies in the calibrated geometry, linear compliances as
+springs.
 
-A spring is equivalent to a compliance if the moment and the resulting rotation are about the same axis of the same frame:
-about a joint's own axis in every convention, across it where moments are taken and act at the same place. MuJoCo computes
-the equilibrium of the deflected arm; its distance from the model with moments on the undeflected arm is reported.
+A spring is equivalent to a compliance if the moment and the resulting rotation are about the same
+axis of the same frame: about a joint's own axis in every convention, across it where moments are
+taken and act at the same place. MuJoCo computes the equilibrium of the deflected arm; its distance
+from the model with moments on the undeflected arm is reported.
 """
 
 from __future__ import annotations
@@ -24,15 +26,24 @@ from pincal.model.effect import Effect, Family, Term
 from pincal.model.model import Model
 from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
-from pincal.robot.se3 import exponentials, quaternions, rotation, rotation_matrices, transform, translation
+from pincal.robot.se3 import (
+    exponentials,
+    quaternions,
+    rotation,
+    rotation_matrices,
+    transform,
+    translation,
+)
 
 # MuJoCo requires a mass and an inertia of each body [kg, kg m^2].
-_LEAST_MASS, _LEAST_INERTIA = 1e-6, 1e-9
+_LEAST_MASS = 1e-6
+_LEAST_INERTIA = 1e-9
 # MuJoCo's default [s]: a spring with a faster oscillation needs armature and damping to be stable.
 _TIME_STEP = 2e-3
 _CHECKED_POSES = 100
 # Number of equations of a closure on position; position of a second point on its axis [m].
-_PLACES, _ON_AXIS = 3, 0.1
+_PLACES = 3
+_ON_AXIS = 0.1
 
 
 @dataclass(frozen=True)
@@ -40,11 +51,13 @@ class _Springs:
     """The compliances that are springs.
 
     Attributes:
-        compliances: shape (n, 3), about three axes at each joint, the last its own [rad/(N m)]; zero where there is none.
+        compliances: shape (n, 3), about three axes at each joint, the last its own [rad/(N m)];
+            zero where there is none.
         axes: shape (n, 3, 3), these axes in columns, in the axes of the joint's moments.
         carried: their effects.
         refused: names of negative compliances, which are left out.
-        rigid: names of joints in loops without springs across their axes, which would share the loads of the loop.
+        rigid: names of joints in loops without springs across their axes, which would share the
+            loads of the loop.
     """
 
     compliances: np.ndarray
@@ -64,7 +77,8 @@ class MujocoModel(Format):
     of_robot: ClassVar[bool] = True
 
     def export(self, calibrated: CalibratedModel) -> Exported:
-        model, values = calibrated.model, calibrated.model_values
+        model = calibrated.model
+        values = calibrated.model_values
         robot = model.chain.robot
         springs = _springs(model, values)
         placed, behind = link_placements(model, values)
@@ -78,7 +92,9 @@ class MujocoModel(Format):
             _add_mass(body, model, values, i=i)
             for attributes in _joints(model, values, springs, i=i):
                 _add(body, "joint", **attributes)
-        for link, joint, place in {end[0]: end for path in _paths(robot, model.chain.path) for end in path.ends}.values():
+        for link, joint, place in {
+            end[0]: end for path in _paths(robot, model.chain.path) for end in path.ends
+        }.values():
             if link != robot.base:
                 _add(bodies[joint], "site", name=link, **_pose(behind[joint + 1] @ place))
         constraints = [*_closed(model, values, bodies), *_followers(robot)]
@@ -99,10 +115,14 @@ def _followers(robot: Robot) -> Iterator[tuple[str, dict[str, str]]]:
         yield "joint", {"joint1": mimic.joint, "joint2": mimic.source, "polycoef": polynomial}
 
 
-def _closed(model: Model, values: np.ndarray, bodies: Mapping[int, ET.Element]) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the constraints that close loops, between sites added to bodies: what the passive joints can satisfy.
+def _closed(
+    model: Model, values: np.ndarray, bodies: Mapping[int, ET.Element]
+) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the constraints that close loops, between sites added to bodies: what the passive
+    joints can satisfy.
 
-    What they can't satisfy, such as the out-of-plane error of a planar loop, affects them to second order only.
+    What they can't satisfy, such as the out-of-plane error of a planar loop, affects them to second
+    order only.
     """
     for closure, frames in closure_frames(model, values):
         turns = max(closure.rows) >= _PLACES
@@ -116,11 +136,17 @@ def _closed(model: Model, values: np.ndarray, bodies: Mapping[int, ET.Element]) 
 
 def _springs(model: Model, values: np.ndarray) -> _Springs:
     """Return the compliances that are equivalent to springs between two links."""
-    chain, n = model.chain, model.chain.robot.n_joints
-    at, moments = Conditions.at(np.zeros((1, n))), np.ones((1, 3 * n))
-    matrices, carried, refused = np.zeros((n, 3, 3)), [], []
+    chain = model.chain
+    n = model.chain.robot.n_joints
+    at = Conditions.at(np.zeros((1, n)))
+    moments = np.ones((1, 3 * n))
+    matrices = np.zeros((n, 3, 3))
+    carried = []
+    refused = []
     own = "z" if chain.moment_frame == "paper" else "xyz"
-    places = {chain.joint(i, f"gamma_{axis}"): (i, "xyz".index(axis)) for i in range(n) for axis in own}
+    places = {
+        chain.joint(i, f"gamma_{axis}"): (i, "xyz".index(axis)) for i in range(n) for axis in own
+    }
     for span, effect in zip(model.spans, model.effects, strict=True):
         terms = effect.terms(chain, at, moments) if effect.uses_moments else ()
         entries = [_entry(term, places) for term in terms]
@@ -129,8 +155,13 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
         carried.append(effect)
         for term, entry in zip(terms, entries, strict=True):
             matrices[entry] += float(values[span][term.parameter])
-    compliances, axes = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1))
-    loops = {joint for closure in chain.robot.closures for joint, _ in closure.path.steps(chain.robot.parents)}
+    compliances = np.zeros((n, 3))
+    axes = np.tile(np.eye(3), (n, 1, 1))
+    loops = {
+        joint
+        for closure in chain.robot.closures
+        for joint, _ in closure.path.steps(chain.robot.parents)
+    }
     rigid = sorted(chain.robot.joint_names[i] for i in loops if matrices[i, :2, :2].any())
     matrices[list(loops), :2, :2] = 0.0
     for i, matrix in enumerate(matrices):
@@ -140,28 +171,45 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
         else:
             compliances[i] = np.diag(matrix)
         names = ("k_across", "k_across", "k_z") if matrix[0, 1] else ("k_x", "k_y", "k_z")
-        refused += [f"{chain.robot.joint_names[i]}.{names[c]}" for c in np.flatnonzero(compliances[i] < 0.0)]
-    return _Springs(np.maximum(compliances, 0.0), axes, tuple(carried), tuple(refused), tuple(rigid))
+        refused += [
+            f"{chain.robot.joint_names[i]}.{names[c]}" for c in np.flatnonzero(compliances[i] < 0.0)
+        ]
+    return _Springs(
+        np.maximum(compliances, 0.0), axes, tuple(carried), tuple(refused), tuple(rigid)
+    )
 
 
 def _entry(term: Term, places: Mapping[int, tuple[int, int]]) -> tuple[int, int, int] | None:
-    """Return joint, row and column of a term in the compliance matrices, shape (n, 3, 3); None if it is not in them."""
+    """Return joint, row and column of a term in the compliance matrices, shape (n, 3, 3); None if
+    it is not in them.
+    """
     if term.coordinate not in places or term.moment is None or term.slope is not None:
         return None
     (i, row), (joint, column) = places[term.coordinate], divmod(term.moment, 3)
     return (i, row, column) if joint == i and (row == 2) == (column == 2) else None
 
 
-def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> Iterator[dict[str, str]]:
-    """Yield the attributes of the joints of a body in the order in which they turn it: springs, and the robot's own."""
-    chain, robot = model.chain, model.chain.robot
+def _joints(
+    model: Model, values: np.ndarray, springs: _Springs, *, i: int
+) -> Iterator[dict[str, str]]:
+    """Yield the attributes of the joints of a body in the order in which they turn it: springs, and
+    the robot's own.
+    """
+    chain = model.chain
+    robot = model.chain.robot
     turning = np.linalg.inv(joint_mounts(chain)[i])
     kind = "slide" if robot.joint_types[i] == "prismatic" else "hinge"
-    own = {"name": robot.joint_names[i], "type": kind, "pos": _numbers(turning[:3, 3]), "axis": _numbers(turning[:3, 2])}
+    own = {
+        "name": robot.joint_names[i],
+        "type": kind,
+        "pos": _numbers(turning[:3, 3]),
+        "axis": _numbers(turning[:3, 2]),
+    }
     if np.isfinite(robot.lower[i]):
         own["range"] = _numbers(np.array([robot.lower[i], robot.upper[i]]))
     before = chain.moment_frame == "before"
-    axes, rigid = turning[:3, :3], model.rigid_coordinates(values)
+    axes = turning[:3, :3]
+    rigid = model.rigid_coordinates(values)
     if before:
         axes = axes @ rotation("z", -rigid[chain.joint(i, "theta")])[:3, :3]
     axes = axes @ springs.axes[i]
@@ -171,7 +219,12 @@ def _joints(model: Model, values: np.ndarray, springs: _Springs, *, i: int) -> I
         height = rigid[chain.joint(i, "d")] - height
     bearing = _numbers(turning[:3, 3] + height * turning[:3, 2])
     elastic = [
-        _spring(f"{robot.joint_names[i]}_spring_{'xyz'[c]}", bearing, axes[:, c], 1.0 / springs.compliances[i, c])
+        _spring(
+            f"{robot.joint_names[i]}_spring_{'xyz'[c]}",
+            bearing,
+            axes[:, c],
+            1.0 / springs.compliances[i, c],
+        )
         for c in (2, 1, 0)
         if springs.compliances[i, c] > 0.0
     ]
@@ -193,9 +246,13 @@ def _spring(name: str, foot: str, axis: np.ndarray, stiffness: float) -> dict[st
 
 
 def _add_mass(body: ET.Element, model: Model, values: np.ndarray, *, i: int) -> None:
-    """Add to a body its mass and centre of mass in the calibrated link, and the inertia of the URDF."""
-    chain, robot = model.chain, model.chain.robot
-    layout, x = model.layout(values), model.rigid_coordinates(values)
+    """Add to a body its mass and centre of mass in the calibrated link, and the inertia of the
+    URDF.
+    """
+    chain = model.chain
+    robot = model.chain.robot
+    layout = model.layout(values)
+    x = model.rigid_coordinates(values)
     d, a, alpha = (x[chain.joint(i, symbol)] for symbol in ("d", "a", "alpha"))
     link = np.linalg.inv(joint_mounts(chain)[i]) @ translation(a, 0.0, d) @ rotation("x", alpha)
     nominal = robot.pinocchio_model()
@@ -203,34 +260,60 @@ def _add_mass(body: ET.Element, model: Model, values: np.ndarray, *, i: int) -> 
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     centre = link[:3, :3] @ layout.centres[i] + link[:3, 3]
-    mass, moments = float(max(layout.masses[i], _LEAST_MASS)), np.maximum(moments, _LEAST_INERTIA)
-    _add(body, "inertial", mass=repr(mass), diaginertia=_numbers(moments), pos=_numbers(centre), quat=_quaternion(axes))
+    mass = float(max(layout.masses[i], _LEAST_MASS))
+    moments = np.maximum(moments, _LEAST_INERTIA)
+    _add(
+        body,
+        "inertial",
+        mass=repr(mass),
+        diaginertia=_numbers(moments),
+        pos=_numbers(centre),
+        quat=_quaternion(axes),
+    )
 
 
 def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
     """Return the differences between the MuJoCo model and the calibrated one."""
-    model, robot = calibrated.model, calibrated.model.chain.robot
-    carried = (*springs.carried, *(effect for effect in model.effects if effect.bodies(model.chain)))
+    model = calibrated.model
+    robot = calibrated.model.chain.robot
+    carried = (
+        *springs.carried,
+        *(effect for effect in model.effects if effect.bodies(model.chain)),
+    )
     left = model.with_effects([effect for effect in model.effects if effect not in carried])
     notes = rigid_notes(left, what="MuJoCo model")
     masses = model.layout(calibrated.model_values).masses
-    below = [f"{name} ({mass:.3g} kg)" for name, mass in zip(robot.joint_names, masses, strict=True) if mass < 0.0]
+    below = [
+        f"{name} ({mass:.3g} kg)"
+        for name, mass in zip(robot.joint_names, masses, strict=True)
+        if mass < 0.0
+    ]
     if below:
-        notes += (f"masses after {', '.join(below)}: negative, which is not physical; omitted, so moments differ",)
+        notes += (
+            f"masses after {', '.join(below)}: negative, which is not physical; omitted, "
+            "so moments differ",
+        )
     if springs.refused:
         notes += (f"{', '.join(springs.refused)}: negative, which is not physical; omitted",)
     if springs.rigid:
-        notes += (f"bearings of {', '.join(springs.rigid)}: rigid here, as springs in a closed loop would share its loads",)
+        notes += (
+            f"bearings of {', '.join(springs.rigid)}: rigid here, as springs in a closed "
+            "loop would share its loads",
+        )
     if robot.closures:
         notes += ("loops are closed between sites, which old versions of MuJoCo do not support",)
     if np.any(springs.compliances):
         notes += (
-            "springs reproduce the arm's static deflection under its own weight; their armature and damping keep MuJoCo "
+            "springs reproduce the arm's static deflection under its own weight; their "
+            "armature and damping keep MuJoCo "
             "stable at a step of 2 ms and are not measured",
             *([] if model.equilibrium else [_bent(calibrated)]),
         )
     if robot.massless:
-        notes += ("inertia of links without one in the URDF is a placeholder: statics are correct, dynamics are not",)
+        notes += (
+            "inertia of links without one in the URDF is a placeholder: statics are "
+            "correct, dynamics are not",
+        )
     return notes
 
 
@@ -239,17 +322,26 @@ def _bent(calibrated: CalibratedModel) -> str:
     own = calibrated.with_effects(lambda effect: effect.scope == "robot" and not effect.needs)
     q = own.model.chain.robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
     at = Conditions.at(q)
-    straight, bent = (replace(own.model, equilibrium=e).predict(own.model_values, at)[:, :, 3] for e in (False, True))
+    straight, bent = (
+        replace(own.model, equilibrium=e).predict(own.model_values, at)[:, :, 3]
+        for e in (False, True)
+    )
     most = 1e3 * float(np.linalg.norm(straight - bent, axis=1).max())
     return (
-        f"springs deflect the arm to equilibrium, the model takes moments on the undeflected arm: up to {most:.4f} mm apart"
+        "springs deflect the arm to equilibrium, the model takes moments on the undeflected "
+        f"arm: up to {most:.4f} mm apart"
     )
 
 
 def _error(model: Model, values: np.ndarray, text: str) -> float:
-    """Return the largest distance between ends of paths by the bodies of a file and by the calibrated geometry [m]."""
-    robot, root = model.chain.robot, ET.fromstring(text)
-    q = rigid_joints(model, values, robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0)))
+    """Return the largest distance between ends of paths by the bodies of a file and by the
+    calibrated geometry [m].
+    """
+    robot = model.chain.robot
+    root = ET.fromstring(text)
+    q = rigid_joints(
+        model, values, robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))
+    )
     bodies = {body.get("name"): body for body in root.iter("body")}
     sites = {site.get("name"): _read(site) for site in root.iter("site")}
     paths = _paths(robot, model.chain.path)
@@ -263,7 +355,10 @@ def _error(model: Model, values: np.ndarray, text: str) -> float:
         for k, path in enumerate(paths):
             start, tip = (T[joint] @ sites.get(link, np.eye(4)) for link, joint, _ in path.ends)
             found[k, row] = np.linalg.solve(start, tip)[:3, 3]
-    off = [tips - rigid_tips(model, values, q, path)[:, :, 3] for tips, path in zip(found, paths, strict=True)]
+    off = [
+        tips - rigid_tips(model, values, q, path)[:, :, 3]
+        for tips, path in zip(found, paths, strict=True)
+    ]
     return float(np.linalg.norm(off, axis=2).max())
 
 

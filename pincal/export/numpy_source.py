@@ -12,12 +12,23 @@ from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import nominal_in_instrument, nominal_robot
 from pincal.errors import BadInputError
-from pincal.export.exported import FORMATS, Exported, Format, as_comment, checked_poses, filled, header, notes_on, placed_in
+from pincal.export.exported import (
+    FORMATS,
+    Exported,
+    Format,
+    as_comment,
+    checked_poses,
+    filled,
+    header,
+    notes_on,
+    placed_in,
+)
 from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.measure.heading import NUMBERED
 from pincal.units import UNITS, size_of
 
-# Largest difference between poses of the formulas and of the model [m, elements of the rotation matrix].
+# Largest difference between poses of the formulas and of the model [m, elements of the rotation
+# matrix].
 TOLERANCE = 1e-12
 _ARGUMENTS = "q, payload, temperature, time, approach, target"
 
@@ -43,7 +54,8 @@ _NUMPY = Language(
 @FORMATS.register
 @dataclass(frozen=True)
 class NumpySource(Format):
-    """A Python file whose only dependency is NumPy: forward kinematics and compensation of many poses at once.
+    """A Python file whose only dependency is NumPy: forward kinematics and compensation of many
+    poses at once.
 
     It is also a program that corrects a table: ``python arm.py program.csv corrected.csv``.
 
@@ -58,12 +70,15 @@ class NumpySource(Format):
     def export(self, calibrated: CalibratedModel) -> Exported:
         formulas = formulas_of(placed_in(calibrated, self.frame))
         text = numpy_source(formulas, frame=self.frame)
-        return Exported({"": text.encode()}, notes_on(calibrated), refuse_wrong(formulas.calibrated, text=text))
+        return Exported(
+            {"": text.encode()}, notes_on(calibrated), refuse_wrong(formulas.calibrated, text=text)
+        )
 
 
 def numpy_source(formulas: Formulas, *, frame: str) -> str:
     """Return the text of the file."""
-    found, chain = formulas.calibrated, formulas.calibrated.model.chain
+    found = formulas.calibrated
+    chain = formulas.calibrated.model.chain
     functions, curves = _functions(formulas)
     nominal = formulas_of(nominal_robot(found) if frame == "base" else nominal_in_instrument(found))
     functions += "\n\n\n" + _functions(nominal)[0].replace("def _evaluate(", "def _nominal(", 1)
@@ -77,9 +92,18 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
         slides=repr([chain.robot.joint_types[i] == "prismatic" for i in own]),
         start=repr(middle_of_range(chain.robot)[own].tolist()),
         days=repr(
-            {name: float(found.covered.days[name][0]) for name in ("temperature", "time") if name in found.covered.days}
+            {
+                name: float(found.covered.days[name][0])
+                for name in ("temperature", "time")
+                if name in found.covered.days
+            }
         ),
-        units=repr({quantity: {unit: size_of(unit, quantity) for unit in units} for quantity, units in UNITS.items()}),
+        units=repr(
+            {
+                quantity: {unit: size_of(unit, quantity) for unit in units}
+                for quantity, units in UNITS.items()
+            }
+        ),
         names=", ".join(as_comment(chain.robot.joint_names[i]) for i in own),
         reach=repr(float(chain.robot.reach)),
         numbered=repr(NUMBERED.pattern),
@@ -88,7 +112,9 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
         "model.py.in",
         formulas,
         frame=frame,
-        numbers=lambda values: "[" + ", ".join(repr(float(value)).replace("inf", "np.inf") for value in values) + "]",
+        numbers=lambda values: (
+            "[" + ", ".join(repr(float(value)).replace("inf", "np.inf") for value in values) + "]"
+        ),
         header='"""' + "\n".join(lines) + '\n"""',
         joints=repr(tuple(chain.robot.joint_names[i] for i in formulas.joints)),
         targets=repr(chain.targets),
@@ -101,7 +127,8 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
 
 
 def refuse_wrong(calibrated: CalibratedModel, *, text: str) -> float:
-    """Return the largest difference between poses of a file and of the model [m, elements of the rotation matrix].
+    """Return the largest difference between poses of a file and of the model [m, elements of the
+    rotation matrix].
 
     Raises:
         BadInputError: if it exceeds rounding, naming the effect whose formula differs.
@@ -114,10 +141,13 @@ def refuse_wrong(calibrated: CalibratedModel, *, text: str) -> float:
         error = _error(alone, numpy_source(formulas_of(alone), frame="instrument"))
         if not error <= TOLERANCE:
             raise BadInputError(
-                f"{effect.name}: its formula differs from its prediction by up to {error:.2g} m, expected at most "
+                f"{effect.name}: its formula differs from its prediction by up to "
+                f"{error:.2g} m, expected at most "
                 f"{TOLERANCE:g} m; it can't be exported"
             )
-    raise BadInputError(f"formulas differ from the model by up to {worst:.2g} m; expected at most {TOLERANCE:g} m")
+    raise BadInputError(
+        f"formulas differ from the model by up to {worst:.2g} m; expected at most {TOLERANCE:g} m"
+    )
 
 
 def _error(calibrated: CalibratedModel, text: str) -> float:
@@ -130,21 +160,34 @@ def _error(calibrated: CalibratedModel, text: str) -> float:
     columns = {name: getattr(at, name) for name in ("payload", "temperature", "time", "target")}
     assert at.approach is not None
     columns["approach"] = at.approach[:, own]
-    return float(np.abs(forward(robot.as_reported(at.q)[:, own], **columns) - calibrated.predict(at)).max())
+    return float(
+        np.abs(forward(robot.as_reported(at.q)[:, own], **columns) - calibrated.predict(at)).max()
+    )
 
 
 def _functions(formulas: Formulas) -> tuple[str, str]:
     """Return the functions that evaluate the formulas, and their tables."""
-    moments, pose, columns, used = written(_NUMPY, formulas.moments, formulas.pose, formulas.columns)
-    functions, taken, m = [], "", 3 * formulas.calibrated.model.chain.robot.n_joints
+    moments, pose, columns, used = written(
+        _NUMPY, formulas.moments, formulas.pose, formulas.columns
+    )
+    functions = []
+    taken = ""
+    m = 3 * formulas.calibrated.model.chain.robot.n_joints
     if formulas.moments:
         returned = f"    return _stacked([{', '.join(moments[1])}], ({m},), len(q)).T"
-        functions.append("\n".join([f"def _moments({_ARGUMENTS}, moments):", *moments[0], returned, ""]))
+        functions.append(
+            "\n".join([f"def _moments({_ARGUMENTS}, moments):", *moments[0], returned, ""])
+        )
         taken = _TAKEN.format(n=m, arguments=_ARGUMENTS)
     shapes = {"(3, 4)": pose, f"(6, {len(formulas.joints)})": columns}
-    stacks = [f"_stacked([{', '.join(results)}], {shape}, len(q))" for shape, (_, results) in shapes.items()]
+    stacks = [
+        f"_stacked([{', '.join(results)}], {shape}, len(q))"
+        for shape, (_, results) in shapes.items()
+    ]
     returned = f"    return {', '.join(stacks)}"
-    functions.append("\n".join([f"def _evaluate({_ARGUMENTS}):{taken}", *pose[0], *columns[0], returned]))
+    functions.append(
+        "\n".join([f"def _evaluate({_ARGUMENTS}):{taken}", *pose[0], *columns[0], returned])
+    )
     tables = [f"_CURVE_{i} = np.array({curve.pieces})" for i, curve in enumerate(used)]
     return "\n\n".join(functions), "\n".join(tables)
 

@@ -1,8 +1,9 @@
-"""Translation of a subset of Python to JavaScript, so that a page runs the same readers of programs as the command.
+"""Translation of a subset of Python to JavaScript, so that a page runs the same readers of programs
+as the command.
 
-The subset is what the modules of :mod:`pincal.programs` use: functions, classes and dataclasses, comprehensions, generators,
-and the methods of strings, lists, dictionaries and sets, which the page's ``python.js`` implements. Anything else is refused
-with its line, at export.
+The subset is what the modules of :mod:`pincal.programs` use: functions, classes and dataclasses,
+comprehensions, generators, and the methods of strings, lists, dictionaries and sets, which the
+page's ``python.js`` implements. Anything else is refused with its line, at export.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-# Reserved words of JavaScript; built-in functions of Python; methods of strings, lists, dictionaries and sets, which the
-# page's python.js dispatches by type.
+# Reserved words of JavaScript; built-in functions of Python; methods of strings, lists,
+# dictionaries and sets, which the page's python.js dispatches by type.
 _WORDS = """
 arguments break case catch class const continue default delete do else enum export extends false finally for function
 if import in instanceof let new null package private protected public return static super switch this throw true try
@@ -27,7 +28,9 @@ _METHODS = """
 upper lower split partition strip lstrip rstrip startswith endswith removesuffix removeprefix replace join isdigit isalpha
 rjust find rfind append pop items keys values get setdefault update add union fromkeys index count
 """
-_RESERVED, _BUILTIN, _SHARED = (frozenset(words.split()) for words in (_WORDS, _FUNCTIONS, _METHODS))
+_RESERVED, _BUILTIN, _SHARED = (
+    frozenset(words.split()) for words in (_WORDS, _FUNCTIONS, _METHODS)
+)
 # Operations of two operands: of Python's types by python.js, and of numbers.
 _OPERATIONS: dict[type, str] = {
     **{kind: f"py.{name}({{0}}, {{1}})" for kind, name in {
@@ -45,7 +48,8 @@ class Translator:
     """Translates the modules of a package.
 
     Attributes:
-        skip: names of functions, methods (``Class.method``) and classes that the page implements itself.
+        skip: names of functions, methods (``Class.method``) and classes that the page implements
+            itself.
         signatures: names of the parameters of functions, methods and classes, by their names.
     """
 
@@ -67,11 +71,17 @@ class Translator:
     def _take_signatures(self, tree: ast.Module) -> None:
         for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef):
-                names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
-                self.signatures.setdefault(node.name, []).append([name for name in names if name not in ("self", "cls")])
+                names = [
+                    a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
+                ]
+                self.signatures.setdefault(node.name, []).append(
+                    [name for name in names if name not in ("self", "cls")]
+                )
         for node in tree.body:
             if isinstance(node, ast.ClassDef):
-                inherited = [one for base in node.bases for one in self._fields.get(_name(base), [])]
+                inherited = [
+                    one for base in node.bases for one in self._fields.get(_name(base), [])
+                ]
                 own = [(part.target.id, "null" if part.value is None else self._default(part.value))
                        for part in node.body if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name)
                        and "ClassVar" not in ast.unparse(part.annotation)]  # fmt: skip
@@ -83,11 +93,16 @@ class Translator:
             for keyword in node.keywords:
                 if keyword.arg == "default_factory":
                     made = keyword.value
-                    return self._expression(made.body) if isinstance(made, ast.Lambda) else f"py.{_name(made)}()"
+                    return (
+                        self._expression(made.body)
+                        if isinstance(made, ast.Lambda)
+                        else f"py.{_name(made)}()"
+                    )
         return self._expression(node)
 
     def _module(self, name: str, tree: ast.Module, modules: Mapping[str, str]) -> str:
-        lines, names = [], []
+        lines = []
+        names = []
         for node in tree.body:
             if isinstance(node, ast.ImportFrom):
                 source = (node.module or "").rpartition(".")[2]
@@ -97,14 +112,20 @@ class Translator:
             elif isinstance(node, (ast.FunctionDef, ast.ClassDef)) and node.name not in self.skip:
                 lines += self._statement(node)
                 names.append(node.name)
-            elif isinstance(node, (ast.Assign, ast.AnnAssign)) and not isinstance(node.value, ast.Subscript):
+            elif isinstance(node, (ast.Assign, ast.AnnAssign)) and not isinstance(
+                node.value, ast.Subscript
+            ):
                 target = node.targets[0] if isinstance(node, ast.Assign) else node.target
                 if _name(target) not in self.skip:
                     names += _targets(target)
                     lines += [f"let {', '.join(_targets(target))};", *self._statement(node)]
             elif isinstance(node, ast.AugAssign):
                 lines += self._statement(node)
-        return f"MODULES.{name} = (() => {{\n" + "\n".join(lines) + f"\nreturn {{ {', '.join(names)} }};\n}})();"
+        return (
+            f"MODULES.{name} = (() => {{\n"
+            + "\n".join(lines)
+            + f"\nreturn {{ {', '.join(names)} }};\n}})();"
+        )
 
     # --- statements
 
@@ -114,14 +135,20 @@ class Translator:
     def _statement(self, node: ast.stmt) -> list[str]:
         match node:
             case ast.FunctionDef():
-                return self._function(node, f"function{'*' if _yields(node) else ''} {_plain(node.name)}")
+                return self._function(
+                    node, f"function{'*' if _yields(node) else ''} {_plain(node.name)}"
+                )
             case ast.ClassDef():
                 return self._class(node)
             case ast.Return():
                 return [f"return {self._expression(node.value) if node.value else 'null'};"]
             case ast.If():
                 lines = [f"if ({self._truth(node.test)}) {{", *self._block(node.body)]
-                return [*lines, "} else {", *self._block(node.orelse), "}"] if node.orelse else [*lines, "}"]
+                return (
+                    [*lines, "} else {", *self._block(node.orelse), "}"]
+                    if node.orelse
+                    else [*lines, "}"]
+                )
             case ast.For(target, iterated, body, [], _):
                 head = f"for (const $each of py.iter({self._expression(iterated)})) {{"
                 return [head, f"{self._target(target)} = $each;", *self._block(body), "}"]
@@ -146,8 +173,14 @@ class Translator:
 
     def _assigned(self, target: ast.expr, value: str) -> str:
         if isinstance(target, ast.Subscript):
-            return f"py.put({self._expression(target.value)}, {self._expression(target.slice)}, {value});"
-        return f"{self._target(target)} = {f'[...py.iter({value})]' if isinstance(target, ast.Tuple) else value};"
+            return (
+                f"py.put({self._expression(target.value)}, {self._expression(target.slice)}, "
+                f"{value});"
+            )
+        return (
+            f"{self._target(target)} = "
+            f"{f'[...py.iter({value})]' if isinstance(target, ast.Tuple) else value};"
+        )
 
     def _target(self, target: ast.expr) -> str:
         if isinstance(target, (ast.Tuple, ast.List)):
@@ -159,11 +192,17 @@ class Translator:
     def _function(self, node: ast.FunctionDef, head: str) -> list[str]:
         given = [*node.args.posonlyargs, *node.args.args]
         defaults = [None] * (len(given) - len(node.args.defaults)) + list(node.args.defaults)
-        pairs = [*zip(given, defaults, strict=True), *zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)]
+        pairs = [
+            *zip(given, defaults, strict=True),
+            *zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True),
+        ]
         names = [(_plain(a.arg), value) for a, value in pairs if a.arg not in ("self", "cls")]
         if node.args.kwarg or node.args.vararg:
             raise _unknown(node)
-        parameters = ", ".join(name if value is None else f"{name} = {self._expression(value)}" for name, value in names)
+        parameters = ", ".join(
+            name if value is None else f"{name} = {self._expression(value)}"
+            for name, value in names
+        )
         local = sorted(set(_locals(node.body)) - {name for name, _ in names})
         lines = [f"{head}({parameters}) {{"] + ([f"let {', '.join(local)};"] if local else [])
         return [*lines, *self._block(node.body), *([] if _yields(node) else ["return null;"]), "}"]
@@ -180,14 +219,26 @@ class Translator:
         for part in node.body:
             if isinstance(part, ast.FunctionDef) and f"{node.name}.{part.name}" not in self.skip:
                 kinds = {_name(decorator) for decorator in part.decorator_list}
-                prefix = "get " if kinds & {"property", "cached_property"} else "*" if _yields(part) else ""
+                prefix = (
+                    "get "
+                    if kinds & {"property", "cached_property"}
+                    else "*"
+                    if _yields(part)
+                    else ""
+                )
                 lines += self._function(part, prefix + part.name)
             elif isinstance(part, ast.Assign) or (isinstance(part, ast.AnnAssign) and part.value is not None
                                                   and "ClassVar" in ast.unparse(part.annotation)):  # fmt: skip
                 target = part.targets[0] if isinstance(part, ast.Assign) else part.target
                 if part.value is not None:
-                    constants.append(f"{node.name}.prototype.{_name(target)} = {self._expression(part.value)};")
-        registered = [f"LANGUAGES.register({node.name});" for d in node.decorator_list if _name(d) == "register"]
+                    constants.append(
+                        f"{node.name}.prototype.{_name(target)} = {self._expression(part.value)};"
+                    )
+        registered = [
+            f"LANGUAGES.register({node.name});"
+            for d in node.decorator_list
+            if _name(d) == "register"
+        ]
         return [*lines, "}", *constants, *registered]
 
     # --- expressions
@@ -200,7 +251,10 @@ class Translator:
 
     def _list(self, nodes: Iterable[ast.expr]) -> str:
         return ", ".join(
-            f"...py.iter({self._expression(n.value)})" if isinstance(n, ast.Starred) else self._expression(n) for n in nodes
+            f"...py.iter({self._expression(n.value)})"
+            if isinstance(n, ast.Starred)
+            else self._expression(n)
+            for n in nodes
         )
 
     def _expression(self, node: ast.expr) -> str:
@@ -238,11 +292,16 @@ class Translator:
                 pair = f"[{self._expression(key)}, {self._expression(value)}]"
                 return f"new py.Dict({self._comprehension(pair, generators)})"
             case ast.IfExp(test, body, orelse):
-                return f"({self._truth(test)} ? {self._expression(body)} : {self._expression(orelse)})"
+                return (
+                    f"({self._truth(test)} ? {self._expression(body)} : {self._expression(orelse)})"
+                )
             case ast.BoolOp(operator, values):
                 *rest, last = [self._expression(value) for value in values]
                 for value in reversed(rest):
-                    last = f"py.{'both' if isinstance(operator, ast.And) else 'either'}({value}, () => {last})"
+                    last = (
+                        f"py.{'both' if isinstance(operator, ast.And) else 'either'}({value}, "
+                        f"() => {last})"
+                    )
                 return last
             case ast.UnaryOp(ast.Not(), value):
                 return f"!{self._truth(value) if not isinstance(value, ast.Compare) else f'({self._expression(value)})'}"
@@ -253,12 +312,18 @@ class Translator:
             case ast.BinOp(left, operator, right):
                 return self._operation(operator, left, right)
             case ast.Compare(left, operators, rights):
-                parts = [self._operation(*pair) for pair in zip(operators, [left, *rights], rights, strict=False)]
+                parts = [
+                    self._operation(*pair)
+                    for pair in zip(operators, [left, *rights], rights, strict=False)
+                ]
                 return parts[0] if len(parts) == 1 else f"({' && '.join(parts)})"
             case ast.JoinedStr(parts):
                 return f"({' + '.join([self._formatted(part) for part in parts]) or as_text('')})"
             case ast.Lambda(arguments, body):
-                return f"(({', '.join(_plain(a.arg) for a in arguments.args)}) => {self._expression(body)})"
+                return (
+                    f"(({', '.join(_plain(a.arg) for a in arguments.args)}) => "
+                    f"{self._expression(body)})"
+                )
             case ast.NamedExpr(target, value):
                 return f"({self._expression(target)} = {self._expression(value)})"
             case ast.Yield(value) if value is not None:
@@ -278,11 +343,16 @@ class Translator:
         inner = f"$out.push({element});"
         for generator in reversed(generators):
             tests = "".join(f"if ({self._truth(test)}) " for test in generator.ifs)
-            each = f"const {self._target(generator.target)} of py.iter({self._expression(generator.iter)})"
+            each = (
+                f"const {self._target(generator.target)} of "
+                f"py.iter({self._expression(generator.iter)})"
+            )
             inner = f"for ({each}) {{ {tests}{inner} }}"
         return f"(() => {{ const $out = []; {inner} return $out; }})()"
 
-    def _operation(self, operator: ast.operator | ast.cmpop, left: ast.expr, right: ast.expr) -> str:
+    def _operation(
+        self, operator: ast.operator | ast.cmpop, left: ast.expr, right: ast.expr
+    ) -> str:
         if type(operator) not in _OPERATIONS:
             raise _unknown(operator)
         return _OPERATIONS[type(operator)].format(self._expression(left), self._expression(right))
@@ -304,7 +374,10 @@ class Translator:
         if isinstance(called, ast.Name):
             if name == "isinstance":
                 kinds = node.args[1].elts if isinstance(node.args[1], ast.Tuple) else [node.args[1]]
-                words = [as_text(_name(kind)) if _name(kind) in ("str", "int", "float") else _name(kind) for kind in kinds]
+                words = [
+                    as_text(_name(kind)) if _name(kind) in ("str", "int", "float") else _name(kind)
+                    for kind in kinds
+                ]
                 return f"py.isinstance({self._expression(node.args[0])}, [{', '.join(words)}])"
             if name in _BUILTIN:
                 return f"py.{name}({arguments})"
@@ -321,18 +394,31 @@ class Translator:
     def _arguments(self, node: ast.Call, name: str) -> str:
         """Return the arguments in order, keyword arguments at their positions in the signature."""
         if name in _BUILTIN or name in ("zip", "fromkeys"):
-            keywords = {k.arg: self._expression(k.value) for k in node.keywords if k.arg != "strict"}
-            last = [f"{{ {', '.join(f'{key}: {value}' for key, value in keywords.items())} }}"] if keywords else []
+            keywords = {
+                k.arg: self._expression(k.value) for k in node.keywords if k.arg != "strict"
+            }
+            last = (
+                [f"{{ {', '.join(f'{key}: {value}' for key, value in keywords.items())} }}"]
+                if keywords
+                else []
+            )
             return ", ".join(filter(None, [self._list(node.args), *last]))
         if not node.keywords:
             return self._list(node.args)
         given = {keyword.arg: self._expression(keyword.value) for keyword in node.keywords}
-        fitting = [names for names in self.signatures.get(name, ()) if set(given) <= set(names[len(node.args) :])]
+        fitting = [
+            names
+            for names in self.signatures.get(name, ())
+            if set(given) <= set(names[len(node.args) :])
+        ]
         orders = {tuple(names.index(key) for key in given if key) for names in fitting}
         if len(orders) != 1 or any(isinstance(one, ast.Starred) for one in node.args):
             raise _unknown(node)
         names = fitting[0]
-        places = [*map(self._expression, node.args), *("undefined" for _ in names[len(node.args) :])]
+        places = [
+            *map(self._expression, node.args),
+            *("undefined" for _ in names[len(node.args) :]),
+        ]
         for key, value in given.items():
             places[names.index(str(key))] = value
         while places and places[-1] == "undefined":
@@ -342,7 +428,13 @@ class Translator:
 
 def _name(node: ast.expr) -> str:
     """Return the last name of an expression."""
-    return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
+    return (
+        node.id
+        if isinstance(node, ast.Name)
+        else node.attr
+        if isinstance(node, ast.Attribute)
+        else ""
+    )
 
 
 def _plain(name: str) -> str:
@@ -378,4 +470,6 @@ def _yields(node: ast.FunctionDef) -> bool:
 
 def _unknown(node: ast.AST) -> NotImplementedError:
     line = getattr(node, "lineno", "?")
-    return NotImplementedError(f"line {line}: {ast.unparse(node)[:80]} is not translated to JavaScript")
+    return NotImplementedError(
+        f"line {line}: {ast.unparse(node)[:80]} is not translated to JavaScript"
+    )

@@ -1,21 +1,26 @@
-r"""Which robots have changed, how and since when, over many robots and months, with a bound on false discoveries.
+r"""Which robots have changed, how and since when, over many robots and months, with a bound on
+false discoveries.
 
-A robot is known from its calibration and all checks since. For each round s of checks the hypothesis is that one parameter,
-one element (joint) or everything on it changed just before. The likelihood ratio of the readings from s to t, of marginal
-likelihoods, is a test martingale in t; weighted with the probability h of a change in each round these ratios add up to an
-e-process (Ramdas, Gruenwald, Vovk and Shafer 2023),
+A robot is known from its calibration and all checks since. For each round s of checks the
+hypothesis is that one parameter, one element (joint) or everything on it changed just before. The
+likelihood ratio of the readings from s to t, of marginal likelihoods, is a test martingale in t;
+weighted with the probability h of a change in each round these ratios add up to an e-process
+(Ramdas, Gruenwald, Vovk and Shafer 2023),
 
 .. math:: E_t = \sum_{s \le t} h (1 - h)^{s - 1} E_{s,t} + (1 - h)^t ,
 
-whose mean is at most 1 at any time on a robot that has not changed. A robot is reported as changed if E is at least
-:math:`N / (\alpha k)` where it is the k-th largest of N robots. Then each of R alarms has an e-value of at least
-:math:`N / (\alpha R)`, so that the false discovery rate of all alarms, whenever they were raised, is at most alpha under any
-dependence between robots and rounds (e-BH, Wang and Ramdas 2022). A recalibrated robot is a new hypothesis; its j-th one has
-the weight :math:`6 / (\pi j)^2`.
+whose mean is at most 1 at any time on a robot that has not changed. A robot is reported as changed
+if E is at least
+:math:`N / (\alpha k)` where it is the k-th largest of N robots. Then each of R alarms has an
+  e-value of at least
+:math:`N / (\alpha R)`, so that the false discovery rate of all alarms, whenever they were raised,
+  is at most alpha under any
+dependence between robots and rounds (e-BH, Wang and Ramdas 2022). A recalibrated robot is a new
+hypothesis; its j-th one has the weight :math:`6 / (\pi j)^2`.
 
-A change shared by the robots of a supplier, a batch or a hall is a drift of that group: scores and their covariances add up
-over its robots. Of all changes of robots and groups the likeliest is reported first; the drift of a group is subtracted from
-its robots before these are judged.
+A change shared by the robots of a supplier, a batch or a hall is a drift of that group: scores and
+their covariances add up over its robots. Of all changes of robots and groups the likeliest is
+reported first; the drift of a group is subtracted from its robots before these are judged.
 """
 
 from __future__ import annotations
@@ -50,7 +55,9 @@ _WINDOW = 7
 # Size of a change, in units of the priors without a type: a millimetre or a milliradian.
 _SIZE = 0.3
 # Probabilities that one parameter, one element or everything changes.
-_ONE, _ELEMENT, _ALL = 0.6, 0.3, 0.1
+_ONE = 0.6
+_ELEMENT = 0.3
+_ALL = 0.1
 # Least number of robots of a group that can drift.
 _FEWEST = 5
 # Difference of log evidence up to which explanations are equally good.
@@ -64,7 +71,8 @@ def fleet_changes(
 ) -> FleetHistory:
     """Return which robots have changed, how and since when.
 
-    Robots that share a label of their calibrations, such as a supplier or a hall, are a group that may drift.
+    Robots that share a label of their calibrations, such as a supplier or a hall, are a group that
+    may drift.
 
     Args:
         of: their type.
@@ -73,18 +81,21 @@ def fleet_changes(
         every: length of a round in days.
 
     Raises:
-        BadInputError: for a day that is no ISO date, a check of a robot without an earlier calibration, or an alpha outside
-            0 to 0.5.
+        BadInputError: for a day that is no ISO date, a check of a robot without an earlier
+            calibration, or an alpha outside 0 to 0.5.
     """
     if not 0.0 < alpha < 0.5:
-        raise BadInputError(f"alpha is {alpha:g}; expected the fraction of alarms that may be false, such as 0.05")
+        raise BadInputError(
+            f"alpha is {alpha:g}; expected the fraction of alarms that may be false, such as 0.05"
+        )
     rounds = dict[int, list[Visit]]()
     for visit in visits:
         try:
             day = int(np.datetime64(visit.day, "D").astype(int))
         except ValueError:
             raise BadInputError(
-                f"robot {visit.machine!r}: day {visit.day!r}; expected an ISO date such as 2026-11-03"
+                f"robot {visit.machine!r}: day {visit.day!r}; expected an ISO date such "
+                "as 2026-11-03"
             ) from None
         rounds.setdefault(day // every, []).append(visit)
     fleet = FleetWatch(of, alpha)
@@ -127,7 +138,8 @@ class _Epoch:
     Attributes:
         number: number of its calibrations.
         groups: the groups that it belongs to.
-        H, g: information of the prior, the calibration and all checks, with the drift of groups subtracted.
+        H, g: information of the prior, the calibration and all checks, with the drift of groups
+            subtracted.
         drift: shape (P,), of its groups so far.
         steps: before the first round of checks, and before the last ones.
         checks: number of rounds.
@@ -144,8 +156,12 @@ class _Epoch:
     is_changed: bool = False
 
     def parts(self) -> np.ndarray:
-        """Return the log evidence of a change before each round, weighted with its probability, shape (steps,)."""
-        return np.asarray(np.array([step.total + step.extra for step in self.steps]) + _hazard(self.steps))
+        """Return the log evidence of a change before each round, weighted with its probability,
+        shape (steps,).
+        """
+        return np.asarray(
+            np.array([step.total + step.extra for step in self.steps]) + _hazard(self.steps)
+        )
 
     def log_e(self) -> float:
         """Return the logarithm of the e-process, including the weight of the hypothesis."""
@@ -154,15 +170,21 @@ class _Epoch:
 
 
 class FleetWatch:
-    """Robots of a type, monitored round by round; ``alpha`` is the fraction of the alarms that may be false."""
+    """Robots of a type, monitored round by round; ``alpha`` is the fraction of the alarms that may
+    be false.
+    """
 
     def __init__(self, of: RobotType, alpha: float = FALSE_DISCOVERIES) -> None:
-        self.type, self.alpha = of, alpha
-        prior, P = of.prior(), len(of.parameters)
+        self.type = of
+        self.alpha = alpha
+        prior = of.prior()
+        P = len(of.parameters)
         self._prior_H = np.linalg.inv(prior.dense_covariance() / np.outer(of.priors, of.priors))
         self._prior_g = self._prior_H @ (prior.values / of.priors)
         elements = list(dict.fromkeys(p.element for p in of.parameters))
-        self._elements = [np.array([k for k, p in enumerate(of.parameters) if p.element == e]) for e in elements]
+        self._elements = [
+            np.array([k for k, p in enumerate(of.parameters) if p.element == e]) for e in elements
+        ]
         self._ways = [*np.arange(P)[:, None], *self._elements, np.arange(P)]
         self._names = [*of.names, *elements, EVERYTHING]
         chances = [_ONE / P] * P + [_ELEMENT / len(elements)] * len(elements) + [_ALL]
@@ -177,7 +199,9 @@ class FleetWatch:
         last = tuple(sorted(self._last.values(), key=lambda one: -one.log_e))
         changed = frozenset(name for name, epoch in self._epochs.items() if epoch.is_changed)
         drifted = frozenset(name for name, epoch in self._epochs.items() if epoch.drift.any())
-        return FleetHistory(tuple(self._changes), last, len(self._epochs), self._checks, changed, drifted)
+        return FleetHistory(
+            tuple(self._changes), last, len(self._epochs), self._checks, changed, drifted
+        )
 
     def take(self, number: int, visits: Iterable[Visit]) -> tuple[FleetChange, ...]:
         """Add a round and return the changes that it reveals.
@@ -189,7 +213,9 @@ class FleetWatch:
         Raises:
             BadInputError: for a check of a robot without an earlier calibration.
         """
-        checked, day, before = dict[str, None](), "", len(self._changes)
+        checked = dict[str, None]()
+        day = ""
+        before = len(self._changes)
         for visit in sorted(visits, key=lambda one: (one.day, not one.is_calibration, one.machine)):
             day = visit.day
             if visit.is_calibration:
@@ -197,7 +223,8 @@ class FleetWatch:
                 checked.pop(visit.machine, None)
             elif visit.machine not in self._epochs:
                 raise BadInputError(
-                    f"robot {visit.machine!r} was checked on {visit.day} but not calibrated before; add its calibration"
+                    f"robot {visit.machine!r} was checked on {visit.day} but not "
+                    "calibrated before; add its calibration"
                 )
             elif not self._epochs[visit.machine].is_changed:
                 self._add(number, visit)
@@ -214,17 +241,26 @@ class FleetWatch:
 
     def _begin(self, visit: Visit) -> None:
         if visit.found is None:
-            raise BadInputError(f"robot {visit.machine!r}: a calibration without an information matrix; calibrate again")
+            raise BadInputError(
+                f"robot {visit.machine!r}: a calibration without an information matrix; "
+                "calibrate again"
+            )
         H, g = self._form(visit.found)
         number = self._epochs[visit.machine].number + 1 if visit.machine in self._epochs else 1
-        groups = (WHOLE_FLEET, *(f"{key}={value}" for key, value in sorted(visit.found.labels.items())))
+        groups = (
+            WHOLE_FLEET,
+            *(f"{key}={value}" for key, value in sorted(visit.found.labels.items())),
+        )
         known = self._prior_H + H, self._prior_g + g
         self._epochs[visit.machine] = _Epoch(number, groups, *known, np.zeros(len(g)))
         self._last.pop(visit.machine, None)
 
     def _form(self, machine: Machine) -> tuple[np.ndarray, np.ndarray]:
-        """Return information in units of the type's priors; parameters outside the type are held as calibrated."""
-        found, P = gathered([machine], like=self.type.parameters), len(self.type.priors)
+        """Return information in units of the type's priors; parameters outside the type are held as
+        calibrated.
+        """
+        found = gathered([machine], like=self.type.parameters)
+        P = len(self.type.priors)
         self.type.require(f"machine {machine.name!r} ({found.robot})", found.geometry)
         scale = self.type.priors / found.priors[:P]
         return found.forms.H[0, :P, :P] * np.outer(scale, scale), found.forms.g[0, :P] * scale
@@ -251,7 +287,8 @@ class FleetWatch:
         H, g = (np.array([getattr(step, name) for step in epoch.steps]) for name in ("H", "g"))
         # With information A before, B = T - A after and T in total: B - B T^-1 B = A - A T^-1 A.
         Q = H - H @ np.linalg.inv(epoch.H) @ H
-        mean, moved = np.linalg.solve(H, g[..., None]), np.linalg.solve(epoch.H, epoch.g)
+        mean = np.linalg.solve(H, g[..., None])
+        moved = np.linalg.solve(epoch.H, epoch.g)
         q = (H @ (moved[:, None] - mean))[..., 0]
         Q = 0.5 * (Q + Q.swapaxes(1, 2))
         for step, *found in zip(epoch.steps, q, Q, self._logs(q, Q), strict=True):
@@ -259,11 +296,17 @@ class FleetWatch:
             step.total = float(np.logaddexp.reduce(step.logs))
 
     def _logs(self, q: np.ndarray, Q: np.ndarray) -> np.ndarray:
-        """Return the weighted log evidence of each kind of change, (steps, kinds), for q (steps, P), Q (steps, P, P)."""
+        """Return the weighted log evidence of each kind of change, (steps, kinds), for q (steps,
+        P), Q (steps, P, P).
+        """
         d = np.maximum(np.diagonal(Q, axis1=1, axis2=2), 0.0)
         single = 0.5 * q**2 / (_SIZE**-2 + d) - 0.5 * np.log1p(_SIZE**2 * d)
-        several = [log_evidence(q[:, at], Q[:, at[:, None], at], _SIZE) for at in self._ways[q.shape[1] :]]
-        return np.asarray(np.minimum(np.column_stack([single, *several]), _MOST) + self._log_chances)
+        several = [
+            log_evidence(q[:, at], Q[:, at[:, None], at], _SIZE) for at in self._ways[q.shape[1] :]
+        ]
+        return np.asarray(
+            np.minimum(np.column_stack([single, *several]), _MOST) + self._log_chances
+        )
 
     def _note(self, robots: Sequence[str], day: str) -> None:
         """Record what a round shows of each robot by itself."""
@@ -271,13 +314,21 @@ class FleetWatch:
         for k, robot in enumerate(robots):
             step = self._epochs[robot].steps[-1]
             root = np.linalg.inv(np.linalg.cholesky(step.H)).T
-            p[k] = min(step.p_value, least_chance(step.q[None], step.Q[None], root, self._elements)[0])
+            p[k] = min(
+                step.p_value, least_chance(step.q[None], step.Q[None], root, self._elements)[0]
+            )
         for robot, one, adjusted in zip(robots, p, benjamini_hochberg(p), strict=True):
-            self._last[robot] = LastCheck(robot, day, float(one), float(adjusted), self._epochs[robot].log_e())
+            self._last[robot] = LastCheck(
+                robot, day, float(one), float(adjusted), self._epochs[robot].log_e()
+            )
 
     def _next(self, day: str) -> FleetChange | None:
         """Return the likeliest change that the readings show and that has not been found yet."""
-        active = {name: epoch for name, epoch in self._epochs.items() if epoch.steps and not epoch.is_changed}
+        active = {
+            name: epoch
+            for name, epoch in self._epochs.items()
+            if epoch.steps and not epoch.is_changed
+        }
         if not active:
             return None
         logs = {name: epoch.log_e() for name, epoch in active.items()}
@@ -298,7 +349,9 @@ class FleetWatch:
         return self._described(robot, step, day, logs[robot], is_group=False)
 
     def _drift(self, active: Mapping[str, _Epoch], day: str, *, least: float) -> FleetChange | None:
-        """Return the likeliest drift of a group, if likelier than ``least``, and subtract it from the group's robots."""
+        """Return the likeliest drift of a group, if likelier than ``least``, and subtract it from
+        the group's robots.
+        """
         members = dict[str, list[_Epoch]]()
         for epoch in active.values():
             for group in epoch.groups:
@@ -325,17 +378,31 @@ class FleetWatch:
         return self._described(group, step, day, log_e, is_group=True)
 
     def _common(self, own: Sequence[_Epoch]) -> list[_Step]:
-        """Return the joint evidence of a group's robots on a change before each of the last rounds."""
+        """Return the joint evidence of a group's robots on a change before each of the
+        last rounds.
+        """
         rounds = sorted({step.round for epoch in own for step in epoch.steps})[-_WINDOW:]
         found = list[_Step]()
         for number in rounds:
             firsts = [next((s for s in epoch.steps if s.round >= number), None) for epoch in own]
             steps = [step for step in firsts if step is not None]
             if len(steps) >= _FEWEST:
-                q, Q = np.sum([step.q for step in steps], axis=0), np.sum([step.Q for step in steps], axis=0)
+                q = np.sum([step.q for step in steps], axis=0)
+                Q = np.sum([step.Q for step in steps], axis=0)
                 logs = self._logs(q[None], Q[None])[0]
                 day = min(step.day for step in steps)
-                found.append(_Step(number, day, Q, q, q=q, Q=Q, logs=logs, total=float(np.logaddexp.reduce(logs))))
+                found.append(
+                    _Step(
+                        number,
+                        day,
+                        Q,
+                        q,
+                        q=q,
+                        Q=Q,
+                        logs=logs,
+                        total=float(np.logaddexp.reduce(logs)),
+                    )
+                )
         return found
 
     def _shift(self, epoch: _Epoch, since: int, by: np.ndarray) -> None:
@@ -350,19 +417,40 @@ class FleetWatch:
         epoch.g = epoch.g - (epoch.H - first.H) @ by
         self._weigh(epoch)
 
-    def _described(self, subject: str, step: _Step, day: str, log_e: float, *, is_group: bool) -> FleetChange:
+    def _described(
+        self, subject: str, step: _Step, day: str, log_e: float, *, is_group: bool
+    ) -> FleetChange:
         """Return the change that a step shows."""
         if step.extra > step.total:
-            return FleetChange(subject, is_group, day, step.day, DIAGNOSED, (), None, None, "", log_e)
+            return FleetChange(
+                subject, is_group, day, step.day, DIAGNOSED, (), None, None, "", log_e
+            )
         best = int(np.argmax(step.logs))
-        equals = [self._names[k] for k in np.argsort(-step.logs) if k != best and step.logs[k] > step.logs[best] - _EQUAL]
-        change, sigma, unit = None, None, ""
+        equals = [
+            self._names[k]
+            for k in np.argsort(-step.logs)
+            if k != best and step.logs[k] > step.logs[best] - _EQUAL
+        ]
+        change = None
+        sigma = None
+        unit = ""
         if best < len(step.q):
             unit = self.type.parameters[best].unit
             variance = 1.0 / (step.Q[best, best] + _SIZE**-2)
             change = float(variance * step.q[best] * self.type.priors[best])
             sigma = float(np.sqrt(variance) * self.type.priors[best])
-        return FleetChange(subject, is_group, day, step.day, self._names[best], tuple(equals), change, sigma, unit, log_e)
+        return FleetChange(
+            subject,
+            is_group,
+            day,
+            step.day,
+            self._names[best],
+            tuple(equals),
+            change,
+            sigma,
+            unit,
+            log_e,
+        )
 
 
 def _hazard(steps: Sequence[_Step]) -> np.ndarray:

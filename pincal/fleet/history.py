@@ -1,4 +1,6 @@
-"""The history of a fleet: visits of its machines, the changes that they reveal, and multiple testing."""
+"""The history of a fleet: visits of its machines, the changes that they reveal, and multiple
+testing.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +10,11 @@ import numpy as np
 
 from pincal.fleet.machines import Machine
 
-WHOLE_FLEET, DIAGNOSED = "fleet", "see its diagnosis"
-"""Name of the group of all robots; description of a change known only by the p-value of a diagnosis."""
+WHOLE_FLEET = "fleet"
+DIAGNOSED = "see its diagnosis"
+"""Name of the group of all robots; description of a change known only by the p-value of a
+diagnosis.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +45,8 @@ class FleetChange:
         is_group: whether it is a group.
         found: day on which it was found.
         since: day of the first readings after it.
-        what: the parameter or element that explains it best, :data:`EVERYTHING` for more than one element, or
+        what: the parameter or element that explains it best, :data:`EVERYTHING` for more than one
+            element, or
             :data:`DIAGNOSED`.
         equals: parameters or elements that explain it equally well.
         change: size of the change of a single parameter [``unit``]; None for others.
@@ -102,20 +108,23 @@ class FleetHistory:
 
 
 def benjamini_hochberg(p: np.ndarray) -> np.ndarray:
-    """Return p-values adjusted for the false discovery rate, shape (n,) (Benjamini and Hochberg 1995).
+    """Return p-values adjusted for the false discovery rate, shape (n,) (Benjamini and Hochberg
+    1995).
 
     Example:
         >>> benjamini_hochberg(np.array([0.01, 0.04, 0.03])).round(3).tolist()
         [0.03, 0.04, 0.04]
     """
-    n, order = len(p), np.argsort(p)
+    n = len(p)
+    order = np.argsort(p)
     found = np.empty(n)
     found[order] = np.minimum.accumulate((p[order] * n / np.arange(1, n + 1))[::-1])[::-1]
     return np.asarray(np.minimum(found, 1.0))
 
 
 def e_value(p: float) -> float:
-    r"""Return an e-value for a p-value, :math:`(1 - p + p \ln p) / (p \ln^2 p)` (Vovk and Wang 2021, Eq. (2)).
+    r"""Return an e-value for a p-value, :math:`(1 - p + p \ln p) / (p \ln^2 p)` (Vovk and Wang
+    2021, Eq. (2)).
 
     Example:
         >>> round(e_value(1e-6), 1), round(e_value(0.05), 1), round(e_value(1.0), 1)

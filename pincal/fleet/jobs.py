@@ -1,7 +1,7 @@
 """Jobs on every table of a store, on any workers; finished work is not repeated.
 
-A result is a file whose name is determined by the rows and the job. So a job that was killed resumes where it stopped,
-concurrent runs do no harm, and results are identical to the last byte.
+A result is a file whose name is determined by the rows and the job. So a job that was killed
+resumes where it stopped, concurrent runs do no harm, and results are identical to the last byte.
 """
 
 from __future__ import annotations
@@ -30,7 +30,13 @@ from pincal.fleet.history import Visit
 from pincal.fleet.machines import Machine
 from pincal.fleet.robot_type import RobotType, calibrate_of_type
 from pincal.fleet.store import DIAGNOSES, DISCOVERIES, INFORMATION, MODELS, TABLES, Key, Store
-from pincal.fleet.stored_rows import CALIBRATION, CHECK, information_frame, measurements_of, text_frame
+from pincal.fleet.stored_rows import (
+    CALIBRATION,
+    CHECK,
+    information_frame,
+    measurements_of,
+    text_frame,
+)
 from pincal.identify.options import Options
 from pincal.identify.quadratic import Quadratic
 from pincal.io.diagnosis_file import DiagnosisFile
@@ -45,7 +51,9 @@ _FAILED = "-failed"
 
 
 class _NotYetError(BadInputError):
-    """The store lacks something that may be added later: nothing is written, so that the table is tried again."""
+    """The store lacks something that may be added later: nothing is written, so that the table is
+    tried again.
+    """
 
 
 class Job(ABC):
@@ -62,7 +70,9 @@ class Job(ABC):
         """Everything except the rows on which results depend, as text."""
 
     @abstractmethod
-    def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
+    def row(
+        self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]
+    ) -> pl.DataFrame:
         """Return the result of a table as one row.
 
         Raises:
@@ -104,33 +114,55 @@ class CalibrateTables(Job):
     @property
     def facts(self) -> str:
         """Robot, options and type."""
-        robot, of = self.robot, "" if self.type is None else f"{self.type.mean.tolist()} {self.type.covariance.tolist()}"
+        robot = self.robot
+        of = (
+            ""
+            if self.type is None
+            else f"{self.type.mean.tolist()} {self.type.covariance.tolist()}"
+        )
         borne = [array.tolist() for array in (robot.masses, robot.centres, robot.gravity)]
-        return f"{robot.frames!r} {robot.joint_names} {robot.joint_types} {robot.couplings} {borne} {self.options!r} {of}"
+        return (
+            f"{robot.frames!r} {robot.joint_names} {robot.joint_types} {robot.couplings} "
+            f"{borne} {self.options!r} {of}"
+        )
 
-    def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
+    def row(
+        self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]
+    ) -> pl.DataFrame:
         """Return the information, and how well the rows fit."""
         _check(self.robot, table)
         off: tuple[str, ...] = ()
         if self.type is None:
             fit = fitted(self.robot, table, self.options)
         else:
-            fit, member = calibrate_of_type(self.robot, table, self.type, self.options, name=key.machine)
+            fit, member = calibrate_of_type(
+                self.robot, table, self.type, self.options, name=key.machine
+            )
             off = member.off
         machine = Machine.of(fit, key.machine, labels=labels)
-        how = {"rows": len(table), "converged": fit.solution.converged, "noise": fit.solution.sigma.tolist(), "off": off}
+        how = {
+            "rows": len(table),
+            "converged": fit.solution.converged,
+            "noise": fit.solution.sigma.tolist(),
+            "off": off,
+        }
         return information_frame(machine, "", **how)
 
     def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return a machine without information."""
-        empty = Quadratic(np.zeros((0, 0)), np.zeros(0), np.zeros(0), names=(), square=0.0, degrees=0.0)
-        machine = Machine(key.machine, RobotInformation.of_form(empty, self.robot.name, 0, {}), labels)
+        empty = Quadratic(
+            np.zeros((0, 0)), np.zeros(0), np.zeros(0), names=(), square=0.0, degrees=0.0
+        )
+        machine = Machine(
+            key.machine, RobotInformation.of_form(empty, self.robot.name, 0, {}), labels
+        )
         return information_frame(machine, "", converged=False)
 
 
 @dataclass(frozen=True)
 class DiagnoseTables(Job):
-    """Whether machines have changed, from each table and the machine's last model of that day or earlier.
+    """Whether machines have changed, from each table and the machine's last model of that day or
+    earlier.
 
     Attributes:
         alpha: probability of an alarm on a robot that has not changed.
@@ -147,13 +179,21 @@ class DiagnoseTables(Job):
         """Probability of a false alarm, and noise."""
         return f"{self.alpha} {self.sigma}"
 
-    def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
+    def row(
+        self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]
+    ) -> pl.DataFrame:
         """Return the diagnosis."""
         model = last_model(store, key.machine, key.day)
         if model is None:
-            raise _NotYetError(f"machine {key.machine!r} has no model of {key.day} or earlier; add its model.json")
+            raise _NotYetError(
+                f"machine {key.machine!r} has no model of {key.day} or earlier; add its model.json"
+            )
         found = diagnose(model, table, alpha=self.alpha, sigma=self.sigma)
-        return text_frame(msgspec.json.encode(found.found).decode(), changed=found.changed, p_value=found.found.p_value)
+        return text_frame(
+            msgspec.json.encode(found.found).decode(),
+            changed=found.changed,
+            p_value=found.found.p_value,
+        )
 
     def nothing(self, key: Key, labels: Mapping[str, str]) -> pl.DataFrame:
         """Return no diagnosis."""
@@ -180,7 +220,9 @@ class DiscoverTables(Job):
         """Robot and options."""
         return CalibrateTables(self.robot, self.options).facts
 
-    def row(self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]) -> pl.DataFrame:
+    def row(
+        self, store: Store, key: Key, table: Measurements, labels: Mapping[str, str]
+    ) -> pl.DataFrame:
         """Return the discovery."""
         _check(self.robot, table)
         found = run_discovery(self.robot, table, self.options).findings
@@ -199,7 +241,8 @@ class Done:
         done: number of tables whose results were added.
         before: number of tables with earlier results.
         failed: reasons of tables that can't be processed, by their path.
-        failed_before: number of tables that this job could not process earlier; the reasons are in the store.
+        failed_before: number of tables that this job could not process earlier; the reasons are in
+            the store.
     """
 
     done: int
@@ -211,33 +254,48 @@ class Done:
 def without_information(store: Store) -> list[Key]:
     """Return the tables without information from any job.
 
-    Information added for a machine and day counts as derived from its table of that day, unless the table is a check.
+    Information added for a machine and day counts as derived from its table of that day, unless the
+    table is a check.
     """
     known = store.keys(INFORMATION)
     done = {key.id.partition("-")[0] for key in known if not key.id.endswith(_FAILED)}
     added = {(key.machine, key.day) for key in known if "-" not in key.id}
     left = [key for key in store.keys(TABLES) if key.id not in done]
-    return [key for key in left if (key.machine, key.day) not in added or store.frame(key)["role"][0] == CHECK]
+    return [
+        key
+        for key in left
+        if (key.machine, key.day) not in added or store.frame(key)["role"][0] == CHECK
+    ]
 
 
-def run_job(store: Store, job: Job, *, tables: Sequence[Key] | None = None, executor: Executor | None = None) -> Done:
+def run_job(
+    store: Store, job: Job, *, tables: Sequence[Key] | None = None, executor: Executor | None = None
+) -> Done:
     """Do a job for every table of a store that has no result of it yet.
 
     Args:
         store: the store.
         job: what to do.
         tables: restrict the job to these.
-        executor: does the work, see :mod:`pincal.spread`; default: this process, one table at a time.
+        executor: does the work, see :mod:`pincal.spread`; default: this process, one table at a
+            time.
 
     Raises:
         OutputError: if the store can't be written to.
-        WorkersLostError: if workers died and none could take over their work; finished results are kept.
+        WorkersLostError: if workers died and none could take over their work; finished results are
+            kept.
     """
-    tables, there = store.keys(TABLES) if tables is None else tables, set(store.keys(job.kind))
+    tables = store.keys(TABLES) if tables is None else tables
+    there = set(store.keys(job.kind))
     left = [key for key in tables if not there & {job.result(key), _failure(job.result(key))}]
     failed_before = sum(_failure(job.result(key)) in there for key in tables)
-    failed, done = dict[str, str](), 0
-    for key, reason in zip(left, spread(partial(_work, store, job), left, label="table", executor=executor), strict=True):
+    failed = dict[str, str]()
+    done = 0
+    for key, reason in zip(
+        left,
+        spread(partial(_work, store, job), left, label="table", executor=executor),
+        strict=True,
+    ):
         done += reason is not None
         if reason:
             failed[key.path] = reason
@@ -250,9 +308,12 @@ def _failure(result: Key) -> Key:
 
 
 def _work(store: Store, job: Job, key: Key) -> str | None:
-    """Do a job for a table; return why it failed, "" if it did not, or None if the job is not for such tables."""
+    """Do a job for a table; return why it failed, "" if it did not, or None if the job is not for
+    such tables.
+    """
     frame = store.frame(key)
-    role, reason = frame["role"][0], ""
+    role = frame["role"][0]
+    reason = ""
     if job.role not in (None, role):
         return None
     labels = {entry["key"]: entry["value"] for entry in frame["labels"][0]}
@@ -262,13 +323,16 @@ def _work(store: Store, job: Job, key: Key) -> str | None:
     except _NotYetError as error:
         return str(error)
     except PincalError as error:
-        row, reason, result = job.nothing(key, labels), str(error), _failure(result)
+        row = job.nothing(key, labels)
+        reason = str(error)
+        result = _failure(result)
     store.add(result, row, role=role, job=job.name, table=key.id, failure=reason)
     return reason
 
 
 def visits_of(store: Store, *, job: str | None = None) -> Iterator[Visit]:
-    """Yield calibrations and checks of a store: information on machines, and p-values of diagnoses if there is none.
+    """Yield calibrations and checks of a store: information on machines, and p-values of diagnoses
+    if there is none.
 
     Args:
         store: the store.
@@ -277,13 +341,16 @@ def visits_of(store: Store, *, job: str | None = None) -> Iterator[Visit]:
     Raises:
         BadInputError: if several jobs computed information from the same rows.
     """
-    informed, chances = set[tuple[str, str]](), dict[tuple[str, str, str], float]()
+    informed = set[tuple[str, str]]()
+    chances = dict[tuple[str, str, str], float]()
     for key, machine, role in store.machines(job=job, role=None):
         if role == CHECK:
             informed.add((key.machine, key.day))
         yield Visit(key.machine, key.day, machine, role == CALIBRATION)
     for keys, frame in store.frames(DIAGNOSES):
-        for key, p, table, failure in zip(keys, *(frame[n] for n in ("p_value", "table", "failure")), strict=True):
+        for key, p, table, failure in zip(
+            keys, *(frame[n] for n in ("p_value", "table", "failure")), strict=True
+        ):
             if not failure and (key.machine, key.day) not in informed:
                 # Rows diagnosed more than once, such as with another noise, count once.
                 rows = key.machine, key.day, table or key.id
@@ -291,7 +358,9 @@ def visits_of(store: Store, *, job: str | None = None) -> Iterator[Visit]:
     yield from (Visit(machine, day, p_value=p) for (machine, day, _), p in chances.items())
 
 
-def add_model(store: Store, machine: str, day: str, path: Path, *, labels: Mapping[str, str] | None = None) -> bool:
+def add_model(
+    store: Store, machine: str, day: str, path: Path, *, labels: Mapping[str, str] | None = None
+) -> bool:
     """Add a ``model.json`` of a machine and the information in it; return whether it has any.
 
     Raises:
@@ -311,7 +380,11 @@ def load_diagnosis(path: Path) -> DiagnosisFile:
     Raises:
         ModelFileError: if it can't be read.
     """
-    return read_json(path, DiagnosisFile, FileKind("a diagnosis", ModelFileError, whole="a file written by pincal diagnose"))
+    return read_json(
+        path,
+        DiagnosisFile,
+        FileKind("a diagnosis", ModelFileError, whole="a file written by pincal diagnose"),
+    )
 
 
 def add_diagnosis(store: Store, machine: str, day: str, path: Path) -> None:
@@ -322,18 +395,31 @@ def add_diagnosis(store: Store, machine: str, day: str, path: Path) -> None:
         OutputError: if the store can't be written to.
     """
     found = load_diagnosis(path)
-    facts = {"changed": found.changed, "p_value": found.p_value, "role": CHECK, "job": "", "table": "", "failure": ""}
+    facts = {
+        "changed": found.changed,
+        "p_value": found.p_value,
+        "role": CHECK,
+        "job": "",
+        "table": "",
+        "failure": "",
+    }
     store.add_text(DIAGNOSES, machine, day, path.read_text(encoding="utf-8"), **facts)
 
 
-def last_model(store: Store, machine: str | None = None, day: str = "9999") -> CalibratedModel | None:
-    """Return the last model of a machine, default any, from a day or earlier; None if there is none."""
+def last_model(
+    store: Store, machine: str | None = None, day: str = "9999"
+) -> CalibratedModel | None:
+    """Return the last model of a machine, default any, from a day or earlier; None if there is
+    none.
+    """
     known = [one for one in store.keys(MODELS) if machine in (None, one.machine) and one.day <= day]
     if not known:
         return None
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.json"
-        path.write_text(store.frame(max(known, key=lambda one: one.day))["text"][0], encoding="utf-8")
+        path.write_text(
+            store.frame(max(known, key=lambda one: one.day))["text"][0], encoding="utf-8"
+        )
         return load_stations(path).robot_model()
 
 

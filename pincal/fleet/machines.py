@@ -1,4 +1,6 @@
-"""Machines of a type as a site shares them: information on the parameters of each, without poses and times; their file."""
+"""Machines of a type as a site shares them: information on the parameters of each, without poses
+and times; their file.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,8 @@ class Machine:
 
     Attributes:
         name: of the machine; "" if the site does not share it.
-        information: of its readings on its parameters, with base, targets and instrument marginalised and without a prior.
+        information: of its readings on its parameters, with base, targets and instrument
+            marginalised and without a prior.
         labels: further properties, such as its supplier, batch or hall.
     """
 
@@ -37,13 +40,19 @@ class Machine:
     labels: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, fit: ModelFit, name: str = "", *, labels: Mapping[str, str] | None = None) -> Machine:
+    def of(
+        cls, fit: ModelFit, name: str = "", *, labels: Mapping[str, str] | None = None
+    ) -> Machine:
         """Return the machine of a fit, without the fit's prior."""
         return cls(name, RobotInformation.of(fit), dict(labels or {}))
 
     def __add__(self, other: Machine) -> Machine:
         """Return the machine with the readings of both."""
-        return replace(self, information=self.information + other.information, labels={**other.labels, **self.labels})
+        return replace(
+            self,
+            information=self.information + other.information,
+            labels={**other.labels, **self.labels},
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,16 +77,19 @@ class Gathered:
 
 
 def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> Gathered:
-    """Return machines in the same parameters; readings give no information on parameters that a machine lacks.
+    """Return machines in the same parameters; readings give no information on parameters that a
+    machine lacks.
 
     Args:
         machines: one or more; machines of one name are added up, and identical ones count once.
         like: the first parameters.
 
     Raises:
-        BadInputError: for no machine, one under two names, different nominal geometries, or different units of a parameter.
+        BadInputError: for no machine, one under two names, different nominal geometries, or
+            different units of a parameter.
     """
-    named, twins = dict[object, Machine](), dict[object, Machine]()
+    named = dict[object, Machine]()
+    twins = dict[object, Machine]()
     for k, machine in enumerate(machines):
         key = machine.name or k
         # Because of noise no two sets of readings are equal.
@@ -87,7 +99,8 @@ def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> 
             if machine.name and twin.name == machine.name:
                 continue
             raise BadInputError(
-                f"{_called(machine)} has the same readings as {_called(twin)}; expected each machine once, under one name: "
+                f"{_called(machine)} has the same readings as {_called(twin)}; expected "
+                "each machine once, under one name: "
                 "leave one out"
             )
         twins[readings] = machine
@@ -102,43 +115,65 @@ def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> 
         own = machine.information
         if own.geometry != first.geometry:
             raise BadInputError(
-                f"{_called(machine)} ({own.robot}) and {_called(found[0])} ({first.robot}) have different nominal "
-                "geometries, so they are not of one type; calibrate all with the same URDF, base and tip"
+                f"{_called(machine)} ({own.robot}) and {_called(found[0])} "
+                f"({first.robot}) have different nominal "
+                "geometries, so they are not of one type; calibrate all with the same "
+                "URDF, base and tip"
             )
         for parameter, size in own.known.values():
             known = parameters.setdefault(parameter.name, parameter)
             if known.unit != parameter.unit:
-                raise BadInputError(f"{_called(machine)}: {parameter.name} is in {parameter.unit}; expected {known.unit}")
+                raise BadInputError(
+                    f"{_called(machine)}: {parameter.name} is in {parameter.unit}; "
+                    f"expected {known.unit}"
+                )
             sizes.setdefault(parameter.name, []).append(size)
     place = {name: i for i, name in enumerate(parameters)}
     # The prior of compliances depends on the poses of each machine.
     priors = np.array([float(np.median(sizes.get(p.name, [p.size]))) for p in parameters.values()])
-    H, g = np.zeros((len(found), len(place), len(place))), np.zeros((len(found), len(place)))
+    H = np.zeros((len(found), len(place), len(place)))
+    g = np.zeros((len(found), len(place)))
     for k, machine in enumerate(found):
         form = machine.information.form
         at = np.array([place[name] for name in form.names], int)
         D = priors[at]
-        H[k, at[:, None], at], g[k, at] = form.H * np.outer(D, D), form.g * D
+        H[k, at[:, None], at] = form.H * np.outer(D, D)
+        g[k, at] = form.g * D
     elements = _numbered(p.element for p in parameters.values())
-    return Gathered(found, first.robot, first.geometry, tuple(parameters.values()), priors, Forms(H, g, elements))
+    return Gathered(
+        found,
+        first.robot,
+        first.geometry,
+        tuple(parameters.values()),
+        priors,
+        Forms(H, g, elements),
+    )
 
 
 def kinds_of(parameters: Sequence[Parameter]) -> np.ndarray:
-    """Return the number of each parameter's kind, shape (P,): those of one effect and unit have similar spreads."""
+    """Return the number of each parameter's kind, shape (P,): those of one effect and unit have
+    similar spreads.
+    """
     return _numbered((p.effect, p.unit) for p in parameters)
 
 
 def machines_frame(machines: Iterable[Machine]) -> pl.DataFrame:
     """Return machines as a table, one row per machine."""
     found = list(machines)
-    rows = [(SCHEMA_VERSION, one.name, one.information.robot, one.information.text()) for one in found]
+    rows = [
+        (SCHEMA_VERSION, one.name, one.information.robot, one.information.text()) for one in found
+    ]
     schema = {"schema": pl.Int32, "machine": pl.String, "arm": pl.String, "information": pl.String}
-    return pl.DataFrame(rows, schema, orient="row").with_columns(labelled([machine.labels for machine in found]))
+    return pl.DataFrame(rows, schema, orient="row").with_columns(
+        labelled([machine.labels for machine in found])
+    )
 
 
 def labelled(labels: Sequence[Mapping[str, str]]) -> pl.Series:
     """Return the labels of each row as a column."""
-    entries = [[{"key": key, "value": value} for key, value in sorted(row.items())] for row in labels]
+    entries = [
+        [{"key": key, "value": value} for key, value in sorted(row.items())] for row in labels
+    ]
     return pl.Series("labels", entries, pl.List(pl.Struct({"key": pl.String, "value": pl.String})))
 
 
@@ -148,20 +183,32 @@ def machines_of(frame: pl.DataFrame, source: str) -> list[Machine]:
     Raises:
         ModelFileError: for another schema, or inconsistent arrays.
     """
-    missing = [name for name in ("schema", "machine", "information", "labels") if name not in frame.columns]
+    missing = [
+        name for name in ("schema", "machine", "information", "labels") if name not in frame.columns
+    ]
     if missing:
-        raise ModelFileError(f"{source}: no column {missing[0]!r}; expected information on machines as pincal writes it")
+        raise ModelFileError(
+            f"{source}: no column {missing[0]!r}; expected information on machines as "
+            "pincal writes it"
+        )
     found = list[Machine]()
-    for k, (schema, name, text, labels) in enumerate(frame.select("schema", "machine", "information", "labels").rows()):
+    for k, (schema, name, text, labels) in enumerate(
+        frame.select("schema", "machine", "information", "labels").rows()
+    ):
         if schema != SCHEMA_VERSION:
-            raise ModelFileError(f"{source}: row {k} has schema {schema}; expected {SCHEMA_VERSION}")
+            raise ModelFileError(
+                f"{source}: row {k} has schema {schema}; expected {SCHEMA_VERSION}"
+            )
         information = information_of(text, f"{source}: row {k}, machine {name!r}")
         found.append(Machine(name, information, {entry["key"]: entry["value"] for entry in labels}))
     return found
 
 
-def save_machines(path: str | os.PathLike[str], machines: Iterable[Machine], *, names: bool = False) -> None:
-    """Write what a site shares: information on its machines as one Parquet file, some kilobytes each.
+def save_machines(
+    path: str | os.PathLike[str], machines: Iterable[Machine], *, names: bool = False
+) -> None:
+    """Write what a site shares: information on its machines as one Parquet file, some kilobytes
+    each.
 
     Args:
         path: the file.
@@ -175,8 +222,11 @@ def save_machines(path: str | os.PathLike[str], machines: Iterable[Machine], *, 
     write_atomic(path, parquet_bytes(machines_frame(sent)))
 
 
-def load_machines(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]]) -> list[Machine]:
-    """Return the machines of files: Parquet of :func:`save_machines`, or information files of single machines (JSON).
+def load_machines(
+    paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+) -> list[Machine]:
+    """Return the machines of files: Parquet of :func:`save_machines`, or information files of
+    single machines (JSON).
 
     The machine of an information file has the name of the file.
 
@@ -191,7 +241,9 @@ def load_machines(paths: str | os.PathLike[str] | Iterable[str | os.PathLike[str
         try:
             frame = pl.read_parquet(Path(path), glob=False)
         except (OSError, pl.exceptions.PolarsError) as error:
-            raise ModelFileError(f"{os.fspath(path)}: can't be read ({error}); expected information on machines") from None
+            raise ModelFileError(
+                f"{os.fspath(path)}: can't be read ({error}); expected information on machines"
+            ) from None
         found += machines_of(frame, os.fspath(path))
     return found
 

@@ -1,23 +1,27 @@
-r"""The population from which machines are drawn, by the marginal likelihood of all their readings (empirical Bayes).
+r"""The population from which machines are drawn, by the marginal likelihood of all their readings
+(empirical Bayes).
 
-Machines are x ~ N(mu, Sigma); each has a score q with covariance Q (:mod:`pincal.fleet.evidence`). Sums of q, Q,
+Machines are x ~ N(mu, Sigma); each has a score q with covariance Q (:mod:`pincal.fleet.evidence`).
+Sums of q, Q,
 :math:`q q^T` and :math:`Q \circ Q` over machines give
 
 - the mean, :math:`\sum q = 0`, with a normal prior about the data sheet;
-- the variances of single parameters, by Fisher scoring on their logarithms: gradient :math:`(q_k^2 - Q_{kk}) / 2` and
-  information :math:`Q_{kl}^2 / 2` in units of the spread, restricted for the jointly estimated mean (Patterson and Thompson
-  1971);
-- all correlations, by the EM algorithm, shrunk towards zero as by an inverse Wishart prior. Its degrees of freedom follow
-  from the squared scores of all pairs (method of moments), so that a few machines have no correlations.
+- the variances of single parameters, by Fisher scoring on their logarithms: gradient
+  :math:`(q_k^2 - Q_{kk}) / 2` and information :math:`Q_{kl}^2 / 2` in units of the spread,
+  restricted for the jointly estimated mean (Patterson and Thompson 1971);
+- all correlations, by the EM algorithm, shrunk towards zero as by an inverse Wishart prior. Its
+  degrees of freedom follow from the squared scores of all pairs (method of moments), so that a few
+  machines have no correlations.
 
-The priors are hierarchical: log variances of the parameters of a kind are normal about a mean of that kind, and the means of
-the kinds about a common one, relative to the priors without a type. The standard deviations of this hierarchy, and the
-distance of the mean from the data sheet, are marginalised over a grid. So the eighteen lengths of three machines are not
-eighteen spreads with two degrees of freedom each, and the uncertainty of a spread widens the prior of the next machine.
+The priors are hierarchical: log variances of the parameters of a kind are normal about a mean of
+that kind, and the means of the kinds about a common one, relative to the priors without a type. The
+standard deviations of this hierarchy, and the distance of the mean from the data sheet, are
+marginalised over a grid. So the eighteen lengths of three machines are not eighteen spreads with
+two degrees of freedom each, and the uncertainty of a spread widens the prior of the next machine.
 
-Some machines were hit, or are of another type: in these an element, or everything, deviates by as much as the priors without
-a type allow. A machine is weighted by the probability that it is not one of them (a mixture; cf. Lange, Little and Taylor
-1989).
+Some machines were hit, or are of another type: in these an element, or everything, deviates by as
+much as the priors without a type allow. A machine is weighted by the probability that it is not one
+of them (a mixture; cf. Lange, Little and Taylor 1989).
 """
 
 from __future__ import annotations
@@ -30,21 +34,30 @@ from scipy.special import chdtri
 
 from pincal.fleet.evidence import Forms, in_prior_units, log_ratios, regular, scores
 
-# Machines in the first rounds, and those with which two starting points are compared; by how much the log likelihood of the
-# second one has to be larger.
-_FEW, _TRIED, _BETTER = 400, 100, 3.0
-# Largest number of rounds, and largest change of a log variance in one. They end when all changes are below _SETTLED plus
-# the fraction _NEGLIGIBLE of their standard deviations.
-_ROUNDS, _FARTHEST, _SETTLED, _NEGLIGIBLE = 60, 1.5, 0.005, 0.05
-# Standard deviations of log variances: common to all, from the priors without a type; of kinds and of single parameters, by
-# grids. A log variance of 2 is a factor of e in the standard deviation.
-_LEVEL, _KINDS, _UNLIKE = 5.0, (0.05, 0.5, 1.2, 2.5), (0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
+# Machines in the first rounds, and those with which two starting points are compared; by how much
+# the log likelihood of the second one has to be larger.
+_FEW = 400
+_TRIED = 100
+_BETTER = 3.0
+# Largest number of rounds, and largest change of a log variance in one. They end when all changes
+# are below _SETTLED plus the fraction _NEGLIGIBLE of their standard deviations.
+_ROUNDS = 60
+_FARTHEST = 1.5
+_SETTLED = 0.005
+_NEGLIGIBLE = 0.05
+# Standard deviations of log variances: common to all, from the priors without a type; of kinds and
+# of single parameters, by grids. A log variance of 2 is a factor of e in the standard deviation.
+_LEVEL = 5.0
+_KINDS = (0.05, 0.5, 1.2, 2.5)
+_UNLIKE = (0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
 # Grid of the distance of the mean from the data sheet, in units of the spread.
 _OFF = (0.03, 0.1, 0.3, 0.6, 1.0, 1.8, 3.0, 6.0, 20.0)
 # Prior fraction of machines that were hit, and the number of machines that this prior is worth.
-_HIT, _HIT_COUNTS = 0.02, 20.0
+_HIT = 0.02
+_HIT_COUNTS = 20.0
 # Largest number of rounds for correlations, and the change that ends them.
-_CORRELATING, _CORRELATED = 12, 0.01
+_CORRELATING = 12
+_CORRELATED = 0.01
 # Standard errors by which mean squared correlations have to differ from zero.
 _BY_CHANCE = 1.0
 # Number of machines that have to determine a direction better than the prior does.
@@ -60,7 +73,8 @@ class Population:
         covariance: shape (P, P), of machines about the mean.
         mean_covariance: shape (P, P), of the mean.
         spread_variance: shape (P,), of the logarithms of the variances.
-        seen: shape (P, P), projector on the directions that machines determine; along all others the priors hold.
+        seen: shape (P, P), projector on the directions that machines determine; along all others
+            the priors hold.
         counts: shape (M,), the probability that a machine was not hit.
         hit: fraction of machines that were hit.
     """
@@ -125,18 +139,33 @@ class _Uncorrelated:
 
 
 def population_of(forms: Forms, kinds: np.ndarray) -> Population:
-    """Return the population of machines, whose parameters have kinds by number, shape (P,), such as lengths of links."""
+    """Return the population of machines, whose parameters have kinds by number, shape (P,), such as
+    lengths of links.
+    """
     few = next(part for _, part in forms.pieces()) if len(forms) > _FEW else forms
     some = replace(forms, H=forms.H[:_TRIED], g=forms.g[:_TRIED])
-    # From the mean, one machine that was hit hard becomes a wide spread of all; from the median it does not.
-    mean, median = (_uncorrelated(some, kinds, _begun(some, kinds, by_median=way))[0] for way in (False, True))
+    # From the mean, one machine that was hit hard becomes a wide spread of all; from the median it
+    # does not.
+    mean, median = (
+        _uncorrelated(some, kinds, _begun(some, kinds, by_median=way))[0] for way in (False, True)
+    )
     is_hit = _log_likelihood(some, kinds, median) > _log_likelihood(some, kinds, mean) + _BETTER
     found, counts = _uncorrelated(few, kinds, median if is_hit else _begun(few, kinds))
     if few is not forms:
         found, counts = _uncorrelated(forms, kinds, found)
-    root, scale = _correlated(forms, found, counts), np.outer(found.spread, found.spread)
-    mean, mean_covariance = found.spread * found.mean, found.mean_covariance * scale
-    return Population(mean, root @ root.T, mean_covariance, found.variance, _seen(forms, counts), counts, found.hit)
+    root = _correlated(forms, found, counts)
+    scale = np.outer(found.spread, found.spread)
+    mean = found.spread * found.mean
+    mean_covariance = found.mean_covariance * scale
+    return Population(
+        mean,
+        root @ root.T,
+        mean_covariance,
+        found.variance,
+        _seen(forms, counts),
+        counts,
+        found.hit,
+    )
 
 
 def _begun(forms: Forms, kinds: np.ndarray, *, by_median: bool = False) -> _Uncorrelated:
@@ -144,7 +173,8 @@ def _begun(forms: Forms, kinds: np.ndarray, *, by_median: bool = False) -> _Unco
     P = len(kinds)
     q, Q = scores(forms, np.zeros(P), np.eye(P))
     own = np.diagonal(Q, axis1=1, axis2=2)
-    seen, square = np.mean(own, axis=0), np.mean(q**2, axis=0) + 1e-12
+    seen = np.mean(own, axis=0)
+    square = np.mean(q**2, axis=0) + 1e-12
     if by_median:
         typical = np.nanmedian(np.where(own > 0.1, q**2, np.where(seen > 0.1, np.nan, 0.0)), axis=0)
         square = typical / chdtri(1, 0.5) + 1e-12
@@ -154,8 +184,14 @@ def _begun(forms: Forms, kinds: np.ndarray, *, by_median: bool = False) -> _Unco
     return _Uncorrelated(np.log(square), np.zeros(P), np.zeros(P), np.zeros((P, P)))
 
 
-def _sums(forms: Forms, at: _Uncorrelated, counts: np.ndarray | None = None, root: np.ndarray | None = None) -> _Sums:
-    """Return sums over machines of a population, with the root of its covariance, shape (P, P), if it has correlations.
+def _sums(
+    forms: Forms,
+    at: _Uncorrelated,
+    counts: np.ndarray | None = None,
+    root: np.ndarray | None = None,
+) -> _Sums:
+    """Return sums over machines of a population, with the root of its covariance, shape (P, P), if
+    it has correlations.
 
     ``counts``, shape (M,), are the weights; they are computed where they are nan.
     """
@@ -170,7 +206,8 @@ def _sums(forms: Forms, at: _Uncorrelated, counts: np.ndarray | None = None, roo
         q, Q = scores(part, at.spread * at.mean, L)
         if np.isnan(counts[rows]).any():
             counts[rows] = regular(log_ratios(part, *in_prior_units(q, Q, L)), at.hit)
-        p, d = counts[rows], np.diagonal(Q, axis1=1, axis2=2)
+        p = counts[rows]
+        d = np.diagonal(Q, axis1=1, axis2=2)
         pQ = p[:, None, None] * Q
         one = _Sums(
             float(p.sum()),
@@ -186,11 +223,17 @@ def _sums(forms: Forms, at: _Uncorrelated, counts: np.ndarray | None = None, roo
     return total
 
 
-def _uncorrelated(forms: Forms, kinds: np.ndarray, start: _Uncorrelated) -> tuple[_Uncorrelated, np.ndarray]:
+def _uncorrelated(
+    forms: Forms, kinds: np.ndarray, start: _Uncorrelated
+) -> tuple[_Uncorrelated, np.ndarray]:
     """Return the population without correlations, and the weight of each machine, shape (M,)."""
-    P, M, at, spreads = len(kinds), len(forms), start, _spreads(kinds)
+    P = len(kinds)
+    M = len(forms)
+    at = start
+    spreads = _spreads(kinds)
     means = [off**2 * np.eye(P) for off in _OFF]
-    step, reach = np.zeros(P), np.full(P, _FARTHEST)
+    step = np.zeros(P)
+    reach = np.full(P, _FARTHEST)
     for _ in range(_ROUNDS):
         counts = np.full(M, np.nan)
         sums = _sums(forms, at, counts)
@@ -204,7 +247,9 @@ def _uncorrelated(forms: Forms, kinds: np.ndarray, start: _Uncorrelated) -> tupl
         step = np.clip(gap, -reach, reach)
         back = np.exp(-0.5 * step)
         hit = (M - counts.sum() + _HIT * _HIT_COUNTS) / (M + _HIT_COUNTS)
-        at = _Uncorrelated(at.theta + step, np.diag(V), mean * back, C * np.outer(back, back), float(hit))
+        at = _Uncorrelated(
+            at.theta + step, np.diag(V), mean * back, C * np.outer(back, back), float(hit)
+        )
         if np.all(np.abs(gap) < _SETTLED + _NEGLIGIBLE * np.sqrt(at.variance)):
             break
     return at, counts
@@ -212,33 +257,49 @@ def _uncorrelated(forms: Forms, kinds: np.ndarray, start: _Uncorrelated) -> tupl
 
 def _spreads(kinds: np.ndarray) -> list[np.ndarray]:
     """Return the grid of prior covariances of log variances, shape (P, P) each."""
-    same, own = (kinds[:, None] == kinds).astype(float), np.eye(len(kinds))
+    same = (kinds[:, None] == kinds).astype(float)
+    own = np.eye(len(kinds))
     return [_LEVEL**2 + k**2 * same + u**2 * own for k in _KINDS for u in _UNLIKE]
 
 
 def _log_likelihood(forms: Forms, kinds: np.ndarray, at: _Uncorrelated) -> float:
-    """Return the log likelihood of a population, up to a constant: of machines, usual or hit, and of the spreads' prior."""
-    L, mean = np.diag(at.spread), at.spread * at.mean
+    """Return the log likelihood of a population, up to a constant: of machines, usual or hit, and
+    of the spreads' prior.
+    """
+    L = np.diag(at.spread)
+    mean = at.spread * at.mean
     total = np.logaddexp.reduce(
-        [-0.5 * at.theta @ np.linalg.solve(S, at.theta) - 0.5 * np.linalg.slogdet(S)[1] for S in _spreads(kinds)]
+        [
+            -0.5 * at.theta @ np.linalg.solve(S, at.theta) - 0.5 * np.linalg.slogdet(S)[1]
+            for S in _spreads(kinds)
+        ]
     )
     total += _HIT_COUNTS * (_HIT * np.log(at.hit) + (1.0 - _HIT) * np.log1p(-at.hit))
     for _, part in forms.pieces():
         q, Q = scores(part, mean, L)
-        left, logs = np.eye(len(mean)) - Q, log_ratios(part, *in_prior_units(q, Q, L))
-        own = 0.5 * (np.sum(q * np.linalg.solve(left, q[..., None])[..., 0], axis=1) + np.linalg.slogdet(left)[1])
+        left = np.eye(len(mean)) - Q
+        logs = log_ratios(part, *in_prior_units(q, Q, L))
+        own = 0.5 * (
+            np.sum(q * np.linalg.solve(left, q[..., None])[..., 0], axis=1)
+            + np.linalg.slogdet(left)[1]
+        )
         own += (part.g - 0.5 * part.H @ mean) @ mean
         hit = np.log(at.hit / len(logs)) + np.logaddexp.reduce(logs)
         total += np.sum(own + np.logaddexp(np.log1p(-at.hit), hit))
     return float(total)
 
 
-def _averaged(information: np.ndarray, slope: np.ndarray, priors: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return posterior mean and covariance of parameters under a mixture of priors, covariances about zero.
+def _averaged(
+    information: np.ndarray, slope: np.ndarray, priors: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return posterior mean and covariance of parameters under a mixture of priors, covariances
+    about zero.
 
-    ``information``, shape (P, P), and ``slope``, shape (P,), are of the log likelihood of the data, at zero.
+    ``information``, shape (P, P), and ``slope``, shape (P,), are of the log likelihood of the data,
+    at zero.
     """
-    found, logs = list[tuple[np.ndarray, np.ndarray]](), list[float]()
+    found = list[tuple[np.ndarray, np.ndarray]]()
+    logs = list[float]()
     for prior in priors:
         root = np.linalg.cholesky(prior)
         factor = np.linalg.cholesky(np.eye(len(slope)) + root.T @ information @ root)
@@ -257,10 +318,12 @@ def _averaged(information: np.ndarray, slope: np.ndarray, priors: Sequence[np.nd
 
 def _correlated(forms: Forms, at: _Uncorrelated, counts: np.ndarray) -> np.ndarray:
     """Return the root of the covariance, shape (P, P), with the correlations of the machines."""
-    P, root = len(at.theta), np.diag(at.spread)
+    P = len(at.theta)
+    root = np.diag(at.spread)
     sums = _sums(forms, at, counts)
     pairs = np.triu_indices(P, 1)
-    slope, information = sums.excess[pairs], (sums.diagonals + sums.QQ)[pairs]
+    slope = sums.excess[pairs]
+    information = (sums.diagonals + sums.QQ)[pairs]
     total = float(np.sum(information**2))
     square = float(np.sum(slope**2 - information)) - _BY_CHANCE * np.sqrt(2.0 * total)
     if square <= 0.0:
@@ -268,7 +331,9 @@ def _correlated(forms: Forms, at: _Uncorrelated, counts: np.ndarray) -> np.ndarr
     degrees = total / square
     for _ in range(_CORRELATING):
         spread = np.linalg.solve(root, np.diag(at.spread))
-        S = (degrees * spread @ spread.T + sums.count * np.eye(P) + sums.excess) / (degrees + sums.count)
+        S = (degrees * spread @ spread.T + sums.count * np.eye(P) + sums.excess) / (
+            degrees + sums.count
+        )
         root = root @ np.linalg.cholesky(0.5 * (S + S.T))
         if np.abs(S - np.eye(P)).max() < _CORRELATED:
             break
@@ -277,7 +342,9 @@ def _correlated(forms: Forms, at: _Uncorrelated, counts: np.ndarray) -> np.ndarr
 
 
 def _seen(forms: Forms, counts: np.ndarray) -> np.ndarray:
-    """Return the projector on the directions that machines determine better than the priors do, shape (P, P)."""
+    """Return the projector on the directions that machines determine better than the priors do,
+    shape (P, P).
+    """
     P = forms.g.shape[1]
     total = np.zeros((P, P))
     for rows, part in forms.pieces():

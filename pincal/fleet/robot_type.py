@@ -1,4 +1,6 @@
-"""A type of robot: what its machines have in common, how far they differ, and which machines do not belong to it."""
+"""A type of robot: what its machines have in common, how far they differ, and which machines do not
+belong to it.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,15 @@ import numpy as np
 from pincal.calibration.calibrated_robot import Fit, calibrate, fitted
 from pincal.calibration.information import geometry_of
 from pincal.errors import BadInputError, ModelFileError
-from pincal.fleet.evidence import Forms, in_prior_units, least_chance, log_ratios, regular, scores, times_farther
+from pincal.fleet.evidence import (
+    Forms,
+    in_prior_units,
+    least_chance,
+    log_ratios,
+    regular,
+    scores,
+    times_farther,
+)
 from pincal.fleet.machines import Gathered, Machine, gathered, kinds_of
 from pincal.fleet.population import population_of
 from pincal.identify.calibrate import Tables
@@ -30,19 +40,25 @@ from pincal.robot.robot import Robot
 
 # Least prior fraction of unusual machines, whatever the type's own.
 _LEAST_HIT = 0.02
-# Probability of being usual below which a machine is not, and the share of a kind of deviation that is then reported.
-_UNLIKELY, _SHARE = 0.5, 0.1
+# Probability of being usual below which a machine is not, and the share of a kind of deviation that
+# is then reported.
+_UNLIKELY = 0.5
+_SHARE = 0.1
 # Significance level for unusual machines, for a spread estimated from few machines.
 _ALPHA = 0.05
 # Factor on variances from which on the prior of a machine is wider than of others.
 _FARTHER = 1.25
 # Mean square of residuals in units of the declared noise up to which a fit agrees with it.
 _FITS = 2.0
-# Upper bound on the variance of log variances, however few the machines; logarithm of the factor on standard deviations per
-# unit of it, so that 95 % of further machines are within 1.96 of them.
-_LOOSEST, _WIDER = 2.0, 0.35
-# Rounding of a covariance with unit diagonal, and of its eigenvalues; upper bound on deviations in units of their priors.
-_ROUNDED, _INDEFINITE, _ABSURD = 1e-9, 1e-6, 1e3
+# Upper bound on the variance of log variances, however few the machines; logarithm of the factor on
+# standard deviations per unit of it, so that 95 % of further machines are within 1.96 of them.
+_LOOSEST = 2.0
+_WIDER = 0.35
+# Rounding of a covariance with unit diagonal, and of its eigenvalues; upper bound on deviations in
+# units of their priors.
+_ROUNDED = 1e-9
+_INDEFINITE = 1e-6
+_ABSURD = 1e3
 EVERYTHING = "all"
 """Stands for more than one element in which a machine differs."""
 
@@ -57,8 +73,10 @@ class Membership:
         machine: its name.
         p_value: of its deviation, in any element or in all, for machines of the type.
         probability: that it is like the others.
-        off: elements (joints) in which it differs, :data:`EVERYTHING` for more than one; empty if it is like the others.
-        times: factor on the variances of its prior: some machines are farther from the mean than others, as 8 poses show.
+        off: elements (joints) in which it differs, :data:`EVERYTHING` for more than one; empty if
+            it is like the others.
+        times: factor on the variances of its prior: some machines are farther from the mean than
+            others, as 8 poses show.
     """
 
     machine: str
@@ -74,7 +92,8 @@ class Membership:
 
 
 class RobotType(Record, frozen=True, kw_only=True):
-    """The machines of a type as a normal distribution of their parameters; its file contains no single machine.
+    """The machines of a type as a normal distribution of their parameters; its file contains no
+    single machine.
 
     Attributes:
         format: kind of the file.
@@ -86,9 +105,11 @@ class RobotType(Record, frozen=True, kw_only=True):
         mean: shape (P,), of the mean machine.
         covariance: shape (P, P), of machines about the mean.
         mean_covariance: shape (P, P), of the mean.
-        spread_variance: shape (P,), variance of the logarithm of each variance: the uncertainty of the spread.
-        seen: shape (P, P), projector on directions that the machines determine, parameters in units of their priors; along
-            all others, such as a joint offset equivalent to a rotation of the base, the priors hold.
+        spread_variance: shape (P,), variance of the logarithm of each variance: the uncertainty of
+            the spread.
+        seen: shape (P, P), projector on directions that the machines determine, parameters in units
+            of their priors; along all others, such as a joint offset equivalent to a rotation of
+            the base, the priors hold.
         machines: number of machines.
         hit: fraction of them that were hit or are of another kind.
         provenance: version of pincal, time, command, input files with their SHA-256.
@@ -116,16 +137,29 @@ class RobotType(Record, frozen=True, kw_only=True):
         counts = self.machines > 0 and 0.0 <= self.hit < 1.0
         sound = counts and np.all(self.priors > 0.0) and np.all(self.spread_variance >= 0.0)
         if not sound or np.any(np.abs(self.mean) > _ABSURD * self.priors):
-            raise Fault("contains invalid numbers", "standard deviations above 0 and a fraction below 1")
+            raise Fault(
+                "contains invalid numbers", "standard deviations above 0 and a fraction below 1"
+            )
         for name in ("covariance", "mean_covariance"):
             matrix = getattr(self, name)
             size = np.sqrt(np.abs(np.diag(matrix))) + _ROUNDED * self.priors
             unit = matrix / np.outer(size, size)
-            is_even = np.all(np.abs(unit - unit.T) <= _ROUNDED) and np.linalg.eigvalsh(unit).min(initial=0.0) > -_INDEFINITE
+            is_even = (
+                np.all(np.abs(unit - unit.T) <= _ROUNDED)
+                and np.linalg.eigvalsh(unit).min(initial=0.0) > -_INDEFINITE
+            )
             if not is_even or np.any(size > _ABSURD * self.priors):
-                raise Fault("is not a covariance", "a symmetric matrix without negative eigenvalues", key=f".{name}")
+                raise Fault(
+                    "is not a covariance",
+                    "a symmetric matrix without negative eigenvalues",
+                    key=f".{name}",
+                )
         if np.any(np.abs(self.seen @ self.seen.T - self.seen) > _INDEFINITE):
-            raise Fault("is not a projection matrix", "a symmetric matrix that equals its square", key=".seen")
+            raise Fault(
+                "is not a projection matrix",
+                "a symmetric matrix that equals its square",
+                key=".seen",
+            )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -150,19 +184,28 @@ class RobotType(Record, frozen=True, kw_only=True):
 
     @property
     def determined(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Mean, covariance of the mean and covariance of machines, along the directions that readings determine."""
+        """Mean, covariance of the mean and covariance of machines, along the directions that
+        readings determine.
+        """
         known = self.readable
-        return known @ self.mean, known @ self.mean_covariance @ known.T, known @ self.covariance @ known.T
+        return (
+            known @ self.mean,
+            known @ self.mean_covariance @ known.T,
+            known @ self.covariance @ known.T,
+        )
 
     def drawn(self, robot: Robot, rng: np.random.Generator) -> np.ndarray:
-        """Return the parameters of a further machine, shape (P,), drawn along the directions that readings determine.
+        """Return the parameters of a further machine, shape (P,), drawn along the directions that
+        readings determine.
 
         Raises:
             BadInputError: if the arm has another nominal geometry.
         """
         self.require(robot.name, geometry_of(robot))
         # The root is taken before the projection, whose rounding makes zero variances negative.
-        apart = root_of(self.mean_covariance + self.covariance) @ rng.standard_normal(len(self.mean))
+        apart = root_of(self.mean_covariance + self.covariance) @ rng.standard_normal(
+            len(self.mean)
+        )
         return np.asarray(self.readable @ (self.mean + apart))
 
     def require(self, robot: str, geometry: int) -> None:
@@ -173,18 +216,23 @@ class RobotType(Record, frozen=True, kw_only=True):
         """
         if geometry != self.geometry:
             raise BadInputError(
-                f"the type describes {self.robot}, but {robot} has a different nominal geometry; expected the same URDF, "
-                "base and tip, and the same robots of a cell (pincal calibrate --beside; fleet add takes its model.json)"
+                f"the type describes {self.robot}, but {robot} has a different nominal "
+                "geometry; expected the same URDF, "
+                "base and tip, and the same robots of a cell (pincal calibrate --beside; "
+                "fleet add takes its model.json)"
             )
 
-    def prior(self, *, names: Collection[str] | None = None, member: Membership | None = None) -> Estimate:
+    def prior(
+        self, *, names: Collection[str] | None = None, member: Membership | None = None
+    ) -> Estimate:
         """Return the prior of a further machine: ``Options.earlier`` of its calibration.
 
         Args:
-            names: parameters of its model; default: all. The others are uncorrelated with these, so that a model without
-                them is not conditioned on their being zero.
-            member: comparison of the machine with the type: the prior is wider if it is farther from the mean than others,
-                and includes the prior without a type in elements that differ.
+            names: parameters of its model; default: all. The others are uncorrelated with these, so
+                that a model without them is not conditioned on their being zero.
+            member: comparison of the machine with the type: the prior is wider if it is farther
+                from the mean than others, and includes the prior without a type in elements that
+                differ.
         """
         mean, covariance = self._further(member)
         if names is not None:
@@ -194,22 +242,31 @@ class RobotType(Record, frozen=True, kw_only=True):
         found = Covariance.of(covariance * np.outer(scale, scale))
         return Estimate(self.parameters, mean * scale, np.ones(len(scale), bool), found, scale)
 
-    def prior_of(self, robot: Robot, effects: tuple[Effect, ...], member: Membership | None = None) -> Estimate:
+    def prior_of(
+        self, robot: Robot, effects: tuple[Effect, ...], member: Membership | None = None
+    ) -> Estimate:
         """Return the prior of a further machine for a model of an arm with these effects.
 
         Raises:
             BadInputError: if the arm has another nominal geometry.
         """
         self.require(robot.name, geometry_of(robot))
-        return self.prior(names=Model(Chain.of(robot), with_masses(robot, effects)).names, member=member)
+        return self.prior(
+            names=Model(Chain.of(robot), with_masses(robot, effects)).names, member=member
+        )
 
     def _further(self, member: Membership | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and covariance of a further machine in units of the priors, including the uncertainty of both."""
+        """Return mean and covariance of a further machine in units of the priors, including the
+        uncertainty of both.
+        """
         scale = np.outer(self.priors, self.priors)
         wider = np.exp(_WIDER * np.minimum(self.spread_variance, _LOOSEST))
         covariance = (self.covariance * np.outer(wider, wider) + self.mean_covariance) / scale
         if member is not None:
-            wide = np.array([EVERYTHING in member.off or p.element in member.off for p in self.parameters], float)
+            wide = np.array(
+                [EVERYTHING in member.off or p.element in member.off for p in self.parameters],
+                float,
+            )
             covariance = member.times * covariance + np.diag(wide)
         covariance = self.seen @ covariance @ self.seen + np.eye(len(scale)) - self.seen
         return self.seen @ (self.mean / self.priors), 0.5 * (covariance + covariance.T)
@@ -220,7 +277,9 @@ class RobotType(Record, frozen=True, kw_only=True):
         Raises:
             BadInputError: if it has another nominal geometry.
         """
-        self.require(f"machine {machine.name!r} ({machine.information.robot})", machine.information.geometry)
+        self.require(
+            f"machine {machine.name!r} ({machine.information.robot})", machine.information.geometry
+        )
         found = gathered([machine], like=self.parameters)
         (membership,) = _memberships(found, found.forms, *self._with_own(found), self)
         wider = self._with_own(found, membership)
@@ -228,16 +287,25 @@ class RobotType(Record, frozen=True, kw_only=True):
         times = times_farther(q[0], Q[0])
         return replace(membership, times=times if times > _FARTHER else 1.0)
 
-    def _with_own(self, found: Gathered, member: Membership | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Return mean and root of the covariance of a machine; parameters that the type lacks keep their priors."""
+    def _with_own(
+        self, found: Gathered, member: Membership | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return mean and root of the covariance of a machine; parameters that the type lacks keep
+        their priors.
+        """
         mean, covariance = self._further(member)
-        P, own = len(mean), len(found.parameters)
-        whole_mean, whole = np.zeros(own), np.eye(own)
+        P = len(mean)
+        own = len(found.parameters)
+        whole_mean = np.zeros(own)
+        whole = np.eye(own)
         scale = self.priors / found.priors[:P]
-        whole_mean[:P], whole[:P, :P] = mean * scale, covariance * np.outer(scale, scale)
+        whole_mean[:P] = mean * scale
+        whole[:P, :P] = covariance * np.outer(scale, scale)
         return whole_mean, root_of(whole)
 
-    def save(self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None) -> None:
+    def save(
+        self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None
+    ) -> None:
         """Write the type to a file, see :func:`load_type`.
 
         Raises:
@@ -274,11 +342,12 @@ class Learned:
 
 
 def learn_type(machines: Iterable[Machine]) -> Learned:
-    """Learn a type from information on its machines, by empirical Bayes (see :mod:`pincal.fleet.population`).
+    """Learn a type from information on its machines, by empirical Bayes (see
+    :mod:`pincal.fleet.population`).
 
-    Each machine is weighted by the information of its readings: few poses, other sensors and additional parameters are
-    welcome. A single machine is enough to begin with. The result depends neither on the order of the machines nor on their
-    distribution over files.
+    Each machine is weighted by the information of its readings: few poses, other sensors and
+    additional parameters are welcome. A single machine is enough to begin with. The result depends
+    neither on the order of the machines nor on their distribution over files.
 
     Raises:
         BadInputError: for no machine, or machines with different nominal geometries.
@@ -314,10 +383,17 @@ def learn_type(machines: Iterable[Machine]) -> Learned:
     for k, machine in enumerate(given):
         first.setdefault(machine.name or id(machine), k)
     places = np.argsort([first[machine.name or id(machine)] for machine in found.machines])
-    return Learned(learned, tuple(members[k] for k in places), values[places] * found.priors, sigma[places] * found.priors)
+    return Learned(
+        learned,
+        tuple(members[k] for k in places),
+        values[places] * found.priors,
+        sigma[places] * found.priors,
+    )
 
 
-def _memberships(found: Gathered, forms: Forms, mean: np.ndarray, root: np.ndarray, of: RobotType) -> list[Membership]:
+def _memberships(
+    found: Gathered, forms: Forms, mean: np.ndarray, root: np.ndarray, of: RobotType
+) -> list[Membership]:
     """Compare machines with a population of this mean and root of its covariance."""
     members = list[Membership]()
     elements = list(dict.fromkeys(p.element for p in found.parameters))
@@ -329,15 +405,22 @@ def _memberships(found: Gathered, forms: Forms, mean: np.ndarray, root: np.ndarr
         p = least_chance(q, Q, root, part.ways[: len(elements)], of.degrees)
         for k, machine in enumerate(found.machines[rows]):
             share = np.exp(logs[:, k] - logs[:, k].max())
-            off = tuple(label for label, s in zip(labels, share / share.sum(), strict=True) if s > _SHARE)
+            off = tuple(
+                label for label, s in zip(labels, share / share.sum(), strict=True) if s > _SHARE
+            )
             is_off = like[k] < _UNLIKELY and p[k] < _ALPHA
-            members.append(Membership(machine.name, float(p[k]), float(like[k]), off if is_off else ()))
+            members.append(
+                Membership(machine.name, float(p[k]), float(like[k]), off if is_off else ())
+            )
     return members
 
 
 def _points(forms: Forms, mean: np.ndarray, root: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the most probable deviations of machines and their standard deviations, shape (M, P) each."""
-    values, sigma = np.empty_like(forms.g), np.empty_like(forms.g)
+    """Return the most probable deviations of machines and their standard deviations, shape (M, P)
+    each.
+    """
+    values = np.empty_like(forms.g)
+    sigma = np.empty_like(forms.g)
     for rows, part in forms.pieces():
         q, Q = scores(part, mean, root)
         values[rows] = mean + q @ root.T
@@ -347,9 +430,15 @@ def _points(forms: Forms, mean: np.ndarray, root: np.ndarray) -> tuple[np.ndarra
 
 
 def calibrate_of_type(
-    robot: Robot, measurements: Tables, of: RobotType, options: Options | None = None, *, name: str = ""
+    robot: Robot,
+    measurements: Tables,
+    of: RobotType,
+    options: Options | None = None,
+    *,
+    name: str = "",
 ) -> tuple[Fit, Membership]:
-    """Calibrate a machine of a known type, with a wider prior if its rows show that it is not like the others.
+    """Calibrate a machine of a known type, with a wider prior if its rows show that it is not like
+    the others.
 
     Args:
         robot: the arm, with the nominal geometry of the type.
@@ -366,8 +455,11 @@ def calibrate_of_type(
         MeasurementError: as :func:`pincal.calibrate`.
     """
     options = Options() if options is None else options
-    fit = calibrate(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects)))
-    # A deviation that the prior excludes inflates the noise, so that nothing is significant: then judged without the prior.
+    fit = calibrate(
+        robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects))
+    )
+    # A deviation that the prior excludes inflates the noise, so that nothing is significant: then
+    # judged without the prior.
     is_fair = fit.is_declared and fit.solution.cost < _FITS
     member = of.judge(Machine.of(fit if is_fair else fitted(robot, measurements, options), name))
     if not member.is_usual:

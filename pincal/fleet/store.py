@@ -1,8 +1,10 @@
 """Measurements and results of a fleet, as Parquet files in a folder or an object store.
 
-A file is written once, as a whole, and never changed: ``KIND/machine=NAME/day=YYYY-MM-DD/ID.parquet``. Its ID is a checksum
-of its content, or of what it was computed from, so that concurrent writers need no lock, duplicates are stored once, and
-finished work is recognised. Every row has the version of its schema. DuckDB, Polars and others read the files.
+A file is written once, as a whole, and never changed:
+``KIND/machine=NAME/day=YYYY-MM-DD/ID.parquet``. Its ID is a checksum of its content, or of what it
+was computed from, so that concurrent writers need no lock, duplicates are stored once, and finished
+work is recognised. Every row has the version of its schema. DuckDB, Polars and others read the
+files.
 """
 
 from __future__ import annotations
@@ -24,13 +26,30 @@ import polars as pl
 from pincal.atomic import ELSEWHERE, write_atomic
 from pincal.errors import BadInputError, OutputError, needed
 from pincal.fleet.machines import SCHEMA_VERSION, Machine, machines_of, parquet_bytes
-from pincal.fleet.stored_rows import CALIBRATION, ROLES, information_frame, measurements_of, table_frame, text_frame
+from pincal.fleet.stored_rows import (
+    CALIBRATION,
+    ROLES,
+    information_frame,
+    measurements_of,
+    table_frame,
+    text_frame,
+)
 from pincal.measure.measurements import Measurements
 
-TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS = STORED = "tables", "information", "diagnoses", "discoveries", "models"
-"""Content of a store: rows as measured, information on machines, diagnoses, discoveries and models."""
+TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS = STORED = (
+    "tables",
+    "information",
+    "diagnoses",
+    "discoveries",
+    "models",
+)
+"""Content of a store: rows as measured, information on machines, diagnoses, discoveries
+and models.
+"""
 
-_MARK, _FORMAT, _VERSION = "store.json", "pincal-store", 1
+_MARK = "store.json"
+_FORMAT = "pincal-store"
+_VERSION = 1
 # Files read at a time: with information on 40 parameters they take 10 MB.
 _PIECE = 1000
 # Longest name of a machine in a path [characters]: file systems allow 255.
@@ -56,7 +75,9 @@ class Key:
     @property
     def path(self) -> str:
         """Its path in the store."""
-        return f"{self.kind}/machine={quote(self.machine, safe='')}/day={self.day}/{self.id}.parquet"
+        return (
+            f"{self.kind}/machine={quote(self.machine, safe='')}/day={self.day}/{self.id}.parquet"
+        )
 
     @classmethod
     def of(cls, path: str) -> Key:
@@ -66,10 +87,14 @@ class Key:
             BadInputError: for any other path, such as a copy's.
         """
         kind, machine, day, name = path.replace("\\", "/").split("/")[-4:]
-        machine, day = unquote(machine.removeprefix("machine=")), day.removeprefix("day=")
+        machine = unquote(machine.removeprefix("machine="))
+        day = day.removeprefix("day=")
         found = cls(kind, machine, day, name.removesuffix(".parquet"))
         if not path.replace("\\", "/").endswith(found.path) or iso_day(day) != day:
-            raise BadInputError(f"{path}: not a file that pincal wrote to a store; expected {found.path}: move it elsewhere")
+            raise BadInputError(
+                f"{path}: not a file that pincal wrote to a store; expected {found.path}: "
+                "move it elsewhere"
+            )
         return found
 
 
@@ -90,13 +115,16 @@ class Store:
     @cached_property
     def _files(self) -> tuple[Any, str]:
         """File system and path of a URL."""
-        with needed("fsspec", "stores at a URL", install="fsspec and the package for the URL, such as s3fs"):
+        with needed(
+            "fsspec", "stores at a URL", install="fsspec and the package for the URL, such as s3fs"
+        ):
             import fsspec  # type: ignore[import-untyped]
         try:
             found: tuple[Any, str] = fsspec.core.url_to_fs(self.place)
         except (ValueError, ImportError) as error:
             raise BadInputError(
-                f"{self.place}: no such store ({error}); expected a folder or a URL that fsspec knows"
+                f"{self.place}: no such store ({error}); expected a folder or a URL that "
+                "fsspec knows"
             ) from None
         return found
 
@@ -115,7 +143,9 @@ class Store:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise BadInputError(f"{self.place}/{path}: can't be read ({error.strerror or error})") from None
+            raise BadInputError(
+                f"{self.place}/{path}: can't be read ({error.strerror or error})"
+            ) from None
 
     def write(self, path: str, content: bytes) -> None:
         """Write a file as a whole or not at all.
@@ -133,7 +163,9 @@ class Store:
             target_path = Path(self.place) / path
             target_path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise OutputError(f"{self.place}: can't be written ({error.strerror or error}); {ELSEWHERE}") from None
+            raise OutputError(
+                f"{self.place}: can't be written ({error.strerror or error}); {ELSEWHERE}"
+            ) from None
         write_atomic(target_path, content)
 
     def keys(self, kind: str) -> list[Key]:
@@ -157,10 +189,14 @@ class Store:
         try:
             return pl.read_parquet(io.BytesIO(content))
         except pl.exceptions.PolarsError as error:
-            raise BadInputError(f"{self.place}/{key.path}: damaged ({error}); delete it and add it again") from None
+            raise BadInputError(
+                f"{self.place}/{key.path}: damaged ({error}); delete it and add it again"
+            ) from None
 
     def frames(self, kind: str) -> Iterator[tuple[Sequence[Key], pl.DataFrame]]:
-        """Yield the files of a kind with one row each, several at a time as one table, with their keys."""
+        """Yield the files of a kind with one row each, several at a time as one table, with their
+        keys.
+        """
         keys = self.keys(kind)
         for start in range(0, len(keys), _PIECE):
             some = keys[start : start + _PIECE]
@@ -168,23 +204,34 @@ class Store:
                 if self._is_url:
                     frame = pl.concat([self.frame(key) for key in some])
                 else:
-                    frame = pl.read_parquet([Path(self.place) / key.path for key in some], glob=False)
+                    frame = pl.read_parquet(
+                        [Path(self.place) / key.path for key in some], glob=False
+                    )
             except (OSError, pl.exceptions.PolarsError):
-                # Reading a damaged file raises its own error; else one has other columns than the rest.
+                # Reading a damaged file raises its own error; else one has other columns than the
+                # rest.
                 columns = [self.frame(key).schema for key in some]
                 odd = min(range(len(some)), key=lambda k: columns.count(columns[k]))
                 raise BadInputError(
-                    f"{self.place}/{some[odd].path}: columns {', '.join(columns[odd])[:200]}; expected the columns of other "
+                    f"{self.place}/{some[odd].path}: columns "
+                    f"{', '.join(columns[odd])[:200]}; expected the columns of other "
                     f"{kind}: move it elsewhere"
                 ) from None
             if len(frame) != len(some):
-                raise BadInputError(f"{self.place}/{kind}: {len(frame)} rows in {len(some)} files; expected one in each")
+                raise BadInputError(
+                    f"{self.place}/{kind}: {len(frame)} rows in {len(some)} files; "
+                    "expected one in each"
+                )
             yield some, frame
 
     def add(self, key: Key, frame: pl.DataFrame, **facts: str) -> None:
-        """Write a file, with facts as further columns, and its key in the columns ``machine``, ``day`` and ``id``."""
+        """Write a file, with facts as further columns, and its key in the columns ``machine``,
+        ``day`` and ``id``.
+        """
         facts |= {name: getattr(key, name) for name in ("machine", "day", "id")}
-        columns = {"schema": pl.lit(SCHEMA_VERSION, pl.Int32)} | {name: pl.lit(fact) for name, fact in facts.items()}
+        columns = {"schema": pl.lit(SCHEMA_VERSION, pl.Int32)} | {
+            name: pl.lit(fact) for name, fact in facts.items()
+        }
         self.write(key.path, parquet_bytes(frame.with_columns(**columns)))
 
     def add_table(
@@ -241,8 +288,11 @@ class Store:
         self.add(key, frame)
         return key
 
-    def machines(self, *, job: str | None = None, role: str | None = CALIBRATION) -> Iterator[tuple[Key, Machine, str]]:
-        """Yield the information on machines, in the order of their names and days: key, machine and role.
+    def machines(
+        self, *, job: str | None = None, role: str | None = CALIBRATION
+    ) -> Iterator[tuple[Key, Machine, str]]:
+        """Yield the information on machines, in the order of their names and days: key, machine and
+        role.
 
         Args:
             job: the one that computed it, see :mod:`pincal.fleet.jobs`; default: any.
@@ -261,7 +311,10 @@ class Store:
             facts = (chosen[name] for name in ("index", "role", "table", "job"))
             for machine, k, of, table, by in zip(found, *facts, strict=True):
                 if table and done.setdefault(table, by) != by:
-                    raise BadInputError(f"{self.place}: rows were calibrated by {done[table]} and by {by}; choose a job")
+                    raise BadInputError(
+                        f"{self.place}: rows were calibrated by {done[table]} and by "
+                        f"{by}; choose a job"
+                    )
                 yield keys[k], machine, of
 
     def query(self, sql: str) -> pl.DataFrame:
@@ -286,7 +339,9 @@ class Store:
             for kind in STORED:
                 if self.keys(kind):
                     pattern = f"{place}/{kind}/machine=*/day=*/*.parquet".replace("'", "''")
-                    source = f"read_parquet('{pattern}', union_by_name=true, hive_partitioning=false)"
+                    source = (
+                        f"read_parquet('{pattern}', union_by_name=true, hive_partitioning=false)"
+                    )
                     connection.execute(f"create view {kind} as select * from {source}")
             try:
                 answer = connection.execute(sql)
@@ -321,8 +376,12 @@ def open_store(place: str | os.PathLike[str], *, create: bool = False) -> Store:
     content = store.read(_MARK)
     if content is None:
         if not create:
-            raise BadInputError(f"{store.place}: no {_MARK} here; expected a store created by pincal fleet add")
-        store.write(_MARK, (json.dumps({"format": _FORMAT, "format_version": _VERSION}) + "\n").encode())
+            raise BadInputError(
+                f"{store.place}: no {_MARK} here; expected a store created by pincal fleet add"
+            )
+        store.write(
+            _MARK, (json.dumps({"format": _FORMAT, "format_version": _VERSION}) + "\n").encode()
+        )
         return store
     try:
         found = json.loads(content)
@@ -330,10 +389,13 @@ def open_store(place: str | os.PathLike[str], *, create: bool = False) -> Store:
     except (ValueError, TypeError, KeyError):
         version = None
     if not isinstance(version, int):
-        raise BadInputError(f"{store.place}: {_MARK} does not mark a store of pincal; expected format {_FORMAT!r}")
+        raise BadInputError(
+            f"{store.place}: {_MARK} does not mark a store of pincal; expected format {_FORMAT!r}"
+        )
     if version > _VERSION:
         raise BadInputError(
-            f"{store.place}: a store of version {version}, newer than this pincal; expected {_VERSION}: update it"
+            f"{store.place}: a store of version {version}, newer than this pincal; "
+            f"expected {_VERSION}: update it"
         )
     return store
 
@@ -345,7 +407,9 @@ def named_machine(machine: str) -> str:
         BadInputError: if it is not.
     """
     if not machine or machine in (".", "..") or len(quote(machine, safe="")) > _LONGEST:
-        raise BadInputError(f"machine {machine[:_LONGEST]!r}; expected a short name, such as its serial number")
+        raise BadInputError(
+            f"machine {machine[:_LONGEST]!r}; expected a short name, such as its serial number"
+        )
     return machine
 
 

@@ -18,7 +18,9 @@ CALIBRATION, CHECK = ROLES = ("calibration", "check")
 
 
 def table_frame(table: Measurements, role: str, labels: Mapping[str, str]) -> pl.DataFrame:
-    """Return measurements as a table: a column per array, of lists if it has several numbers per row."""
+    """Return measurements as a table: a column per array, of lists if it has several numbers per
+    row.
+    """
     n = len(table)
     columns = [
         pl.Series("role", [role] * n, pl.String),
@@ -43,7 +45,11 @@ def measurements_of(frame: pl.DataFrame, source: str) -> Measurements:
         BadInputError: for another schema.
         MeasurementError: for invalid values.
     """
-    if "joints" not in frame.columns or "q" not in frame.columns or frame["schema"][0] != SCHEMA_VERSION:
+    if (
+        "joints" not in frame.columns
+        or "q" not in frame.columns
+        or frame["schema"][0] != SCHEMA_VERSION
+    ):
         raise BadInputError(f"{source}: not a table of a store of version {SCHEMA_VERSION}")
     arrays = dict[str, np.ndarray]()
     for name in frame.columns:
@@ -53,9 +59,16 @@ def measurements_of(frame: pl.DataFrame, source: str) -> Measurements:
         if isinstance(column.dtype, pl.List):
             arrays[name] = np.array(column.to_list(), float)
         else:
-            arrays[name] = np.array(column.to_list(), str) if column.dtype == pl.String else column.to_numpy()
-    if any(array.dtype.kind in "fi" and not (np.abs(array) <= LARGEST).all() for array in arrays.values()):
-        raise BadInputError(f"{source}: contains numbers that are not finite; delete it and add it again")
+            arrays[name] = (
+                np.array(column.to_list(), str) if column.dtype == pl.String else column.to_numpy()
+            )
+    if any(
+        array.dtype.kind in "fi" and not (np.abs(array) <= LARGEST).all()
+        for array in arrays.values()
+    ):
+        raise BadInputError(
+            f"{source}: contains numbers that are not finite; delete it and add it again"
+        )
     return validated(tuple(frame["joints"][0]), arrays, source=str(frame["source"][0]), units={})
 
 

@@ -1,4 +1,6 @@
-"""Summaries of a type and of a fleet: how far machines differ, errors of the data sheet, unusual machines, changes."""
+"""Summaries of a type and of a fleet: how far machines differ, errors of the data sheet, unusual
+machines, changes.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,25 @@ from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
 from pincal.result_table import Cell, Column, Kind, Table
 from pincal.robot.robot import Robot
-from pincal.units import Quantity, fixed, format_readable, readable_unit, show_percent, show_sigma, show_unit, show_value
+from pincal.units import (
+    Quantity,
+    fixed,
+    format_readable,
+    readable_unit,
+    show_percent,
+    show_sigma,
+    show_unit,
+    show_value,
+)
 
-# Poses at which the tool is compared, and draws of the machines for exchangeability, of which ISO 9283 compares five.
-_POSES, _DRAWN, _COMPARED = 200, 200, 5
+# Poses at which the tool is compared, and draws of the machines for exchangeability, of which ISO
+# 9283 compares five.
+_POSES = 200
+_DRAWN = 200
+_COMPARED = 5
 # Numbers of poses for which the error of a further machine is predicted, and sets of poses of each.
-_NUMBERS, _SETS = (4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60), 8
+_NUMBERS = (4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
+_SETS = 8
 # Probability that any machine of the type is reported as unusual.
 _ALPHA = 0.05
 # Least share of a parameter that readings have to determine for its numbers to be meaningful.
@@ -42,16 +57,20 @@ _NAMED = 3
 
 @dataclass(frozen=True)
 class AtTool:
-    """How far machines of a type differ at the tool after fitting base and tool, over random poses [m].
+    """How far machines of a type differ at the tool after fitting base and tool, over random poses
+    [m].
 
     Attributes:
         spread: root mean square distance of a machine from the mean one.
         by_effect: the same by each effect alone.
-        by_parameter: shape (P,), the same by each parameter of the type alone; nan if the model lacks it.
-        sheet: root mean square distance of the mean machine from the nominal one, by its lengths and angles.
-        exchangeability: largest distance between any two of five machines at the same joint positions, mean over poses and
-            draws (exchangeability of ISO 9283, at random poses).
-        needed: number of poses -> predicted root mean square error of a further machine, with this type and without.
+        by_parameter: shape (P,), the same by each parameter of the type alone; nan if the model
+            lacks it.
+        sheet: root mean square distance of the mean machine from the nominal one, by its lengths
+            and angles.
+        exchangeability: largest distance between any two of five machines at the same joint
+            positions, mean over poses and draws (exchangeability of ISO 9283, at random poses).
+        needed: number of poses -> predicted root mean square error of a further machine, with this
+            type and without.
     """
 
     spread: float
@@ -62,13 +81,23 @@ class AtTool:
     needed: dict[int, tuple[float, float]]
 
     def poses_for(self, error: float) -> tuple[int | None, int | None]:
-        """Return the fewest poses that reach an error [m], with the type and without; None if more than tabulated."""
-        with_type, without = (next((poses for poses, both in self.needed.items() if both[k] <= error), None) for k in (0, 1))
+        """Return the fewest poses that reach an error [m], with the type and without; None if more
+        than tabulated.
+        """
+        with_type, without = (
+            next((poses for poses, both in self.needed.items() if both[k] <= error), None)
+            for k in (0, 1)
+        )
         return with_type, without
 
 
 def at_tool(
-    of: RobotType, robot: Robot, effects: tuple[Effect, ...] = GEOMETRIC, *, noise: float = 5e-5, seed: int = 0
+    of: RobotType,
+    robot: Robot,
+    effects: tuple[Effect, ...] = GEOMETRIC,
+    *,
+    noise: float = 5e-5,
+    seed: int = 0,
 ) -> AtTool:
     """Return how far machines of a type differ at the tool.
 
@@ -80,7 +109,8 @@ def at_tool(
         seed: of the poses.
 
     Raises:
-        BadInputError: if the arm has another nominal geometry, or the model has none of the type's parameters.
+        BadInputError: if the arm has another nominal geometry, or the model has none of the type's
+            parameters.
     """
     rng = np.random.default_rng(seed)
     cared = Conditions.at(robot.random_configurations(_POSES, rng))
@@ -90,7 +120,9 @@ def at_tool(
     model = designs[1]
     own = [k for k, name in enumerate(model.own_names) if name in of.names]
     if not own:
-        raise BadInputError(f"the model of {robot.name} has no parameter of the type; expected one of its machines")
+        raise BadInputError(
+            f"the model of {robot.name} has no parameter of the type; expected one of its machines"
+        )
     places = np.array([of.names.index(model.own_names[k]) for k in own])
     # Differences equivalent to a rigid displacement of base or tool do not count.
     placed = (model.placed_errors(cared) / model.units[model.has_prior])[:, own]
@@ -100,28 +132,45 @@ def at_tool(
     by_effect = {}
     for effect in dict.fromkeys(of.parameters[k].effect for k in places):
         at = np.array([of.parameters[k].effect == effect for k in places])
-        by_effect[effect] = _rms(np.sum(placed[:, at] @ covariance[np.ix_(at, at)] * placed[:, at], axis=1))
+        by_effect[effect] = _rms(
+            np.sum(placed[:, at] @ covariance[np.ix_(at, at)] * placed[:, at], axis=1)
+        )
     by_parameter = np.full(len(of.names), np.nan)
     by_parameter[places] = np.sqrt(3.0 * np.mean(placed**2, axis=0) * np.diag(covariance))
-    drawn = (rng.normal(size=(_DRAWN, _COMPARED, moved.shape[1])) @ moved.T).reshape(_DRAWN, _COMPARED, -1, 3)
+    drawn = (rng.normal(size=(_DRAWN, _COMPARED, moved.shape[1])) @ moved.T).reshape(
+        _DRAWN, _COMPARED, -1, 3
+    )
     apart = np.linalg.norm(drawn[:, :, None] - drawn[:, None], axis=-1).max(axis=(1, 2))
     needed = {}
     for poses in _NUMBERS:
         sets = [Conditions.at(robot.random_configurations(poses, rng)) for _ in range(_SETS)]
-        with_type, without = np.median([[design.foreseen(one, cared) for design in designs] for one in sets], axis=0)
+        with_type, without = np.median(
+            [[design.foreseen(one, cared) for design in designs] for one in sets], axis=0
+        )
         needed[poses] = float(with_type), float(without)
     # A data sheet contains lengths and angles, but no compliances.
     is_sheet = np.array([of.parameters[k].unit in ("m", "rad") for k in places])
     sheet = placed @ (mean[places] * is_sheet)
-    return AtTool(_rms(np.sum(moved**2, axis=1)), by_effect, by_parameter, _rms(sheet**2), float(apart.mean()), needed)
+    return AtTool(
+        _rms(np.sum(moved**2, axis=1)),
+        by_effect,
+        by_parameter,
+        _rms(sheet**2),
+        float(apart.mean()),
+        needed,
+    )
 
 
 def _rms(squares: np.ndarray) -> float:
-    """Return the root mean square length of N displacements with these mean squares of components, shape (3 N,)."""
+    """Return the root mean square length of N displacements with these mean squares of components,
+    shape (3 N,).
+    """
     return float(np.sqrt(3.0 * np.mean(squares)))
 
 
-def parameter_summary(of: RobotType, found: AtTool | None = None, *, most: int | None = None) -> Table:
+def parameter_summary(
+    of: RobotType, found: AtTool | None = None, *, most: int | None = None
+) -> Table:
     """Return errors of the data sheet and differences between machines, by parameter.
 
     Args:
@@ -133,7 +182,11 @@ def parameter_summary(of: RobotType, found: AtTool | None = None, *, most: int |
     sheet, *spreads = of.determined
     sigma, spread = (np.sqrt(np.diag(C)) for C in spreads)
     moves = np.full(len(of.names), np.nan) if found is None else found.by_parameter
-    order = np.arange(len(of.names)) if found is None else np.argsort(-np.nan_to_num(moves * (share > _DETERMINED)))
+    order = (
+        np.arange(len(of.names))
+        if found is None
+        else np.argsort(-np.nan_to_num(moves * (share > _DETERMINED)))
+    )
     columns = (
         Column("parameter", kind=Kind.NAME),
         Column("unit", kind=Kind.LABEL, show=show_unit),
@@ -148,10 +201,19 @@ def parameter_summary(of: RobotType, found: AtTool | None = None, *, most: int |
         p = of.parameters[k]
         numbers = [Quantity(float(x), p.unit) for x in (sheet[k], _INTERVAL * sigma[k], spread[k])]
         at = None if np.isnan(moves[k]) else float(1e3 * moves[k])
-        rows.append((p.name, p.unit, *([*numbers, at] if share[k] > _DETERMINED else (None,) * 4), float(share[k])))
+        rows.append(
+            (
+                p.name,
+                p.unit,
+                *([*numbers, at] if share[k] > _DETERMINED else (None,) * 4),
+                float(share[k]),
+            )
+        )
     note = (
-        "mean: of all machines minus the data sheet, with half the width of its 95 % interval; differ: standard deviation "
-        "of machines, at the tool after fitting base and tool; determined: share of the parameter that the "
+        "mean: of all machines minus the data sheet, with half the width of its 95 % "
+        "interval; differ: standard deviation "
+        "of machines, at the tool after fitting base and tool; determined: share of the "
+        "parameter that the "
         "readings separate from the others; the rest is a matter of convention"
     )
     return Table("Machines of the type", columns, tuple(rows), (note,))
@@ -159,8 +221,14 @@ def parameter_summary(of: RobotType, found: AtTool | None = None, *, most: int |
 
 def effect_summary(found: AtTool) -> Table:
     """Return the differences between machines at the tool, by effect."""
-    columns = (Column("effect", kind=Kind.LABEL), Column("at the tool", "mm", Kind.NUMBER, fixed(3)))
-    rows = [(effect, 1e3 * size) for effect, size in sorted(found.by_effect.items(), key=lambda one: -one[1])]
+    columns = (
+        Column("effect", kind=Kind.LABEL),
+        Column("at the tool", "mm", Kind.NUMBER, fixed(3)),
+    )
+    rows = [
+        (effect, 1e3 * size)
+        for effect, size in sorted(found.by_effect.items(), key=lambda one: -one[1])
+    ]
     return Table("Differences by effect", columns, tuple(rows))
 
 
@@ -176,9 +244,12 @@ def poses_summary(found: AtTool) -> Table:
 
 
 def strangers(members: Sequence[Membership]) -> list[tuple[Membership, float]]:
-    """Return the machines that do not belong to their type, with p-values adjusted for their number (Holm 1979)."""
+    """Return the machines that do not belong to their type, with p-values adjusted for their number
+    (Holm 1979).
+    """
     ranked = sorted(members, key=lambda one: one.p_value)
-    found, largest = list[tuple[Membership, float]](), 0.0
+    found = list[tuple[Membership, float]]()
+    largest = 0.0
     for k, member in enumerate(ranked):
         largest = max(largest, min(1.0, member.p_value * (len(ranked) - k)))
         if largest < _ALPHA and member.off:
@@ -193,7 +264,10 @@ def member_summary(learned: Learned) -> Table:
         Column("p", kind=Kind.NUMBER, show="{:.2g}".format),
         Column("differs in", kind=Kind.NAME),
     )
-    rows = [(member.machine or "-", p, ", ".join(member.off)) for member, p in strangers(learned.members)]
+    rows = [
+        (member.machine or "-", p, ", ".join(member.off))
+        for member, p in strangers(learned.members)
+    ]
     hit = f"of which an estimated {100 * learned.type.hit:.1f} % are unlike the others"
     count = f"{counted(len(learned.members), 'machine')}, {hit}"
     return Table("Machines unlike the others", columns, tuple(rows), (count,))
@@ -207,41 +281,71 @@ def type_lines(learned: Learned, at: AtTool | None, *, error: float | None = Non
         at: the differences at the tool, if the arm is known.
         error: wanted for a further machine [m].
     """
-    of, apart = learned.type, len(strangers(learned.members))
-    machines, parameters = counted(of.machines, "machine"), counted(len(of.names), "parameter")
+    of = learned.type
+    apart = len(strangers(learned.members))
+    machines = counted(of.machines, "machine")
+    parameters = counted(len(of.names), "parameter")
     yield f"{of.robot}: {machines}, {parameters}, of which they determine {np.trace(of.seen):.0f}"
     if at is not None:
-        yield f"differ by:         {1e3 * at.spread:.3f} mm rms at the tool from their mean, after fitting base and tool"
+        yield (
+            f"differ by:         {1e3 * at.spread:.3f} mm rms at the tool from their mean, "
+            "after fitting base and tool"
+        )
         yield f"exchangeability:   {1e3 * at.exchangeability:.3f} mm (ISO 9283, five machines)"
-        yield f"data sheet:        {1e3 * at.sheet:.3f} mm rms off the mean machine, {_off_sheet(of)}"
+        yield (
+            f"data sheet:        {1e3 * at.sheet:.3f} mm rms off the mean machine, {_off_sheet(of)}"
+        )
     yield f"unlike the others: {apart} of {of.machines}; {100.0 * of.hit:.1f} % are expected"
     if at is not None and error is not None:
-        words = ["more than " + str(_NUMBERS[-1]) if count is None else str(count) for count in at.poses_for(error)]
-        yield f"a further machine: {words[0]} random poses reach {1e3 * error:.3g} mm; without the type {words[1]}"
+        words = [
+            "more than " + str(_NUMBERS[-1]) if count is None else str(count)
+            for count in at.poses_for(error)
+        ]
+        yield (
+            f"a further machine: {words[0]} random poses reach {1e3 * error:.3g} mm; without "
+            f"the type {words[1]}"
+        )
 
 
 def _off_sheet(of: RobotType) -> str:
-    """Return the number of parameters in which the data sheet is significantly off (Holm 1979), and the first of them."""
+    """Return the number of parameters in which the data sheet is significantly off (Holm 1979), and
+    the first of them.
+    """
     mean, C, _ = of.determined
     half = _INTERVAL * np.sqrt(np.maximum(np.diag(C), 1e-300))
-    places = [k for k, p in enumerate(of.parameters) if p.unit in ("m", "rad") and of.seen[k, k] > _DETERMINED]
+    places = [
+        k
+        for k, p in enumerate(of.parameters)
+        if p.unit in ("m", "rad") and of.seen[k, k] > _DETERMINED
+    ]
     p = 2.0 * ndtr(-_INTERVAL * np.abs(mean) / half)
     ranked = sorted(places, key=lambda k: p[k])
-    count = next((i for i, k in enumerate(ranked) if p[k] * (len(ranked) - i) >= _ALPHA), len(ranked))
+    count = next(
+        (i for i, k in enumerate(ranked) if p[k] * (len(ranked) - i) >= _ALPHA), len(ranked)
+    )
     words = []
     for k in ranked[:_NAMED][:count]:
         factor, unit = readable_unit(of.parameters[k].unit)
         words.append(f"{of.names[k]} {factor * mean[k]:+.3f} +- {factor * half[k]:.3f} {unit}")
-    return f"significantly in {count} of {len(ranked)} parameters" + (f": {', '.join(words)}" if words else "")
+    return f"significantly in {count} of {len(ranked)} parameters" + (
+        f": {', '.join(words)}" if words else ""
+    )
 
 
-def plain_type(learned: Learned, at: AtTool | None, *, error: float | None = None) -> dict[str, Any]:
+def plain_type(
+    learned: Learned, at: AtTool | None, *, error: float | None = None
+) -> dict[str, Any]:
     """Return the summary of a type as plain data; arguments as for :func:`type_lines`."""
     of = learned.type
     mean, *spreads = of.determined
     sigma, spread = (np.sqrt(np.diag(C)) for C in spreads)
     members = [
-        {"machine": one.machine, "p_value": one.p_value, "like_others": one.probability, "differs_in": list(one.off)}
+        {
+            "machine": one.machine,
+            "p_value": one.p_value,
+            "like_others": one.probability,
+            "differs_in": list(one.off),
+        }
         for one in learned.members
     ]
     parameters = [
@@ -258,7 +362,11 @@ def plain_type(learned: Learned, at: AtTool | None, *, error: float | None = Non
     found = {"robot": of.robot, "machines": members, "parameters": parameters, "hit": of.hit}
     if at is None:
         return found
-    poses = {} if error is None else dict(zip(("with_type", "without"), at.poses_for(error), strict=True))
+    poses = (
+        {}
+        if error is None
+        else dict(zip(("with_type", "without"), at.poses_for(error), strict=True))
+    )
     return found | {
         "spread_mm": 1e3 * at.spread,
         "sheet_mm": 1e3 * at.sheet,
@@ -280,16 +388,28 @@ def change_summary(found: FleetHistory, *, groups: bool | None = None) -> Table:
         Column("log10 e", kind=Kind.NUMBER, show=fixed(1)),
     )
     rows = [
-        (one.subject, one.since, one.found, " or ".join((one.what, *one.equals[:2])), _by(one), one.log_e / np.log(10.0))
+        (
+            one.subject,
+            one.since,
+            one.found,
+            " or ".join((one.what, *one.equals[:2])),
+            _by(one),
+            one.log_e / np.log(10.0),
+        )
         for one in reversed(found.changes)
         if groups in (None, one.is_group)
     ]
-    note = "since: the first check after the change; e: likelihood ratio of the readings with and without the change"
+    note = (
+        "since: the first check after the change; e: likelihood ratio of the readings with "
+        "and without the change"
+    )
     return Table("Changes", columns, tuple(rows), (note,) if rows else ())
 
 
 def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
-    """Return the robots to look at first: those that changed and were not recalibrated, then those that may have."""
+    """Return the robots to look at first: those that changed and were not recalibrated, then those
+    that may have.
+    """
     columns = (
         Column("robot", kind=Kind.NAME),
         Column("state", kind=Kind.LABEL),
@@ -303,7 +423,9 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
     state = {one.machine: "watch" for one in found.last if one.q_value < _ALPHA}
     state = dict.fromkeys(found.drifted, "drifted") | state | dict.fromkeys(found.open, "changed")
     order = ("changed", "watch", "drifted", "unchanged")
-    ranked = sorted(found.last, key=lambda one: (order.index(state.get(one.machine, order[-1])), -one.log_e))
+    ranked = sorted(
+        found.last, key=lambda one: (order.index(state.get(one.machine, order[-1])), -one.log_e)
+    )
     rows = [
         (
             one.machine,
@@ -317,7 +439,8 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         for one in ranked[:most]
     ]
     note = (
-        "p-value: of the last check, if nothing has changed; adjusted: for the false discovery rate among all checks of "
+        "p-value: of the last check, if nothing has changed; adjusted: for the false "
+        "discovery rate among all checks of "
         "that round (Benjamini and Hochberg 1995)"
     )
     return Table("Inspect these first", columns, tuple(rows), (note,))
@@ -330,7 +453,9 @@ def history_lines(found: FleetHistory) -> Iterator[str]:
     whole = f"{counted(found.robots, 'robot')}, {counted(found.checks, 'check')}"
     yield f"{whole}: {robots} changed, {len(found.open)} of them not recalibrated since"
     for change in groups:
-        yield f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}".removesuffix(" -")
+        yield f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}".removesuffix(
+            " -"
+        )
 
 
 def plain_history(found: FleetHistory) -> dict[str, Any]:

@@ -1,17 +1,19 @@
-r"""Readings of several targets, or points, in one stop of the robot: they share what the robot does there.
+r"""Readings of several targets, or points, in one stop of the robot: they share what the robot does
+there.
 
-Drives do not arrive twice at the same place, and what a model lacks at a pose displaces all targets there together. With
-L the levers of the drives on the readings of a stop, A the variances of their positions and R the noise of the
-readings, the covariance of the stop is
+Drives do not arrive twice at the same place, and what a model lacks at a pose displaces all targets
+there together. With L the levers of the drives on the readings of a stop, A the variances of their
+positions and R the noise of the readings, the covariance of the stop is
 
 .. math:: V = R + L A L^T ,
 
-a part of low rank beside a diagonal one, so that weights cost a time linear in the readings (Woodbury). Fits, score tests
-and covariances that use V count a stop as one observation of the robot, however many targets were read in it.
+a part of low rank beside a diagonal one, so that weights cost a time linear in the readings
+(Woodbury). Fits, score tests and covariances that use V count a stop as one observation of the
+robot, however many targets were read in it.
 
-The variances are those of maximum likelihood of the residuals of a fit, corrected for the parameters that it has used up.
-They include errors that the model lacks, as far as drives that do not repeat could cause them: no more, or what a search
-is for would pass as noise.
+The variances are those of maximum likelihood of the residuals of a fit, corrected for the
+parameters that it has used up. They include errors that the model lacks, as far as drives that do
+not repeat could cause them: no more, or what a search is for would pass as noise.
 """
 
 from __future__ import annotations
@@ -40,8 +42,10 @@ class ArrivalNoise:
     """Variances of what the readings of a stop share, and of what they do not.
 
     Attributes:
-        drives: shape (n,), standard deviation of the position of each drive from stop to stop [rad or m].
-        readings: shape (blocks,), standard deviation of the readings apart from it, by block of all stations.
+        drives: shape (n,), standard deviation of the position of each drive from stop to stop [rad
+            or m].
+        readings: shape (blocks,), standard deviation of the readings apart from it, by block of all
+            stations.
         gain: of the first over readings that share nothing, in 2 log-likelihood.
     """
 
@@ -56,8 +60,12 @@ def shares_stops(station: Station) -> bool:
 
 
 def with_arrivals(fit: ModelFit) -> ModelFit:
-    """Return a fit, not refitted, whose rows of one stop share noise of the drives, as far as its residuals show it."""
-    shared = [shares_stops(station) and station.sensor.reads_place for station in fit.problem.stations]
+    """Return a fit, not refitted, whose rows of one stop share noise of the drives, as far as its
+    residuals show it.
+    """
+    shared = [
+        shares_stops(station) and station.sensor.reads_place for station in fit.problem.stations
+    ]
     if not any(shared):
         return fit
     noise = arrival_noise(fit, shared)
@@ -69,11 +77,15 @@ def with_arrivals(fit: ModelFit) -> ModelFit:
         stations.append(replace(station, arrival=arrival))
     if all(a.arrival is b.arrival for a, b in zip(stations, fit.problem.stations, strict=True)):
         return fit
-    return replace(fit.over(stations), noise=_declared_with(stations, declared_noise(fit.problem, fit.options)))
+    return replace(
+        fit.over(stations), noise=_declared_with(stations, declared_noise(fit.problem, fit.options))
+    )
 
 
 def _declared_with(stations: Sequence[Station], declared: Noise) -> Noise:
-    """Return the declared noise of single readings, with what readings of a stop share in addition."""
+    """Return the declared noise of single readings, with what readings of a stop share
+    in addition.
+    """
     factors = [
         1.0 if station.arrival is None else float(station.arrival.size[rows.start])
         for station in stations
@@ -84,7 +96,8 @@ def _declared_with(stations: Sequence[Station], declared: Noise) -> Noise:
 
 
 def arrival_noise(fit: ModelFit, shared: Sequence[bool]) -> ArrivalNoise | None:
-    """Return the variances of the drives and of the readings; None where readings of a stop share nothing significant.
+    """Return the variances of the drives and of the readings; None where readings of a stop share
+    nothing significant.
 
     ``shared`` are the stations whose rows share stops.
     """
@@ -109,7 +122,9 @@ def arrival_noise(fit: ModelFit, shared: Sequence[bool]) -> ArrivalNoise | None:
 
 def poses_of(station: Station) -> np.ndarray:
     """Return the number of the pose of each row, whatever was read there, shape (N,), from 0."""
-    keys = np.column_stack([same_joints(station.conditions.q, SCATTER), np.round(station.conditions.payload, 3)])
+    keys = np.column_stack(
+        [same_joints(station.conditions.q, SCATTER), np.round(station.conditions.payload, 3)]
+    )
     return np.unique(keys, axis=0, return_inverse=True)[1].ravel()
 
 
@@ -122,12 +137,15 @@ def _shared_noise(alone: ModelFit, drives: np.ndarray, readings: np.ndarray) -> 
     moved = moved * counted
     square = 1.0 + np.sum(moved**2, axis=(0, 2)) / max(np.count_nonzero(counted), 1)
     of_blocks = np.sqrt([np.mean(square[rows]) for rows in station.block_rows])
-    return StopNoise.of(moved[drives > 0.0], poses_of(station), np.repeat(of_blocks, station.block_sizes))
+    return StopNoise.of(
+        moved[drives > 0.0], poses_of(station), np.repeat(of_blocks, station.block_sizes)
+    )
 
 
 @dataclass(frozen=True)
 class _Stops:
-    """What the residuals of a station say of its S stops, block by block, in units of the estimated noise.
+    """What the residuals of a station say of its S stops, block by block, in units of the estimated
+    noise.
 
     Attributes:
         blocks: numbers of the blocks among all.
@@ -150,25 +168,40 @@ class _Stops:
         """Return them of the only station of a fit."""
         station = alone.station
         sound = np.flatnonzero(alone.solution.weights > 0.0)
-        scale = station.weights[sound] / np.repeat(alone.solution.estimated, station.block_sizes)[:, None]
+        scale = (
+            station.weights[sound]
+            / np.repeat(alone.solution.estimated, station.block_sizes)[:, None]
+        )
         residuals = station.residuals(alone.values)[:, sound] * scale
         moved = drive_levers(station, alone.values)[:, :, sound] * scale
         pose = np.unique(poses_of(station)[sound], return_inverse=True)[1].ravel()
-        n_stops, n = int(pose.max(initial=-1)) + 1, len(moved)
+        n_stops = int(pose.max(initial=-1)) + 1
+        n = len(moved)
         information = np.zeros((len(station.block_rows), n_stops, n, n))
         slope = np.zeros((len(station.block_rows), n_stops, n))
         for b, rows in enumerate(station.block_rows):
-            np.add.at(information[b], pose, np.einsum("imk,jmk->kij", moved[:, rows], moved[:, rows]))
+            np.add.at(
+                information[b], pose, np.einsum("imk,jmk->kij", moved[:, rows], moved[:, rows])
+            )
             np.add.at(slope[b], pose, np.einsum("imk,mk->ki", moved[:, rows], residuals[rows]))
         squares = np.array([float(np.sum(residuals[rows] ** 2)) for rows in station.block_rows])
         counts = np.array([residuals[rows].size for rows in station.block_rows])
-        rank = int(np.sum(np.linalg.matrix_rank(information.sum(axis=0), hermitian=True))) if n_stops else 0
+        rank = (
+            int(np.sum(np.linalg.matrix_rank(information.sum(axis=0), hermitian=True)))
+            if n_stops
+            else 0
+        )
         return cls(range(blocks.start, blocks.stop), information, slope, squares, counts, rank)
 
 
-def _likeliest(parts: Sequence[_Stops], n_blocks: int) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Return the likeliest variances of drives and blocks, shape (n,) and (blocks,), and the gain by the drives."""
-    squares, counts = np.zeros(n_blocks), np.zeros(n_blocks)
+def _likeliest(
+    parts: Sequence[_Stops], n_blocks: int
+) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """Return the likeliest variances of drives and blocks, shape (n,) and (blocks,), and the gain
+    by the drives.
+    """
+    squares = np.zeros(n_blocks)
+    counts = np.zeros(n_blocks)
     for part in parts:
         squares[list(part.blocks)] += part.squares
         counts[list(part.blocks)] += part.counts
@@ -181,8 +214,11 @@ def _likeliest(parts: Sequence[_Stops], n_blocks: int) -> tuple[np.ndarray, np.n
     without = float(np.sum(counts[seen] * (1.0 + np.log(squares[seen] / counts[seen]))))
 
     def misfit(logs: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return -2 log-likelihood, and its slope; the drives' logs are in units in which they move readings by 1."""
-        variances, noise = np.exp(logs[:n]), np.exp(logs[n:])
+        """Return -2 log-likelihood, and its slope; the drives' logs are in units in which they move
+        readings by 1.
+        """
+        variances = np.exp(logs[:n])
+        noise = np.exp(logs[n:])
         total = float(np.sum(counts[seen] * np.log(noise[seen])))
         slope = np.zeros(len(logs))
         slope[n:][seen] = counts[seen]
@@ -195,12 +231,20 @@ def _likeliest(parts: Sequence[_Stops], n_blocks: int) -> tuple[np.ndarray, np.n
             values, vectors = np.linalg.eigh(np.eye(n) + G)
             M = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
             mean = np.einsum("sij,sj->si", M, b)
-            total += float(np.sum(np.log(values))) + float(weight @ part.squares) - float(np.sum(b * mean))
+            total += (
+                float(np.sum(np.log(values)))
+                + float(weight @ part.squares)
+                - float(np.sum(b * mean))
+            )
             second = M + mean[:, :, None] * mean[:, None, :]
             slope[:n] += np.sum(1.0 - np.einsum("sii->si", second), axis=0)
             for k, block in enumerate(own):
                 at = part.information[k] * root[:, None] * root
-                left = part.squares[k] - 2.0 * float(np.sum(part.slope[k] * root * mean)) + float(np.sum(at * second))
+                left = (
+                    part.squares[k]
+                    - 2.0 * float(np.sum(part.slope[k] * root * mean))
+                    + float(np.sum(at * second))
+                )
                 slope[n + block] -= left / noise[block]
         return total, slope
 

@@ -1,12 +1,14 @@
-r"""Prior knowledge beyond each parameter's own prior: earlier fits, smooth curves, the scale of contacts.
+r"""Prior knowledge beyond each parameter's own prior: earlier fits, smooth curves, the scale of
+contacts.
 
-With m the values and C the covariance that an earlier fit found for the robot's parameters x, its stations' parameters
-marginalised, the term is :math:`(x - m)^T C^{-1} (x - m)`. It replaces the priors of these parameters, which C contains
-already. For a linear model a fit of new rows with this term is the joint fit of old and new rows.
+With m the values and C the covariance that an earlier fit found for the robot's parameters x, its
+stations' parameters marginalised, the term is :math:`(x - m)^T C^{-1} (x - m)`. It replaces the
+priors of these parameters, which C contains already. For a linear model a fit of new rows with this
+term is the joint fit of old and new rows.
 
-The solver works in units of priors, so it receives the difference :math:`C^{-1} - D^{-2}` for priors of sizes D. What the
-old rows did not determine then has only its prior. Smoothness of a curve is such a term about zero, in addition to the
-priors of its heights.
+The solver works in units of priors, so it receives the difference :math:`C^{-1} - D^{-2}` for
+priors of sizes D. What the old rows did not determine then has only its prior. Smoothness of a
+curve is such a term about zero, in addition to the priors of its heights.
 """
 
 from __future__ import annotations
@@ -23,19 +25,22 @@ from pincal.identify.station import Station
 from pincal.model.effects import LENGTHS
 from pincal.parameters import Estimate, Parameter
 
-# Smallest standard deviation of a direction relative to the largest, each parameter in units of its own; below is rounding.
+# Smallest standard deviation of a direction relative to the largest, each parameter in units of its
+# own; below is rounding.
 _LEAST = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Earlier:
-    """A normal distribution of K parameters, or knowledge in addition to the prior of each: (x - m)^T H (x - m).
+    """A normal distribution of K parameters, or knowledge in addition to the prior of each: (x -
+    m)^T H (x - m).
 
     Attributes:
         names: the parameters.
         mean: shape (K,), m.
         information: shape (K, K), H; the inverse covariance of a distribution.
-        sigma: shape (K,), standard deviations if the priors about zero are contained already; None for additional knowledge.
+        sigma: shape (K,), standard deviations if the priors about zero are contained already; None
+            for additional knowledge.
         places: shape (K,), indices of the parameters in a problem's table.
     """
 
@@ -55,10 +60,12 @@ class Earlier:
         foreign = [p.name for p in estimate.parameters if p.station or p.is_extrinsic]
         if foreign:
             raise BadInputError(
-                f"{foreign[0]} belongs to a station; expected the robot's own parameters, as in model.robot_estimate"
+                f"{foreign[0]} belongs to a station; expected the robot's own parameters, "
+                "as in model.robot_estimate"
             )
         free = estimate.free
-        root, sigma = estimate.covariance.root, np.sqrt(estimate.covariance.variance)
+        root = estimate.covariance.root
+        sigma = np.sqrt(estimate.covariance.variance)
         axes, lengths, _ = np.linalg.svd(root / sigma[:, None], full_matrices=False)
         lengths = np.maximum(lengths, _LEAST * lengths.max(initial=0.0))
         inverse = axes / lengths / sigma[:, None]
@@ -66,7 +73,9 @@ class Earlier:
         return cls(names, estimate.values[free], inverse @ inverse.T, sigma)
 
     def given_zero(self, others: np.ndarray) -> Earlier:
-        """Return the distribution of the other parameters, conditioned on ``others``, shape (K,), being zero."""
+        """Return the distribution of the other parameters, conditioned on ``others``, shape (K,),
+        being zero.
+        """
         if not others.any():
             return self
         kept = ~others
@@ -77,7 +86,9 @@ class Earlier:
         return Earlier(names, mean, H, np.sqrt(np.diag(C)))
 
     def contained_priors(self, sizes: np.ndarray) -> np.ndarray:
-        """Return the sizes of the priors that the term contains, shape (K,), inf for none, given those of all parameters."""
+        """Return the sizes of the priors that the term contains, shape (K,), inf for none, given
+        those of all parameters.
+        """
         return np.full(len(self.places), np.inf) if self.sigma is None else sizes[self.places]
 
 
@@ -87,7 +98,8 @@ class Beliefs(NamedTuple):
     Attributes:
         terms: no parameter is in two of them.
         is_earlier: shape (P,), which parameters are known from an earlier fit.
-        is_slope: whether the only term is the slope of contacts, which is negligible where readings are exact.
+        is_slope: whether the only term is the slope of contacts, which is negligible where readings
+            are exact.
     """
 
     terms: tuple[Earlier, ...]
@@ -103,21 +115,30 @@ class Beliefs(NamedTuple):
         return recalled
 
     def widened(self, sizes: np.ndarray) -> np.ndarray:
-        """Return sizes of priors, shape (P,), no smaller than these, with which no earlier fit has negative information."""
+        """Return sizes of priors, shape (P,), no smaller than these, with which no earlier fit has
+        negative information.
+        """
         found = sizes.copy()
         for term in self.terms:
             if term.sigma is not None:
                 wide = np.maximum(sizes[term.places], term.sigma)
-                least = float(np.linalg.eigvalsh(term.information * np.outer(wide, wide)).min(initial=1.0))
+                least = float(
+                    np.linalg.eigvalsh(term.information * np.outer(wide, wide)).min(initial=1.0)
+                )
                 found[term.places] = wide / np.sqrt(np.clip(least, 1e-6, 1.0))
         return found
 
     def square(self, values: np.ndarray, sizes: np.ndarray) -> float:
-        """Return what the terms add to the sum of squares of the priors; arguments as for :meth:`beyond_priors`."""
+        """Return what the terms add to the sum of squares of the priors; arguments as for
+        :meth:`beyond_priors`.
+        """
         total = 0.0
         for term in self.terms:
-            here, off = values[term.places], values[term.places] - term.mean
-            total += float(off @ term.information @ off - np.sum((here / term.contained_priors(sizes)) ** 2))
+            here = values[term.places]
+            off = values[term.places] - term.mean
+            total += float(
+                off @ term.information @ off - np.sum((here / term.contained_priors(sizes)) ** 2)
+            )
         return total
 
     def beyond_priors(self, kept: np.ndarray, values: np.ndarray, sizes: np.ndarray) -> Form:
@@ -128,37 +149,50 @@ class Beliefs(NamedTuple):
             values: shape (P,), present values.
             sizes: shape (P,), standard deviations of the priors.
         """
-        information, slope = np.zeros((len(kept), len(kept))), np.zeros(len(kept))
+        information = np.zeros((len(kept), len(kept)))
+        slope = np.zeros(len(kept))
         for term in self.terms:
-            back, here = term.contained_priors(sizes), values[term.places]
+            back = term.contained_priors(sizes)
+            here = values[term.places]
             of = np.flatnonzero(np.isin(term.places, kept))
             at = np.searchsorted(kept, term.places[of])
-            information[at[:, None], at] += (term.information - np.diag(back**-2.0))[of[:, None], of]
+            information[at[:, None], at] += (term.information - np.diag(back**-2.0))[
+                of[:, None], of
+            ]
             slope[at] += (term.information @ (term.mean - here) + here / back**2)[of]
         return Form.of(information, slope)
 
 
 def slope_of_contacts(station: Station) -> np.ndarray:
-    r"""Return the slope of a row's log-likelihood that keeps the noise of contacts from shrinking the robot, shape (P,).
+    r"""Return the slope of a row's log-likelihood that keeps the noise of contacts from shrinking
+    the robot, shape (P,).
 
-    Contacts read joints q at which residuals r(q) are small. The smaller the robot, the smaller the residuals: the
-    likelihood of q is the density of r times :math:`\sqrt{\det (J J^T)}` with J = dr/dq, which grows with the robot's scale
-    s as :math:`s^m` for m components of r. Without this :math:`m \ln s` of each row N rows shrink a robot whose scale is
-    known to sigma by about :math:`m N \sigma^2`. The scale is :math:`\ln s = L^T \delta / L^T L` for deviations delta of the
-    lengths L on the path.
+    Contacts read joints q at which residuals r(q) are small. The smaller the robot, the smaller the
+    residuals: the likelihood of q is the density of r times :math:`\sqrt{\det (J J^T)}` with J =
+    dr/dq, which grows with the robot's scale s as :math:`s^m` for m components of r. Without this
+    :math:`m \ln s` of each row N rows shrink a robot whose scale is known to sigma by about
+    :math:`m N \sigma^2`. The scale is :math:`\ln s = L^T \delta / L^T L` for deviations delta of
+    the lengths L on the path.
     """
-    chain, nothing = station.model.chain, np.zeros(len(station.parameters))
+    chain = station.model.chain
+    nothing = np.zeros(len(station.parameters))
     if not station.sensor.is_of_joints:
         return nothing
     passed = {name for name, on in zip(chain.robot.joint_names, chain.on_path, strict=True) if on}
-    lengths = np.array([p.nominal if p.symbol in LENGTHS and p.element in passed else 0.0 for p in station.parameters])
+    lengths = np.array(
+        [
+            p.nominal if p.symbol in LENGTHS and p.element in passed else 0.0
+            for p in station.parameters
+        ]
+    )
     return station.reading_size * lengths / (lengths @ lengths) if lengths.any() else nothing
 
 
 def scale_of_contacts(
     stations: Sequence[Station], places: Sequence[np.ndarray], parameters: Sequence[Parameter]
 ) -> Earlier | None:
-    """Return :func:`slope_of_contacts` of all rows as squares about a point so distant that they are linear.
+    """Return :func:`slope_of_contacts` of all rows as squares about a point so distant that they
+    are linear.
 
     ``places`` are the indices of each station's parameters among all, ``parameters``.
     """
@@ -169,4 +203,6 @@ def scale_of_contacts(
     if not len(at):
         return None
     along = slope[at] / np.linalg.norm(slope)
-    return Earlier(tuple(parameters[int(k)].name for k in at), slope[at], np.outer(along, along), None, at)
+    return Earlier(
+        tuple(parameters[int(k)].name for k in at), slope[at], np.outer(along, along), None, at
+    )

@@ -19,7 +19,13 @@ from pincal.identify.beliefs import excited_of, is_frame, of_stations, priors_of
 from pincal.identify.believed import Earlier
 from pincal.identify.choices import along_gauge, best_of, required_features, some_rows_of, weight_of
 from pincal.identify.criteria import CRITERIA
-from pincal.identify.dependence import is_dependent, placed_at_mean, serial_noise, with_blocks, with_serial
+from pincal.identify.dependence import (
+    is_dependent,
+    placed_at_mean,
+    serial_noise,
+    with_blocks,
+    with_serial,
+)
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import FitStage, ModelFit, Solution
 from pincal.identify.initial import begin
@@ -50,13 +56,16 @@ Tables = Measurements | Sequence[Measurements] | Mapping[str, Measurements]
 
 log = logging.getLogger(__name__)
 
-# Rounds in which the masses of an earlier fit are rescaled to the present ones, and the negligible relative change.
-_WEIGHINGS, _SAME_WEIGHT = 10, 1e-3
+# Rounds in which the masses of an earlier fit are rescaled to the present ones, and the negligible
+# relative change.
+_WEIGHINGS = 10
+_SAME_WEIGHT = 1e-3
 # Rounds in which wrong readings are looked for by the fit without those of the round before.
 _SCREENINGS = 3
 # Rounds in which the factors on priors are estimated.
 _SCALINGS = 4
-# The paper's sequence (IV.D); base and tool, known there, are free throughout. The last stage releases everything.
+# The paper's sequence (IV.D); base and tool, known there, are free throughout. The last stage
+# releases everything.
 PAPER_STAGES: dict[str, tuple[str, ...]] = {
     "1 joint offsets": ("joint_offset",),
     "2 link geometry and axis distortion": ("link_geometry", "axis_distortion"),
@@ -72,7 +81,10 @@ class Tolerance(Enum):
 
     ROUGH = "close to convergence, outliers only down-weighted"
     CLOSE = "to within the resolution of a test, without further features"
-    NEAR = "to convergence, with features excited only by deviations if the data require them at its start"
+    NEAR = (
+        "to convergence, with features excited only by deviations if the data require them at "
+        "its start"
+    )
     SETTLED = "to convergence, with features excited only by deviations if the data require them"
 
 
@@ -86,9 +98,14 @@ _LAST_STAGES = {
 
 
 def fit_tables(
-    robot: Robot, measurements: Tables, options: Options | None = None, *, executor: Executor | None = None
+    robot: Robot,
+    measurements: Tables,
+    options: Options | None = None,
+    *,
+    executor: Executor | None = None,
 ) -> ModelFit:
-    """Identify a robot's deviations from measured poses; arguments and errors as for :func:`pincal.calibrate`.
+    """Identify a robot's deviations from measured poses; arguments and errors as for
+    :func:`pincal.calibrate`.
 
     Tables without station names are station_1 and so on. Results do not depend on the executor.
     """
@@ -96,19 +113,28 @@ def fit_tables(
     fit = _fit_to_means(robot, tables, options, executor)
     wrong = {name: np.zeros(len(table), bool) for name, table in tables.items()}
     for _ in range(_SCREENINGS if fit.options.loss == "screen" else 0):
-        before, wrong = wrong, wrong_readings(fit, tables)
+        before = wrong
+        wrong = wrong_readings(fit, tables)
         if all(np.array_equal(wrong[name], before[name]) for name in tables):
             break
-        log.info("without %d readings that do not fit others of their pose", sum(int(w.sum()) for w in wrong.values()))
+        log.info(
+            "without %d readings that do not fit others of their pose",
+            sum(int(w.sum()) for w in wrong.values()),
+        )
         fit = _fit_to_means(robot, without_wrong(tables, wrong), options, executor)
         fit = replace(fit, wrong=tuple(wrong.values()))
     return fit
 
 
 def _fit_to_means(
-    robot: Robot, readings: Mapping[str, Measurements], options: Options | None, executor: Executor | None
+    robot: Robot,
+    readings: Mapping[str, Measurements],
+    options: Options | None,
+    executor: Executor | None,
 ) -> ModelFit:
-    """Return the fit to the means of the readings of each pose; arguments as for :func:`fit_tables`."""
+    """Return the fit to the means of the readings of each pose; arguments as for
+    :func:`fit_tables`.
+    """
     tables = {name: by_pose(table) for name, table in readings.items()}
     options = _completed(robot, options, tables)
     some, problem = begin(robot, tables, options, executor)
@@ -128,9 +154,13 @@ def _fit_to_means(
 
 
 def _scatter(fit: ModelFit, readings: Sequence[Measurements]) -> dict[str, StopScatter]:
-    """Return the scatter of the readings of each station within and between the stops of its poses, by its name."""
+    """Return the scatter of the readings of each station within and between the stops of its poses,
+    by its name.
+    """
     found = dict[str, StopScatter]()
-    for table, (station, places, blocks), rows in zip(readings, fit.stations, fit.problem.rows, strict=True):
+    for table, (station, places, blocks), rows in zip(
+        readings, fit.stations, fit.problem.rows, strict=True
+    ):
         plan = plan_of(table)
         if table.moving is not None:
             continue
@@ -162,10 +192,15 @@ def _cautious(fit: ModelFit) -> ModelFit:
     """Return a fit with priors as wide as its readings allow."""
     scale = PriorScale()
     for _ in range(_SCALINGS):
-        before, scale = scale, prior_scale(fit)
+        before = scale
+        scale = prior_scale(fit)
         if scale == before:
             break
-        fit = with_bearings(refit(replace(fit, options=replace(fit.options, prior_scale=scale)), fit.options.effects))
+        fit = with_bearings(
+            refit(
+                replace(fit, options=replace(fit.options, prior_scale=scale)), fit.options.effects
+            )
+        )
     return replace(fit, options=replace(fit.options, prior_scale=scale))
 
 
@@ -184,7 +219,9 @@ def tables_of(measurements: Tables) -> dict[str, Measurements]:
         raise BadInputError("no tables of measurements; expected one or more")
     for name, variable in RECORDED.items():
         # Approach directions may be recorded on some days only; on the others they are unknown.
-        if variable.unknown is not None and any(getattr(table, name) is not None for table in tables.values()):
+        if variable.unknown is not None and any(
+            getattr(table, name) is not None for table in tables.values()
+        ):
             for key in [key for key, table in tables.items() if getattr(table, name) is None]:
                 unknown: dict[str, Any] = {name: np.full(tables[key].q.shape, variable.unknown)}
                 tables[key] = replace(tables[key], **unknown)
@@ -197,7 +234,8 @@ def reads_places(tables: Mapping[str, Measurements]) -> bool:
 
 
 def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurements]) -> Options:
-    """Return the options with all named points of the training rows, and with unknown masses among the effects.
+    """Return the options with all named points of the training rows, and with unknown masses among
+    the effects.
 
     Where IMUs are the only instruments, the drives' errors are among the effects, too.
     """
@@ -208,7 +246,8 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
     unknown = set(options.stations) - set(tables)
     if unknown:
         raise BadInputError(
-            f"options are given for the station {sorted(unknown)[0]!r}; expected one of {', '.join(map(repr, tables))}"
+            f"options are given for the station {sorted(unknown)[0]!r}; expected one of "
+            f"{', '.join(map(repr, tables))}"
         )
     for pattern in options.zeros:
         if not filter_names(robot.joint_names, pattern):
@@ -221,16 +260,23 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
     completed = dict(options.stations)
     for name, table in tables.items():
         at = options.at(name)
-        setup, tools = at.setup.over(table), _tools(at, table)
+        setup = at.setup.over(table)
+        tools = _tools(at, table)
         if setup is not at.setup or tools is not at.tools:
-            completed[name] = replace(completed.get(name, StationOptions()), setup=setup, tools=tools)
+            completed[name] = replace(
+                completed.get(name, StationOptions()), setup=setup, tools=tools
+            )
     return replace(options, stations=completed)
 
 
 def _tools(options: Options, table: Measurements) -> Tools | None:
-    """Return the known positions of a table's targets, including targets that are named points on a link."""
+    """Return the known positions of a table's targets, including targets that are named points on a
+    link.
+    """
     on_links = (name for name in map(str, np.unique(table.target)) if is_on_link(name))
-    known = {name: place for name in on_links if (place := options.setup.points.get(name)) is not None}
+    known = {
+        name: place for name in on_links if (place := options.setup.points.get(name)) is not None
+    }
     return {**known, **(options.tools or {})} if known else options.tools
 
 
@@ -243,23 +289,35 @@ def _by_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> Model
     """Return a fit to some rows of a problem, refitted to all of them; itself if these are all."""
     if len(fit.problem) == len(problem):
         return fit
-    log.info("fitting all %d rows, starting from the fit to %d of them", len(problem), len(fit.problem))
+    log.info(
+        "fitting all %d rows, starting from the fit to %d of them", len(problem), len(fit.problem)
+    )
     whole = over_all(fit, problem, executor)
     if whole.options.serial and is_dependent(whole):
-        # The residuals of all rows under the fit to some show how noise is correlated, which saves one fit.
+        # The residuals of all rows under the fit to some show how noise is correlated, which saves
+        # one fit.
         whole = with_serial(whole, serial_noise(whole))
     found = with_bearings(_solved(whole, whole.solution, until=Tolerance.NEAR, executor=executor))
-    return replace(found, nominal=nominal_without_outliers(found, executor), stages=(*fit.stages, *found.stages))
+    return replace(
+        found,
+        nominal=nominal_without_outliers(found, executor),
+        stages=(*fit.stages, *found.stages),
+    )
 
 
 def _rescaled(fit: ModelFit) -> ModelFit:
-    """Return a fit whose prior is an earlier fit with masses, the earlier one rescaled to the present masses."""
-    earlier, problem, factor = fit.options.earlier, fit.problem, 1.0
+    """Return a fit whose prior is an earlier fit with masses, the earlier one rescaled to the
+    present masses.
+    """
+    earlier = fit.options.earlier
+    problem = fit.problem
+    factor = 1.0
     weight = 0.0 if earlier is None else weight_of(problem, earlier)
     if earlier is None or not weight:
         return fit
     for _ in range(_WEIGHINGS):
-        before, factor = factor, weight_of(problem, fit.estimate) / weight
+        before = factor
+        factor = weight_of(problem, fit.estimate) / weight
         if not 0.1 < factor < 10.0 or abs(factor / before - 1.0) < _SAME_WEIGHT:
             break
         problem = replace(problem, earlier=Earlier.of(along_gauge(problem, earlier, factor)))
@@ -268,21 +326,26 @@ def _rescaled(fit: ModelFit) -> ModelFit:
 
 
 def nominal_without_outliers(fit: ModelFit, executor: Executor | None = None) -> Solution:
-    """Return the fit of base and tool to the rows that the full fit did not reject, so that "before" is judged fairly."""
-    nominal, weights = fit.nominal, fit.solution.weights
+    """Return the fit of base and tool to the rows that the full fit did not reject, so that
+    "before" is judged fairly.
+    """
+    nominal = fit.nominal
+    weights = fit.solution.weights
     sound = weights > 0.0
     if np.array_equal(sound, nominal.weights > 0.0):
         return nominal
     course = Course("none", executor=executor)
-    again = solve(fit.problem.select(sound), nominal.values, nominal.free, fit.priors, fit.noise, course)
+    again = solve(
+        fit.problem.select(sound), nominal.values, nominal.free, fit.priors, fit.noise, course
+    )
     return replace(again, weights=weights, iterations=nominal.iterations)
 
 
 def expected_fit(robot: Robot, measurements: Tables, options: Options | None = None) -> ModelFit:
     """Return what a calibration with these poses could determine, before it is made.
 
-    The solution is at the nominal geometry, its posterior the one that poses and noise allow. Noise that is not declared is
-    estimated by a calibration, since it follows only from residuals.
+    The solution is at the nominal geometry, its posterior the one that poses and noise allow. Noise
+    that is not declared is estimated by a calibration, since it follows only from residuals.
 
     Raises:
         BadInputError: as :func:`calibrate`.
@@ -291,17 +354,32 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     options = _completed(robot, options, tables)
     some, whole = begin(robot, tables, options, None)
     fit = _begun(some)
-    fit = _in_best_frame(_by_all(replace(fit, nominal=nominal_without_outliers(fit, None)), whole, None))
-    problem, nominal, fitted = fit.problem, fit.nominal, fit.solution
+    fit = _in_best_frame(
+        _by_all(replace(fit, nominal=nominal_without_outliers(fit, None)), whole, None)
+    )
+    problem = fit.problem
+    nominal = fit.nominal
+    fitted = fit.solution
     free = released_of(problem, options) & excited_of(problem)
-    found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).posterior(fitted.sigma)
-    outlook = replace(fitted, values=nominal.values, posterior=found, free=free, at_bound=np.zeros(len(free), bool))
+    found = Linearised(problem, nominal.values, free, fitted.weights, fit.priors.sizes).posterior(
+        fitted.sigma
+    )
+    outlook = replace(
+        fitted,
+        values=nominal.values,
+        posterior=found,
+        free=free,
+        at_bound=np.zeros(len(free), bool),
+    )
     return replace(fit, solution=outlook)
 
 
 def _in_best_frame(fit: ModelFit) -> ModelFit:
-    """Return a fit in the moment convention that fits best, if the options leave it open and moments matter."""
-    effects, present = fit.options.effects, fit.problem.chain.moment_frame
+    """Return a fit in the moment convention that fits best, if the options leave it open and
+    moments matter.
+    """
+    effects = fit.options.effects
+    present = fit.problem.chain.moment_frame
     if fit.options.moment_frame != "auto":
         return fit
     if any(effect.uses_moments for effect in effects):
@@ -329,7 +407,8 @@ def refit(
         fit: a calibration.
         effects: besides base and tool; parameters that ``fit`` has by name start at its values.
         moment_frame: where moments are taken and deflect the arm; default: as in ``fit``.
-        start: values of new effects near the solution, so that the last stage suffices; default: zero.
+        start: values of new effects near the solution, so that the last stage suffices; default:
+            zero.
         until: how closely to converge; less is enough if other fits follow.
     """
     frame = moment_frame or fit.problem.chain.moment_frame
@@ -342,21 +421,30 @@ def refit(
 
 
 def reweighted_by_visits(fit: ModelFit, tables: Mapping[str, Measurements]) -> ModelFit:
-    """Return a fit with means of poses weighted by the visits behind them; perhaps all poses were visited alike."""
+    """Return a fit with means of poses weighted by the visits behind them; perhaps all poses were
+    visited alike.
+    """
     found = with_visits(fit, tables)
     return fit if found is fit else refit(found, fit.options.effects, start={})
 
 
 def reweighted_by_stops(fit: ModelFit) -> ModelFit:
-    """Return a fit with rows of one stop of the robot weighted by the noise that they share; perhaps none do."""
+    """Return a fit with rows of one stop of the robot weighted by the noise that they share;
+    perhaps none do.
+    """
     found = with_arrivals(fit)
     return fit if found is fit else refit(found, fit.options.effects, start={})
 
 
 def reweighted_by_order(fit: ModelFit) -> ModelFit:
-    """Return a fit with rows weighted by the correlated noise that its residuals show along their order; perhaps none."""
+    """Return a fit with rows weighted by the correlated noise that its residuals show along their
+    order; perhaps none.
+    """
     found = serial_noise(fit)
-    if not any(serial is not None for serial in (*found, *(station.serial for station in fit.problem.stations))):
+    if not any(
+        serial is not None
+        for serial in (*found, *(station.serial for station in fit.problem.stations))
+    ):
         return fit
     return placed_at_mean(refit(with_serial(fit, found), fit.options.effects, start={}))
 
@@ -368,10 +456,18 @@ def with_bearings(fit: ModelFit) -> ModelFit:
 
 
 def _solved(
-    fit: ModelFit, start: np.ndarray | Solution, *, until: Tolerance = Tolerance.SETTLED, executor: Executor | None = None
+    fit: ModelFit,
+    start: np.ndarray | Solution,
+    *,
+    until: Tolerance = Tolerance.SETTLED,
+    executor: Executor | None = None,
 ) -> ModelFit:
-    """Run the stages, each from the end of the one before; only the last ones from a solution nearby."""
-    problem, options, stages = fit.problem, fit.options, list[FitStage]()
+    """Run the stages, each from the end of the one before; only the last ones from a solution
+    nearby.
+    """
+    problem = fit.problem
+    options = fit.options
+    stages = list[FitStage]()
     released = released_of(problem, options)
     excited = released & excited_of(problem)
 
@@ -391,7 +487,13 @@ def _solved(
         missed, begun = _is_missed(replace(fit, solution=fitted), released)
         if missed or name == "final":
             short = _CLOSE if until is Tolerance.CLOSE else SETTLED
-            fitted = solved(name, begun, released if missed else fitted.free, short=short, ahead=until is Tolerance.NEAR)
+            fitted = solved(
+                name,
+                begun,
+                released if missed else fitted.free,
+                short=short,
+                ahead=until is Tolerance.NEAR,
+            )
         if not missed and fitted.iterations == 1:
             # The test was made at the solution itself.
             break
@@ -404,17 +506,24 @@ def _plan(problem: Problem, free: np.ndarray, options: Options) -> list[tuple[st
         return [("all", free)]
     effects = np.array([parameter.effect for parameter in problem.parameters])
     frames = is_frame(problem)
-    masks = {name: free & (frames | np.isin(effects, group)) for name, group in PAPER_STAGES.items()}
-    return [(name, mask) for name, mask in masks.items() if np.any(mask & ~frames)] + [("4 all", free)]
+    masks = {
+        name: free & (frames | np.isin(effects, group)) for name, group in PAPER_STAGES.items()
+    }
+    return [(name, mask) for name, mask in masks.items() if np.any(mask & ~frames)] + [
+        ("4 all", free)
+    ]
 
 
 def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
-    """Return whether the data require parameters that the nominal geometry never excites (a score test).
+    """Return whether the data require parameters that the nominal geometry never excites (a score
+    test).
 
-    Such a parameter times a deviation makes a ridge along which a fit wanders, so it is released only if required. The
-    problem linearised at the fit is returned as well.
+    Such a parameter times a deviation makes a ridge along which a fit wanders, so it is released
+    only if required. The problem linearised at the fit is returned as well.
     """
-    problem, fitted, sizes = fit.problem, fit.solution, fit.priors.sizes
+    problem = fit.problem
+    fitted = fit.solution
+    sizes = fit.priors.sizes
     # A parameter that only one of several stations has concerns that station alone.
     held = released & ~fitted.free & problem.is_shared
     found = Linearised(problem, fitted.values, fitted.free | held, fitted.weights, sizes)
@@ -430,27 +539,41 @@ def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
 
 
 def doubts_of_known(fit: ModelFit) -> tuple[str, ...]:
-    """Return warnings if the readings contradict given sensor parameters, which the fit held (a score test)."""
+    """Return warnings if the readings contradict given sensor parameters, which the fit held (a
+    score test).
+    """
 
     def given(sensor: Sensor) -> bool:
         return isinstance(sensor, KnownParameters) and sensor.is_given
 
-    held = of_stations(fit.problem, lambda s: s.sensors(s.sensor.fixed if given(s.sensor) else False))
-    doubts = [s.sensor.doubt for s in fit.problem.stations if isinstance(s.sensor, KnownParameters) and given(s.sensor)]
+    held = of_stations(
+        fit.problem, lambda s: s.sensors(s.sensor.fixed if given(s.sensor) else False)
+    )
+    doubts = [
+        s.sensor.doubt
+        for s in fit.problem.stations
+        if isinstance(s.sensor, KnownParameters) and given(s.sensor)
+    ]
     is_doubted = held.any() and _is_missed(fit, fit.solution.free | held)[0]
     return tuple(dict.fromkeys(doubts)) if is_doubted else ()
 
 
 def _refuse_too_few(tables: dict[str, Measurements], fit: ModelFit) -> None:
-    """Refuse a fit with as many parameters as readings, which leaves nothing to estimate the noise from."""
-    problem, fitted = fit.problem, fit.solution
-    readings, rows = int(problem.readings(fitted.weights).sum()), np.count_nonzero(fitted.weights)
+    """Refuse a fit with as many parameters as readings, which leaves nothing to estimate the noise
+    from.
+    """
+    problem = fit.problem
+    fitted = fit.solution
+    readings = int(problem.readings(fitted.weights).sum())
+    rows = np.count_nonzero(fitted.weights)
     spent = fitted.posterior.visible_rank
     if problem.earlier is not None:
         spent = CRITERIA.readings_left + int(np.sum(fitted.free & ~problem.beliefs.is_earlier))
     if fit.noise.declared[0] is None and spent >= readings:
         raise MeasurementError(
-            f"{', '.join(table.source for table in tables.values())}: {rows} training poses give {readings} "
-            "readings, no more than the parameters to be fitted, so the noise can't be estimated; measure more poses, "
+            f"{', '.join(table.source for table in tables.values())}: {rows} training "
+            f"poses give {readings} "
+            "readings, no more than the parameters to be fitted, so the noise can't be "
+            "estimated; measure more poses, "
             "declare the noise (--noise) or fit less (--model geometric, --fix)"
         )

@@ -1,9 +1,11 @@
-r"""Choices that the data make about elasticity: directions and places of bearings, moment convention, and masses.
+r"""Choices that the data make about elasticity: directions and places of bearings, moment
+convention, and masses.
 
-Unknown masses enter as static moments up to one factor, which compliances share. The deflection is :math:`k \, n`: masses
-times c with compliances over c describe the same robot, until a payload of known mass is measured. A fit represents this to
-first order only: from its values, the free direction is a straight line where the truth is :math:`k/c, m c`. A fit used as
-the prior of another is therefore first moved along the curve.
+Unknown masses enter as static moments up to one factor, which compliances share. The deflection is
+:math:`k \, n`: masses times c with compliances over c describe the same robot, until a payload of
+known mass is measured. A fit represents this to first order only: from its values, the free
+direction is a straight line where the truth is :math:`k/c, m c`. A fit used as the prior of another
+is therefore first moved along the curve.
 """
 
 from __future__ import annotations
@@ -29,28 +31,36 @@ from pincal.parameters import Covariance, Estimate
 
 
 class RequiredFeatures(NamedTuple):
-    """Bearing features that the data require, and their joint gain in the sum of squares, to first order."""
+    """Bearing features that the data require, and their joint gain in the sum of squares, to first
+    order.
+    """
 
     effects: tuple[Effect, ...]
     gain: float
 
 
 def required_features(fit: ModelFit, least: float = 0.0) -> RequiredFeatures:
-    """Return the bearing features that a fit lacks and the data require; none if their joint gain is below ``least``.
+    """Return the bearing features that a fit lacks and the data require; none if their joint gain
+    is below ``least``.
 
-    By default a bearing sits where the URDF has the joint, and its stiff and soft directions are the axes of its frame. A
-    place next to a compliance that is hardly determined makes a ridge along which a fit wanders, and every superfluous
-    parameter costs accuracy. So features enter one by one, each by its gain to first order given those before it.
+    By default a bearing sits where the URDF has the joint, and its stiff and soft directions are
+    the axes of its frame. A place next to a compliance that is hardly determined makes a ridge
+    along which a fit wanders, and every superfluous parameter costs accuracy. So features enter one
+    by one, each by its gain to first order given those before it.
     """
     effects = fit.options.effects
     candidates = [e for e in bearing_features(fit.problem.chain, effects) if e not in effects]
     if not candidates:
         return RequiredFeatures((), 0.0)
     wider = fit.with_effects((*effects, *candidates))
-    problem, near, sizes = wider.problem, wider.solution, priors_of(wider.problem, fit.options).sizes
+    problem = wider.problem
+    near = wider.solution
+    sizes = priors_of(wider.problem, fit.options).sizes
     places = {effect: int(problem.places_at(effect)[0]) for effect in candidates}
-    held, free = near.free.copy(), near.free.copy()
-    held[list(places.values())], free[list(places.values())] = False, True
+    held = near.free.copy()
+    free = near.free.copy()
+    held[list(places.values())] = False
+    free[list(places.values())] = True
     sigma = np.maximum(near.sigma, rounding(problem))
     posterior = Linearised(problem, near.values, free, near.weights, sizes).posterior(sigma)
 
@@ -59,7 +69,8 @@ def required_features(fit: ModelFit, least: float = 0.0) -> RequiredFeatures:
         kept[[places[effect] for effect in released]] = True
         return posterior.gain(kept[free])
 
-    without, most = gain(), gain(*candidates)
+    without = gain()
+    most = gain(*candidates)
     if most - without <= least:
         return RequiredFeatures((), 0.0)
 
@@ -70,7 +81,9 @@ def required_features(fit: ModelFit, least: float = 0.0) -> RequiredFeatures:
             gained = gain(*found, effect)
             yield Scored(effect, -gained, gained >= enough)
 
-    found = select_stepwise(tuple[Effect, ...](), scores, lambda found, effect: (*found, effect), most=len(candidates))
+    found = select_stepwise(
+        tuple[Effect, ...](), scores, lambda found, effect: (*found, effect), most=len(candidates)
+    )
     return RequiredFeatures(found, gain(*found) - without)
 
 
@@ -79,26 +92,34 @@ _ROWS = 2000
 
 
 def some_rows_of(fit: ModelFit) -> ModelFit:
-    """Return a fit, unchanged, of as many of its rows, evenly spread, as suffice to choose a convention."""
+    """Return a fit, unchanged, of as many of its rows, evenly spread, as suffice to choose a
+    convention.
+    """
     n = len(fit.problem)
     return fit if n <= _ROWS else fit.select(np.linspace(0, n - 1, _ROWS).astype(int))
 
 
 def best_of(fits: Sequence[ModelFit]) -> MomentFrame:
-    """Return the convention of the best fit; the first fit's unless another is better beyond chance.
+    """Return the convention of the best fit; the first fit's unless another is better beyond
+    chance.
 
     Conventions may differ in the number of parameters, so fits are compared by Akaike's criterion.
     """
     deviances = [deviance(fit) + 2.0 * fit.solution.effective for fit in fits]
     best = int(np.argmin(deviances))
-    return fits[best if deviances[best] < deviances[0] - CRITERIA.moment_frame else 0].problem.chain.moment_frame
+    return fits[
+        best if deviances[best] < deviances[0] - CRITERIA.moment_frame else 0
+    ].problem.chain.moment_frame
 
 
 def deviance(fit: ModelFit) -> float:
-    """Return -2 log likelihood, up to a constant; an outlier counts as a row at the limit of screening."""
+    """Return -2 log likelihood, up to a constant; an outlier counts as a row at the limit of
+    screening.
+    """
     found = 0.0
     for (station, _, blocks), rows in zip(fit.stations, fit.problem.rows, strict=True):
-        n, sizes = len(station), station.block_sizes
+        n = len(station)
+        sizes = station.block_sizes
         outliers = int(np.sum(fit.solution.weights[rows] == 0.0))
         spread = float(np.dot(sizes, np.log(fit.solution.estimated[blocks])))
         found += 2.0 * n * spread + outliers * outlier_limit(n, sum(sizes))
@@ -113,7 +134,8 @@ class AxisMoment:
         joint: name of the joint.
         axis: "x", "y" or "z" of the frame in which the chain takes moments.
         moment: [N m].
-        sigma: its standard deviation conditional on the largest moment, and so on the common factor [N m].
+        sigma: its standard deviation conditional on the largest moment, and so on the common factor
+            [N m].
     """
 
     joint: str
@@ -129,13 +151,16 @@ class AxisMoment:
 
 @dataclass(frozen=True)
 class FoundMoments:
-    """The static moments at one pose of an arm whose masses were identified together with its compliances.
+    """The static moments at one pose of an arm whose masses were identified together with its
+    compliances.
 
     Attributes:
-        q: shape (n,), the pose: of those fitted the one whose moments are of median size [rad or m].
+        q: shape (n,), the pose: of those fitted the one whose moments are of median size [rad or
+            m].
         axes: the moments that matter, from the base.
         largest: the largest of them, on which the others' standard deviations are conditioned.
-        factor_sigma: relative standard deviation of the factor that moments share, and compliances inversely.
+        factor_sigma: relative standard deviation of the factor that moments share, and compliances
+            inversely.
         mass: total mass of the links [kg].
         links: names of the links whose masses were identified.
     """
@@ -149,7 +174,9 @@ class FoundMoments:
 
 
 def found_moments(fit: ModelFit) -> FoundMoments | None:
-    """Return the moments at a typical pose, with their uncertainty; None where masses were not identified."""
+    """Return the moments at a typical pose, with their uncertainty; None where masses were not
+    identified.
+    """
     model, values = fit.arm
     places = np.array(sorted({body.parameter for body in model.bodies}), int)
     if not len(places):
@@ -168,7 +195,10 @@ def found_moments(fit: ModelFit) -> FoundMoments | None:
     variance = np.diag(covariance) - covariance[most] ** 2 / max(covariance[most, most], 1e-300)
     sigma = np.sqrt(np.maximum(variance, 0.0))
     robot = model.chain.robot
-    axes = [AxisMoment(robot.joint_names[i // 3], "xyz"[i % 3], float(n[i]), float(sigma[i])) for i in range(len(n))]
+    axes = [
+        AxisMoment(robot.joint_names[i // 3], "xyz"[i % 3], float(n[i]), float(sigma[i]))
+        for i in range(len(n))
+    ]
     grown = sum(values[body.parameter] * body.mass for body in model.bodies)
     return FoundMoments(
         q=typical.q[0],
@@ -181,13 +211,17 @@ def found_moments(fit: ModelFit) -> FoundMoments | None:
 
 
 def weight_of(problem: Problem, estimate: Estimate) -> float:
-    """Return the total mass of the links with identified masses by an estimate [kg]; 0 if there are none."""
+    """Return the total mass of the links with identified masses by an estimate [kg]; 0 if there are
+    none.
+    """
     masses = (p for p in problem.parameters if p.unit == "kg" and p.name in estimate.names)
     return sum((p.nominal + estimate[p.name] for p in masses), 0.0)
 
 
 def along_gauge(problem: Problem, estimate: Estimate, factor: float) -> Estimate:
-    """Return an estimate with all masses times a factor, and all that is per moment divided by it: the same robot."""
+    """Return an estimate with all masses times a factor, and all that is per moment divided by it:
+    the same robot.
+    """
     powers = {p.name: float(max(p.moment_power, 0)) for p in problem.parameters}
     for effect in problem.effects:
         if effect.uses_moments:
@@ -197,7 +231,9 @@ def along_gauge(problem: Problem, estimate: Estimate, factor: float) -> Estimate
     free = scale[estimate.free]
     covariance = Covariance(
         free[:, None] * estimate.covariance.factor,
-        tuple((at, block * np.outer(free[at], free[at])) for at, block in estimate.covariance.groups),
+        tuple(
+            (at, block * np.outer(free[at], free[at])) for at, block in estimate.covariance.groups
+        ),
     )
     values = np.where(scale == 1.0, estimate.values, scale * (nominal + estimate.values) - nominal)
     return replace(estimate, values=values, covariance=covariance, prior=scale * estimate.prior)

@@ -1,7 +1,8 @@
-"""The thresholds of decisions in a calibration, and on changes of a robot: each with its unit and origin.
+"""The thresholds of decisions in a calibration, and on changes of a robot: each with its unit and
+origin.
 
-Bounds on a computation (rows used, steps, rounding) are defined where they are used, the thresholds of a discovery in
-``discover/policy.py``.
+Bounds on a computation (rows used, steps, rounding) are defined where they are used, the thresholds
+of a discovery in ``discover/policy.py``.
 """
 
 from __future__ import annotations
@@ -12,8 +13,13 @@ from typing import Any
 
 
 def number(default: object, unit: str, pinned_by: str, meaning: str, origin: str) -> Any:
-    """Return a field for a threshold: its value, unit, the test that pins it, its meaning, and the origin of the value."""
-    return field(default=default, metadata={"unit": unit, "meaning": meaning, "origin": origin, "pinned_by": pinned_by})
+    """Return a field for a threshold: its value, unit, the test that pins it, its meaning, and the
+    origin of the value.
+    """
+    return field(
+        default=default,
+        metadata={"unit": unit, "meaning": meaning, "origin": origin, "pinned_by": pinned_by},
+    )
 
 
 _GAIN = "2 log likelihood"
@@ -60,21 +66,27 @@ class Criteria:
     wider_prior: float = number(3.84, _GAIN, _PRIORS,
         "that readings may lose under wider priors where no instrument observes the robot", "one-sided limit at 2.5 %")
     unseen_direction: float = number(0.03, "ratio", "test_contacts.py::test_directions_without_contact_are_named",
-        "of the sum of squares in one direction to that in all, below which nothing was measured in it",
+        "of the sum of squares in one direction to that in all, below which nothing was "
+                "measured in it",
         "sin^2 of 10 degrees, the variation of contact directions by themselves")
     not_improved: float = number(0.9, "ratio", _NOT_HELD,
-        "of predictions' standard deviations after and before a calibration, above which nothing has improved", "chosen")
+        "of predictions' standard deviations after and before a calibration, above which "
+                "nothing has improved", "chosen")
     mount_moved: float = number(0.02, "m", _NOT_HELD,
         "displacement of an arm's mount by readings without an instrument", "arms are mounted to a cm of their drawings")
     mount_held: float = number(0.1, "ratio", _NOT_HELD,
         "of its standard deviation to the displacement, above which it is undetermined", "ten standard deviations")
     worth_it: float = number(0.8, "ratio", _NO_HARM,
-        "of the error expected of the calibrated robot to that of its URDF, above which the robot stays nominal", "chosen")
+        "of the error expected of the calibrated robot to that of its URDF, above which "
+                "the robot stays nominal", "chosen")
     no_worse: float = number(1.0, "ratio", _NO_HARM,
-        "of these errors anywhere, up to which a robot that is better at measured poses is calibrated", "no harm")
+        "of these errors anywhere, up to which a robot that is better at measured poses "
+                "is calibrated", "no harm")
     as_described: float = number(10.0, "odds", _NO_HARM,
-        "that a robot is as in its URDF against any other size of its deviations, where harm is to be excluded",
-        "of 1200 sound UR5 off by 0.3 to 1 mm, 14 or 30 noisy marker poses then make none of twelve groups 2 % worse")
+        "that a robot is as in its URDF against any other size of its deviations, where "
+                "harm is to be excluded",
+        "of 1200 sound UR5 off by 0.3 to 1 mm, 14 or 30 noisy marker poses then make none "
+                "of twelve groups 2 % worse")
     unexcited: float = number(1e-6, "probability", "test_calibrate.py::test_simulated_elastic_arms_are_predicted",
         "that sound data require a parameter that the nominal geometry never excites",
         "chosen: beyond the effect of noise and small deviations")
@@ -83,13 +95,16 @@ class Criteria:
     too_noisy: float = number(4.0, "standard deviations of chi-square", "test_calibrate.py::test_declared_noise_is_judged",
         "by which residuals exceed declared noise before they replace it", "1 in 30000 by chance")
     readings_left: int = number(6, "readings", "test_earlier.py::test_too_few_rows_are_refused",
-        "beyond the unknowns that a fit with an earlier one as prior needs: known parameters move with the noise estimate, "
+        "beyond the unknowns that a fit with an earlier one as prior needs: known "
+                "parameters move with the noise estimate, "
         "and it with them", "the noise is known to 30 % then")
     most_spent: float = number(0.9, "ratio", "test_calibrate.py::test_too_few_rows_for_the_noise_are_refused",
-        "of parameters to readings, at most, until a fit has shown the effective number of parameters",
+        "of parameters to readings, at most, until a fit has shown the effective number "
+                "of parameters",
         "the noise is then at most three times the estimate")
     dependent: float = number(4.0, "standard deviations", "test_rows.py::test_independent_rows_are_taken_for_such",
-        "by which products of residuals exceed those of independent rows before rows count as dependent",
+        "by which products of residuals exceed those of independent rows before rows "
+                "count as dependent",
         "exceeded in one sound table of 10 000")
     correlated: float = number(18.0, _GAIN, "test_rows.py::test_a_fit_of_independent_rows_has_no_correlated_noise",
         "that correlation along the rows has to gain", "two parameters at a p-value of 1e-4")
@@ -101,7 +116,8 @@ class Criteria:
         "within which a correlation length is as likely as the best, and the longest is used",
         "twice the value at one standard deviation")
     of_blocks: float = number(4.0, "standard deviations", _OF_BLOCKS,
-        "by which scores of blocks of rows exceed those of permuted rows before they widen the uncertainty",
+        "by which scores of blocks of rows exceed those of permuted rows before they "
+                "widen the uncertainty",
         "as for dependence along rows")
     fewest_blocks: int = number(8, "blocks", _OF_BLOCKS, "of rows that can show it", "a variance is then known to 50 %")
     identified: float = number(0.5, "ratio", _REASON,
@@ -113,7 +129,8 @@ class Criteria:
         "share in unobservable directions above which a parameter is not identifiable by itself",
         "far above rounding errors, far below any relevant share")
     worth_naming: float = number(0.05, "ratio", _REASON,
-        "share of a parameter's effect below which another one is not named as its counterpart", "chosen: negligible")
+        "share of a parameter's effect below which another one is not named as its "
+                "counterpart", "chosen: negligible")
     moment: float = number(1.0 / 3.0, "ratio", _MOMENTS,
         "of its standard deviation to a static moment, below which it counts as identified", "three standard deviations")
 
@@ -131,12 +148,15 @@ class ChangeNumbers:
         "of rejected to all rows of a station, up to which they are considered wrong readings",
         "more are unlikely to be wrong readings")
     too_quiet: float = number(1e-3, "probability", "test_moves.py::test_each_station_has_its_repeatability",
-        "of noise as low as at one station, below which the fit has mistaken something else for noise",
+        "of noise as low as at one station, below which the fit has mistaken something "
+                "else for noise",
         "one sound station in a thousand")
     uneven: float = number(0.05, "probability", "test_moves.py::test_what_no_model_knows_moves_nothing",
-        "of differences as large between parts of a station, below which stations may differ as much", "usual")
+        "of differences as large between parts of a station, below which stations may "
+                "differ as much", "usual")
     matters: float = number(0.01, "ratio", _STATIONS,
-        "of a station's squares that a changed parameter explains, above which the model is wrong there",
+        "of a station's squares that a changed parameter explains, above which the model "
+                "is wrong there",
         "as for an effect that is named")
     unmodelled: float = number(1e-3, "probability", "test_diagnosis.py::test_an_adequate_model_left_nothing",
         "of an unmodelled effect by chance, given all candidates, above which none is accepted",
@@ -156,7 +176,8 @@ class ChangeNumbers:
     part_of_noise: float = number(0.95, "ratio", "test_diagnosis.py::test_what_a_model_left_is_no_change",
         "of the estimated noise of a calibration that an unmodelled effect may have caused", "nearly all of it")
     hopeless: float = number(0.01, "ratio", _REFUSED,
-        "of the residuals after all changes to the reach, above which the rows belong to another robot",
+        "of the residuals after all changes to the reach, above which the rows belong to "
+                "another robot",
         "a centimetre on a metre")
     strange: float = number(0.1, "ratio", _REFUSED,
         "of the residuals before any change to the reach, above which no change is searched for",
@@ -174,8 +195,10 @@ class ChangeNumbers:
     curve_blocks: int = number(8, "blocks", _CURVE, "of cross-validation, each of a few regions of joint space",
         "as in a discovery")
     curve_seen: float = number(0.5, "ratio", _SEEN_CURVE,
-        "of posterior to prior standard deviation of a curve about its mean, below which it was observed",
-        "a quarter of the variance; in gaps of 25 degrees of a UR10's table it is .6 and more, near its rows .1")
+        "of posterior to prior standard deviation of a curve about its mean, below which "
+                "it was observed",
+        "a quarter of the variance; in gaps of 25 degrees of a UR10's table it is .6 and "
+                "more, near its rows .1")
     detected: float = number(0.9, "probability", _EXCLUDED,
         "that a change of the stated size would have been detected", "usual: a power of 0.9")
     told_apart: float = number(30.0, "noise variance", _APART,
@@ -186,7 +209,9 @@ class ChangeNumbers:
 
 @dataclass(frozen=True, kw_only=True)
 class VisitNumbers:
-    """Thresholds of decisions on the readings of poses that were visited, or read, more than once."""
+    """Thresholds of decisions on the readings of poses that were visited, or read, more
+    than once.
+    """
 
     wrong: float = number(0.001, "probability", _WRONG,
         "that a reading of a sound table deviates as much from the others of its pose", "one sound table in a thousand")
@@ -194,19 +219,23 @@ class VisitNumbers:
         "beyond one for each pose, below which readings do not show how they scatter",
         "a limit at one in a thousand is then twice that of a known scatter")
     decided: float = number(2.0 * log(1000.0), _GAIN, _WRONG,
-        "by which one of two readings has to agree better with the model for the other to be wrong", "odds of 1000 to 1")
+        "by which one of two readings has to agree better with the model for the other to "
+                "be wrong", "odds of 1000 to 1")
     too_many: float = number(0.25, "ratio", _SHIFTED,
         "of wrong to all readings, from which on they are not exceptions", "as for rows of a robot that may have changed")
     chance: float = number(0.0005, "probability", _SOUND_VISITS,
-        "that a table of sound visits shows a step, a steady or another drift, or a dependence on the number of the visit, "
+        "that a table of sound visits shows a step, a steady or another drift, or a "
+                "dependence on the number of the visit, "
         "each", "with these four tests, one sound table in 500 at most")
     touched: float = number(0.003, "probability", _SOUND_VISITS,
-        "that a table of a few sound passes shows a displacement of the instrument between two of them",
+        "that a table of a few sound passes shows a displacement of the instrument "
+                "between two of them",
         "five standard deviations of the difference of two means are then seen in 19 of 20 tables")
     as_likely: float = number(2.0 * log(1000.0), _GAIN, _SHIFTED,
         "within which another cause explains a change between visits as well", "odds of 1000 to 1")
     arrival: float = number(1.5e-4, "rad or m", _SCATTER,
-        "standard deviation of the arrival of a drive, above which visits scatter by more than drives do",
+        "standard deviation of the arrival of a drive, above which visits scatter by more "
+                "than drives do",
         "drives repeat to 1e-5 to 9e-5 rad (Slamani 2012)")
 _STOPS = "test_stop_noise.py::test_the_scatter_within_and_between_stops_is_found"
 _SHARED = "test_stop_noise.py::test_rows_that_share_an_arrival_count_as_one_stop"

@@ -1,17 +1,19 @@
-r"""Dependence of residuals on the order of the rows, the correlated noise that explains it, and scores of blocks of rows.
+r"""Dependence of residuals on the order of the rows, the correlated noise that explains it, and
+scores of blocks of rows.
 
-Correlation and share of :class:`Serial` are the most likely ones for the residuals, the model's parameters marginalised
-(restricted maximum likelihood: Patterson and Thompson 1971, Biometrika 58, 545-554).
+Correlation and share of :class:`Serial` are the most likely ones for the residuals, the model's
+parameters marginalised (restricted maximum likelihood: Patterson and Thompson 1971, Biometrika 58,
+545-554).
 
-Blocks of consecutive rows give a second account of the uncertainty, whatever correlates them. With :math:`s_n = J_n^T r_n`
-the scores of the rows in units of their noise and G the normal matrix, the covariance of the parameters is :math:`G^{-1}` if
-rows are independent, and
+Blocks of consecutive rows give a second account of the uncertainty, whatever correlates them. With
+:math:`s_n = J_n^T r_n` the scores of the rows in units of their noise and G the normal matrix, the
+covariance of the parameters is :math:`G^{-1}` if rows are independent, and
 
 .. math:: G^{-1} \Big( \sum_b s_b s_b^T \Big) G^{-1}, \qquad s_b = \sum_{n \in b} s_n ,
 
-if blocks b are (the sandwich: Liang and Zeger 1986, Biometrika 73, 13-22; of blocks, as in a moving-block bootstrap). There
-are too few blocks for a factor per parameter, so one is taken: the mean over all directions of the model, relative to the
-same rows in any order.
+if blocks b are (the sandwich: Liang and Zeger 1986, Biometrika 73, 13-22; of blocks, as in a
+moving-block bootstrap). There are too few blocks for a factor per parameter, so one is taken: the
+mean over all directions of the model, relative to the same rows in any order.
 """
 
 from __future__ import annotations
@@ -31,29 +33,37 @@ from pincal.identify.station import Station
 from pincal.identify.whitening import Serial, turned_into
 from pincal.model.conditions import spread_of_moving
 
-# Bands of lags [rows] whose products of residuals are summed: fast noise shows in the first, drifts in the last.
+# Bands of lags [rows] whose products of residuals are summed: fast noise shows in the first, drifts
+# in the last.
 _BANDS = ((1, 1), (2, 5), (6, 20))
-# Lags of rows that are near in the order; number of pairs of rows, far apart in the order and nearest in the joints.
-_NEAR, _NEAREST = 5, 500
+# Lags of rows that are near in the order; number of pairs of rows, far apart in the order and
+# nearest in the joints.
+_NEAR = 5
+_NEAREST = 500
 # Readings used to estimate the noise; rows used to test for dependence.
-_READINGS, _ROWS = 2400, 4096
+_READINGS = 2400
+_ROWS = 4096
 # Start values of share and correlation: fast, slow and a random walk.
 _STARTS = ((0.5, 0.5), (0.8, 0.9), (0.9, 0.995))
-# Longest memory, in rows: a random walk over any table; and longer ones, accepted if as likely, the longest first.
-_LONGEST, _MEMORIES = 1e5, (3e4, 1e3, 300.0, 100.0, 30.0)
+# Longest memory, in rows: a random walk over any table; and longer ones, accepted if as likely, the
+# longest first.
+_LONGEST = 1e5
+_MEMORIES = (3e4, 1e3, 300.0, 100.0, 30.0)
 # Trial values for the log size of white noise, in units of the residuals' noise.
 _SIZES = np.linspace(-0.4, 0.4, 9)
 
 # Rows of a block.
 _LENGTHS = (5, 10, 20, 40)
 # Readings of a station, and stations, that the factor of blocks is estimated from.
-_BLOCK_READINGS, _MOST_STATIONS = 1500, 8
+_BLOCK_READINGS = 1500
+_MOST_STATIONS = 8
 # Mean number of points per image up to which the number of images is kept.
 _MOST_AT_ONCE = 20
 
 
 def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
-    """Return by how many standard deviations residuals of neighbouring rows agree more than by chance.
+    """Return by how many standard deviations residuals of neighbouring rows agree more than by
+    chance.
 
     The reference are the same residuals in any order (a permutation test by its first two moments).
 
@@ -66,8 +76,10 @@ def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
         return 0.0
     z = residuals[:, np.argsort(position, kind="stable")[:_ROWS]]
     z = z - z.mean(axis=1, keepdims=True)
-    n, covariance = z.shape[1], z @ z.T / z.shape[1]
-    variance, found = max(float(np.sum(covariance**2)), 1e-300), [0.0]
+    n = z.shape[1]
+    covariance = z @ z.T / z.shape[1]
+    variance = max(float(np.sum(covariance**2)), 1e-300)
+    found = [0.0]
     for first, last in _BANDS:
         lags = range(first, min(last, n - 1) + 1)
         products = sum(float(np.vdot(z[:, lag:], z[:, :-lag])) for lag in lags)
@@ -79,45 +91,66 @@ def dependence(residuals: np.ndarray, position: np.ndarray) -> float:
 
 
 def serial_noise(fit: ModelFit) -> tuple[Serial | None, ...]:
-    """Return how the noise of each station of a fit is correlated along the rows as they were read; None where it is not."""
+    """Return how the noise of each station of a fit is correlated along the rows as they were read;
+    None where it is not.
+    """
     return tuple(station.serial() for station in _fitted_stations(fit))
 
 
 def with_serial(fit: ModelFit, found: tuple[Serial | None, ...]) -> ModelFit:
     """Return a fit, unchanged, whose rows are to be weighted by this noise."""
-    stations = tuple(replace(s, serial=serial) for s, serial in zip(fit.problem.stations, found, strict=True))
+    stations = tuple(
+        replace(s, serial=serial) for s, serial in zip(fit.problem.stations, found, strict=True)
+    )
     return fit.over(stations)
 
 
 def placed_at_mean(fit: ModelFit) -> ModelFit:
-    """Return a fit with instruments, or targets, at their mean position, as far as an error persisted.
+    """Return a fit with instruments, or targets, at their mean position, as far as an error
+    persisted.
 
-    An error that persists through a session displaces them in that session. The best estimate of their position without it
-    lies off most rows, by its uncertainty; the mean of the residuals is as good an estimate, to a few per cent, and predicts
-    the rows. Nothing else in the fit depends on it, and its covariance is kept.
+    An error that persists through a session displaces them in that session. The best estimate of
+    their position without it lies off most rows, by its uncertainty; the mean of the residuals is
+    as good an estimate, to a few per cent, and predicts the rows. Nothing else in the fit depends
+    on it, and its covariance is kept.
     """
     values = fit.values.copy()
     for (station, places, _), rows in zip(fit.stations, fit.problem.rows, strict=True):
         if station.serial is None:
             continue
-        parameters, of_base = station.parameters, station.serial.turns is None
-        moved = np.array([p.is_extrinsic and p.unit == "m" and (p.element == "base") == of_base for p in parameters])
+        parameters = station.parameters
+        of_base = station.serial.turns is None
+        moved = np.array(
+            [
+                p.is_extrinsic and p.unit == "m" and (p.element == "base") == of_base
+                for p in parameters
+            ]
+        )
         moved &= fit.solution.free[places]
         if moved.any():
-            weights, parts = station.weights * fit.solution.weights[rows], list(station.linearise(values[places], moved))
-            left, J = (np.concatenate([part[i] for part in parts], axis=-1) * weights for i in (1, 2))
-            values[places[moved]] += np.linalg.lstsq(J.reshape(len(J), -1).T, left.ravel(), rcond=None)[0]
+            weights = station.weights * fit.solution.weights[rows]
+            parts = list(station.linearise(values[places], moved))
+            left, J = (
+                np.concatenate([part[i] for part in parts], axis=-1) * weights for i in (1, 2)
+            )
+            values[places[moved]] += np.linalg.lstsq(
+                J.reshape(len(J), -1).T, left.ravel(), rcond=None
+            )[0]
     return replace(fit, solution=replace(fit.solution, values=values))
 
 
 def is_dependent(fit: ModelFit) -> bool:
-    """Return whether the weighted residuals of a fit depend on the order of the rows at any station."""
+    """Return whether the weighted residuals of a fit depend on the order of the rows at any
+    station.
+    """
     return any(station.dependence > CRITERIA.dependent for station in _fitted_stations(fit))
 
 
 @dataclass(frozen=True)
 class _FittedStation:
-    """A station of a fit: values, free and sizes, shape (P,), rows that count, shape (N,), and noise, shape (m, 1)."""
+    """A station of a fit: values, free and sizes, shape (P,), rows that count, shape (N,), and
+    noise, shape (m, 1).
+    """
 
     station: Station
     values: np.ndarray
@@ -139,9 +172,15 @@ class _FittedStation:
 
     @property
     def first_rows(self) -> _FittedStation:
-        """The station with its first rows in the order, as many that count as dependence is tested by."""
+        """The station with its first rows in the order, as many that count as dependence is tested
+        by.
+        """
         station = self.station
-        if station.position is None or station.sensor.is_whole or np.count_nonzero(self.counted) <= _ROWS:
+        if (
+            station.position is None
+            or station.sensor.is_whole
+            or np.count_nonzero(self.counted) <= _ROWS
+        ):
             return self
         order = np.argsort(station.position, kind="stable")
         rows = np.sort(order[: int(np.searchsorted(np.cumsum(self.counted[order]), _ROWS)) + 1])
@@ -149,22 +188,29 @@ class _FittedStation:
 
     @property
     def frames(self) -> tuple[np.ndarray | None, ...]:
-        """Frames in which errors may persist: the readings' (None), and a target's, by its rotations, shape (N, 3, 3)."""
+        """Frames in which errors may persist: the readings' (None), and a target's, by its
+        rotations, shape (N, 3, 3).
+        """
         if self.station.position is None:
             return ()
-        sensor, (of_model, _) = self.station.sensor, self.station.split(self.values)
+        sensor = self.station.sensor
+        (of_model, _) = self.station.split(self.values)
         if not sensor.reads_pose or any(block.size != 3 for block in sensor.blocks):
             return (None,)
         return None, self.station.model.predict(of_model, self.station.conditions)[:, :, :3]
 
     def residuals(self, turns: np.ndarray | None) -> np.ndarray:
-        """Return the weighted residuals in units of the noise, shape (m, N), in one of the frames."""
+        """Return the weighted residuals in units of the noise, shape (m, N), in one of
+        the frames.
+        """
         return self._residuals if turns is None else turned_into(turns, self._residuals)
 
     @cached_property
     def _residuals(self) -> np.ndarray:
         station = self.station
-        found = np.asarray(station.whitened(station.residuals(self.values)) * station.weights / self.sigma)
+        found = np.asarray(
+            station.whitened(station.residuals(self.values)) * station.weights / self.sigma
+        )
         if station.serial is None or station.serial.turns is None:
             return found
         return turned_into(station.serial.turns.swapaxes(1, 2), found)
@@ -172,9 +218,12 @@ class _FittedStation:
     def dependence_in(self, turns: np.ndarray | None) -> float:
         """Return the dependence in one of the frames."""
         assert self.station.position is not None
-        residuals, position = self.residuals(turns)[:, self.counted], self.station.position[self.counted]
+        residuals = self.residuals(turns)[:, self.counted]
+        position = self.station.position[self.counted]
         by_rows = dependence(residuals, position)
-        pose = self.poses[self.counted] if by_rows > CRITERIA.dependent else np.arange(len(position))
+        pose = (
+            self.poses[self.counted] if by_rows > CRITERIA.dependent else np.arange(len(position))
+        )
         if len(np.unique(pose)) == len(pose):
             return by_rows
         # Readings of several targets in one pose share the robot's error there.
@@ -190,7 +239,8 @@ class _FittedStation:
         return np.asarray(sound[np.argsort(self.station.position[sound], kind="stable")][:few])
 
     def first_instants(self, most: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows as :meth:`first_readings`, and for each the number of its image, both shape (n,).
+        """Return rows as :meth:`first_readings`, and for each the number of its image, both shape
+        (n,).
 
         Points of one image of a moving arm share one error of its path, so images count as rows do.
         """
@@ -204,19 +254,31 @@ class _FittedStation:
         return some, at_once[: len(some)]
 
     def columns(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return residuals and D free parameters' columns, shape (1 + D, m, n), in units of the noise, and their indices."""
+        """Return residuals and D free parameters' columns, shape (1 + D, m, n), in units of the
+        noise, and their indices.
+        """
         few = self.station.select(rows)
         pieces = [
-            (residuals, *jacobian.dense_columns()) for _, residuals, jacobian in few.linearise_shared(self.values, self.free)
+            (residuals, *jacobian.dense_columns())
+            for _, residuals, jacobian in few.linearise_shared(self.values, self.free)
         ]
-        columns = np.concatenate([np.concatenate([residuals[None], J]) for residuals, J, _ in pieces], axis=2)
+        columns = np.concatenate(
+            [np.concatenate([residuals[None], J]) for residuals, J, _ in pieces], axis=2
+        )
         return columns * (few.weights / self.sigma), pieces[0][2]
 
     def serial(self) -> Serial | None:
-        """Return how the noise is correlated along the rows as they were read; None where it is not."""
+        """Return how the noise is correlated along the rows as they were read; None where it is
+        not.
+        """
         plain = replace(self, station=replace(self.station, serial=None))
-        first, position = plain.first_rows, plain.station.position
-        if position is None or first.station.sensor.is_whole or first.dependence < CRITERIA.dependent:
+        first = plain.first_rows
+        position = plain.station.position
+        if (
+            position is None
+            or first.station.sensor.is_whole
+            or first.dependence < CRITERIA.dependent
+        ):
             return None
         if len(np.unique(plain.poses)) < len(plain.station):
             # Several readings of a pose are correlated by the pose, which is another noise.
@@ -226,42 +288,58 @@ class _FittedStation:
         assert first.station.position is not None
         near = first.station.position[some]
         priors = plain.sizes[plain.free][places] ** -2.0, plain.values[plain.free][places]
-        blocks, likeliest, gained = first.station.block_rows, None, 0.0
+        blocks = first.station.block_rows
+        likeliest = None
+        gained = 0.0
         for turns, everywhere in zip(first.frames, plain.frames, strict=True):
             if first.dependence_in(turns) < CRITERIA.dependent or first.follows_joints(some, turns):
                 continue
-            columns, gains = every if turns is None else turned_into(turns[some], every), 0.0
-            phi, share = np.zeros(columns.shape[1]), np.zeros(columns.shape[1])
+            columns = every if turns is None else turned_into(turns[some], every)
+            gains = 0.0
+            phi = np.zeros(columns.shape[1])
+            share = np.zeros(columns.shape[1])
             for rows in blocks:
                 found = _likeliest(columns[:, rows], near, *priors)
                 if found is not None:
                     gain, phi[rows], share[rows] = found
                     gains += gain
             if gains > gained:
-                likeliest, gained = Serial(phi, share, position, plain.counted, everywhere), gains
+                likeliest = Serial(phi, share, position, plain.counted, everywhere)
+                gained = gains
         return likeliest
 
     def follows_joints(self, rows: np.ndarray, turns: np.ndarray | None) -> bool:
-        """Return whether residuals of rows near in all joints, or in one, agree however far apart they are in the order.
+        """Return whether residuals of rows near in all joints, or in one, agree however far apart
+        they are in the order.
 
         They are then a function of the pose, which changes steadily along the rows, and not noise.
         """
-        n, residuals, q = len(rows), self.residuals(turns)[:, rows], self.station.conditions.q[rows]
+        n = len(rows)
+        residuals = self.residuals(turns)[:, rows]
+        q = self.station.conditions.q[rows]
         z = residuals - residuals.mean(axis=1, keepdims=True)
         q = spread_of_moving(q)
-        by_order = np.mean([np.mean(np.sum(z[:, :-lag] * z[:, lag:], axis=0)) for lag in range(1, _NEAR + 1)])
+        by_order = np.mean(
+            [np.mean(np.sum(z[:, :-lag] * z[:, lag:], axis=0)) for lag in range(1, _NEAR + 1)]
+        )
         # Pairs far apart in the order: their products and distances.
         first, second = np.triu_indices(n, max(n // 4, _BANDS[-1][1]))
         products = np.sum(z[:, first] * z[:, second], axis=0)
         apart = np.abs(q[first] - q[second]).T
         for distance in (np.linalg.norm(apart, axis=0), *apart):
-            nearest = np.argpartition(distance, _NEAREST)[:_NEAREST] if len(distance) > _NEAREST else slice(None)
+            nearest = (
+                np.argpartition(distance, _NEAREST)[:_NEAREST]
+                if len(distance) > _NEAREST
+                else slice(None)
+            )
             if np.mean(products[nearest]) > 0.5 * by_order:
                 return True
         return False
 
     def factor(self) -> float:
-        """Return the factor on variances that blocks of consecutive rows show; 1 if not significantly larger."""
+        """Return the factor on variances that blocks of consecutive rows show; 1 if not
+        significantly larger.
+        """
         if self.station.position is None or self.station.sensor.is_whole:
             return 1.0
         some, at_once = self.first_instants(_BLOCK_READINGS)
@@ -269,22 +347,28 @@ class _FittedStation:
             return 1.0
         columns, places = self.columns(some)
         J = columns[1:]
-        normal = np.tensordot(J, J, axes=((1, 2), (1, 2))) + np.diag(self.sizes[self.free][places] ** -2.0)
+        normal = np.tensordot(J, J, axes=((1, 2), (1, 2))) + np.diag(
+            self.sizes[self.free][places] ** -2.0
+        )
         return _largest_factor(np.einsum("dmn,mn->dn", J, columns[0]), normal, at_once)
 
 
 def _fitted_stations(fit: ModelFit) -> Iterator[_FittedStation]:
-    problem, solution = fit.problem, fit.solution
+    problem = fit.problem
+    solution = fit.solution
     for (station, places, blocks), rows in zip(fit.stations, problem.rows, strict=True):
         sigma = np.repeat(solution.estimated[blocks], station.block_sizes)[:, None]
-        values, free, sizes = (vector[places] for vector in (solution.values, solution.free, fit.priors.sizes))
+        values, free, sizes = (
+            vector[places] for vector in (solution.values, solution.free, fit.priors.sizes)
+        )
         yield _FittedStation(station, values, free, sizes, solution.weights[rows] > 0.0, sigma)
 
 
 def _likeliest(
     columns: np.ndarray, position: np.ndarray, precision: np.ndarray, values: np.ndarray
 ) -> tuple[float, float, float] | None:
-    """Return the gain of the most likely correlated noise, its correlation and its share; None if it gains too little.
+    """Return the gain of the most likely correlated noise, its correlation and its share; None if
+    it gains too little.
 
     Args:
         columns: shape (1 + P, m, N), residuals, then the model's columns, in units of the noise.
@@ -295,7 +379,9 @@ def _likeliest(
     _, m, n = columns.shape
 
     def misfit(at: np.ndarray) -> float:
-        noise, share, phi = float(np.exp(at[0])), float(expit(at[1])), float(1.0 - np.exp(-at[2]))
+        noise = float(np.exp(at[0]))
+        share = float(expit(at[1]))
+        phi = float(1.0 - np.exp(-at[2]))
         serial = Serial(np.full(m, phi), np.full(m, share), position, np.ones(n, bool))
         z = serial.innovations(columns).reshape(len(columns), -1)
         H = z[1:] @ z[1:].T / noise
@@ -318,64 +404,87 @@ def _likeliest(
     if white - float(best.fun) < CRITERIA.correlated:
         return None
     for memory in np.log(_MEMORIES).tolist():
-        # The longest of the memories that are as likely: a short one takes the mean of the noise for well known.
+        # The longest of the memories that are as likely: a short one takes the mean of the noise
+        # for well known.
         longer = _least(lambda at, memory=memory: misfit(np.append(at, memory)), best.x[:2])  # type: ignore[misc]
         if memory > best.x[2] and float(longer.fun) < float(best.fun) + CRITERIA.as_likely:
-            return white - float(longer.fun), float(1.0 - np.exp(-memory)), float(expit(longer.x[1]))
+            return (
+                white - float(longer.fun),
+                float(1.0 - np.exp(-memory)),
+                float(expit(longer.x[1])),
+            )
     return white - float(best.fun), float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
 
 
 def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> OptimizeResult:
-    limits, options = [(-6.0, 6.0), (-6.0, 9.0), (0.01, np.log(_LONGEST))], {"xatol": 0.05, "fatol": 0.1, "maxfev": 120}
-    return minimize(misfit, start, method="Nelder-Mead", bounds=limits[: len(start)], options=options)
+    limits = [(-6.0, 6.0), (-6.0, 9.0), (0.01, np.log(_LONGEST))]
+    options = {"xatol": 0.05, "fatol": 0.1, "maxfev": 120}
+    return minimize(
+        misfit, start, method="Nelder-Mead", bounds=limits[: len(start)], options=options
+    )
 
 
 def with_blocks(fit: AnyFit, beyond: float = 1.0) -> AnyFit:
-    """Return a fit with a covariance as wide as blocks of consecutive rows require, times a given factor.
+    """Return a fit with a covariance as wide as blocks of consecutive rows require, times a given
+    factor.
 
     The largest factor of all stations counts; of many stations some are tested, evenly spread.
     """
     every = list(_fitted_stations(fit))
     tested = set(np.linspace(0.0, len(every) - 1.0, _MOST_STATIONS).round().astype(int).tolist())
     factors = [(every[k].factor(), every[k].station.conditions.are_in_motion) for k in tested]
-    # In motion, windows of an IMU overlap and errors of the path last for some rows: that widens, but is no defect.
+    # In motion, windows of an IMU overlap and errors of the path last for some rows: that widens,
+    # but is no defect.
     of_blocks = max((factor for factor, in_motion in factors if not in_motion), default=1.0)
     widest = beyond * max((factor for factor, _ in factors), default=1.0)
     solution = replace(fit.solution, of_blocks=of_blocks, widened=max(widest, 1.0))
     if widest > 1.0:
         sigma = solution.sigma * np.sqrt(widest)
-        solution = replace(solution, wide=posterior_of(fit.problem, replace(solution, sigma=sigma), fit.priors))
+        solution = replace(
+            solution, wide=posterior_of(fit.problem, replace(solution, sigma=sigma), fit.priors)
+        )
     return replace(fit, solution=solution)
 
 
-def _largest_factor(scores: np.ndarray, normal: np.ndarray, at_once: np.ndarray | None = None) -> float:
-    """Return the most significant factor, of scores, shape (D, n), of rows in their order; 1 if none is significant.
+def _largest_factor(
+    scores: np.ndarray, normal: np.ndarray, at_once: np.ndarray | None = None
+) -> float:
+    """Return the most significant factor, of scores, shape (D, n), of rows in their order; 1 if
+    none is significant.
 
-    The reference is the same rows in any order, by its first two moments. Rows with one number in ``at_once``, shape (n,),
-    from 0 on, are always in one block; default: each row has its own.
+    The reference is the same rows in any order, by its first two moments. Rows with one number in
+    ``at_once``, shape (n,), from 0 on, are always in one block; default: each row has its own.
     """
     at_once = np.arange(scores.shape[1]) if at_once is None else at_once
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     try:
-        L = cholesky(normal / np.outer(size, size) + 1e-9 * np.eye(len(size)), lower=True, check_finite=False)
+        L = cholesky(
+            normal / np.outer(size, size) + 1e-9 * np.eye(len(size)), lower=True, check_finite=False
+        )
     except LinAlgError:
         return 1.0
     u = solve_triangular(L, scores / size[:, None], lower=True, check_finite=False)
-    n, own, instants = u.shape[1], np.sum(u**2, axis=0), int(at_once[-1]) + 1
+    n = u.shape[1]
+    own = np.sum(u**2, axis=0)
+    instants = int(at_once[-1]) + 1
     pairs = n * (n - 1)
     mean = (float(np.sum(u.sum(axis=1) ** 2)) - own.sum()) / pairs
     spread = max((float(np.sum((u @ u.T) ** 2)) - float(own @ own)) / pairs, 1e-300)
-    surest, factor = CRITERIA.of_blocks, 1.0
+    surest = CRITERIA.of_blocks
+    factor = 1.0
     for length in (1, *_LENGTHS):
         if instants < CRITERIA.fewest_blocks * length:
             break
         within = at_once < instants // length * length
         block = at_once[within] // length
-        of_blocks = np.add.reduceat(u[:, within], np.flatnonzero(np.diff(block, prepend=-1)), axis=1)
+        of_blocks = np.add.reduceat(
+            u[:, within], np.flatnonzero(np.diff(block, prepend=-1)), axis=1
+        )
         rows = np.bincount(block)
         count = int(rows @ (rows - 1))
         beyond = float(np.sum(of_blocks**2)) - own[within].sum() - count * mean
         sure = beyond / np.sqrt(2.0 * max(count, 1) * spread)
         if sure > surest:
-            surest, factor = sure, 1.0 + beyond / own[within].sum()
+            surest = sure
+            factor = 1.0 + beyond / own[within].sum()
     return float(factor)

@@ -1,4 +1,6 @@
-"""Levers: derivatives of the readings by coordinates of the chain, such as the positions of its drives."""
+"""Levers: derivatives of the readings by coordinates of the chain, such as the positions of its
+drives.
+"""
 
 from __future__ import annotations
 

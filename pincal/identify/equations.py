@@ -1,7 +1,9 @@
-"""All stations of a problem linearised at one point: squares of residuals, and normal equations for one noise.
+"""All stations of a problem linearised at one point: squares of residuals, and normal equations for
+one noise.
 
-The contributions of stations are computed by functions of picklable arguments, so that any ``concurrent.futures`` executor
-can map them. They are added in the order of the stations, so the result does not depend on the executor.
+The contributions of stations are computed by functions of picklable arguments, so that any
+``concurrent.futures`` executor can map them. They are added in the order of the stations, so the
+result does not depend on the executor.
 """
 
 from __future__ import annotations
@@ -45,8 +47,9 @@ _MOST_AT_ONCE = 200_000_000
 class Linearised:
     """A problem at one set of values.
 
-    The Gram matrices of each station are kept per block of readings, since another noise only changes their weights. Where
-    there are too many stations for that, only squares and sums over batches of stations for one noise are kept.
+    The Gram matrices of each station are kept per block of readings, since another noise only
+    changes their weights. Where there are too many stations for that, only squares and sums over
+    batches of stations for one noise are kept.
 
     Attributes:
         problem: the stations.
@@ -55,11 +58,12 @@ class Linearised:
         robust: shape (N,), factor on each row's weight: 0 excludes a row.
         sizes: shape (P,), standard deviations of the priors; inf for none.
         executor: computes the stations' contributions; default: serially, in this process.
-        sigma: shape (blocks,), the noise for which equations will be needed, if known before the residuals: one pass over
-            several stations then serves both.
-        squares_first: whether the values may be rejected by their squares, which are then computed first, in a tenth of the
-            time.
-        normals: the latest normal equations of batches at these values, by number, perhaps with other robust weights.
+        sigma: shape (blocks,), the noise for which equations will be needed, if known before the
+            residuals: one pass over several stations then serves both.
+        squares_first: whether the values may be rejected by their squares, which are then computed
+            first, in a tenth of the time.
+        normals: the latest normal equations of batches at these values, by number, perhaps with
+            other robust weights.
         sums: contributions of batches for the latest noise, and the squares of their residuals.
     """
 
@@ -75,11 +79,15 @@ class Linearised:
     sums: dict[_Key, _Sums] = field(default_factory=dict)
 
     def reweighted(self, robust: np.ndarray) -> Linearised:
-        """Return the same point with other robust weights; stations whose weights are unchanged are not recomputed."""
+        """Return the same point with other robust weights; stations whose weights are unchanged are
+        not recomputed.
+        """
         return replace(self, robust=robust, squares_first=False)
 
     def narrowed(self, free: np.ndarray) -> Linearised:
-        """Return the same point with fewer free parameters, shape (P,); known normal equations are not recomputed."""
+        """Return the same point with fewer free parameters, shape (P,); known normal equations are
+        not recomputed.
+        """
         if np.array_equal(free, self.free):
             return self
         found = replace(self, free=free, normals={}, sums={})
@@ -98,7 +106,8 @@ class Linearised:
     @cached_property
     def _are_kept(self) -> bool:
         """Whether the normal equations of each station are kept."""
-        stations, blocks = len(self.problem.stations), len(self.problem.blocks)
+        stations = len(self.problem.stations)
+        blocks = len(self.problem.blocks)
         n_free = np.count_nonzero(self.free[self.problem.places[0]])
         return stations == 1 or 8 * blocks * int(n_free) ** 2 <= _MOST_KEPT
 
@@ -109,9 +118,12 @@ class Linearised:
     @property
     def _normals(self) -> list[Normal]:
         """The normal equations of the stations of each batch."""
-        normals, every = self.normals, range(len(self._batches))
+        normals = self.normals
+        every = range(len(self._batches))
         robust = [self.robust[batch.rows] for batch in self._batches]
-        todo = [k for k in every if k not in normals or not np.array_equal(normals[k].robust, robust[k])]
+        todo = [
+            k for k in every if k not in normals or not np.array_equal(normals[k].robust, robust[k])
+        ]
         works = (
             of.work(reweighted, self.values, self.free[of.places[0]], robust[k], normals.get(k))
             for k, of in ((k, self._batches[k]) for k in todo)
@@ -125,7 +137,11 @@ class Linearised:
             return [normal.squares for normal in self._normals]
         if self.sigma is not None and not self.squares_first:
             return [found for _, found in self._contributions(self.sigma)]
-        return list(self._done(batch.work(squares, self.values, self.robust[batch.rows]) for batch in self._batches))
+        return list(
+            self._done(
+                batch.work(squares, self.values, self.robust[batch.rows]) for batch in self._batches
+            )
+        )
 
     @property
     def squares(self) -> np.ndarray:
@@ -134,17 +150,23 @@ class Linearised:
 
     @cached_property
     def row_squares(self) -> list[np.ndarray]:
-        """For each station, each row's weighted squared residual, shape (its blocks, its rows), without robust weights."""
+        """For each station, each row's weighted squared residual, shape (its blocks, its rows),
+        without robust weights.
+        """
         pairs = zip(self._squares, self._batches, strict=True)
         return [rows for found, of in pairs for rows in np.split(found.rows, of.ends[1:-1], axis=1)]
 
     def chi2(self, sigma: np.ndarray) -> float:
-        """Return the sum of squares in units of the variances, for standard deviations of all blocks."""
+        """Return the sum of squares in units of the variances, for standard deviations of all
+        blocks.
+        """
         return float(np.sum(self.squares / sigma**2))
 
     @cached_property
     def group_of(self) -> np.ndarray:
-        """The fit that each parameter belongs to, shape (P,): stations that share nothing have one each."""
+        """The fit that each parameter belongs to, shape (P,): stations that share nothing have one
+        each.
+        """
         found = np.zeros(len(self.values), int)
         if len(self.problem.stations) > 1 and not np.any(self.free & self.problem.is_shared):
             for i, places in enumerate(self.problem.places):
@@ -158,23 +180,34 @@ class Linearised:
             return np.array([self.objective(sigma)])
         starts = [span.start for span in self.problem.block_spans]
         known = np.flatnonzero(self.free & np.isfinite(self.sizes))
-        prior = np.bincount(self.group_of[known], (self.values[known] / self.sizes[known]) ** 2, minlength=n)
+        prior = np.bincount(
+            self.group_of[known], (self.values[known] / self.sizes[known]) ** 2, minlength=n
+        )
         beliefs = np.concatenate([found.beliefs for found in self._squares])
         return np.asarray(np.add.reduceat(self.squares / sigma**2, starts) + beliefs + prior)
 
     def objective(self, sigma: np.ndarray) -> float:
-        """Return the sum of squares of readings, of the sensors' other knowledge and of priors, in units of variances."""
+        """Return the sum of squares of readings, of the sensors' other knowledge and of priors, in
+        units of variances.
+        """
         known = self.free & np.isfinite(self.sizes)
         prior = float(np.sum((self.values[known] / self.sizes[known]) ** 2))
         beliefs = sum(float(found.beliefs.sum()) for found in self._squares)
-        return self.chi2(sigma) + beliefs + prior + self.problem.beliefs.square(self.values, self.sizes)
+        return (
+            self.chi2(sigma)
+            + beliefs
+            + prior
+            + self.problem.beliefs.square(self.values, self.sizes)
+        )
 
     @cached_property
     def _posteriors(self) -> dict[bytes, Posterior]:
         return {}
 
     def posterior(self, sigma: np.ndarray) -> Posterior:
-        """Return the posterior for standard deviations of all blocks of readings, shape (blocks,)."""
+        """Return the posterior for standard deviations of all blocks of readings, shape
+        (blocks,).
+        """
         key = sigma.tobytes()
         if key not in self._posteriors:
             found = self._sum(sigma)
@@ -187,14 +220,20 @@ class Linearised:
 
     def _assembled(self, contributions: Iterable[tuple[Form, Eliminated]]) -> Posterior:
         """Return the posterior from the contribution of each batch."""
-        free, problem = self.free, self.problem
-        rank, slot = np.cumsum(free) - 1, np.cumsum(problem.is_shared[free]) - 1
+        free = self.free
+        problem = self.problem
+        rank = np.cumsum(free) - 1
+        slot = np.cumsum(problem.is_shared[free]) - 1
         places = np.flatnonzero(free & problem.is_shared)
         known = problem.beliefs.beyond_priors(places, self.values, self.sizes)
-        H, g, whole, eliminated = known.H.copy(), known.g, known.whole.copy(), []
+        H = known.H.copy()
+        g = known.g
+        whole = known.whole.copy()
+        eliminated = []
         for batch, (form, own) in zip(self._batches, contributions, strict=True):
             moved = free[batch.places[0]]
-            mine, ours = batch.places[:, moved & batch.own], slot[rank[batch.places[0, moved & ~batch.own]]]
+            mine = batch.places[:, moved & batch.own]
+            ours = slot[rank[batch.places[0, moved & ~batch.own]]]
             at = span(ours)
             H[block(at, at)] += form.H
             g[at] += form.g
@@ -202,7 +241,9 @@ class Linearised:
             if mine.size:
                 eliminated.append(replace(own, places=rank[mine], shared=ours))
         believed = known.H if problem.beliefs.terms else None
-        return Posterior(Form(H, g, whole), self.sizes[places], self.values[places], tuple(eliminated), believed)
+        return Posterior(
+            Form(H, g, whole), self.sizes[places], self.values[places], tuple(eliminated), believed
+        )
 
     def without_each(self, fold: np.ndarray, sigma: np.ndarray) -> Iterator[Posterior]:
         """Yield the posterior without the rows of each fold, from one pass over all rows.
@@ -212,7 +253,9 @@ class Linearised:
             sigma: shape (blocks,), standard deviations of the blocks of readings.
         """
         count = int(fold.max()) + 1
-        size = sum(8 * len(of.stations) * int(self.free[of.places[0]].sum()) ** 2 for of in self._batches)
+        size = sum(
+            8 * len(of.stations) * int(self.free[of.places[0]].sum()) ** 2 for of in self._batches
+        )
         at_once = max(_MOST_AT_ONCE // max(size, 1), 1)
         for first in range(0, count, at_once):
             some = range(first, min(first + at_once, count))
@@ -223,8 +266,11 @@ class Linearised:
     def _by_fold(
         self, batch: Batch, fold: np.ndarray, some: range, sigma: np.ndarray
     ) -> Callable[[int], tuple[Form, Eliminated]]:
-        """Return a function from the number of a fold among ``some`` to the contribution of a batch without it."""
-        n, k = len(batch.stations), len(some)
+        """Return a function from the number of a fold among ``some`` to the contribution of a batch
+        without it.
+        """
+        n = len(batch.stations)
+        k = len(some)
         here = fold[batch.rows] - some.start
         # Rows of other folds are one part more.
         part = np.where((here >= 0) & (here < k), here, k)
@@ -234,20 +280,38 @@ class Linearised:
         may = self.free[batch.places[0]]
         values = batch.values(self.values)
         together = batch.together()
-        found = accumulate_each(together.select(order), ends, values, may, self.robust[batch.rows][order])
+        found = accumulate_each(
+            together.select(order), ends, values, may, self.robust[batch.rows][order]
+        )
         weight = sigma[batch.blocks].reshape(n, 1, -1) ** -2.0
-        H = np.einsum("skb,skbij->skij", np.broadcast_to(weight, (n, k + 1, weight.shape[2])), _by_part(found.H, n))
-        g = np.einsum("skb,skbi->ski", np.broadcast_to(weight, (n, k + 1, weight.shape[2])), _by_part(found.g, n))
-        whole_H, whole_g = H.sum(axis=1), g.sum(axis=1)
+        H = np.einsum(
+            "skb,skbij->skij",
+            np.broadcast_to(weight, (n, k + 1, weight.shape[2])),
+            _by_part(found.H, n),
+        )
+        g = np.einsum(
+            "skb,skbi->ski",
+            np.broadcast_to(weight, (n, k + 1, weight.shape[2])),
+            _by_part(found.g, n),
+        )
+        whole_H = H.sum(axis=1)
+        whole_g = g.sum(axis=1)
         if n == 1 and (known := believed(together, values, may)) is not None:
-            whole_H, whole_g = whole_H + known.H, whole_g + known.g
+            whole_H = whole_H + known.H
+            whole_g = whole_g + known.g
         prior = batch.own[may], *(of[batch.places][:, may] for of in (self.sizes, self.values))
         return lambda i: eliminate(Form.of(whole_H - H[:, i], whole_g - g[:, i]), *prior)
 
     def _contributions(self, sigma: np.ndarray) -> list[_Sums]:
-        """Return the contribution of each batch, computed where it is not known for this noise and these robust weights."""
-        batches, sums = self._batches, self.sums
-        keys = [(k, sigma[of.blocks].tobytes(), self.robust[of.rows].tobytes()) for k, of in enumerate(batches)]
+        """Return the contribution of each batch, computed where it is not known for this noise and
+        these robust weights.
+        """
+        batches = self._batches
+        sums = self.sums
+        keys = [
+            (k, sigma[of.blocks].tobytes(), self.robust[of.rows].tobytes())
+            for k, of in enumerate(batches)
+        ]
         todo = [key for key in keys if key not in sums]
         new = [batches[k] for k, _, _ in todo]
         free = [self.free[of.places[0]] for of in new]
@@ -260,7 +324,10 @@ class Linearised:
         if self._are_kept:
             normals = self._normals
             given = zip([normals[k] for k, _, _ in todo], noise, priors, strict=True)
-            found = ((eliminate(normal.at(sizes), *prior), normal.squares) for normal, sizes, prior in given)
+            found = (
+                (eliminate(normal.at(sizes), *prior), normal.squares)
+                for normal, sizes, prior in given
+            )
         else:
             found = self._done(
                 of.work(contribution, self.values, may, self.robust[of.rows], sizes, *prior)
@@ -275,7 +342,9 @@ class Linearised:
         """Do tasks, here or on the workers, which receive the stations once."""
         work = self.problem.work
         return (
-            map(work, tasks) if self.executor is None else spread_again(work, tasks, label="station", executor=self.executor)
+            map(work, tasks)
+            if self.executor is None
+            else spread_again(work, tasks, label="station", executor=self.executor)
         )
 
 

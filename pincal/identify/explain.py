@@ -1,7 +1,9 @@
-"""Which parameters the data identify, why not the others, and which combination is identifiable instead.
+"""Which parameters the data identify, why not the others, and which combination is identifiable
+instead.
 
-Judged at the nominal geometry, so that it is a statement about the robot, the poses and the instrument, not the noise. A
-reason is data, a cause with its figures; only here does it become words.
+Judged at the nominal geometry, so that it is a statement about the robot, the poses and the
+instrument, not the noise. A reason is data, a cause with its figures; only here does it become
+words.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ class Status(StrEnum):
 
 
 class Cause(Enum):
-    """Why a parameter is not identified; the values are the words, with the figures of a reason in braces."""
+    """Why a parameter is not identified; the values are the words, with the figures of a reason in
+    braces.
+    """
 
     NONE = ""
     GIVEN = "given by the user"
@@ -50,7 +54,10 @@ class Cause(Enum):
     NOT_IMPROVED = "as in the robot description, since these readings do not improve it"
     AT_BOUND = "stopped at its bound of {size}"
     ABSORBS = "±{size} if the parameters it absorbs are held at their estimates"
-    NO_MOMENT = "no static moment about this axis in any pose (axis {axis} parallel to gravity, or no mass beyond it)"
+    NO_MOMENT = (
+        "no static moment about this axis in any pose (axis {axis} parallel to gravity, or no "
+        "mass beyond it)"
+    )
     NOT_EXCITED = "not excited by any of these poses"
     NOT_OBSERVED = "has no influence on the measured target"
     BASE = "the unknown base frame absorbs it"
@@ -60,14 +67,19 @@ class Cause(Enum):
     COMBINATION = "only {combination} is identifiable"
     ALIASED = "indistinguishable from {aliases}{together}"
     HIDDEN = "indistinguishable from a combination of many other parameters"
-    MASS = "only its product with the compliances is identifiable; the shape of the arm sets the factor"
+    MASS = (
+        "only its product with the compliances is identifiable; the shape of the arm sets the "
+        "factor"
+    )
     WEAK = "the data narrow the prior of ±{size} only to ±{narrowed}"
     UNINFORMED = "the data add nothing to the prior of ±{size}"
 
 
 @dataclass(frozen=True)
 class Combination:
-    """A sum ``other + factor * own`` that the data identify although they do not identify its members."""
+    """A sum ``other + factor * own`` that the data identify although they do not identify its
+    members.
+    """
 
     other: str
     factor: float
@@ -89,9 +101,11 @@ class Reason:
 
     Attributes:
         cause: the kind of reason.
-        parameters: the others that have the same effect, largest share first or in the order of the model.
+        parameters: the others that have the same effect, largest share first or in the order of the
+            model.
         combination: the sum that is identifiable instead.
-        size: bound, prior standard deviation, or conditional standard deviation of a frame's coordinate [``unit``].
+        size: bound, prior standard deviation, or conditional standard deviation of a frame's
+            coordinate [``unit``].
         narrowed: posterior standard deviation [``unit``].
         unit: SI unit of the parameter.
         axis: letter of a compliance's axis; otherwise empty.
@@ -120,7 +134,11 @@ class Reason:
             unknowns=f" and {self.unknowns}" if self.unknowns else "",
             s="" if self.unknowns else "s",
         )
-        return words if self.moment is None else f"{words} (static moment about this axis: at most {self.moment:.2g} N m)"
+        return (
+            words
+            if self.moment is None
+            else f"{words} (static moment about this axis: at most {self.moment:.2g} N m)"
+        )
 
 
 def _listed(names: tuple[str, ...]) -> str:
@@ -131,10 +149,11 @@ IDENTIFIED = Reason(Cause.NONE)
 """The reason of an identified parameter."""
 
 
-# Residual share of a column's square below which other columns have the same effect: 1e-4 of the column itself, far
-# below what any instrument resolves and far above rounding.
+# Residual share of a column's square below which other columns have the same effect: 1e-4 of the
+# column itself, far below what any instrument resolves and far above rounding.
 _SAME = 1e-8
-# Eigenvalues of a scaled Gram matrix, relative to the largest, below which they are rounding (its square is 1e-16).
+# Eigenvalues of a scaled Gram matrix, relative to the largest, below which they are rounding (its
+# square is 1e-16).
 _RANK = 1e-10
 # Poses that are used; more do not change what can be identified, and take time.
 _ROWS = 2000
@@ -162,21 +181,36 @@ def explain(fit: ModelFit) -> tuple[ParameterFinding, ...]:
     ratio = np.sqrt(variance) / fit.priors.sizes
     frames = _frame_variances(fit)
     found = (
-        _of_frame(parameter, frames[i], variance[i]) if i in frames else _of_inner(fit, nominals, i, float(ratio[i]))
+        _of_frame(parameter, frames[i], variance[i])
+        if i in frames
+        else _of_inner(fit, nominals, i, float(ratio[i]))
         for i, parameter in enumerate(fit.problem.parameters)
     )
-    return tuple(ParameterFinding(p.name, *why) for p, why in zip(fit.problem.parameters, found, strict=True))
+    return tuple(
+        ParameterFinding(p.name, *why) for p, why in zip(fit.problem.parameters, found, strict=True)
+    )
 
 
 def _frame_variances(fit: ModelFit) -> dict[int, float]:
-    """Return for each free coordinate of bases and tools its variance conditional on all that it absorbs at the nominal."""
-    found, reported, free = fit.solution.posterior, fit.solution.known, fit.solution.free
-    frames, inner = np.flatnonzero(~found.has_prior), np.flatnonzero(found.has_prior)
+    """Return for each free coordinate of bases and tools its variance conditional on all that it
+    absorbs at the nominal.
+    """
+    found = fit.solution.posterior
+    reported = fit.solution.known
+    free = fit.solution.free
+    frames = np.flatnonzero(~found.has_prior)
+    inner = np.flatnonzero(found.has_prior)
     shared = np.flatnonzero(free & fit.problem.is_shared)
-    C, few = reported.covariance, found.information < 1.0
+    C = reported.covariance
+    few = found.information < 1.0
     # Their units differ by orders of magnitude.
     scale = np.sqrt(np.diag(C)[inner])[:, None]
-    F = -(np.linalg.solve(C[np.ix_(inner, inner)] / (scale * scale.T), C[np.ix_(inner, frames)] / scale) / scale).T
+    F = -(
+        np.linalg.solve(
+            C[np.ix_(inner, inner)] / (scale * scale.T), C[np.ix_(inner, frames)] / scale
+        )
+        / scale
+    ).T
     D = fit.priors.sizes[shared][inner]
     weak = D[:, None] * found.directions[:, few] if len(inner) else np.zeros((0, 0))
     weak = weak / np.sqrt(1.0 + found.information[few])
@@ -184,46 +218,71 @@ def _frame_variances(fit: ModelFit) -> dict[int, float]:
     left = np.maximum(np.diag(C)[frames] - hidden, 0.0)
     known = {int(shared[i]): float(v) for i, v in zip(frames, left, strict=True)}
     # A station's frames follow the robot's parameters by the coefficients of their elimination.
-    place, variance, spread = np.flatnonzero(free), fit.estimate.covariance.variance, np.zeros((len(shared), int(few.sum())))
+    place = np.flatnonzero(free)
+    variance = fit.estimate.covariance.variance
+    spread = np.zeros((len(shared), int(few.sum())))
     spread[inner] = weak
     for part in reported.own:
         hidden = np.sum((part.carried @ spread[part.shared]) ** 2, axis=-1)
         left = np.maximum(variance[part.places] - hidden, 0.0)
         is_frame = np.broadcast_to(part.precision == 0.0, part.places.shape)
-        known |= {int(place[i]): float(v) for i, v in zip(part.places[is_frame], left[is_frame], strict=True)}
+        known |= {
+            int(place[i]): float(v)
+            for i, v in zip(part.places[is_frame], left[is_frame], strict=True)
+        }
     return known
 
 
 def _of_frame(parameter: Parameter, known: float, variance: float) -> tuple[Status, Reason]:
-    """Return the status of a frame's coordinate, which is known as well as the parameters that it absorbs."""
+    """Return the status of a frame's coordinate, which is known as well as the parameters that it
+    absorbs.
+    """
     if known > (1.0 - CRITERIA.identified**2) * variance:
         return Status.IDENTIFIED, IDENTIFIED
     return Status.PRIOR, Reason(Cause.ABSORBS, size=float(np.sqrt(known)), unit=parameter.unit)
 
 
-def _of_inner(fit: ModelFit, nominals: list[_Nominal], i: int, ratio: float) -> tuple[Status, Reason]:
-    parameter, size = fit.problem.parameters[i], float(fit.priors.sizes[i])
+def _of_inner(
+    fit: ModelFit, nominals: list[_Nominal], i: int, ratio: float
+) -> tuple[Status, Reason]:
+    parameter = fit.problem.parameters[i]
+    size = float(fit.priors.sizes[i])
     if fit.is_kept and fit.options.kept is not None and parameter.name in fit.options.kept.names:
         return Status.FIXED, Reason(Cause.NOT_IMPROVED)
     if fit.solution.at_bound[i]:
-        return Status.AT_BOUND, Reason(Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit)
+        return Status.AT_BOUND, Reason(
+            Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit
+        )
     if not fit.solution.free[i]:
         return _not_free(fit, parameter)
     model, _ = fit.arm
     if parameter.name in {model.names[body.parameter] for body in model.bodies}:
-        # At the nominal geometry nothing deflects, so neither a mass nor the place of a bearing has an effect.
-        return (Status.PRIOR, Reason(Cause.MASS)) if ratio >= CRITERIA.identified else (Status.IDENTIFIED, IDENTIFIED)
-    views = [(nominal, nominal.index[parameter.name]) for nominal in nominals if parameter.name in nominal.index]
+        # At the nominal geometry nothing deflects, so neither a mass nor the place of a bearing has
+        # an effect.
+        return (
+            (Status.PRIOR, Reason(Cause.MASS))
+            if ratio >= CRITERIA.identified
+            else (Status.IDENTIFIED, IDENTIFIED)
+        )
+    views = [
+        (nominal, nominal.index[parameter.name])
+        for nominal in nominals
+        if parameter.name in nominal.index
+    ]
     unseen = min(nominal.unseen[k] for nominal, k in views)
     if unseen > CRITERIA.unseen and (ratio >= CRITERIA.identified or not np.isfinite(size)):
         nominal, k = views[0]
         reason = nominal.counterpart(k)
-        # The place of a bearing has an effect only if it is compliant, which at the nominal it is not.
+        # The place of a bearing has an effect only if it is compliant, which at the nominal it is
+        # not.
         if reason.cause is not Cause.NOT_OBSERVED or ratio >= CRITERIA.narrowed:
             return Status.UNIDENTIFIABLE, replace(reason, moment=_largest_moment(fit, parameter))
     if ratio >= CRITERIA.identified:
-        cause, moment = Cause.WEAK if ratio < CRITERIA.narrowed else Cause.UNINFORMED, _largest_moment(fit, parameter)
-        return Status.PRIOR, Reason(cause, size=size, narrowed=size * ratio, unit=parameter.unit, moment=moment)
+        cause = Cause.WEAK if ratio < CRITERIA.narrowed else Cause.UNINFORMED
+        moment = _largest_moment(fit, parameter)
+        return Status.PRIOR, Reason(
+            cause, size=size, narrowed=size * ratio, unit=parameter.unit, moment=moment
+        )
     return Status.IDENTIFIED, IDENTIFIED
 
 
@@ -232,8 +291,12 @@ def _not_free(fit: ModelFit, parameter: Parameter) -> tuple[Status, Reason]:
     name = parameter.local_name
     if name in known_frames(fit.options.at(parameter.station)):
         return Status.FIXED, Reason(Cause.GIVEN)
-    for sensor in (station.sensor for station in fit.problem.stations if station.name == parameter.station):
-        held = {p.name for p, is_fixed in zip(sensor.parameters, sensor.fixed, strict=True) if is_fixed}
+    for sensor in (
+        station.sensor for station in fit.problem.stations if station.name == parameter.station
+    ):
+        held = {
+            p.name for p, is_fixed in zip(sensor.parameters, sensor.fixed, strict=True) if is_fixed
+        }
         if isinstance(sensor, KnownParameters) and name in held:
             return Status.FIXED, Reason(Cause.GIVEN if sensor.is_given else Cause.NOT_NEEDED)
     if parameter.is_compliance:
@@ -242,13 +305,17 @@ def _not_free(fit: ModelFit, parameter: Parameter) -> tuple[Status, Reason]:
 
 
 def _largest_moment(fit: ModelFit, parameter: Parameter) -> float | None:
-    """Return the largest static moment on a joint's compliance in these poses [N m]; None for other parameters."""
+    """Return the largest static moment on a joint's compliance in these poses [N m]; None for other
+    parameters.
+    """
     stations = fit.problem.stations[:_TOGETHER]
     joints = stations[0].model.chain.robot.joint_names
-    joint, symbol = parameter.element, parameter.symbol
+    joint = parameter.element
+    symbol = parameter.symbol
     if not parameter.is_compliance or joint not in joints or symbol not in ("k_x", "k_y", "k_z"):
         return None
-    largest, column = [], 3 * joints.index(joint) + "xyz".index(symbol[-1])
+    largest = []
+    column = 3 * joints.index(joint) + "xyz".index(symbol[-1])
     for station in stations:
         conditions = station.conditions.select(sample_rows(len(station), _ROWS))
         moments = station.model.static_moments(np.zeros(station.model.n_parameters), conditions)
@@ -278,25 +345,37 @@ class _Nominal:
     def of(cls, fit: ModelFit, stations: tuple[Station, ...]) -> _Nominal:
         problem = fit.problem if len(stations) == len(fit.problem.stations) else Problem(stations)
         chosen = fit.estimate.places(p.name for p in problem.parameters)
-        free, n = fit.solution.free[chosen], len(chosen)
+        free = fit.solution.free[chosen]
+        n = len(chosen)
         H = np.zeros((n, n))
-        sigma = {s.name: fit.solution.sigma[b] for s, b in zip(fit.problem.stations, fit.problem.block_spans, strict=True)}
+        sigma = {
+            s.name: fit.solution.sigma[b]
+            for s, b in zip(fit.problem.stations, fit.problem.block_spans, strict=True)
+        }
         for station, places in zip(problem.stations, problem.places, strict=True):
             rows = sample_rows(len(station), _ROWS // len(stations))
             everything = np.ones(len(places), bool)
             nominal = fit.nominal.values[chosen][places]
             normal = accumulate(station.select(rows), nominal, everything, np.ones(len(rows)))
             H[places[:, None], places] += normal.at(sigma[station.name]).H
-        found = Posterior(Form.of(H[np.ix_(free, free)]), fit.priors.sizes[chosen][free], np.zeros(int(free.sum())))
+        found = Posterior(
+            Form.of(H[np.ix_(free, free)]),
+            fit.priors.sizes[chosen][free],
+            np.zeros(int(free.sum())),
+        )
         unseen = np.zeros(n)
-        unseen[np.flatnonzero(free)[found.has_prior]] = np.sum(found.directions[:, found.information == 0.0] ** 2, axis=1)
+        unseen[np.flatnonzero(free)[found.has_prior]] = np.sum(
+            found.directions[:, found.information == 0.0] ** 2, axis=1
+        )
         scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
         H = np.where(np.outer(free, free), H / np.outer(scale, scale), 0.0)
         unknowns = " and ".join(dict.fromkeys(filter(None, (s.sensor.unknowns for s in stations))))
         return cls(problem.parameters, unknowns, H, scale, unseen)
 
     def counterpart(self, i: int) -> Reason:
-        """Return what has the same effect as parameter ``i``: the smallest set of parameters that has."""
+        """Return what has the same effect as parameter ``i``: the smallest set of parameters that
+        has.
+        """
         if self.H[i, i] < NULL:
             return Reason(Cause.NOT_OBSERVED)
         for others, cause in self._candidates(i):
@@ -308,18 +387,30 @@ class _Nominal:
     def _reason(self, i: int, cause: Cause, others: list[int], share: np.ndarray) -> Reason:
         if cause in (Cause.COMBINATION, Cause.PARALLEL_AXES):
             factor = float(share[0] * self.scale[i] / self.scale[others[0]])
-            return Reason(cause, combination=Combination(self.names[others[0]], factor, self.names[i]))
+            return Reason(
+                cause, combination=Combination(self.names[others[0]], factor, self.names[i])
+            )
         if cause is Cause.ALIASED:
-            named = (self.names[j] for j, s in zip(others, share, strict=True) if abs(s) > CRITERIA.worth_naming)
+            named = (
+                self.names[j]
+                for j, s in zip(others, share, strict=True)
+                if abs(s) > CRITERIA.worth_naming
+            )
             return Reason(cause, tuple(named))
         return Reason(cause, unknowns="" if cause is Cause.BASE else self.unknowns)
 
     def _candidates(self, i: int) -> Iterator[tuple[list[int], Cause]]:
-        """Yield sets of parameters that may have the same effect, the simplest first, with the cause if they do."""
+        """Yield sets of parameters that may have the same effect, the simplest first, with the
+        cause if they do.
+        """
         symbol = self.parameters[i].symbol
         base = [j for j in self._extrinsic if self.parameters[j].effect == BaseFrame.name]
         tool = [j for j in self._extrinsic if self.parameters[j].effect != BaseFrame.name]
-        inner = [j for j in range(len(self.names)) if j != i and j not in base and j not in tool and self.H[j, j] > 0]
+        inner = [
+            j
+            for j in range(len(self.names))
+            if j != i and j not in base and j not in tool and self.H[j, j] > 0
+        ]
         same_symbol = [j for j in inner if self.names[j].endswith("." + symbol)]
         yield base, Cause.BASE
         yield tool, Cause.TOOL
@@ -329,7 +420,9 @@ class _Nominal:
             yield [j], Cause.COMBINATION
         yield base + tool, Cause.FRAMES if base else Cause.TOOL
         # H with base and tool eliminated.
-        across = self.H[:, self._extrinsic] @ Form.of(self.H).root(np.array(self._extrinsic, int), _RANK)
+        across = self.H[:, self._extrinsic] @ Form.of(self.H).root(
+            np.array(self._extrinsic, int), _RANK
+        )
         for j in self._same(self.H - across @ across.T, i, inner):
             yield [j, *base, *tool], Cause.ALIASED
         near = [j for j in inner if abs(self._element[i] - self._element[j]) <= 1]
@@ -366,14 +459,18 @@ class _Nominal:
         return [int(k) for k in j[H[i, i] - H[i, j] ** 2 / own < 10.0 * _SAME]]
 
     def _shares(self, i: int, others: Iterable[int]) -> np.ndarray | None:
-        """Return the coefficients by which ``others`` reproduce column i, scaled columns; None if they can't."""
+        """Return the coefficients by which ``others`` reproduce column i, scaled columns; None if
+        they can't.
+        """
         j = list(others)
         if not j:
             return None
         # A quick sieve, which admits more of their directions.
         factor, pivots, rank, _ = dpstrf(self.H[np.ix_(j, j)], tol=_RANK, lower=1)
         seen = np.array(j)[pivots[:rank] - 1]
-        along = solve_triangular(factor[:rank, :rank], self.H[seen, i], lower=True, check_finite=False)
+        along = solve_triangular(
+            factor[:rank, :rank], self.H[seen, i], lower=True, check_finite=False
+        )
         if self.H[i, i] - along @ along >= 10.0 * _SAME:
             return None
         share, _ = Form.of(self.H, self.H[:, i]).estimate(np.array(j), _RANK)

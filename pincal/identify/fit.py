@@ -40,7 +40,9 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class Priors:
-    """Prior standard deviations about the nominal, and largest deviations, shape (P,) each; inf for none."""
+    """Prior standard deviations about the nominal, and largest deviations, shape (P,) each; inf for
+    none.
+    """
 
     sizes: np.ndarray
     bounds: np.ndarray
@@ -56,7 +58,8 @@ class Solution:
         sigma: shape (blocks,), standard deviations that the fit used, station by station.
         estimated: shape (blocks,), standard deviations of its residuals.
         weights: shape (N,), robust weights: 0 for an outlier.
-        chi2: weighted sum of squares over the declared variances (the estimated, where none are declared).
+        chi2: weighted sum of squares over the declared variances (the estimated, where none are
+            declared).
         degrees: its degrees of freedom.
         iterations: Gauss-Newton steps taken.
         exit: how it ended.
@@ -64,7 +67,8 @@ class Solution:
         free: shape (P,), parameters that were fitted.
         wide: posterior with the noise widened for all reservations; default: there are none.
         of_blocks: factor on variances that blocks of consecutive rows show, and that is reported.
-        widened: factor on variances for all reservations, errors of the path of a motion among them.
+        widened: factor on variances for all reservations, errors of the path of a motion among
+            them.
     """
 
     values: np.ndarray
@@ -110,7 +114,8 @@ class FitStage:
     Attributes:
         name: what was fitted.
         iterations: number of steps of the solver.
-        rms: noise of one component of the first block of readings, estimated from the residuals [m or px].
+        rms: noise of one component of the first block of readings, estimated from the residuals [m
+            or px].
     """
 
     name: str
@@ -133,9 +138,11 @@ class ModelFit:
         noise: declared noise.
         stages: the stages of the fit.
         options: how it was made.
-        wrong: for each station, shape (N,), which rows as measured were left out before means of poses were taken, as
-            others of their pose show them to be wrong (:mod:`pincal.identify.screening`); empty if none were.
-        scatter: of the readings of each station, by its name, where any was repeated or a stop has several targets.
+        wrong: for each station, shape (N,), which rows as measured were left out before means of
+            poses were taken, as others of their pose show them to be wrong
+            (:mod:`pincal.identify.screening`); empty if none were.
+        scatter: of the readings of each station, by its name, where any was repeated or a stop has
+            several targets.
     """
 
     problem: Problem
@@ -159,13 +166,16 @@ class ModelFit:
         if len(stations) > 1:
             names = ", ".join(station.name for station in stations)
             raise BadInputError(
-                f"this needs a single station, and there are {len(stations)}: {names}; choose one with fit.at(NAME)"
+                f"this needs a single station, and there are {len(stations)}: {names}; "
+                "choose one with fit.at(NAME)"
             )
         return stations[0]
 
     @property
     def model(self) -> Model:
-        """The model of the only station, its chain's reference orientations being those of base and tool."""
+        """The model of the only station, its chain's reference orientations being those of base and
+        tool.
+        """
         return self.station.model
 
     @property
@@ -182,7 +192,9 @@ class ModelFit:
     def estimate(self) -> Estimate:
         """The calibrated values by name, with their covariance."""
         covariance = self.solution.known.joint_covariance
-        return Estimate(self.problem.parameters, self.values, self.solution.free, covariance, self.priors.sizes)
+        return Estimate(
+            self.problem.parameters, self.values, self.solution.free, covariance, self.priors.sizes
+        )
 
     @property
     def iterations(self) -> int:
@@ -191,35 +203,57 @@ class ModelFit:
 
     @property
     def stations(self) -> Iterator[tuple[Station, np.ndarray, slice]]:
-        """Each station with the indices of its parameters and the slice of its blocks of readings."""
-        return zip(self.problem.stations, self.problem.places, self.problem.block_spans, strict=True)
+        """Each station with the indices of its parameters and the slice of its blocks
+        of readings.
+        """
+        return zip(
+            self.problem.stations, self.problem.places, self.problem.block_spans, strict=True
+        )
 
     def names_of(self, effects: Iterable[Effect]) -> tuple[str, ...]:
         """Return the names of the parameters of some effects of the fit, at all stations."""
         known = self.problem.effects
         order = {id(effect): i for i, effect in enumerate(known)}
         index = [order.get(id(effect), known.index(effect)) for effect in effects]
-        return tuple(self.problem.parameters[i].name for k in index for i in self.problem.places_at(known[k]))
+        return tuple(
+            self.problem.parameters[i].name for k in index for i in self.problem.places_at(known[k])
+        )
 
     def select(self, rows: np.ndarray) -> ModelFit:
         """Return the fit, unchanged, with some of its rows, by index."""
         return self.over(self.problem.select(rows).stations, self.solution.weights[rows])
 
     def over(self, stations: Iterable[Station], weights: np.ndarray | None = None) -> ModelFit:
-        """Return the fit, unchanged, over stations with other rows, perhaps with robust weights of these, shape (N,)."""
+        """Return the fit, unchanged, over stations with other rows, perhaps with robust weights of
+        these, shape (N,).
+        """
         solution = self.solution if weights is None else replace(self.solution, weights=weights)
-        return replace(self, problem=replace(self.problem, stations=tuple(stations)), solution=solution)
+        return replace(
+            self, problem=replace(self.problem, stations=tuple(stations)), solution=solution
+        )
 
-    def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> ModelFit:
-        """Return the fit, unchanged, with other effects besides base and tool; nothing is fitted again.
+    def with_effects(
+        self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None
+    ) -> ModelFit:
+        """Return the fit, unchanged, with other effects besides base and tool; nothing is fitted
+        again.
 
         Parameters that it did not have are zero and so are their priors.
         """
-        before, after = self.problem, self.problem.with_effects(effects, moment_frame=moment_frame)
-        options = replace(self.options, effects=tuple(effects), moment_frame=moment_frame or self.options.moment_frame)
+        before = self.problem
+        after = self.problem.with_effects(effects, moment_frame=moment_frame)
+        options = replace(
+            self.options,
+            effects=tuple(effects),
+            moment_frame=moment_frame or self.options.moment_frame,
+        )
         nominal, solution = (carried(of, before, after) for of in (self.nominal, self.solution))
-        priors = Priors(*(before.carried_over(of, after) for of in (self.priors.sizes, self.priors.bounds)))
-        return replace(self, problem=after, nominal=nominal, solution=solution, priors=priors, options=options)
+        priors = Priors(
+            *(before.carried_over(of, after) for of in (self.priors.sizes, self.priors.bounds))
+        )
+        return replace(
+            self, problem=after, nominal=nominal, solution=solution, priors=priors, options=options
+        )
 
     @cached_property
     def alone(self) -> tuple[ModelFit, ...]:
@@ -228,14 +262,19 @@ class ModelFit:
             return (self,)
         found = []
         for (station, places, blocks), rows in zip(self.stations, self.problem.rows, strict=True):
-            parts: dict[str, np.ndarray | slice] = {"values": places, "free": places, "at_bound": places}
+            parts: dict[str, np.ndarray | slice] = {
+                "values": places,
+                "free": places,
+                "at_bound": places,
+            }
             parts |= {"sigma": blocks, "estimated": blocks, "weights": rows}
             # The nominal posterior remains the joint one.
             nominal, solution = (
                 replace(of, **{name: getattr(of, name)[at] for name, at in parts.items()})
                 for of in (self.nominal, self.solution)
             )
-            problem, options = Problem((replace(station, name=""),)), self.options.at(station.name)
+            problem = Problem((replace(station, name=""),))
+            options = self.options.at(station.name)
             priors = Priors(self.priors.sizes[places], self.priors.bounds[places])
             solution = replace(solution, posterior=posterior_of(problem, solution, priors))
             noise = Noise(self.noise.declared[blocks])
@@ -244,7 +283,9 @@ class ModelFit:
 
     @property
     def in_places(self) -> Iterator[tuple[Station, ModelFit, slice]]:
-        """Each station whose readings determine positions, the fit of it alone, and the slice of its blocks of readings."""
+        """Each station whose readings determine positions, the fit of it alone, and the slice of
+        its blocks of readings.
+        """
         for (station, _, blocks), alone in zip(self.stations, self.alone, strict=True):
             if station.sensor.reads_place:
                 yield station, alone, blocks
@@ -262,34 +303,54 @@ class ModelFit:
 
     @cached_property
     def is_kept(self) -> bool:
-        """Whether the robot is as in its URDF because the readings do not improve it; a further fit may have changed it."""
+        """Whether the robot is as in its URDF because the readings do not improve it; a further fit
+        may have changed it.
+        """
         if self.options.kept is None:
             return False
-        at = [k for k, parameter in enumerate(self.problem.parameters) if parameter.name in self.options.kept.names]
+        at = [
+            k
+            for k, parameter in enumerate(self.problem.parameters)
+            if parameter.name in self.options.kept.names
+        ]
         return bool(np.array_equal(self.values[at], self.nominal.values[at]))
 
     def readings(self, measurements: Measurements, *, station: str = "") -> Station:
-        """Return the calibrated model of a station, by name if there are several, over other measurements."""
+        """Return the calibrated model of a station, by name if there are several, over other
+        measurements.
+        """
         options = self.options.at(station)
         model = next(of.model for of in self.problem.stations if of.name == station)
-        centre, instrument = np.array(options.payload_centre), options.instrument
-        return station_of(model, measurements, centre, options.setup, name=station, instrument=instrument)
+        centre = np.array(options.payload_centre)
+        instrument = options.instrument
+        return station_of(
+            model, measurements, centre, options.setup, name=station, instrument=instrument
+        )
 
 
 def posterior_of(problem: Problem, part: Solution, priors: Priors) -> Posterior:
     """Return the posterior of a problem for the values, row weights and noise of a solution."""
-    return Linearised(problem, part.values, part.free, part.weights, priors.sizes).posterior(part.sigma)
+    return Linearised(problem, part.values, part.free, part.weights, priors.sizes).posterior(
+        part.sigma
+    )
 
 
 def carried(solution: Solution, before: Problem, after: Problem) -> Solution:
-    """Return a solution with its values by name over another problem's parameters; its posterior is unchanged."""
+    """Return a solution with its values by name over another problem's parameters; its posterior is
+    unchanged.
+    """
     vectors: dict[str, Any] = {
-        name: before.carried_over(getattr(solution, name), after) for name in ("values", "free", "at_bound")
+        name: before.carried_over(getattr(solution, name), after)
+        for name in ("values", "free", "at_bound")
     }
     return replace(solution, **vectors)
 
 
 def without(fit: ModelFit, effect: Effect) -> ModelFit:
-    """Return a fit, unchanged, with one effect removed, nothing fitted again: where the effect is tested."""
+    """Return a fit, unchanged, with one effect removed, nothing fitted again: where the effect is
+    tested.
+    """
     options = replace(fit.options, effects=tuple(e for e in fit.options.effects if e is not effect))
-    return replace(fit.with_effects([e for e in fit.problem.effects if e is not effect]), options=options)
+    return replace(
+        fit.with_effects([e for e in fit.problem.effects if e is not effect]), options=options
+    )

@@ -1,17 +1,18 @@
-r"""Errors of a fit at rows that it has not seen: every row is predicted once by a fit without its fold.
+r"""Errors of a fit at rows that it has not seen: every row is predicted once by a fit without its
+fold.
 
-The delivered model is fitted to all rows. Its error is stated by cross-validation: poses, with all their readings, are
-divided into folds, and each is predicted by the fit of the others. Folds are regions of joint space, stretches of
-consecutive rows, or sessions: a model that knows the neighbours of a pose, or the rows measured before and after it,
-predicts it better than others.
+The delivered model is fitted to all rows. Its error is stated by cross-validation: poses, with all
+their readings, are divided into folds, and each is predicted by the fit of the others. Folds are
+regions of joint space, stretches of consecutive rows, or sessions: a model that knows the
+neighbours of a pose, or the rows measured before and after it, predicts it better than others.
 
-The fit without a fold is that of all rows less the fold's information: with the normal equations H x = g of all rows
-and the fold's part of them, one Gauss-Newton step leads there,
+The fit without a fold is that of all rows less the fold's information: with the normal equations H
+x = g of all rows and the fold's part of them, one Gauss-Newton step leads there,
 
 .. math:: x_{-k} = x + (H - H_k + D^{-2})^{-1} (g - g_k) ,
 
-which for a linear model is exact (Cook and Weisberg 1982, Residuals and Influence in Regression, section 3.2). A step that
-is not short is repeated at its end.
+which for a linear model is exact (Cook and Weisberg 1982, Residuals and Influence in Regression,
+section 3.2). A step that is not short is repeated at its end.
 """
 
 from __future__ import annotations
@@ -33,16 +34,22 @@ from pincal.measure.poses import SCATTER, same_joints
 from pincal.measure.stops import sessions_by_time
 
 Way = Literal["regions", "stretches", "sessions", "random"]
-"""In what held-out rows are apart from fitted ones: joint positions, the order of measurement, the session, or nothing."""
+"""In what held-out rows are apart from fitted ones: joint positions, the order of measurement, the
+session, or nothing.
+"""
 
 # Folds of each way; of fewer than so many, the largest fraction of all poses in one of them.
-_FOLDS, _MANY, _LARGEST = 25, 10, 2 / 3
-# Steps at most to the fit without a fold, and the motion of predictions by the last one, in units of the noise, that
-# needs no further one.
-_STEPS, _SHORT = 3, 0.3
+_FOLDS = 25
+_MANY = 10
+_LARGEST = 2 / 3
+# Steps at most to the fit without a fold, and the motion of predictions by the last one, in units
+# of the noise, that needs no further one.
+_STEPS = 3
+_SHORT = 0.3
 # Precisions, in units of the priors', by which a step that leads up is damped.
 _DAMPINGS = tuple(3.0 * 10.0**k for k in range(6))
-# Largest step of a parameter [rad or m] whose predictions are taken to first order: they are off by half its square.
+# Largest step of a parameter [rad or m] whose predictions are taken to first order: they are off by
+# half its square.
 _LINEAR = 1e-3
 
 
@@ -60,15 +67,20 @@ class Folds:
 
     @classmethod
     def of(cls, problem: Problem, ways: Sequence[Way], *, seed: int = 0) -> Folds:
-        """Divide the rows of a problem in some ways, without those in which a fold leaves too few poses to fit.
+        """Divide the rows of a problem in some ways, without those in which a fold leaves too few
+        poses to fit.
 
         Rows of one pose are always in one fold, at all stations.
         """
         found = {way: _together(problem, _FOLDS_OF[way](problem, seed)) for way in ways}
-        return cls({way: fold for way, fold in found.items() if _leaves_enough(problem, fold)}, seed)
+        return cls(
+            {way: fold for way, fold in found.items() if _leaves_enough(problem, fold)}, seed
+        )
 
     def over(self, problem: Problem) -> Folds:
-        """Return the division of another problem's rows in the same ways; the same for the same rows."""
+        """Return the division of another problem's rows in the same ways; the same for the same
+        rows.
+        """
         return Folds.of(problem, tuple(self.of_way), seed=self.seed)
 
     def __len__(self) -> int:
@@ -84,7 +96,8 @@ class Folds:
 
 
 def left_out_residuals(fit: ModelFit, solution: Solution, fold: np.ndarray) -> list[np.ndarray]:
-    """Return reading minus prediction of every row by the fit of the other folds, shape (m, N) for each station.
+    """Return reading minus prediction of every row by the fit of the other folds, shape (m, N) for
+    each station.
 
     Args:
         fit: the fit of all rows.
@@ -102,7 +115,9 @@ def left_out_residuals(fit: ModelFit, solution: Solution, fold: np.ndarray) -> l
     found = []
     for station, places, rows in zip(problem.stations, problem.places, problem.rows, strict=True):
         own = fold[rows]
-        residuals = _moved(station, solution.values[places], solution.free[places], steps[:, places], own)
+        residuals = _moved(
+            station, solution.values[places], solution.free[places], steps[:, places], own
+        )
         for k in np.flatnonzero(is_far):
             if (mine := own == k).any():
                 residuals[:, mine] = _residuals_of(station, values[k, places], mine)
@@ -111,8 +126,11 @@ def left_out_residuals(fit: ModelFit, solution: Solution, fold: np.ndarray) -> l
     return found
 
 
-def _moved(station: Station, values: np.ndarray, free: np.ndarray, steps: np.ndarray, fold: np.ndarray) -> np.ndarray:
-    """Return the residuals of all rows after the step of each row's fold, to first order, shape (m, N).
+def _moved(
+    station: Station, values: np.ndarray, free: np.ndarray, steps: np.ndarray, fold: np.ndarray
+) -> np.ndarray:
+    """Return the residuals of all rows after the step of each row's fold, to first order, shape (m,
+    N).
 
     ``steps``, shape (K, P), are those of all parameters, by fold.
     """
@@ -132,10 +150,11 @@ def _residuals_of(station: Station, values: np.ndarray, rows: np.ndarray) -> np.
 
 def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterator[np.ndarray]:
     """Yield the values of the fit without each fold, shape (P,)."""
-    weights, free = solution.weights, solution.free
+    weights = solution.weights
+    free = solution.free
     bounds = fit.priors.bounds[free]
-    # Correlation along the rows would make the first row of a walk hold all that is known of the instrument's place: how
-    # far a fold pulls is told by independent rows.
+    # Correlation along the rows would make the first row of a walk hold all that is known of the
+    # instrument's place: how far a fold pulls is told by independent rows.
     stations = (replace(station, serial=None) for station in fit.problem.stations)
     is_serial = any(station.serial is not None for station in fit.problem.stations)
     problem = replace(fit.problem, stations=tuple(stations)) if is_serial else fit.problem
@@ -144,9 +163,13 @@ def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterat
     whole = point.posterior(solution.sigma)
     for k, posterior in enumerate(point.without_each(fold, solution.sigma)):
         others = np.where(fold == k, 0.0, weights)
-        here = Linearised(problem, solution.values, free, others, fit.priors.sizes, squares_first=True)
+        here = Linearised(
+            problem, solution.values, free, others, fit.priors.sizes, squares_first=True
+        )
         # The fit of all rows may not be at rest itself.
-        here, step = _descended(here, partial(_step_beyond, whole, posterior, bounds), solution.sigma)
+        here, step = _descended(
+            here, partial(_step_beyond, whole, posterior, bounds), solution.sigma
+        )
         for _ in range(_STEPS - 1):
             if is_serial or posterior.square(step) < _SHORT**2 * readings:
                 break
@@ -160,15 +183,20 @@ def _step(posterior: Posterior, bounds: np.ndarray, damping: float) -> np.ndarra
     return np.asarray(posterior.step_within(bounds, damping)[0])
 
 
-def _step_beyond(whole: Posterior, posterior: Posterior, bounds: np.ndarray, damping: float) -> np.ndarray:
+def _step_beyond(
+    whole: Posterior, posterior: Posterior, bounds: np.ndarray, damping: float
+) -> np.ndarray:
     """Return the step of all free parameters less that of the fit of all rows, shape (F,)."""
     return np.asarray(_step(posterior, bounds, damping) - _step(whole, bounds, damping))
 
 
-def _descended(here: Linearised, step_of: Callable[[float], np.ndarray], sigma: np.ndarray) -> tuple[Linearised, np.ndarray]:
+def _descended(
+    here: Linearised, step_of: Callable[[float], np.ndarray], sigma: np.ndarray
+) -> tuple[Linearised, np.ndarray]:
     """Return the end of a step and the step, which is damped if it is long and leads up.
 
-    Where readings hardly tell base and tool apart, as of parallel axes, they may go far along what is no valley any more.
+    Where readings hardly tell base and tool apart, as of parallel axes, they may go far along what
+    is no valley any more.
     """
 
     def at_end_of(step: np.ndarray) -> Linearised:
@@ -203,10 +231,16 @@ def _alone_in_fold(station: Station, fold: np.ndarray) -> np.ndarray:
 
 
 def _together(problem: Problem, fold: np.ndarray) -> np.ndarray:
-    """Return folds in which rows of the same joint positions share that of the first of them, numbered from 0."""
+    """Return folds in which rows of the same joint positions share that of the first of them,
+    numbered from 0.
+    """
     q = problem.conditions.q
     station = problem.stations[0]
-    is_plain = len(problem.stations) == 1 and station.sensor.groups is None and len(station.model.chain.targets) == 1
+    is_plain = (
+        len(problem.stations) == 1
+        and station.sensor.groups is None
+        and len(station.model.chain.targets) == 1
+    )
     if not is_plain and len(fold):
         _, first, pose = np.unique(same_joints(q, SCATTER), return_index=True, return_inverse=True)
         fold = fold[first][pose.ravel()]
@@ -234,7 +268,9 @@ def _regions(problem: Problem, seed: int) -> np.ndarray:
 
 
 def _stretches(problem: Problem, seed: int) -> np.ndarray:
-    """Return the stretch of consecutive rows of each row, the same number of them at each station."""
+    """Return the stretch of consecutive rows of each row, the same number of them at
+    each station.
+    """
     parts = []
     for station in problem.stations:
         n = len(station)
@@ -248,7 +284,8 @@ def _stretches(problem: Problem, seed: int) -> np.ndarray:
 
 def _sessions(problem: Problem, seed: int) -> np.ndarray:
     """Return the session of each row, counted over all stations; a single one without times."""
-    parts, begun = [], 0
+    parts = []
+    begun = 0
     for station in problem.stations:
         time = station.conditions.time
         session = np.zeros(len(station), int) if time is None else sessions_by_time(time)
@@ -263,4 +300,9 @@ def _at_random(problem: Problem, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).permutation(n) % min(_FOLDS, max(n, 1))
 
 
-_FOLDS_OF = {"regions": _regions, "stretches": _stretches, "sessions": _sessions, "random": _at_random}
+_FOLDS_OF = {
+    "regions": _regions,
+    "stretches": _stretches,
+    "sessions": _sessions,
+    "random": _at_random,
+}

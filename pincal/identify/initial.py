@@ -9,7 +9,15 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.beliefs import bounds_of, declared_noise, is_frame, of_sensors, priors_of, released_of, require_named
+from pincal.identify.beliefs import (
+    bounds_of,
+    declared_noise,
+    is_frame,
+    of_sensors,
+    priors_of,
+    released_of,
+    require_named,
+)
 from pincal.identify.believed import Earlier
 from pincal.identify.fit import ModelFit, Priors
 from pincal.identify.many_rows import some_of
@@ -29,40 +37,52 @@ from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import placed as placed_frame
 
-# Rows that suffice for a start, and for its short fit; many stations share them, with a minimum for each.
+# Rows that suffice for a start, and for its short fit; many stations share them, with a minimum for
+# each.
 _ROWS = 2000
 _SETTLED_ROWS = 500
 _FEWEST_SETTLED_ROWS = 40
-# Starts whose residuals agree to this factor end in the same place; rounding does not choose among them.
+# Starts whose residuals agree to this factor end in the same place; rounding does not choose among
+# them.
 _ALIKE = 1.0 + 1e-6
 
 
 def begin(
     robot: Robot, tables: Mapping[str, Measurements], options: Options, executor: Executor | None
 ) -> tuple[ModelFit, Problem]:
-    """Return the fit of base and tool alone, to a sample if there are very many rows, and the problem with all rows."""
+    """Return the fit of base and tool alone, to a sample if there are very many rows, and the
+    problem with all rows.
+    """
     if len(tables) == 1:
         tables = {"": next(iter(tables.values()))}
     placed = place(robot, tables, options)
     stations = []
     for (station, _), (name, table) in zip(placed, tables.items(), strict=True):
-        # With declared noise, a row that is a mean of readings is weighted as such. Otherwise the model error of a pose may
-        # dominate, and each row counts once.
+        # With declared noise, a row that is a mean of readings is weighted as such. Otherwise the
+        # model error of a pose may dominate, and each row counts once.
         if table.readings_per_row is not None and options.at(name).sigma is not None:
             station = replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
         stations.append(station)
-    whole = Problem(tuple(stations), None if options.earlier is None else Earlier.of(options.earlier))
+    whole = Problem(
+        tuple(stations), None if options.earlier is None else Earlier.of(options.earlier)
+    )
     problem = some_of(whole)
     require_named(problem, options)
     values = _joined(problem, placed)
-    priors, noise = priors_of(problem, options), declared_noise(problem, options)
-    released, frames = released_of(problem, options), is_frame(problem)
+    priors = priors_of(problem, options)
+    noise = declared_noise(problem, options)
+    released = released_of(problem, options)
+    frames = is_frame(problem)
     course = Course(options.loss, rough=True, executor=executor)
-    nominal = solve(problem, values, frames & released, priors, noise, replace(course, label="base and tool"))
+    nominal = solve(
+        problem, values, frames & released, priors, noise, replace(course, label="base and tool")
+    )
     lens = of_sensors(problem) & released
     if np.any(lens & ~frames):
         free = frames & released | lens
-        nominal = solve(problem, nominal.values, free, priors, noise, replace(course, label="camera"))
+        nominal = solve(
+            problem, nominal.values, free, priors, noise, replace(course, label="camera")
+        )
     return ModelFit(problem, nominal, nominal, priors, noise, (), options), whole
 
 
@@ -74,9 +94,12 @@ def _joined(problem: Problem, placed: Sequence[tuple[Station, np.ndarray]]) -> n
     return values
 
 
-def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> list[tuple[Station, np.ndarray]]:
+def place(
+    robot: Robot, tables: Mapping[str, Measurements], options: Options
+) -> list[tuple[Station, np.ndarray]]:
     """Return stations with base and tool roughly placed, and the values to start from."""
-    found, models = [], _Models()
+    found = []
+    models = _Models()
     for station, values in place_setups(_arm(robot, options), np.zeros(0), tables, options=options):
         effects = (*station.model.effects, *effects_at(options.effects, station.name))
         model = replace(station.model, effects=effects, equilibrium=options.equilibrium)
@@ -86,8 +109,12 @@ def place(robot: Robot, tables: Mapping[str, Measurements], options: Options) ->
     return found
 
 
-def starts_of(robot: Robot, table: Measurements, options: Options) -> list[tuple[Station, np.ndarray]]:
-    """Return a station at each of its sensor's closed-form placements, not fitted yet, with its values there."""
+def starts_of(
+    robot: Robot, table: Measurements, options: Options
+) -> list[tuple[Station, np.ndarray]]:
+    """Return a station at each of its sensor's closed-form placements, not fitted yet, with its
+    values there.
+    """
     return _candidates(_arm(robot, options), np.zeros(0), table, "", options, _Models())
 
 
@@ -97,16 +124,21 @@ def _arm(robot: Robot, options: Options) -> Model:
 
 
 class _Models:
-    """Models of stations, which share what depends only on the kinds of their frames and targets."""
+    """Models of stations, which share what depends only on the kinds of their frames
+    and targets.
+    """
 
     def __init__(self) -> None:
         self._first: dict[tuple[object, ...], Model] = {}
         self._arms: dict[tuple[object, ...], Model] = {}
 
     def arm(self, arm: Model, targets: tuple[str, ...], links: tuple[str, str]) -> Model:
-        """Return the arm between two links with these targets, base and tool at the instrument and the tip."""
+        """Return the arm between two links with these targets, base and tool at the instrument and
+        the tip.
+        """
         if (targets, links) not in self._arms:
-            tools, ends = np.tile(np.eye(3), (len(targets), 1, 1)), arm.chain.between(*links).ends
+            tools = np.tile(np.eye(3), (len(targets), 1, 1))
+            ends = arm.chain.between(*links).ends
             nowhere = replace(arm.chain, targets=targets, tool_rotations=tools, ends=ends)
             found = arm.with_chain(nowhere.with_references(np.eye(3), nowhere.tool_rotations))
             # Chains about other references share what is cached here.
@@ -115,7 +147,9 @@ class _Models:
         return self._arms[targets, links]
 
     def same(self, model: Model) -> Model:
-        """Return the model, sharing its parts with an earlier one that differs only by base and tool placement."""
+        """Return the model, sharing its parts with an earlier one that differs only by base and
+        tool placement.
+        """
         frames = tuple(e if e.family is Family.EXTRINSICS else id(e) for e in model.effects)
         first = self._first.setdefault((model.chain.targets, model.chain.path, frames), model)
         if first is model:
@@ -133,7 +167,8 @@ def links_of(measurements: Measurements, path: LinkPath) -> tuple[str, str]:
 def place_setups(
     arm: Model, values: np.ndarray, tables: Mapping[str, Measurements], *, options: Options
 ) -> list[tuple[Station, np.ndarray]]:
-    """Return the result of :func:`place_arm`, with one instrument pose for the stations of a set-up.
+    """Return the result of :func:`place_arm`, with one instrument pose for the stations of a
+    set-up.
 
     It is the pose at the station with the most rows.
     """
@@ -144,11 +179,16 @@ def place_setups(
     for name, table in tables.items():
         if name not in placed:
             station, found = placed[largest[table.setup]]
-            own = StationOptions(**vars(options.stations.get(name, StationOptions())) | {"base": _base_of(station, found)})
+            own = StationOptions(
+                **vars(options.stations.get(name, StationOptions()))
+                | {"base": _base_of(station, found)}
+            )
             known = replace(options, stations={**options.stations, name: own})
             ((other, at),) = place_arm(arm, values, {name: table}, options=known)
             # Equal values mean an equal pose about an equal reference.
-            chain = other.model.chain.with_references(station.model.chain.base_rotation, other.model.chain.tool_rotations)
+            chain = other.model.chain.with_references(
+                station.model.chain.base_rotation, other.model.chain.tool_rotations
+            )
             for k, parameter in enumerate(other.parameters):
                 if parameter.element == "base":
                     at[k] = found[station.parameters.index(parameter)]
@@ -157,7 +197,9 @@ def place_setups(
 
 
 def base_seen(robot: Robot, tables: Mapping[str, Measurements], options: Options) -> np.ndarray:
-    """Return the pose of the nominal arm's first link in the frame of the only station's instrument, shape (4, 4)."""
+    """Return the pose of the nominal arm's first link in the frame of the only station's
+    instrument, shape (4, 4).
+    """
     ((station, values),) = place_arm(_arm(robot, options), np.zeros(0), tables, options=options)
     return _base_of(station, values)
 
@@ -165,31 +207,44 @@ def base_seen(robot: Robot, tables: Mapping[str, Measurements], options: Options
 def _base_of(station: Station, values: np.ndarray) -> np.ndarray:
     """Return the pose of a station's first link in the instrument's frame, shape (4, 4)."""
     index = {parameter.name: i for i, parameter in enumerate(station.parameters)}
-    at = [values[index[name]] if (name := f"base.{symbol}") in index else 0.0 for symbol in FRAME_SYMBOLS]
+    at = [
+        values[index[name]] if (name := f"base.{symbol}") in index else 0.0
+        for symbol in FRAME_SYMBOLS
+    ]
     return placed_frame(station.model.chain.base_rotation, np.array(at))
 
 
 def place_arm(
     arm: Model, values: np.ndarray, tables: Mapping[str, Measurements], *, options: Options
 ) -> list[tuple[Station, np.ndarray]]:
-    """Return the stations of an arm with known deviations, base and tool roughly placed, and their values.
+    """Return the stations of an arm with known deviations, base and tool roughly placed, and their
+    values.
 
-    Each station takes the closed-form start with the smallest residuals once base and tool are fitted, the last of equals.
+    Each station takes the closed-form start with the smallest residuals once base and tool are
+    fitted, the last of equals.
 
     Args:
-        arm: the arm's chain and effects, without base and tool; its targets and reference orientations are ignored.
+        arm: the arm's chain and effects, without base and tool; its targets and reference
+            orientations are ignored.
         values: shape (P,), of its parameters.
         tables: each station's table by its name, "" for a single one.
         options: prior knowledge of the stations.
     """
     models = _Models()
-    candidates = [_candidates(arm, values, table, name, options.at(name), models) for name, table in tables.items()]
+    candidates = [
+        _candidates(arm, values, table, name, options.at(name), models)
+        for name, table in tables.items()
+    ]
     best: list[tuple[float, Station, np.ndarray]] = [(np.inf, *starts[0]) for starts in candidates]
     # Stations that share more than the robot are placed one by one.
     is_apart = any(table.setup for table in tables.values()) or len(candidates) == 1
     for k in range(max(map(len, candidates))):
         stations = [i for i, starts in enumerate(candidates) if k < len(starts)]
-        together = [[candidates[i][k]] for i in stations] if is_apart else [[candidates[i][k] for i in stations]]
+        together = (
+            [[candidates[i][k]] for i in stations]
+            if is_apart
+            else [[candidates[i][k] for i in stations]]
+        )
         settled = [one for starts in together for one in _settled(starts, options)]
         for i, (rest, found) in zip(stations, settled, strict=True):
             if rest < _ALIKE * best[i][0]:
@@ -198,14 +253,20 @@ def place_arm(
 
 
 def _candidates(
-    arm: Model, values: np.ndarray, measurements: Measurements, name: str, options: Options, models: _Models
+    arm: Model,
+    values: np.ndarray,
+    measurements: Measurements,
+    name: str,
+    options: Options,
+    models: _Models,
 ) -> list[tuple[Station, np.ndarray]]:
     """Return the possible placements of a station, with their values."""
     if len(measurements) == 0:
         raise MeasurementError(f"{measurements.source}: no rows to calibrate with")
     targets = tuple(str(t) for t in np.unique(measurements.target))
     arm = models.arm(arm, targets, links_of(measurements, arm.chain.path))
-    centre, instrument = np.array(options.payload_centre), options.instrument
+    centre = np.array(options.payload_centre)
+    instrument = options.instrument
     rows = station_of(arm, measurements, centre, options.setup, name=name, instrument=instrument)
     some = rows.sample(_ROWS)
     tips = np.ascontiguousarray(arm.predict(values, some.conditions.at_moments))
@@ -213,7 +274,10 @@ def _candidates(
     candidates = [_known(placement, arm.chain, options) for placement in found]
     if not rows.sensor.base_symbols:
         candidates = [replace(candidate, base=np.eye(4)) for candidate in candidates]
-    frames: tuple[Effect, ...] = (BaseFrame(rows.sensor.base_symbols), ToolFrame(rows.sensor.tool_symbols))
+    frames: tuple[Effect, ...] = (
+        BaseFrame(rows.sensor.base_symbols),
+        ToolFrame(rows.sensor.tool_symbols),
+    )
     if measurements.moving is not None:
         frames += (InstrumentClock(measurements.moving.middle),)
     whole = rows.with_model(models.same(arm.with_effects([*frames, *arm.effects])))
@@ -227,7 +291,10 @@ def _known(placement: Extrinsics, chain: Chain, options: Options) -> Extrinsics:
     tools = placement.tools.copy()
     for name, given in (options.tools or {}).items():
         if name not in chain.targets:
-            raise BadInputError(f"tool {name!r} is given but no row has this target; targets: {', '.join(chain.targets)}")
+            raise BadInputError(
+                f"tool {name!r} is given but no row has this target; targets: "
+                f"{', '.join(chain.targets)}"
+            )
         if np.shape(given) == (4, 4):
             tools[chain.targets.index(name)] = given
         else:
@@ -235,8 +302,12 @@ def _known(placement: Extrinsics, chain: Chain, options: Options) -> Extrinsics:
     return replace(placement, base=base, tools=tools)
 
 
-def _at(station: Station, placement: Extrinsics, deviations: Mapping[str, float]) -> tuple[Station, np.ndarray]:
-    """Return the station about a placement, and its values there, with the arm's deviations by name."""
+def _at(
+    station: Station, placement: Extrinsics, deviations: Mapping[str, float]
+) -> tuple[Station, np.ndarray]:
+    """Return the station about a placement, and its values there, with the arm's deviations by
+    name.
+    """
     chain = station.model.chain.with_references(placement.base[:3, :3], placement.tools[:, :3, :3])
     station = station.with_model(station.model.with_chain(chain))
     values = np.zeros(len(station.parameters))
@@ -244,21 +315,37 @@ def _at(station: Station, placement: Extrinsics, deviations: Mapping[str, float]
     names = {parameter.name: i for i, parameter in enumerate(station.parameters)}
     for name, value in deviations.items():
         values[names[name]] = value
-    for element, at in [("base", placement.base), *zip(chain.targets, placement.tools, strict=True)]:
+    for element, at in [
+        ("base", placement.base),
+        *zip(chain.targets, placement.tools, strict=True),
+    ]:
         for symbol, value in zip("xyz", at[:3, 3], strict=True):
             if f"{element}.{symbol}" in names:
                 values[names[f"{element}.{symbol}"]] = value
     return station, values
 
 
-def _settled(starts: list[tuple[Station, np.ndarray]], options: Options) -> list[tuple[float, np.ndarray]]:
-    """Return the median row residual and the values after a short fit of base and tool, robust against outliers."""
+def _settled(
+    starts: list[tuple[Station, np.ndarray]], options: Options
+) -> list[tuple[float, np.ndarray]]:
+    """Return the median row residual and the values after a short fit of base and tool, robust
+    against outliers.
+    """
     most = min(_SETTLED_ROWS, max(_FEWEST_SETTLED_ROWS, _ROWS // len(starts)))
     samples = [station.sample(most) for station, _ in starts]
     problem = Problem(tuple(samples))
     values = _joined(problem, starts)
     free = released_of(problem, options) & is_frame(problem)
     priors = Priors(np.full(len(values), np.inf), bounds_of(problem, options))
-    values = likeliest_values(problem, values, free, priors, declared_noise(problem, options), Course("huber"))
-    left = [np.linalg.norm(residuals, axis=0) for batch in problem.batches for residuals in batch.residuals(values)]
-    return [(float(np.median(size)), values[places]) for size, places in zip(left, problem.places, strict=True)]
+    values = likeliest_values(
+        problem, values, free, priors, declared_noise(problem, options), Course("huber")
+    )
+    left = [
+        np.linalg.norm(residuals, axis=0)
+        for batch in problem.batches
+        for residuals in batch.residuals(values)
+    ]
+    return [
+        (float(np.median(size)), values[places])
+        for size, places in zip(left, problem.places, strict=True)
+    ]

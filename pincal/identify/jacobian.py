@@ -1,8 +1,8 @@
 """A Jacobian with curves kept as basis times one shared column, and its Gram matrix.
 
-All basis functions of the curves of one coordinate share that coordinate's column: parameter p moves the reading at pose i
-by basis_p(i) times column(i). Stored as factors, a curve of a hundred splines costs hardly more than one parameter, as only
-four splines are nonzero at a pose.
+All basis functions of the curves of one coordinate share that coordinate's column: parameter p
+moves the reading at pose i by basis_p(i) times column(i). Stored as factors, a curve of a hundred
+splines costs hardly more than one parameter, as only four splines are nonzero at a pose.
 """
 
 from __future__ import annotations
@@ -25,14 +25,16 @@ from pincal.model.sparse_basis import (
     sparse_times_dense,
 )
 
-# Parts of the poses are padded to one length up to this factor in size, and up to so many poses at once.
+# Parts of the poses are padded to one length up to this factor in size, and up to so many poses at
+# once.
 _PADDING = 1.5
 _AT_ONCE = 512
 
 
 @dataclass(frozen=True)
 class SharedColumns:
-    """S parameters that share a column: their indices, their basis, shape (S, n), and the column, shape (m, n).
+    """S parameters that share a column: their indices, their basis, shape (S, n), and the column,
+    shape (m, n).
 
     The column is the derivative of the readings with respect to the coordinate.
     """
@@ -44,7 +46,9 @@ class SharedColumns:
     def times_dense(self, dense: np.ndarray) -> np.ndarray:
         """Return the products with dense columns, shape (D, m, n), shape (S, D)."""
         if isinstance(self.basis, SparseBasis):
-            return np.asarray(sparse_times_dense(self.basis, np.ascontiguousarray(self.column), dense))
+            return np.asarray(
+                sparse_times_dense(self.basis, np.ascontiguousarray(self.column), dense)
+            )
         return np.asarray(self.basis @ np.einsum("mn,dmn->dn", self.column, dense).T)
 
 
@@ -71,7 +75,10 @@ class Jacobian:
 
     def part(self, readings: slice, poses: slice) -> Jacobian:
         """Return the part of some of the m readings at some poses."""
-        families = tuple(SharedColumns(f.places, _poses(f.basis, poses), f.column[readings, poses]) for f in self.families)
+        families = tuple(
+            SharedColumns(f.places, _poses(f.basis, poses), f.column[readings, poses])
+            for f in self.families
+        )
         return Jacobian(self.size, self.places, self.dense[:, readings, poses], families)
 
     def poses(self, rows: slice) -> Jacobian:
@@ -87,29 +94,47 @@ class Jacobian:
         for family in self.families:
             basis = family.basis
             if isinstance(basis, SparseBasis):
-                rows, few = dense_rows(basis), min(most, basis.size)
+                rows = dense_rows(basis)
+                few = min(most, basis.size)
                 basis = np.add.reduceat(rows, np.arange(few) * basis.size // few, axis=0)
             found.append(basis[:, None] * family.column[readings])
         return np.concatenate(found)
 
     def dense_columns(self) -> tuple[np.ndarray, np.ndarray]:
         """Return all columns, shape (F, m, n), and the indices of their parameters, shape (F,)."""
-        most = max((f.basis.size for f in self.families if isinstance(f.basis, SparseBasis)), default=1)
-        return self.columns(most, slice(None)), np.concatenate([self.places, *(f.places for f in self.families)])
+        most = max(
+            (f.basis.size for f in self.families if isinstance(f.basis, SparseBasis)), default=1
+        )
+        return self.columns(most, slice(None)), np.concatenate(
+            [self.places, *(f.places for f in self.families)]
+        )
 
     def along(self, steps: np.ndarray) -> np.ndarray:
-        """Return the motion of the readings, shape (R, m, n), by R steps of the parameters, shape (F, R)."""
+        """Return the motion of the readings, shape (R, m, n), by R steps of the parameters, shape
+        (F, R).
+        """
         moved = np.tensordot(steps[self.places].T, self.dense, axes=1)
         for family in self.families:
             own = np.ascontiguousarray(steps[family.places])
-            by_pose = sparse_across(family.basis, own).T if isinstance(family.basis, SparseBasis) else own.T @ family.basis
+            by_pose = (
+                sparse_across(family.basis, own).T
+                if isinstance(family.basis, SparseBasis)
+                else own.T @ family.basis
+            )
             moved += by_pose[:, None] * family.column
         return moved
 
     def add_grams(
-        self, residuals: np.ndarray, ends: np.ndarray, G: np.ndarray, g: np.ndarray, *, weights: np.ndarray | None = None
+        self,
+        residuals: np.ndarray,
+        ends: np.ndarray,
+        G: np.ndarray,
+        g: np.ndarray,
+        *,
+        weights: np.ndarray | None = None,
     ) -> None:
-        """Add J W^2 J^T to G, shape (S, F, F), and J W^2 r to g, shape (S, F), for each of S parts of the poses.
+        """Add J W^2 J^T to G, shape (S, F, F), and J W^2 r to g, shape (S, F), for each of S parts
+        of the poses.
 
         Args:
             residuals: r, shape (m, n).
@@ -120,9 +145,11 @@ class Jacobian:
         """
         for some in self._at_once(np.diff(ends)):
             here = slice(int(ends[some.start]), int(ends[some.stop]))
-            A, r = self.poses(here), residuals[:, here]
+            A = self.poses(here)
+            r = residuals[:, here]
             if weights is not None:
-                A, r = A.weighted(weights[here]), r * weights[here]
+                A = A.weighted(weights[here])
+                r = r * weights[here]
             if some.stop - some.start == 1:
                 A.add_gram(r, G[some.start], g[some.start])
             else:
@@ -132,34 +159,50 @@ class Jacobian:
                 g[some][:, at] += found[1]
 
     def _at_once(self, counts: np.ndarray) -> Iterator[slice]:
-        """Yield runs of parts whose products are computed at once, given the number of poses of each."""
-        start, longest, total = 0, 0, 0
+        """Yield runs of parts whose products are computed at once, given the number of poses of
+        each.
+        """
+        start = 0
+        longest = 0
+        total = 0
         for i, count in enumerate(counts.tolist()):
-            longest, total = max(longest, count), total + count
+            longest = max(longest, count)
+            total = total + count
             padded = (i + 1 - start) * longest
             if i > start and (self.families or padded > min(_PADDING * total, _AT_ONCE)):
                 yield slice(start, i)
-                start, longest, total = i, count, count
+                start = i
+                longest = count
+                total = count
         yield slice(start, len(counts))
 
-    def _grams_at_once(self, residuals: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return J J^T and J r of parts with these numbers of poses in one product, padded with zeros to one length."""
+    def _grams_at_once(
+        self, residuals: np.ndarray, counts: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return J J^T and J r of parts with these numbers of poses in one product, padded with
+        zeros to one length.
+        """
         A, r = (_padded(of, counts) for of in (self.dense, residuals))
         A = A.transpose(2, 0, 1, 3).reshape(len(counts), len(self.dense), len(r) * r.shape[2])
         r = r.transpose(1, 0, 2).reshape(len(counts), -1, 1)
         return A @ A.swapaxes(1, 2), (A @ r)[..., 0]
 
-    def add_gram(self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray, groups: np.ndarray | None = None) -> None:
+    def add_gram(
+        self, residuals: np.ndarray, G: np.ndarray, g: np.ndarray, groups: np.ndarray | None = None
+    ) -> None:
         """Add J J^T to G, shape (F, F), and J r to g, shape (F,), for residuals r of shape (m, n).
 
         Args:
             residuals: r.
             G: modified in place.
             g: modified in place.
-            groups: shape (F,), group of each column: products of columns of different groups may be omitted. Default: one.
+            groups: shape (F,), group of each column: products of columns of different groups may be
+                omitted. Default: one.
         """
-        dense, apart = np.ascontiguousarray(self.dense), self.places
-        A, group = dense.reshape(len(dense), residuals.size), np.zeros(self.size, int) if groups is None else groups
+        dense = np.ascontiguousarray(self.dense)
+        apart = self.places
+        A = dense.reshape(len(dense), residuals.size)
+        group = np.zeros(self.size, int) if groups is None else groups
         # Runs of columns of one group.
         cuts = [0, *(np.flatnonzero(np.diff(group[apart])) + 1).tolist(), len(apart)]
         for at in (slice(a, b) for a, b in pairwise(cuts) if a < b):
@@ -169,24 +212,34 @@ class Jacobian:
         spans = [span(family.places) for family in self.families]
         meant = [set(group[family.places].tolist()) for family in self.families]
         for i, (family, rows, mine) in enumerate(zip(self.families, spans, meant, strict=True)):
-            g[rows] += _times(family.basis, np.sum(family.column * residuals, axis=0)[:, None])[:, 0]
-            near = slice(None) if groups is None else np.flatnonzero(np.isin(group[apart], list(mine)))
-            columns, part = span(apart[near]), family.times_dense(dense[near])
+            g[rows] += _times(family.basis, np.sum(family.column * residuals, axis=0)[:, None])[
+                :, 0
+            ]
+            near = (
+                slice(None) if groups is None else np.flatnonzero(np.isin(group[apart], list(mine)))
+            )
+            columns = span(apart[near])
+            part = family.times_dense(dense[near])
             G[block(rows, columns)] += part
             G[block(columns, rows)] += part.T
             for other, columns, others in zip(self.families[: i + 1], spans, meant, strict=False):
                 if not mine.isdisjoint(others):
                     _add_products(G, family, rows, other, columns)
-        sparse = [family.places for family in self.families if isinstance(family.basis, SparseBasis)]
+        sparse = [
+            family.places for family in self.families if isinstance(family.basis, SparseBasis)
+        ]
         if sparse:
             mirror(G, np.sort(np.concatenate(sparse)))
 
     def add_products(self, others: Jacobian, S: np.ndarray) -> None:
         """Add J K^T to S, shape (F, F'), for other columns K of the same readings."""
         dense, theirs = (np.ascontiguousarray(of.dense) for of in (self, others))
-        mine, columns = span(self.places), span(others.places)
+        mine = span(self.places)
+        columns = span(others.places)
         size = dense.shape[1] * dense.shape[2]
-        S[block(mine, columns)] += dense.reshape(len(dense), size) @ theirs.reshape(len(theirs), size).T
+        S[block(mine, columns)] += (
+            dense.reshape(len(dense), size) @ theirs.reshape(len(theirs), size).T
+        )
         for family in self.families:
             S[block(span(family.places), columns)] += family.times_dense(theirs)
         for other in others.families:
@@ -195,9 +248,13 @@ class Jacobian:
             for family in self.families:
                 weights = np.sum(family.column * other.column, axis=0)
                 if isinstance(family.basis, SparseBasis) and isinstance(other.basis, SparseBasis):
-                    add_product(S, family.places, family.basis, weights, other.places, other.basis, False)
+                    add_product(
+                        S, family.places, family.basis, weights, other.places, other.basis, False
+                    )
                 else:
-                    S[block(span(family.places), across)] += _product(family.basis, weights, other.basis)
+                    S[block(span(family.places), across)] += _product(
+                        family.basis, weights, other.basis
+                    )
 
     def only(self, columns: np.ndarray) -> Jacobian:
         """Return the part of some columns, in this order."""
@@ -207,13 +264,17 @@ class Jacobian:
         families = []
         for f in self.families:
             if len(at := np.flatnonzero(slot[f.places] >= 0)):
-                basis = some_functions(f.basis, at) if isinstance(f.basis, SparseBasis) else f.basis[at]
+                basis = (
+                    some_functions(f.basis, at) if isinstance(f.basis, SparseBasis) else f.basis[at]
+                )
                 families.append(SharedColumns(slot[f.places[at]], basis, f.column))
         return Jacobian(len(columns), slot[self.places[kept]], self.dense[kept], tuple(families))
 
 
 def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return an array over poses, shape (..., n), in parts of these sizes, padded by zeros, shape (..., S, longest)."""
+    """Return an array over poses, shape (..., n), in parts of these sizes, padded by zeros, shape
+    (..., S, longest).
+    """
     longest = int(counts.max())
     if np.all(counts == longest):
         return of_poses.reshape(*of_poses.shape[:-1], len(counts), longest)
@@ -224,12 +285,18 @@ def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 def span(places: np.ndarray) -> slice | np.ndarray:
     """Return indices as a slice if they are consecutive, since slices need no copies."""
-    if len(places) and places[-1] - places[0] == len(places) - 1 and (places[1:] - places[:-1] == 1).all():
+    if (
+        len(places)
+        and places[-1] - places[0] == len(places) - 1
+        and (places[1:] - places[:-1] == 1).all()
+    ):
         return slice(int(places[0]), int(places[-1]) + 1)
     return places
 
 
-def block(rows: slice | np.ndarray, columns: slice | np.ndarray) -> tuple[slice | np.ndarray, slice | np.ndarray]:
+def block(
+    rows: slice | np.ndarray, columns: slice | np.ndarray
+) -> tuple[slice | np.ndarray, slice | np.ndarray]:
     """Return the index of a block of a matrix."""
     if isinstance(rows, np.ndarray) and isinstance(columns, np.ndarray):
         return np.ix_(rows, columns)  # type: ignore[return-value]
@@ -243,9 +310,15 @@ def _poses(basis: Basis, rows: slice) -> Basis:
 
 
 def _add_products(
-    G: np.ndarray, family: SharedColumns, rows: slice | np.ndarray, other: SharedColumns, columns: slice | np.ndarray
+    G: np.ndarray,
+    family: SharedColumns,
+    rows: slice | np.ndarray,
+    other: SharedColumns,
+    columns: slice | np.ndarray,
 ) -> None:
-    """Add the products of two families, or of one, to G; those of sparse families only below the diagonal."""
+    """Add the products of two families, or of one, to G; those of sparse families only below the
+    diagonal.
+    """
     weights = np.sum(family.column * other.column, axis=0)
     if isinstance(family.basis, SparseBasis) and isinstance(other.basis, SparseBasis):
         add_product(G, family.places, family.basis, weights, other.places, other.basis, True)
@@ -258,7 +331,9 @@ def _add_products(
 
 def _times(basis: Basis, matrix: np.ndarray) -> np.ndarray:
     """Return basis times a row-major matrix of shape (n, D), shape (S, D)."""
-    return np.asarray(sparse_times(basis, matrix) if isinstance(basis, SparseBasis) else basis @ matrix)
+    return np.asarray(
+        sparse_times(basis, matrix) if isinstance(basis, SparseBasis) else basis @ matrix
+    )
 
 
 def _product(left: Basis, weights: np.ndarray, right: Basis) -> np.ndarray:

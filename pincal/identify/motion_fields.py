@@ -1,4 +1,6 @@
-"""Motion fields: how the targets move, as far as readings determine it, if something in a cell differs from its model."""
+"""Motion fields: how the targets move, as far as readings determine it, if something in a cell
+differs from its model.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ _NOTHING = 1e-5
 
 @dataclass(frozen=True)
 class MotionField:
-    """A motion of the targets: its cause, and its m directions at each row, shape (n, 3, m) [m per unit of the cause]."""
+    """A motion of the targets: its cause, and its m directions at each row, shape (n, 3, m) [m per
+    unit of the cause].
+    """
 
     name: str
     directions: np.ndarray
@@ -51,7 +55,9 @@ def fields_of_setup(station: Station, values: np.ndarray) -> Iterator[MotionFiel
 
 
 def fields_of_joints(station: Station, values: np.ndarray) -> Iterator[MotionField]:
-    """Yield the motion of the targets by each joint that moves them; arguments as for :func:`fields_of_setup`."""
+    """Yield the motion of the targets by each joint that moves them; arguments as for
+    :func:`fields_of_setup`.
+    """
     motion, _ = _motions(station, values)
     of_model, _ = station.split(values)
     robot = station.model.chain.robot
@@ -65,12 +71,19 @@ def fields_of_joints(station: Station, values: np.ndarray) -> Iterator[MotionFie
 
 
 def field_of_load(station: Station, values: np.ndarray) -> MotionField:
-    r"""Return the motion of the targets by compliant drives under another payload; arguments as before.
+    r"""Return the motion of the targets by compliant drives under another payload; arguments as
+    before.
 
-    A weight along the unit vector g turns drive j, with the lever l_j of the target, by its compliance times
-    :math:`l_j \cdot g`: the target moves along :math:`l_j (l_j \cdot g)`, a direction for each drive.
+    A weight along the unit vector g turns drive j, with the lever l_j of the target, by its
+    compliance times
+    :math:`l_j \cdot g`: the target moves along :math:`l_j (l_j \cdot g)`, a direction for each
+      drive.
     """
-    levers = [field.directions[:, :, 0] for field in fields_of_joints(station, values) if field.unit == "rad"]
+    levers = [
+        field.directions[:, :, 0]
+        for field in fields_of_joints(station, values)
+        if field.unit == "rad"
+    ]
     chain = station.model.chain
     gravity = np.asarray(chain.base_rotation).reshape(-1, 3, 3)[0] @ chain.gravity
     down = gravity / max(float(np.linalg.norm(gravity)), 1e-300)
@@ -79,13 +92,21 @@ def field_of_load(station: Station, values: np.ndarray) -> MotionField:
     return MotionField("load", np.stack(felt, axis=2) if felt else np.zeros((len(station), 3, 0)))
 
 
-def _motions(station: Station, values: np.ndarray) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
-    """Return a function from moved flange poses, (n, 3, 4), to the targets' motion, (n, 3), and the poses themselves."""
+def _motions(
+    station: Station, values: np.ndarray
+) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
+    """Return a function from moved flange poses, (n, 3, 4), to the targets' motion, (n, 3), and the
+    poses themselves.
+    """
     of_model, own = station.split(values)
-    sensor, poses = station.sensor, station.model.predict(of_model, station.conditions)
+    sensor = station.sensor
+    poses = station.model.predict(of_model, station.conditions)
     here = sensor.displacement(sensor.residuals(poses, own), poses, own)
 
     def motion(moved: np.ndarray) -> np.ndarray:
-        return np.asarray(here - sensor.displacement(sensor.residuals(moved, own), moved, own)) / _MOVED
+        return (
+            np.asarray(here - sensor.displacement(sensor.residuals(moved, own), moved, own))
+            / _MOVED
+        )
 
     return motion, poses

@@ -1,8 +1,9 @@
-"""Noise and outliers, estimated from the residuals of a fit, station by station; and fits to exact readings.
+"""Noise and outliers, estimated from the residuals of a fit, station by station; and fits to exact
+readings.
 
-Real instruments are never so exact that rounding of J^T J to sixteen digits loses information; simulated ones are, and they
-serve to find out what a model can represent at all. Fits to them are finished to rounding with singular values of the
-Jacobian itself.
+Real instruments are never so exact that rounding of J^T J to sixteen digits loses information;
+simulated ones are, and they serve to find out what a model can represent at all. Fits to them are
+finished to rounding with singular values of the Jacobian itself.
 """
 
 from __future__ import annotations
@@ -20,14 +21,19 @@ from pincal.identify.equations import Linearised
 from pincal.identify.normal import belief_rows
 from pincal.identify.problem import Problem
 
-# Steps of a fit to exact readings, and the largest Jacobian (rows times parameters) for which it is done.
-_POLISHING, MOST_EXACT = 60, 2_000_000
-# Damping of a step relative to the largest singular value of J (Levenberg, Marquardt): rounding, and more where that fails.
+# Steps of a fit to exact readings, and the largest Jacobian (rows times parameters) for which it is
+# done.
+_POLISHING = 60
+MOST_EXACT = 2_000_000
+# Damping of a step relative to the largest singular value of J (Levenberg, Marquardt): rounding,
+# and more where that fails.
 _DAMPING = (64.0 * np.finfo(float).eps, 1e-11, 1e-9, 1e-7)
 # Fractions of a step that are tried.
 _PARTS = (1.0, 0.5, 0.25, 0.1, 0.02)
-# Singular values, relative to the largest, above which directions are strong, and the corrections along them after each.
-_STRONG, _CORRECTIONS = (1e-3, 1e-6), 3
+# Singular values, relative to the largest, above which directions are strong, and the corrections
+# along them after each.
+_STRONG = (1e-3, 1e-6)
+_CORRECTIONS = 3
 # Rounding of G, in units of the priors' information, above which it is too coarse.
 _COARSE = 1e-4
 # Residuals of a perfect fit to exact readings, in units of their rounding.
@@ -41,11 +47,15 @@ def rounding(problem: Problem) -> np.ndarray:
 
 def usual_sizes(problem: Problem, at_most: np.ndarray | float = np.inf) -> np.ndarray:
     """Return the usual standard deviations of the parameters in these poses, shape (P,)."""
-    return np.asarray(np.minimum([p.size for p in problem.parameters] / problem.largest_basis[0], at_most))
+    return np.asarray(
+        np.minimum([p.size for p in problem.parameters] / problem.largest_basis[0], at_most)
+    )
 
 
 def is_exact(G: np.ndarray, sizes: np.ndarray) -> bool:
-    """Return whether the readings' information, the diagonal of G, is so large that its rounding swamps the priors."""
+    """Return whether the readings' information, the diagonal of G, is so large that its rounding
+    swamps the priors.
+    """
     known = np.isfinite(sizes)
     # By roots: squares of the sizes that follow from an absurd mass overflow.
     ratio = np.sqrt(np.maximum(G[known], 0.0)) * sizes[known]
@@ -53,22 +63,34 @@ def is_exact(G: np.ndarray, sizes: np.ndarray) -> bool:
 
 
 def polish(point: Linearised, bounds: np.ndarray, sigma: np.ndarray) -> tuple[np.ndarray, int]:
-    """Continue a fit that is nearly converged; return the values, shape (P,), and the number of steps.
+    """Continue a fit that is nearly converged; return the values, shape (P,), and the number of
+    steps.
 
-    Priors do not enter: their pull along unobservable directions, which are curved, would only stall the fit. Such
-    directions are held. A long step along weak directions leaves the valley floor, which is curved, too; steps along strong
-    ones lead back to it (a second-order correction, Nocedal and Wright 2006, section 18.3).
+    Priors do not enter: their pull along unobservable directions, which are curved, would only
+    stall the fit. Such directions are held. A long step along weak directions leaves the valley
+    floor, which is curved, too; steps along strong ones lead back to it (a second-order correction,
+    Nocedal and Wright 2006, section 18.3).
 
     Args:
-        point: the problem at the start values; of the priors only the sizes are used, to scale parameters.
+        point: the problem at the start values; of the priors only the sizes are used, to scale
+            parameters.
         bounds: shape (P,), largest deviations.
         sigma: shape (blocks,), noise.
     """
-    problem, values, free = point.problem, point.values, point.free
-    sizes, bounds = point.sizes[free], bounds[free]
-    known, weights, floor = np.isfinite(sizes), [], 0.0
-    for station, rows, span in zip(problem.stations, problem.rows, problem.block_spans, strict=True):
-        noise, exact = (np.repeat(of[span], station.block_sizes) for of in (sigma, _EXACT * rounding(problem)))
+    problem = point.problem
+    values = point.values
+    free = point.free
+    sizes = point.sizes[free]
+    bounds = bounds[free]
+    known = np.isfinite(sizes)
+    weights = []
+    floor = 0.0
+    for station, rows, span in zip(
+        problem.stations, problem.rows, problem.block_spans, strict=True
+    ):
+        noise, exact = (
+            np.repeat(of[span], station.block_sizes) for of in (sigma, _EXACT * rounding(problem))
+        )
         weights.append(station.weights * point.robust[rows] / noise[:, None])
         floor += float(np.sum((exact[:, None] * weights[-1]) ** 2))
     J, r = _whitened(problem, values, free, weights)
@@ -87,7 +109,8 @@ def polish(point: Linearised, bounds: np.ndarray, sigma: np.ndarray) -> tuple[np
                 back[free] += scale * (Vt[strong].T @ ((U[:, strong].T @ left) / s[strong]))
                 better = _whitened(problem, back, free, weights)[1]
                 if better @ better < 0.5 * (left @ left):
-                    trial, left = back, better
+                    trial = back
+                    left = better
             if left @ left < r @ r and np.all(np.abs(trial[free]) <= bounds):
                 break
         else:
@@ -102,11 +125,15 @@ def polish(point: Linearised, bounds: np.ndarray, sigma: np.ndarray) -> tuple[np
 def _whitened(
     problem: Problem, values: np.ndarray, free: np.ndarray, weights: list[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return Jacobian, shape (F, M), and residuals, shape (M,), in units of the noise, constraints among them."""
+    """Return Jacobian, shape (F, M), and residuals, shape (M,), in units of the noise, constraints
+    among them.
+    """
     rank = np.cumsum(free) - 1
-    columns, residuals = [], []
+    columns = []
+    residuals = []
     for station, places, weight in zip(problem.stations, problem.places, weights, strict=True):
-        at, moved = values[places], free[places]
+        at = values[places]
+        moved = free[places]
         parts = list(station.linearise(at, moved))
         more, known = belief_rows(station, at, moved)
         J = np.concatenate([part[2] for part in parts], axis=2) * weight
@@ -122,7 +149,9 @@ Loss = Literal["screen", "huber", "none"]
 
 @dataclass(frozen=True)
 class Noise:
-    """Declared standard deviations of one component of each block of readings, None where they are to be estimated."""
+    """Declared standard deviations of one component of each block of readings, None where they are
+    to be estimated.
+    """
 
     declared: tuple[float | None, ...]
 
@@ -132,7 +161,9 @@ class Noise:
         return np.array([np.nan if sigma is None else sigma for sigma in self.declared], float)
 
     def resolved(self, estimated: np.ndarray, degrees: np.ndarray) -> np.ndarray:
-        """Return the noise to use, shape (blocks,): the declared unless the estimated exceeds it significantly."""
+        """Return the noise to use, shape (blocks,): the declared unless the estimated exceeds it
+        significantly.
+        """
         misfit = self.known * (1.0 + CRITERIA.too_noisy / np.sqrt(2.0 * degrees))
         return np.where(np.isnan(self.known) | (estimated > misfit), estimated, self.known)
 
@@ -153,7 +184,9 @@ class Judgement:
 
 
 def outlier_limit(rows: int, size: int) -> float:
-    """Return the sum of squares, in units of the noise, above which a row of ``size`` readings is screened."""
+    """Return the sum of squares, in units of the noise, above which a row of ``size`` readings is
+    screened.
+    """
     return float(chdtri(size, CRITERIA.outlier / rows))
 
 
@@ -183,7 +216,9 @@ class Judge:
             is_shared = self.problem.is_shared
             shared = int(np.sum(self.free & is_shared & ~self.problem.beliefs.is_earlier))
             own = [int(np.sum((self.free & ~is_shared)[places])) for places in self.problem.places]
-            estimated = np.sqrt(point.squares / self.degrees(point.robust, shared, own, most=CRITERIA.most_spent))
+            estimated = np.sqrt(
+                point.squares / self.degrees(point.robust, shared, own, most=CRITERIA.most_spent)
+            )
         else:
             middle = np.array([chdtri(block.size, 0.5) for block in self.problem.blocks])
             estimated = np.sqrt(_medians(point.row_squares) / middle)
@@ -193,9 +228,13 @@ class Judge:
 
     def counted(self, robust: np.ndarray) -> np.ndarray:
         """Return the number of readings that count in each block, shape (blocks,)."""
-        return np.asarray(np.maximum(self.problem.readings(robust), [block.size for block in self.problem.blocks]))
+        return np.asarray(
+            np.maximum(self.problem.readings(robust), [block.size for block in self.problem.blocks])
+        )
 
-    def degrees(self, robust: np.ndarray, shared: float, own: Sequence[float], *, most: float = np.inf) -> np.ndarray:
+    def degrees(
+        self, robust: np.ndarray, shared: float, own: Sequence[float], *, most: float = np.inf
+    ) -> np.ndarray:
         """Return the degrees of freedom that a fit leaves to each block, shape (blocks,).
 
         Each block pays for its part of the shared parameters and of those of its station.
@@ -206,7 +245,8 @@ class Judge:
             own: of each station's own parameters.
             most: largest fraction of the readings that parameters are assumed to use up.
         """
-        counted, spans = self.counted(robust), self.problem.block_spans
+        counted = self.counted(robust)
+        spans = self.problem.block_spans
         of = np.repeat(np.arange(len(spans)), [span.stop - span.start for span in spans])
         whole = np.bincount(of, counted)
         numbers = np.zeros(len(whole))
@@ -216,25 +256,40 @@ class Judge:
         return np.asarray(np.maximum(counted - spent, 1.0))
 
     def weights(self, point: Linearised, sigma: np.ndarray, *, hard: bool) -> np.ndarray:
-        """Return the rows' robust weights for noise of each block, shape (blocks,); further arguments as for :meth:`at`."""
+        """Return the rows' robust weights for noise of each block, shape (blocks,); further
+        arguments as for :meth:`at`.
+        """
         if self.loss == "none":
             return np.ones(len(self.problem))
         spans = self.problem.block_spans
         pairs = zip(point.row_squares, spans, strict=True)
-        distance2 = np.concatenate([np.einsum("b,bn->n", sigma[span] ** -2.0, rows) for rows, span in pairs])
+        distance2 = np.concatenate(
+            [np.einsum("b,bn->n", sigma[span] ** -2.0, rows) for rows, span in pairs]
+        )
         counts = [rows.shape[1] for rows in point.row_squares]
         sizes = [station.reading_size for station in self.problem.stations]
-        limits = [outlier_limit(n, size) if n else np.inf for n, size in zip(counts, sizes, strict=True)]
+        limits = [
+            outlier_limit(n, size) if n else np.inf for n, size in zip(counts, sizes, strict=True)
+        ]
         limit2 = np.repeat(limits, counts)
         if not np.any(distance2 > limit2):
             return np.ones(len(self.problem))
-        lighter = 0.0 if hard and self.loss == "screen" else (limit2 / np.maximum(distance2, limit2)) ** 0.25
-        trusted = [np.zeros(len(s), bool) if s.trusted is None else s.trusted for s in self.problem.stations]
+        lighter = (
+            0.0
+            if hard and self.loss == "screen"
+            else (limit2 / np.maximum(distance2, limit2)) ** 0.25
+        )
+        trusted = [
+            np.zeros(len(s), bool) if s.trusted is None else s.trusted
+            for s in self.problem.stations
+        ]
         return np.where((distance2 > limit2) & ~np.concatenate(trusted), lighter, 1.0)
 
 
 def _medians(rows: list[np.ndarray]) -> np.ndarray:
-    """Return the median of each row of each matrix, one matrix after the other; matrices of one shape at once."""
+    """Return the median of each row of each matrix, one matrix after the other; matrices of one
+    shape at once.
+    """
     of_shape: dict[tuple[int, ...], list[int]] = {}
     for i, each in enumerate(rows):
         of_shape.setdefault(each.shape, []).append(i)
@@ -243,6 +298,8 @@ def _medians(rows: list[np.ndarray]) -> np.ndarray:
         several = np.array([rows[i] for i in members])
         # As np.median, which takes ten times as long for few rows.
         at = (n - 1) // 2, n // 2
-        for i, middle in zip(members, np.partition(several, at, axis=2)[..., at] if n else several, strict=True):
+        for i, middle in zip(
+            members, np.partition(several, at, axis=2)[..., at] if n else several, strict=True
+        ):
             found[i] = 0.5 * middle.sum(axis=1)
     return np.concatenate(found)

@@ -1,8 +1,9 @@
 """Batches of stations that are evaluated in one pass, and their normal equations.
 
-An evaluation has fixed costs. Small consecutive stations of a problem with one kind of sensor and one model, up to the poses
-of base and tool, share them: the model is evaluated once over all their rows, with each station's own parameters at its
-rows. Sums over stations are functions of picklable arguments, so that any executor can map them.
+An evaluation has fixed costs. Small consecutive stations of a problem with one kind of sensor and
+one model, up to the poses of base and tool, share them: the model is evaluated once over all their
+rows, with each station's own parameters at its rows. Sums over stations are functions of picklable
+arguments, so that any executor can map them.
 """
 
 from __future__ import annotations
@@ -47,7 +48,9 @@ class Batch:
     first: int
 
     def by_free(self, free: np.ndarray) -> Iterator[Batch]:
-        """Yield parts of the batch with the same free parameters, given the mask of all parameters."""
+        """Yield parts of the batch with the same free parameters, given the mask of all
+        parameters.
+        """
         if len(self.stations) == 1:
             yield self
             return
@@ -70,19 +73,34 @@ class Batch:
         return _ends(self.stations)
 
     def values(self, values: np.ndarray) -> np.ndarray:
-        """Return the values of the batch's parameters, given all values, as for :meth:`together`."""
-        return np.asarray(values[self.places].T if len(self.stations) > 1 else values[self.places[0]])
+        """Return the values of the batch's parameters, given all values, as for
+        :meth:`together`.
+        """
+        return np.asarray(
+            values[self.places].T if len(self.stations) > 1 else values[self.places[0]]
+        )
 
     def work(self, function: Callable[..., Any], values: np.ndarray, *rest: Any) -> Task:
-        """Return the task of calling a function with the stations, their part of all values, and further arguments."""
-        return function, slice(self.first, self.first + len(self.stations)), self.values(values), *rest
+        """Return the task of calling a function with the stations, their part of all values, and
+        further arguments.
+        """
+        return (
+            function,
+            slice(self.first, self.first + len(self.stations)),
+            self.values(values),
+            *rest,
+        )
 
     def residuals(self, values: np.ndarray) -> list[np.ndarray]:
-        """Return reading minus prediction of each station, shape (m, its rows), for values of all parameters."""
+        """Return reading minus prediction of each station, shape (m, its rows), for values of all
+        parameters.
+        """
         return np.split(self.together().residuals(self.values(values)), self.ends[1:-1], axis=1)
 
     def together(self) -> Station:
-        """Return one station with the rows of all, each station's parameters at its rows: values have shape (P, S)."""
+        """Return one station with the rows of all, each station's parameters at its rows: values
+        have shape (P, S).
+        """
         return _together(self.stations)
 
 
@@ -103,41 +121,61 @@ def _ends(stations: Sequence[Station]) -> np.ndarray:
 
 
 def _together(stations: Sequence[Station]) -> Station:
-    first, n = stations[0], len(stations)
+    first = stations[0]
+    n = len(stations)
     if n == 1:
         return first
-    chains, parts = [station.model.chain for station in stations], [station.conditions for station in stations]
-    bases, tools = np.array([c.base_rotation for c in chains]), np.concatenate([c.tool_rotations for c in chains])
+    chains = [station.model.chain for station in stations]
+    parts = [station.conditions for station in stations]
+    bases = np.array([c.base_rotation for c in chains])
+    tools = np.concatenate([c.tool_rotations for c in chains])
     columns = [f.name for f in fields(parts[0]) if f.name not in ("payload_centre", "setup")]
     present = [name for name in columns if getattr(parts[0], name) is not None]
-    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in present}
+    joined: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in present
+    }
     setup = np.repeat(np.arange(n), np.diff(_ends(stations)))
     return Station(
         model=first.model.with_chain(first.model.chain.with_references(bases, tools)),
         conditions=replace(parts[0], **joined, setup=setup),
         sensor=first.sensor.joined([station.sensor for station in stations[1:]]),
         weights=np.concatenate([station.weights for station in stations]),
-        whitening=None if first.whitening is None else np.concatenate([s.whitening for s in stations], axis=2),
+        whitening=None
+        if first.whitening is None
+        else np.concatenate([s.whitening for s in stations], axis=2),
     )
 
 
 def runs(stations: Sequence[Station]) -> Iterator[range]:
-    """Yield the numbers of consecutive stations that are evaluated together, as small ones of one kind are."""
-    start, rows, key, is_plain = 0, len(stations[0]), _key(stations[0]), None
+    """Yield the numbers of consecutive stations that are evaluated together, as small ones of one
+    kind are.
+    """
+    start = 0
+    rows = len(stations[0])
+    key = _key(stations[0])
+    is_plain = None
     for i, station in enumerate(stations[1:], 1):
-        rows, other = rows + len(station), _key(station)
+        rows = rows + len(station)
+        other = _key(station)
         is_alike = rows <= PIECE and not station.is_correlated and other == key
         if is_alike and is_plain is None:
             is_plain = _is_plain(stations[start])
         if not (is_alike and is_plain):
             yield range(start, i)
-            start, rows, key, is_plain = i, len(station), other, None
+            start = i
+            rows = len(station)
+            key = other
+            is_plain = None
     yield range(start, len(stations))
 
 
 def _key(station: Station) -> tuple[object, ...]:
-    """Return what stations must have in common to be evaluated together: model, sensor, and the columns present."""
-    model, sensor, conditions = station.model, station.sensor, station.conditions
+    """Return what stations must have in common to be evaluated together: model, sensor, and the
+    columns present.
+    """
+    model = station.model
+    sensor = station.sensor
+    conditions = station.conditions
     return (
         id(model.chain.robot),
         id(model.chain.path),
@@ -156,16 +194,26 @@ def _key(station: Station) -> tuple[object, ...]:
 
 
 def _is_plain(station: Station) -> bool:
-    """Return whether a station's sensor consists of its rows alone, and its model does not depend on base and tool."""
-    sensor, chain = station.sensor, station.model.chain
+    """Return whether a station's sensor consists of its rows alone, and its model does not depend
+    on base and tool.
+    """
+    sensor = station.sensor
+    chain = station.model.chain
     is_rows = {f.name for f in fields(sensor)} == set(sensor.per_row)  # type: ignore[arg-type]
     if not is_rows or sensor.parameters or isinstance(sensor, Grouped):
         return False
     if station.is_correlated or station.shares_setup or not len(station):
         return False
-    nowhere = chain.with_references(np.full((3, 3), np.nan), np.full_like(chain.tool_rotations, np.nan))
-    row, moments = station.conditions.select(slice(0, 1)), np.zeros((1, 3 * chain.robot.n_joints))
-    terms = (t for e in station.model.effects for t in e.terms(nowhere, row, moments if e.uses_moments else None))
+    nowhere = chain.with_references(
+        np.full((3, 3), np.nan), np.full_like(chain.tool_rotations, np.nan)
+    )
+    row = station.conditions.select(slice(0, 1))
+    moments = np.zeros((1, 3 * chain.robot.n_joints))
+    terms = (
+        t
+        for e in station.model.effects
+        for t in e.terms(nowhere, row, moments if e.uses_moments else None)
+    )
     return all(term.basis is None or bool(np.isfinite(term.basis).all()) for term in terms)
 
 
@@ -180,7 +228,8 @@ class StationSquares:
     Attributes:
         blocks: weighted sums, by block of readings (position, orientation) of each station.
         rows: shape (blocks, N), each row's weighted squared residual, without robust weights.
-        beliefs: shape (S,), from each sensor's knowledge besides its readings, in units of the variances.
+        beliefs: shape (S,), from each sensor's knowledge besides its readings, in units of the
+            variances.
     """
 
     blocks: np.ndarray
@@ -209,22 +258,33 @@ class Normal:
     def at(self, sigma: np.ndarray) -> Form:
         """Return the information form for standard deviations of the blocks, shape (blocks,)."""
         weight = sigma**-2.0
-        H, g = np.einsum("...b,...bij->...ij", weight, self.H), np.einsum("...b,...bi->...i", weight, self.g)
-        return Form.of(H, g) if self.believed is None else Form.of(H + self.believed.H, g + self.believed.g)
+        H = np.einsum("...b,...bij->...ij", weight, self.H)
+        g = np.einsum("...b,...bi->...i", weight, self.g)
+        return (
+            Form.of(H, g)
+            if self.believed is None
+            else Form.of(H + self.believed.H, g + self.believed.g)
+        )
 
     def narrowed(self, kept: np.ndarray) -> Normal:
         """Return the equations of the parameters at indices ``kept``, shape (K,)."""
         known = None if self.believed is None else self.believed.taking(kept)
-        return replace(self, H=self.H[..., kept[:, None], kept], g=self.g[..., kept], believed=known)
+        return replace(
+            self, H=self.H[..., kept[:, None], kept], g=self.g[..., kept], believed=known
+        )
 
 
-def accumulate(station: Station, values: np.ndarray, free: np.ndarray, robust: np.ndarray) -> Normal:
+def accumulate(
+    station: Station, values: np.ndarray, free: np.ndarray, robust: np.ndarray
+) -> Normal:
     """Return the normal equations of one station; arguments as for :func:`accumulate_each`."""
     found = accumulate_each(station, np.array([0, len(station)]), values, free, robust)
     return replace(found, H=found.H[0], g=found.g[0])
 
 
-def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free: np.ndarray, robust: np.ndarray) -> Normal:
+def accumulate_each(
+    station: Station, ends: np.ndarray, values: np.ndarray, free: np.ndarray, robust: np.ndarray
+) -> Normal:
     """Return the normal equations of each of S stations joined in one.
 
     Args:
@@ -234,20 +294,33 @@ def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free
         free: shape (P,), the F free parameters.
         robust: shape (N,), factor on each row's weight: 0 excludes a row.
     """
-    n, blocks, n_free = len(ends) - 1, station.block_rows, int(free.sum())
-    H, g = np.zeros((n, len(blocks), n_free, n_free)), np.zeros((n, len(blocks), n_free))
-    squares, row_squares = np.zeros((n, len(blocks))), np.empty((len(blocks), len(station)))
+    n = len(ends) - 1
+    blocks = station.block_rows
+    n_free = int(free.sum())
+    H = np.zeros((n, len(blocks), n_free, n_free))
+    g = np.zeros((n, len(blocks), n_free))
+    squares = np.zeros((n, len(blocks)))
+    row_squares = np.empty((len(blocks), len(station)))
     for piece, residuals, jacobian in station.linearise_shared(values, free):
         weights = station.weights[piece]
         for b, rows in enumerate(blocks):
-            row_squares[b, piece] = np.einsum("in,in->n", residuals[rows], residuals[rows]) * weights**2
+            row_squares[b, piece] = (
+                np.einsum("in,in->n", residuals[rows], residuals[rows]) * weights**2
+            )
         weights = weights * robust[piece]
         is_uniform = bool(np.all(weights == 1.0))
         first, last = np.searchsorted(ends, [piece.start, piece.stop - 1], side="right") - 1
-        here, inner = slice(first, last + 1), np.clip(ends[first : last + 2], piece.start, piece.stop) - piece.start
+        here = slice(first, last + 1)
+        inner = np.clip(ends[first : last + 2], piece.start, piece.stop) - piece.start
         for b, rows in enumerate(blocks):
             part = jacobian.part(rows, slice(0, piece.stop - piece.start))
-            part.add_grams(residuals[rows], inner, H[here, b], g[here, b], weights=None if is_uniform else weights)
+            part.add_grams(
+                residuals[rows],
+                inner,
+                H[here, b],
+                g[here, b],
+                weights=None if is_uniform else weights,
+            )
             r = residuals[rows] if is_uniform else residuals[rows] * weights
             squares[here, b] += [np.vdot(of, of) for of in np.split(r, inner[1:-1], axis=1)]
     known = believed(station, values, free) if n == 1 else None
@@ -256,11 +329,18 @@ def accumulate_each(station: Station, ends: np.ndarray, values: np.ndarray, free
 
 
 def reweighted(
-    station: Station, ends: np.ndarray, values: np.ndarray, free: np.ndarray, robust: np.ndarray, past: Normal | None = None
+    station: Station,
+    ends: np.ndarray,
+    values: np.ndarray,
+    free: np.ndarray,
+    robust: np.ndarray,
+    past: Normal | None = None,
 ) -> Normal:
-    """Return the normal equations of stations; of a single one only rows with changed robust weights are summed.
+    """Return the normal equations of stations; of a single one only rows with changed robust
+    weights are summed.
 
-    Arguments as for :func:`accumulate_each`, and ``past``: the equations at the same values with other robust weights.
+    Arguments as for :func:`accumulate_each`, and ``past``: the equations at the same values with
+    other robust weights.
     """
     rows = np.arange(len(station)) if past is None else np.flatnonzero(robust != past.robust)
     if station.arrival is not None:
@@ -271,13 +351,16 @@ def reweighted(
     if past is None or is_whole or _MOST_CHANGED * len(rows) > len(station):
         return accumulate_each(station, ends, values, free, robust)
     change = robust[rows] ** 2 - past.robust[rows] ** 2
-    H, g = past.H.copy(), past.g.copy()
+    H = past.H.copy()
+    g = past.g.copy()
     for some, add in ((change > 0.0, np.add), (change < 0.0, np.subtract)):
         if some.any():
             if station.arrival is None:
-                weights, part = np.sqrt(np.abs(change[some])), station.select(rows[some])
+                weights = np.sqrt(np.abs(change[some]))
+                part = station.select(rows[some])
             else:
-                weights, part = np.sqrt(np.where(some, np.abs(change), 0.0)), station.select(rows)
+                weights = np.sqrt(np.where(some, np.abs(change), 0.0))
+                part = station.select(rows)
             found = accumulate_each(part, np.array([0, len(weights)]), values, free, weights)
             add(H, found.H, out=H)
             add(g, found.g, out=g)
@@ -286,13 +369,17 @@ def reweighted(
     return replace(past, H=H, g=g, squares=squares, robust=robust)
 
 
-def squares(station: Station, ends: np.ndarray, values: np.ndarray, robust: np.ndarray) -> StationSquares:
+def squares(
+    station: Station, ends: np.ndarray, values: np.ndarray, robust: np.ndarray
+) -> StationSquares:
     """Return the squares of stations' residuals; arguments as for :func:`accumulate_each`."""
     residuals = station.whitened(station.residuals(values))
     parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in station.block_rows]
     rows = np.array(parts) * station.weights**2
     each = np.split(rows, ends[1:-1], axis=1)
-    blocks = np.concatenate([of @ weights**2 for of, weights in zip(each, np.split(robust, ends[1:-1]), strict=True)])
+    blocks = np.concatenate(
+        [of @ weights**2 for of, weights in zip(each, np.split(robust, ends[1:-1]), strict=True)]
+    )
     known = np.zeros(len(each))
     if len(each) == 1:
         r = belief_rows(station, values, np.zeros(len(values), bool))[1]
@@ -309,25 +396,39 @@ def contribution(
     sigma: np.ndarray,
     *prior: np.ndarray,
 ) -> tuple[tuple[Form, Eliminated], StationSquares]:
-    """Return the information of stations on the free parameters that they share, and the squares of their residuals.
+    """Return the information of stations on the free parameters that they share, and the squares of
+    their residuals.
 
-    Arguments as for :func:`accumulate_each`, then noise, shape (S, blocks), and those of :func:`eliminate`.
+    Arguments as for :func:`accumulate_each`, then noise, shape (S, blocks), and those of
+    :func:`eliminate`.
     """
     normal = accumulate_each(station, ends, values, free, robust)
     return eliminate(normal.at(sigma), *prior), normal.squares
 
 
 def believed(station: Station, values: np.ndarray, free: np.ndarray) -> Quadratic | None:
-    """Return the sensor's knowledge of its own parameters, over all F free ones; None where it has no constraints."""
+    """Return the sensor's knowledge of its own parameters, over all F free ones; None where it has
+    no constraints.
+    """
     J, r = belief_rows(station, values, free)
-    return Quadratic.of_rows([p.name for p in compress(station.parameters, free)], J.T, r) if len(r) else None
+    return (
+        Quadratic.of_rows([p.name for p in compress(station.parameters, free)], J.T, r)
+        if len(r)
+        else None
+    )
 
 
-def belief_rows(station: Station, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return Jacobian, shape (F, C), and residuals, shape (C,), of the sensor's C constraints in units of their noise."""
+def belief_rows(
+    station: Station, values: np.ndarray, free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return Jacobian, shape (F, C), and residuals, shape (C,), of the sensor's C constraints in
+    units of their noise.
+    """
     facts = station.sensor.constraints(station.split(values)[1])
     if facts is None:
         return np.zeros((int(free.sum()), 0)), np.zeros(0)
     of_model, of_sensor = station.split(free)
     J = (facts.jacobian / facts.sigma)[of_sensor]
-    return np.vstack([np.zeros((int(of_model.sum()), J.shape[1])), J]), facts.residuals / facts.sigma
+    return np.vstack(
+        [np.zeros((int(of_model.sum()), J.shape[1])), J]
+    ), facts.residuals / facts.sigma

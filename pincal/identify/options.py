@@ -21,7 +21,8 @@ from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity
 Stages = Literal["joint", "paper"]
 Tools = dict[str, tuple[float, float, float] | np.ndarray]
 
-# Largest deviation of a length that a fit may find [m]; the paper (IV.C) gives +-1 cm for real deviations.
+# Largest deviation of a length that a fit may find [m]; the paper (IV.C) gives +-1 cm for real
+# deviations.
 LENGTH_BOUND = 0.01
 
 
@@ -77,31 +78,36 @@ class Options:
 
     Attributes:
         effects: what may deviate, in addition to base and tool.
-        sigma: standard deviation of one component of a position, or of a distance [m], of an image [px]; estimated if None.
+        sigma: standard deviation of one component of a position, or of a distance [m], of an image
+            [px]; estimated if None.
         sigma_orientation: likewise of one component of an orientation [rad].
-        moment_frame: where moments are taken and deflect the arm, see :class:`pincal.Chain`; "auto" for the best fit, as in
-            the paper if several fit equally well.
+        moment_frame: where moments are taken and deflect the arm, see :class:`pincal.Chain`; "auto"
+            for the best fit, as in the paper if several fit equally well.
         equilibrium: moments on the deflected arm instead of the rigid one.
-        gravity: shape (3,), in the robot's base frame [m/s^2]; default: along -z of the URDF's root.
+        gravity: shape (3,), in the robot's base frame [m/s^2]; default: along -z of the URDF's
+            root.
         payload_centre: centre of mass of the payload in the tip frame [m].
         base: shape (4, 4), robot base in the instrument's frame, if known.
-        tools: target name -> (x, y, z) in the tip frame [m], or shape (4, 4), target to tip frame, if known.
+        tools: target name -> (x, y, z) in the tip frame [m], or shape (4, 4), target to tip frame,
+            if known.
         stages: "joint" fits all parameters at once, "paper" follows the paper's sequence.
         loss: treatment of outliers: "screen", "huber" or "none".
         length_bound: largest deviation of a length [m].
         setup: named points and the camera, as far as they are known.
         stations: station name -> its own options, where there are several stations.
-        instrument: the noise of positions by range and direction, instead of ``sigma``; positions are then in the
-            instrument's own frame.
+        instrument: the noise of positions by range and direction, instead of ``sigma``; positions
+            are then in the instrument's own frame.
         earlier: estimate of the robot's parameters from an earlier fit; it replaces their priors.
-        priors: name of a parameter, or a pattern such as ``"*.theta"`` -> standard deviation from its value in the URDF, in
-            its SI unit or with another (0.001, "1mrad", "0.2urad/Nm"); 0 holds it, inf leaves it unconstrained. The last of
-            several matches counts.
+        priors: name of a parameter, or a pattern such as ``"*.theta"`` -> standard deviation from
+            its value in the URDF, in its SI unit or with another (0.001, "1mrad", "0.2urad/Nm"); 0
+            holds it, inf leaves it unconstrained. The last of several matches counts.
         zeros: joints with unknown zeros, by names or patterns such as ``"*"``.
-        prior_scale: factors on the priors of a robot's lengths, angles, drive compliances and other compliances, except
-            those in ``priors``; default: 1, or where no instrument determines positions as large as the readings allow.
+        prior_scale: factors on the priors of a robot's lengths, angles, drive compliances and other
+            compliances, except those in ``priors``; default: 1, or where no instrument determines
+            positions as large as the readings allow.
         kept: what a calibration left nominal because its readings do not improve the robot.
-        serial: whether to test for noise that is correlated along the rows, and weight rows accordingly.
+        serial: whether to test for noise that is correlated along the rows, and weight rows
+            accordingly.
     """
 
     effects: tuple[Effect, ...] = ELASTIC
@@ -139,7 +145,9 @@ class Options:
         if station not in self.stations:
             return self
         own = self.stations[station]
-        given = {f.name: getattr(own, f.name) for f in fields(own) if getattr(own, f.name) is not None}
+        given = {
+            f.name: getattr(own, f.name) for f in fields(own) if getattr(own, f.name) is not None
+        }
         return replace(self, **given, stations={})
 
 
@@ -150,18 +158,26 @@ def _check_numbers(options: Options | StationOptions) -> None:
         BadInputError: naming the attribute.
     """
     held = {name: value for name, value in vars(options).items() if value is not None}
-    coordinates: dict[str, Any] = {name: held[name] for name in ("gravity", "payload_centre", "base") if name in held}
+    coordinates: dict[str, Any] = {
+        name: held[name] for name in ("gravity", "payload_centre", "base") if name in held
+    }
     coordinates |= {f"tool {target!r}": place for target, place in held.get("tools", {}).items()}
     for what, value in coordinates.items():
         if not (np.abs(np.asarray(value, float)) <= LARGEST).all():
-            raise BadInputError(f"{what} is {np.asarray(value).tolist()}; expected finite numbers of at most {LARGEST:g}")
+            raise BadInputError(
+                f"{what} is {np.asarray(value).tolist()}; expected finite numbers of at "
+                f"most {LARGEST:g}"
+            )
     for name in ("sigma", "sigma_orientation", "length_bound"):
         if name in held and not SMALLEST <= held[name] <= LARGEST:
-            raise BadInputError(f"{name} is {held[name]}; expected a number from {SMALLEST:g} to {LARGEST:g}")
+            raise BadInputError(
+                f"{name} is {held[name]}; expected a number from {SMALLEST:g} to {LARGEST:g}"
+            )
     for scale in held.get("prior_scale", ()):
         if not SMALLEST <= scale <= LARGEST:
             raise BadInputError(
-                f"prior_scale is {held['prior_scale']}; expected four numbers from {SMALLEST:g} to {LARGEST:g}"
+                f"prior_scale is {held['prior_scale']}; expected four numbers from "
+                f"{SMALLEST:g} to {LARGEST:g}"
             )
     if "gravity" in held and not is_gravity(held["gravity"]):
         raise BadInputError(f"gravity is {list(held['gravity'])}; expected {GRAVITIES}")
@@ -170,5 +186,8 @@ def _check_numbers(options: Options | StationOptions) -> None:
 def known_frames(options: Options) -> set[str]:
     """Return the names of the coordinates of base and tools that the user gave."""
     given: dict[str, tuple[str, ...]] = {} if options.base is None else {"base": FRAME_SYMBOLS}
-    given |= {n: FRAME_SYMBOLS[: 6 if np.shape(at) == (4, 4) else 3] for n, at in (options.tools or {}).items()}
+    given |= {
+        n: FRAME_SYMBOLS[: 6 if np.shape(at) == (4, 4) else 3]
+        for n, at in (options.tools or {}).items()
+    }
     return {f"{element}.{symbol}" for element, symbols in given.items() for symbol in symbols}

@@ -1,16 +1,19 @@
 r"""The posterior of normal equations and priors, and the elimination of a station's own parameters.
 
-With H = J^T W J, g = J^T W r and priors of size D on some parameters, the step to the posterior mode is found in the
-eigenvectors of the prior-scaled Schur complement: the frames of base and tool, which have no prior, are eliminated first. An
-eigenvalue lambda is the information of the data in units of the prior's. Directions with lambda far above 1 follow the data
-alone, those far below 1 the prior alone, and unobservable ones (lambda below rounding) remain at the prior's centre,
+With H = J^T W J, g = J^T W r and priors of size D on some parameters, the step to the posterior
+mode is found in the eigenvectors of the prior-scaled Schur complement: the frames of base and tool,
+which have no prior, are eliminated first. An eigenvalue lambda is the information of the data in
+units of the prior's. Directions with lambda far above 1 follow the data alone, those far below 1
+the prior alone, and unobservable ones (lambda below rounding) remain at the prior's centre,
 whatever the noise: so predictions never depend on the choice of gauge.
 
-H squares the condition number, at no cost here: steps only have to point well enough to converge, the residuals that they
-act on are exact, and a direction below 1e-7 of the largest moves predictions by less than 1e-10 m.
+H squares the condition number, at no cost here: steps only have to point well enough to converge,
+the residuals that they act on are exact, and a direction below 1e-7 of the largest moves
+predictions by less than 1e-10 m.
 
-For several stations, each with the Jacobian [R F] with respect to the robot's parameters and its own, the latter are
-eliminated station by station, their priors P included, and only the remainders are summed:
+For several stations, each with the Jacobian [R F] with respect to the robot's parameters and its
+own, the latter are eliminated station by station, their priors P included, and only the remainders
+are summed:
 
 .. math:: A = R^T W R - R^T W F \, K \, F^T W R, \qquad b = R^T W r - R^T W F \, K \, (F^T W r - P x), \qquad
           K = (F^T W F + P)^{-1} .
@@ -29,22 +32,26 @@ from scipy.linalg.lapack import dpotri
 from pincal.identify.quadratic import NULL, Form
 from pincal.parameters import Covariance, root_of
 
-# Spurious information due to rounding, in units of the prior's, below which it may remain in a solve.
+# Spurious information due to rounding, in units of the prior's, below which it may remain in a
+# solve.
 _ROUNDING = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The posterior of F parameters, in units of the noise; of each of S stations with a leading axis.
+    """The posterior of F parameters, in units of the noise; of each of S stations with a leading
+    axis.
 
-    Of several stations these are the shared parameters, and ``own`` holds the eliminated ones of each station.
+    Of several stations these are the shared parameters, and ``own`` holds the eliminated ones of
+    each station.
 
     Attributes:
         form: of the F parameters; rounding is judged by its diagonal before any elimination.
         sizes: shape (F,), standard deviations of the priors; inf for none.
         offsets: shape (F,), present values minus the priors' centres.
         own: the parameters of stations that were eliminated.
-        believed: shape (F, F), the part of H that is not from data: an earlier fit, smooth curves; None for nothing.
+        believed: shape (F, F), the part of H that is not from data: an earlier fit, smooth curves;
+            None for nothing.
     """
 
     form: Form
@@ -61,19 +68,24 @@ class Posterior:
     def _solved(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Step, covariance over what is determined, information and directions."""
         (prior, frames), (inverse, *_), F = self._parts, self._frames, self._follow
-        H, g, D = self.form.H, self.form.g, self.sizes[..., prior]
+        H = self.form.H
+        g = self.form.g
+        D = self.sizes[..., prior]
         S = (H[..., prior[:, None], prior] - H[..., prior[:, None], frames] @ F) * _outer(D)
         reduced = (g[..., prior] - _times(_turned(F), g[..., frames])) * D
         information, V = np.linalg.eigh(0.5 * (S + _turned(S)))
         floor = np.maximum(self._floor, NULL * 1e-300)
         information = np.where(information > floor[..., None], information, 0.0)
         data = np.where(information > 0.0, _times(_turned(V), reduced), 0.0)
-        shift = D * _times(V, (data - _times(_turned(V), self.offsets[..., prior] / D)) / (information + 1.0))
+        shift = D * _times(
+            V, (data - _times(_turned(V), self.offsets[..., prior] / D)) / (information + 1.0)
+        )
         step = np.empty_like(g)
         step[..., prior] = shift
         step[..., frames] = _times(inverse, g[..., frames]) - _times(F, shift)
         C = (V / (information + 1.0)[..., None, :]) @ _turned(V) * _outer(D)
-        covariance, carried = np.empty(H.shape), F @ C
+        covariance = np.empty(H.shape)
+        carried = F @ C
         covariance[..., prior[:, None], prior] = C
         covariance[..., frames[:, None], prior] = -carried
         covariance[..., prior[:, None], frames] = -_turned(carried)
@@ -87,7 +99,9 @@ class Posterior:
 
     @property
     def determined(self) -> np.ndarray:
-        """The covariance, shape (F, F), with zero variance along undetermined directions of frames."""
+        """The covariance, shape (F, F), with zero variance along undetermined
+        directions of frames.
+        """
         return self._solved[1]
 
     @cached_property
@@ -96,24 +110,31 @@ class Posterior:
         (_, axes, seen), frames, covariance = self._frames, self._parts[1], self.determined
         if not seen.all():
             # Variances of (1 m, 1 rad)^2 along undetermined directions.
-            rest, covariance = np.where(seen, 0.0, axes), covariance.copy()
+            rest = np.where(seen, 0.0, axes)
+            covariance = covariance.copy()
             rest = rest / np.maximum(np.abs(rest).max(axis=-2, keepdims=True, initial=0.0), 1e-300)
             covariance[..., frames[:, None], frames] += rest @ _turned(rest)
         return covariance
 
     @property
     def information(self) -> np.ndarray:
-        """Eigenvalues of the data's information in units of the priors', ascending; 0 for unobservable directions."""
+        """Eigenvalues of the data's information in units of the priors', ascending; 0 for
+        unobservable directions.
+        """
         return self._solved[2]
 
     @property
     def directions(self) -> np.ndarray:
-        """Their eigenvectors in units of the priors, as columns, over the parameters with a prior."""
+        """Their eigenvectors in units of the priors, as columns, over the parameters
+        with a prior.
+        """
         return self._solved[3]
 
     @property
     def frame_rank(self) -> np.ndarray:
-        """Number of directions of base and tool that the data determine; of several stations for each."""
+        """Number of directions of base and tool that the data determine; of several stations for
+        each.
+        """
         return np.asarray(np.sum(self._frames[2], axis=(-2, -1)))
 
     @property
@@ -149,12 +170,18 @@ class Posterior:
         known = None if self.own else self._known_by_factor()
         if known is None:
             known = float(np.sum(self.information / (1.0 + self.information)))
-            known -= 0.0 if self.believed is None else float(np.sum(self.covariance * self.believed))
-        own = tuple(float(n) for part in self.own for n in np.atleast_1d(part.effective(self.covariance)))
+            known -= (
+                0.0 if self.believed is None else float(np.sum(self.covariance * self.believed))
+            )
+        own = tuple(
+            float(n) for part in self.own for n in np.atleast_1d(part.effective(self.covariance))
+        )
         return float(np.sum(self.frame_rank)) + known, own
 
     def _known_by_factor(self) -> float | None:
-        """Return the effective number of the parameters with a prior; None where rounding forbids."""
+        """Return the effective number of the parameters with a prior; None where
+        rounding forbids.
+        """
         (prior, frames), believed = self._parts, self.believed
         factor = None if believed is not None and np.any(believed[frames]) else self._factor()
         C, failed = (None, 1) if factor is None else dpotri(factor, lower=1, overwrite_c=1)
@@ -180,16 +207,20 @@ class Posterior:
         if not self.own:
             return Covariance.of(self.covariance)
         root = root_of(self.covariance)
-        factor, groups = np.empty((len(self.is_shared), len(root))), list[tuple[np.ndarray, np.ndarray]]()
+        factor = np.empty((len(self.is_shared), len(root)))
+        groups = list[tuple[np.ndarray, np.ndarray]]()
         factor[self.is_shared] = root
         for part in self.own:
-            places, blocks = part.places, part.alone.covariance
+            places = part.places
+            blocks = part.alone.covariance
             factor[places] = -part.carried @ root[part.shared]
             groups += [(places, blocks)] if places.ndim == 1 else zip(places, blocks, strict=True)
         return Covariance(factor, tuple(groups))
 
     def _everywhere(self, of: Callable[[Posterior], np.ndarray]) -> np.ndarray:
-        """Return a vector over all parameters, from its parts for the shared ones and each station's own."""
+        """Return a vector over all parameters, from its parts for the shared ones and each
+        station's own.
+        """
         found = np.empty(len(self.is_shared))
         found[self.is_shared] = of(self)
         for part in self.own:
@@ -206,19 +237,25 @@ class Posterior:
         """Influence of each of all parameters on readings and prior."""
         return self._everywhere(lambda found: np.sqrt(found.form.whole + found.sizes**-2.0))
 
-    def step_within(self, bounds: np.ndarray, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Return the most probable step of all parameters within bounds on their values, and which ones a bound stops.
+    def step_within(
+        self, bounds: np.ndarray, damping: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the most probable step of all parameters within bounds on their values, and which
+        ones a bound stops.
 
         Args:
             bounds: largest values of all parameters.
-            damping: precision, in units of the priors', of an additional prior at the present values (Levenberg): it stops
-                weakly determined directions only.
+            damping: precision, in units of the priors', of an additional prior at the present
+                values (Levenberg): it stops weakly determined directions only.
         """
-        at, most, form = self.offsets, bounds[self.is_shared], self.form
+        at = self.offsets
+        most = bounds[self.is_shared]
+        form = self.form
         # The slope of the priors is unchanged.
         stiffness = 1.0 + damping
         firm = Posterior(form, self.sizes / np.sqrt(stiffness), at / stiffness)
-        step, held = firm._quick_step, np.zeros(len(at), bool)
+        step = firm._quick_step
+        held = np.zeros(len(at), bool)
         for _ in range(3):
             over = ~held & (np.abs(at + step) > most)
             if not over.any():
@@ -227,22 +264,30 @@ class Posterior:
             step = np.where(held, np.copysign(most, at + step) - at, step)
             moved = replace(firm, form=replace(form, g=form.g - form.H[:, held] @ step[held]))
             step[~held] = moved.part(np.flatnonzero(~held))._quick_step
-        whole, stopped = np.empty(len(self.is_shared)), np.zeros(len(self.is_shared), bool)
-        whole[self.is_shared], stopped[self.is_shared] = step, held
+        whole = np.empty(len(self.is_shared))
+        stopped = np.zeros(len(self.is_shared), bool)
+        whole[self.is_shared] = step
+        stopped[self.is_shared] = held
         for part in self.own:
-            at, most = part.alone.offsets, bounds[part.places]
+            at = part.alone.offsets
+            most = bounds[part.places]
             wanted = at + part.step(step)
             whole[part.places] = np.clip(wanted, -most, most) - at
             stopped[part.places] = np.abs(wanted) > most
         return whole, stopped
 
     def square(self, step: np.ndarray) -> float:
-        """Return the squared length of a step of all parameters: how far it moves the readings, in units of the noise."""
+        """Return the squared length of a step of all parameters: how far it moves the readings, in
+        units of the noise.
+        """
         across = step[self.is_shared]
-        return float(across @ self.form.H @ across) + sum(part.square(step[part.places], across) for part in self.own)
+        return float(across @ self.form.H @ across) + sum(
+            part.square(step[part.places], across) for part in self.own
+        )
 
     def gain(self, kept: np.ndarray) -> float:
-        """Return how much a step reduces the sum of squares if only some of all parameters may move.
+        """Return how much a step reduces the sum of squares if only some of all parameters may
+        move.
 
         Only shared parameters count; the gain of eliminated ones by themselves is excluded.
         """
@@ -251,14 +296,17 @@ class Posterior:
 
     @cached_property
     def _quick_step(self) -> np.ndarray:
-        """The step; where rounding permits by a Cholesky factor, in a tenth of the time of the eigenvectors."""
+        """The step; where rounding permits by a Cholesky factor, in a tenth of the time of the
+        eigenvectors.
+        """
         (prior, frames), (inverse, *_), F = self._parts, self._frames, self._follow
         if not len(prior):
             return np.asarray(inverse @ self.form.g)
         factor = self._factor()
         if factor is None:
             return self.step
-        D, g = self.sizes[prior], self.form.g
+        D = self.sizes[prior]
+        g = self.form.g
         reduced = (g[prior] - F.T @ g[frames]) * D - self.offsets[prior] / D
         step = np.empty(len(g))
         step[prior] = D * cho_solve((factor, True), reduced, check_finite=False)
@@ -277,12 +325,16 @@ class Posterior:
 
     @cached_property
     def _frames(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The inverse of the frames' H over what is determined, all axes as columns, and which of them are determined."""
+        """The inverse of the frames' H over what is determined, all axes as columns, and which of
+        them are determined.
+        """
         frames = self._parts[1]
         H = self.form.H[..., frames[:, None], frames]
         scale = 1.0 / np.sqrt(np.maximum(np.einsum("...ii->...i", H), 1e-300))
         values, vectors = np.linalg.eigh(H * _outer(scale))
-        seen = (values > NULL * np.maximum(np.max(values, axis=-1, initial=0.0), 1e-300)[..., None])[..., None, :]
+        seen = (
+            values > NULL * np.maximum(np.max(values, axis=-1, initial=0.0), 1e-300)[..., None]
+        )[..., None, :]
         axes = scale[..., :, None] * vectors
         inverse = np.where(seen, axes, 0.0) / np.where(seen, values[..., None, :], 1.0)
         return inverse @ _turned(axes), axes, seen
@@ -295,24 +347,30 @@ class Posterior:
 
     @cached_property
     def _floor(self) -> np.ndarray:
-        """The information, in units of the priors', below which a direction may be due to rounding."""
+        """The information, in units of the priors', below which a direction may be due
+        to rounding.
+        """
         known = np.where(np.isfinite(self.sizes), self.sizes, 0.0)
         return np.asarray(NULL * np.max(self.form.whole * known**2, axis=-1, initial=0.0))
 
     def _factor(self) -> np.ndarray | None:
         """Return the lower Cholesky factor of :meth:`_reduced`; None where rounding forbids.
 
-        Frames that the readings hardly distinguish, as of a planar arm, leave more rounding than the floor allows for.
+        Frames that the readings hardly distinguish, as of a planar arm, leave more rounding than
+        the floor allows for.
         """
         if self._floor > _ROUNDING or not len(self._parts[0]):
             return None
         try:
-            return np.asarray(cholesky(self._reduced(), lower=True, overwrite_a=True, check_finite=False))
+            return np.asarray(
+                cholesky(self._reduced(), lower=True, overwrite_a=True, check_finite=False)
+            )
         except np.linalg.LinAlgError:
             return None
 
     def _reduced(self) -> np.ndarray:
-        """Return the posterior precision in units of the priors, frames eliminated; column-major for LAPACK.
+        """Return the posterior precision in units of the priors, frames eliminated; column-major
+        for LAPACK.
 
         For large matrices copying takes the time, so as few copies as possible are made.
         """
@@ -332,7 +390,8 @@ class Eliminated:
 
     Attributes:
         alone: their posterior conditional on the shared parameters.
-        carried: shape (E, C), K F'WR: how far a step of the C shared parameters moves them, with the opposite sign.
+        carried: shape (E, C), K F'WR: how far a step of the C shared parameters moves them, with
+            the opposite sign.
         places: shape (E,), indices among all free parameters.
         shared: shape (C,), indices of these stations' shared parameters among all shared ones.
     """
@@ -352,37 +411,58 @@ class Eliminated:
         return np.asarray(self.alone.step - self.carried @ shared_step[self.shared])
 
     def square(self, step: np.ndarray, shared_step: np.ndarray) -> float:
-        """Return what they add to the squared length of a step, shape (E,), in the information of the data alone."""
+        """Return what they add to the squared length of a step, shape (E,), in the information of
+        the data alone.
+        """
         along = step + self.carried @ shared_step[self.shared]
         data = along * _times(self.alone.form.H, along)
         return float(np.sum(data + self.precision * (along**2 - step**2)))
 
     def effective(self, covariance: np.ndarray) -> np.ndarray:
-        """Return their effective number, shape () or (S,), for the covariance of all shared parameters."""
+        """Return their effective number, shape () or (S,), for the covariance of all shared
+        parameters.
+        """
         mine = covariance[np.ix_(self.shared, self.shared)]
-        variance = np.einsum("...ii->...i", self.alone.covariance) + np.sum((self.carried @ mine) * self.carried, axis=-1)
+        variance = np.einsum("...ii->...i", self.alone.covariance) + np.sum(
+            (self.carried @ mine) * self.carried, axis=-1
+        )
         # A parameter without a prior counts as far as the data determine it.
-        return np.asarray(self.alone.frame_rank + np.sum(self.alone.has_prior - variance * self.precision, axis=-1))
+        return np.asarray(
+            self.alone.frame_rank
+            + np.sum(self.alone.has_prior - variance * self.precision, axis=-1)
+        )
 
 
-def eliminate(form: Form, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarray) -> tuple[Form, Eliminated]:
-    """Eliminate parameters from the information of one station, or of each of S stations (leading axis S).
+def eliminate(
+    form: Form, own: np.ndarray, sizes: np.ndarray, offsets: np.ndarray
+) -> tuple[Form, Eliminated]:
+    """Eliminate parameters from the information of one station, or of each of S stations (leading
+    axis S).
 
     Args:
         form: of F parameters.
         own: shape (F,), which parameters to eliminate; the same for all stations.
-        sizes: shape (F,), standard deviations of the priors; inf for none. Only those of eliminated parameters matter.
+        sizes: shape (F,), standard deviations of the priors; inf for none. Only those of eliminated
+            parameters matter.
         offsets: shape (F,), present values minus the priors' centres.
 
     Returns:
         The form of the C others, summed over stations, and the eliminated parameters.
     """
-    shared, own = np.flatnonzero(~own), np.flatnonzero(own)
-    left, alone, across = form, Posterior(form, sizes, offsets).part(own), form.H[..., own[:, None], shared]
+    shared = np.flatnonzero(~own)
+    own = np.flatnonzero(own)
+    left = form
+    alone = Posterior(form, sizes, offsets).part(own)
+    across = form.H[..., own[:, None], shared]
     carried = across
     if len(own):
-        left, carried = form.part(shared), alone.determined @ across
-        left = replace(left, H=left.H - _turned(across) @ carried, g=left.g - _times(_turned(across), alone.step))
+        left = form.part(shared)
+        carried = alone.determined @ across
+        left = replace(
+            left,
+            H=left.H - _turned(across) @ carried,
+            g=left.g - _times(_turned(across), alone.step),
+        )
     return left.sum(), Eliminated(alone, carried, own, np.arange(len(shared)))
 
 

@@ -1,16 +1,19 @@
 r"""How far a robot may be from its URDF, estimated from readings without an instrument.
 
-Contacts, planes, gauges and sockets observe few directions at few places. What they do not observe keeps its prior, and a
-prior wider than the robot's deviations lets errors of the contacts pass for geometry, which does harm wherever nobody
-measured. What they do observe shows how wide it should be: the priors of lengths, of angles, of drive compliances and of
-other compliances are multiplied by factors that maximise the likelihood of all readings, the parameters marginalised (type
-II maximum likelihood; MacKay 1992, Bayesian Interpolation, Neural Computation 4, section 4). With information H and gradient
-b of the readings about offsets x from the nominal, and priors of covariance P, this evidence E is:
+Contacts, planes, gauges and sockets observe few directions at few places. What they do not observe
+keeps its prior, and a prior wider than the robot's deviations lets errors of the contacts pass for
+geometry, which does harm wherever nobody measured. What they do observe shows how wide it should
+be: the priors of lengths, of angles, of drive compliances and of other compliances are multiplied
+by factors that maximise the likelihood of all readings, the parameters marginalised (type II
+maximum likelihood; MacKay 1992, Bayesian Interpolation, Neural Computation 4, section 4). With
+information H and gradient b of the readings about offsets x from the nominal, and priors of
+covariance P, this evidence E is:
 
 .. math:: 2 \log E = \tilde b^T A^{-1} \tilde b - \log\det A - \log\det P - x^T P^{-1} x,
     \quad A = H + P^{-1}, \; \tilde b = b - P^{-1} x
 
-Each factor is the largest that is not excluded, so that weakly informative readings leave the prior wide.
+Each factor is the largest that is not excluded, so that weakly informative readings leave the prior
+wide.
 
 The same holds for an IMU alone, which observes angles but no positions.
 """
@@ -31,24 +34,30 @@ from pincal.identify.options import PriorScale
 from pincal.identify.quadratic import Factor
 
 # Trial factors, largest first, and the largest number of rounds over all kinds.
-_SCALES, _ROUNDS = (1.0, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002, 0.001), 10
+_SCALES = (1.0, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002, 0.001)
+_ROUNDS = 10
 # Standard deviation of parameters without a prior [m or rad].
 _ANYWHERE = 10.0
 
 
 def has_instrument(fit: ModelFit) -> bool:
     """Return whether an instrument apart from robot and contacts observes any target."""
-    return any(station.sensor.base_symbols or station.sensor.is_on_tool for station in fit.problem.stations)
+    return any(
+        station.sensor.base_symbols or station.sensor.is_on_tool for station in fit.problem.stations
+    )
 
 
 def observes_places(fit: ModelFit) -> bool:
     """Return whether an instrument observes target positions, which an IMU does not."""
-    return has_instrument(fit) and any(station.sensor.reads_place for station in fit.problem.stations)
+    return has_instrument(fit) and any(
+        station.sensor.reads_place for station in fit.problem.stations
+    )
 
 
 def prior_scale(fit: ModelFit) -> PriorScale:
     """Return the factors on the priors; 1 for kinds of parameters that the fit does not have."""
-    free, sizes = fit.solution.free, np.minimum(fit.priors.sizes, _ANYWHERE)
+    free = fit.solution.free
+    sizes = np.minimum(fit.priors.sizes, _ANYWHERE)
     offsets = np.where(np.isfinite(fit.priors.sizes), fit.values, 0.0)[free]
     kinds = [kind[free] for kind in deviations(fit.problem, fit.options)]
     H, b = _information(fit)
@@ -61,7 +70,8 @@ def prior_scale(fit: ModelFit) -> PriorScale:
     def likely(scales: Sequence[float]) -> float:
         sigma = nominal * sized(scales)
         factor = Factor.of(H + np.diag(sigma**-2.0))
-        half, squares = factor.half(b - offsets / sigma**2), float(np.sum((offsets / sigma) ** 2))
+        half = factor.half(b - offsets / sigma**2)
+        squares = float(np.sum((offsets / sigma) ** 2))
         return float(half @ half) - factor.log_det - 2.0 * float(np.log(sigma).sum()) - squares
 
     def each(best: PriorScale, kind: str) -> list[float]:
@@ -77,19 +87,28 @@ def prior_scale(fit: ModelFit) -> PriorScale:
             break
     widest = {name: np.array(each(best, name)) for name in seen}
     return best._replace(
-        **{name: _SCALES[int(np.argmax(of >= of.max() - CRITERIA.wider_prior))] for name, of in widest.items()}
+        **{
+            name: _SCALES[int(np.argmax(of >= of.max() - CRITERIA.wider_prior))]
+            for name, of in widest.items()
+        }
     )
 
 
 def _information(fit: ModelFit) -> tuple[np.ndarray, np.ndarray]:
-    """Return information and gradient of all rows on the F free parameters, shapes (F, F) and (F,)."""
-    problem, solution = fit.problem, fit.solution
-    rank, n_free = np.cumsum(solution.free) - 1, int(solution.free.sum())
-    H, b = np.zeros((n_free, n_free)), np.zeros(n_free)
+    """Return information and gradient of all rows on the F free parameters, shapes (F,
+    F) and (F,).
+    """
+    problem = fit.problem
+    solution = fit.solution
+    rank = np.cumsum(solution.free) - 1
+    n_free = int(solution.free.sum())
+    H = np.zeros((n_free, n_free))
+    b = np.zeros(n_free)
     for (station, places, blocks), rows in zip(fit.stations, problem.rows, strict=True):
         here = solution.free[places]
         normal = accumulate(station, solution.values[places], here, solution.weights[rows])
-        form, at = replace(normal, believed=None).at(solution.sigma[blocks]), rank[places[here]]
+        form = replace(normal, believed=None).at(solution.sigma[blocks])
+        at = rank[places[here]]
         H[np.ix_(at, at)] += form.H
         b[at] += form.g + len(station) * slope_of_contacts(station)[here]
     return H, b

@@ -1,8 +1,10 @@
-r"""A problem: the sum of stations, and perhaps of an earlier fit, over one table of named parameters.
+r"""A problem: the sum of stations, and perhaps of an earlier fit, over one table of named
+parameters.
 
-The robot's parameters are common to all stations; the instrument's pose, the targets and unknowns of the instrument itself
-belong to one station. With one station the table is that station's own, in its order; with several, the robot's parameters
-come first, then those of each station under its name.
+The robot's parameters are common to all stations; the instrument's pose, the targets and unknowns
+of the instrument itself belong to one station. With one station the table is that station's own, in
+its order; with several, the robot's parameters come first, then those of each station under its
+name.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ class Problem:
 
     Attributes:
         stations: the stations; several have names of their own.
-        earlier: knowledge of the robot's parameters from an earlier fit, conditioned on zero for those that no station has.
+        earlier: knowledge of the robot's parameters from an earlier fit, conditioned on zero for
+            those that no station has.
     """
 
     stations: tuple[Station, ...]
@@ -49,7 +52,10 @@ class Problem:
         if not names:
             raise BadInputError("a problem without stations; expected one or more")
         if len(names) > 1 and (len(set(names)) < len(names) or not all(names)):
-            raise BadInputError(f"stations are called {', '.join(map(repr, names))}; expected a different name for each")
+            raise BadInputError(
+                f"stations are called {', '.join(map(repr, names))}; expected a different "
+                "name for each"
+            )
 
     def __len__(self) -> int:
         return sum(len(station) for station in self.stations)
@@ -61,12 +67,16 @@ class Problem:
 
     @cached_property
     def conditions(self) -> Conditions:
-        """The poses of all stations, with the first one's targets and payload centre; columns that all of them have."""
+        """The poses of all stations, with the first one's targets and payload centre; columns that
+        all of them have.
+        """
         return joined_conditions([station.conditions for station in self.stations])
 
     @cached_property
     def parameters(self) -> tuple[Parameter, ...]:
-        """All P parameters; those of one of several stations are prefixed by its name, or by that of its set-up."""
+        """All P parameters; those of one of several stations are prefixed by its name, or by that
+        of its set-up.
+        """
         first = self.stations[0]
         if len(self.stations) == 1:
             return first.parameters
@@ -75,10 +85,14 @@ class Problem:
 
     @cached_property
     def _stations_own(self) -> tuple[dict[tuple[str, int], Parameter], list[list[tuple[str, int]]]]:
-        """Parameters of stations, keyed by name and its repetition (candidates may share names); and each station's keys."""
-        found, keys = dict[tuple[str, int], Parameter](), list[list[tuple[str, int]]]()
+        """Parameters of stations, keyed by name and its repetition (candidates may share names);
+        and each station's keys.
+        """
+        found = dict[tuple[str, int], Parameter]()
+        keys = list[list[tuple[str, int]]]()
         for station in self.stations:
-            seen, own = Counter[str](), [p.at(station.owner(p)) for p in compress(station.parameters, station.is_own)]
+            seen = Counter[str]()
+            own = [p.at(station.owner(p)) for p in compress(station.parameters, station.is_own)]
             keys.append([])
             for p in own:
                 keys[-1].append((p.name, seen[p.name]))
@@ -93,7 +107,8 @@ class Problem:
             return (np.arange(len(self.stations[0].parameters)),)
         found, keys = self._stations_own
         first = int(np.count_nonzero(~self.stations[0].is_own))
-        index, places = {key: first + k for k, key in enumerate(found)}, []
+        index = {key: first + k for k, key in enumerate(found)}
+        places = []
         for station, own in zip(self.stations, keys, strict=True):
             local = np.cumsum(~station.is_own) - 1
             local[station.is_own] = [index[key] for key in own]
@@ -107,7 +122,9 @@ class Problem:
 
     @cached_property
     def is_shared(self) -> np.ndarray:
-        """Which parameters remain when those of single stations among several are eliminated, shape (P,)."""
+        """Which parameters remain when those of single stations among several are eliminated, shape
+        (P,).
+        """
         if len(self.stations) == 1:
             return np.ones(len(self.parameters), bool)
         found = np.bincount(np.concatenate(self.places), minlength=len(self.parameters)) > 1
@@ -118,11 +135,15 @@ class Problem:
     def beliefs(self) -> Beliefs:
         """Knowledge of parameters beyond the prior of each.
 
-        An earlier fit already includes the smoothness of curves; a station's own curves are not known that well.
+        An earlier fit already includes the smoothness of curves; a station's own curves are not
+        known that well.
         """
-        terms, is_earlier = [], np.zeros(len(self.parameters), bool)
+        terms = []
+        is_earlier = np.zeros(len(self.parameters), bool)
         if self.earlier is not None:
-            known = self.earlier.given_zero(np.array([name not in self._index for name in self.earlier.names], bool))
+            known = self.earlier.given_zero(
+                np.array([name not in self._index for name in self.earlier.names], bool)
+            )
             places = np.array([self._index[name] for name in known.names], int)
             terms.append(replace(known, places=places))
             is_earlier[places] = True
@@ -132,7 +153,11 @@ class Problem:
                 if np.all(self.is_shared[places] & ~is_earlier[places]):
                     names = tuple(self.parameters[place].name for place in places)
                     terms.append(Earlier(names, np.zeros(len(places)), information, None, places))
-        if self.earlier is None and (scale := scale_of_contacts(self.stations, self.places, self.parameters)) is not None:
+        if (
+            self.earlier is None
+            and (scale := scale_of_contacts(self.stations, self.places, self.parameters))
+            is not None
+        ):
             return Beliefs((*terms, scale), is_earlier, not terms)
         return Beliefs(tuple(terms), is_earlier, not terms)
 
@@ -172,21 +197,33 @@ class Problem:
         return _spans(len(station.sensor.blocks) for station in self.stations)
 
     def readings(self, robust: np.ndarray) -> np.ndarray:
-        """Return the number of readings of each block that count, shape (blocks,), given robust weights of all rows."""
-        counts, (station, size) = robust > 0.0, self._of_blocks
-        return np.asarray(np.array([np.count_nonzero(counts[rows]) for rows in self.rows])[station] * size)
+        """Return the number of readings of each block that count, shape (blocks,), given robust
+        weights of all rows.
+        """
+        counts = robust > 0.0
+        (station, size) = self._of_blocks
+        return np.asarray(
+            np.array([np.count_nonzero(counts[rows]) for rows in self.rows])[station] * size
+        )
 
     @cached_property
     def _of_blocks(self) -> tuple[np.ndarray, np.ndarray]:
         """Station number and number of components of each block of readings, shape (blocks,)."""
-        pairs = [(k, block.size) for k, station in enumerate(self.stations) for block in station.sensor.blocks]
+        pairs = [
+            (k, block.size)
+            for k, station in enumerate(self.stations)
+            for block in station.sensor.blocks
+        ]
         station, size = np.array(pairs).T
         return station, size
 
     @cached_property
     def largest_basis(self) -> tuple[np.ndarray, np.ndarray]:
-        """Largest motion of each parameter's coordinate per unit, and whether it moves at all, shape (P,)."""
-        largest, excited = np.zeros(len(self.parameters)), np.zeros(len(self.parameters), bool)
+        """Largest motion of each parameter's coordinate per unit, and whether it moves at all,
+        shape (P,).
+        """
+        largest = np.zeros(len(self.parameters))
+        excited = np.zeros(len(self.parameters), bool)
         for batch in self.batches:
             sample = replace(batch, stations=tuple(map(_sample, batch.stations)))
             model = sample.stations[0].model
@@ -200,27 +237,41 @@ class Problem:
     @cached_property
     def effects(self) -> tuple[Effect, ...]:
         """Effects besides base and tool; those of the first station first, then the others' own."""
-        first, *others = ([e for e in s.model.effects if e.family is not Family.EXTRINSICS] for s in self.stations)
+        first, *others = (
+            [e for e in s.model.effects if e.family is not Family.EXTRINSICS] for s in self.stations
+        )
         for effects in others:
             known = set(map(id, first))
-            first += [effect for effect in effects if id(effect) not in known and effect not in first]
+            first += [
+                effect for effect in effects if id(effect) not in known and effect not in first
+            ]
         return tuple(first)
 
     @cached_property
     def _spans(self) -> tuple[dict[int, slice], ...]:
-        """For each station, the slice of each effect's parameters among its own, by the effect's identity."""
+        """For each station, the slice of each effect's parameters among its own, by the effect's
+        identity.
+        """
         pairs = ((station.model.effects, station.model.spans) for station in self.stations)
-        return tuple({id(effect): span for effect, span in zip(*pair, strict=True)} for pair in pairs)
+        return tuple(
+            {id(effect): span for effect, span in zip(*pair, strict=True)} for pair in pairs
+        )
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but what is keyed by the identity of objects, which changes where this is unpickled."""
+        """Return all but what is keyed by the identity of objects, which changes where this is
+        unpickled.
+        """
         return {name: value for name, value in vars(self).items() if name != "_spans"}
 
-    def with_effects(self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None) -> Problem:
+    def with_effects(
+        self, effects: Sequence[Effect], *, moment_frame: MomentFrame | None = None
+    ) -> Problem:
         """Return the same readings with other effects besides base and tool."""
         stations = []
         for station in self.stations:
-            frames = [effect for effect in station.model.effects if effect.family is Family.EXTRINSICS]
+            frames = [
+                effect for effect in station.model.effects if effect.family is Family.EXTRINSICS
+            ]
             model = station.model.with_effects([*frames, *effects_at(effects, station.name)])
             if moment_frame is not None:
                 model = model.with_chain(model.chain.with_moment_frame(moment_frame))
@@ -232,30 +283,49 @@ class Problem:
         if rows.dtype == bool:
             parts = [rows[span] for span in self.rows]
         else:
-            parts = [rows[(rows >= span.start) & (rows < span.stop)] - span.start for span in self.rows]
+            parts = [
+                rows[(rows >= span.start) & (rows < span.stop)] - span.start for span in self.rows
+            ]
         whole = [part.dtype == bool and bool(part.all()) for part in parts]
         pairs = zip(self.stations, parts, whole, strict=True)
-        return replace(self, stations=tuple(s if is_whole else s.select(part) for s, part, is_whole in pairs))
+        return replace(
+            self, stations=tuple(s if is_whole else s.select(part) for s, part, is_whole in pairs)
+        )
 
     def places_at(self, effect: Effect) -> np.ndarray:
-        """Return the indices of the parameters of an effect of the problem (this very object), at all stations."""
+        """Return the indices of the parameters of an effect of the problem (this very object), at
+        all stations.
+        """
         found: dict[int, None] = {}
         for spans, places in zip(self._spans, self.places, strict=True):
             found |= dict.fromkeys(places[spans.get(id(effect), slice(0))].tolist())
         return np.array(list(found), int)
 
     def carried_over(self, vector: np.ndarray, other: Problem) -> np.ndarray:
-        """Return a vector over another problem's table by parameter name; zero (or False) for unknown names."""
+        """Return a vector over another problem's table by parameter name; zero (or False) for
+        unknown names.
+        """
         return carried_over(vector, self._index, other.parameters)
 
 
 def extended(problem: Problem, effects: Sequence[Effect]) -> tuple[Problem, np.ndarray]:
-    """Return a problem with further effects, and the indices of its parameters in the new table, shape (P,)."""
-    models = [s.model.with_effects([*s.model.effects, *effects_at(effects, s.name)]) for s in problem.stations]
-    wider = replace(problem, stations=tuple(s.with_model(m) for s, m in zip(problem.stations, models, strict=True)))
+    """Return a problem with further effects, and the indices of its parameters in the new table,
+    shape (P,).
+    """
+    models = [
+        s.model.with_effects([*s.model.effects, *effects_at(effects, s.name)])
+        for s in problem.stations
+    ]
+    wider = replace(
+        problem,
+        stations=tuple(s.with_model(m) for s, m in zip(problem.stations, models, strict=True)),
+    )
     known = np.empty(len(problem.parameters), int)
     for i, (station, other) in enumerate(zip(problem.stations, wider.stations, strict=True)):
-        (of_model, of_sensor), (model, sensor) = station.split(problem.places[i]), other.split(wider.places[i])
+        (of_model, of_sensor), (model, sensor) = (
+            station.split(problem.places[i]),
+            other.split(wider.places[i]),
+        )
         known[of_model], known[of_sensor] = model[: len(of_model)], sensor
     return wider, known
 

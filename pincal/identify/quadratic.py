@@ -1,15 +1,18 @@
-r"""The information form: rows, priors and earlier fits as one sum of squares over named parameters about a point.
+r"""The information form: rows, priors and earlier fits as one sum of squares over named parameters
+about a point.
 
-With r the residuals at that point in units of their noise and J the columns with which parameters x reduce them,
+With r the residuals at that point in units of their noise and J the columns with which parameters x
+reduce them,
 
 .. math:: |r - J x|^2 = s - 2 g^T x + x^T H x, \qquad H = J^T J, \quad g = J^T r, \quad s = r^T r .
 
-Sums of such squares over rows, stations, robots and priors have the same form, also after some parameters are marginalised:
-the information filter of Bierman (Factorization Methods for Discrete Sequential Estimation, 1977), the Hessian factor of
-factor graphs (Dellaert and Kaess 2017). For a model linear in x the form of a joint fit is the sum of its parts'.
+Sums of such squares over rows, stations, robots and priors have the same form, also after some
+parameters are marginalised: the information filter of Bierman (Factorization Methods for Discrete
+Sequential Estimation, 1977), the Hessian factor of factor graphs (Dellaert and Kaess 2017). For a
+model linear in x the form of a joint fit is the sum of its parts'.
 
-An unobservable direction contains only rounding: it is recognised by comparison with the information that its parameters had
-before any elimination.
+An unobservable direction contains only rounding: it is recognised by comparison with the
+information that its parameters had before any elimination.
 """
 
 from __future__ import annotations
@@ -22,13 +25,14 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtrc
 
-# Fraction of the parameters' information before any elimination below which a direction counts as unobserved. Two columns
-# that agree to one part in 300 are one then: linearisation errors of a sound model are as large.
+# Fraction of the parameters' information before any elimination below which a direction counts as
+# unobserved. Two columns that agree to one part in 300 are one then: linearisation errors of a
+# sound model are as large.
 SEEN = 1e-5
 # The same where only rounding, some 1e-16 of the largest entry, is to be excluded.
 ROUNDING = 1e-12
-# The same for finding directions that are unobservable altogether, where weakly observed ones still count: a hundred to a
-# thousand times the rounding of a sum over the rows.
+# The same for finding directions that are unobservable altogether, where weakly observed ones still
+# count: a hundred to a thousand times the rounding of a sum over the rows.
 NULL = 1e-13
 
 
@@ -53,16 +57,21 @@ class Form:
         return Form(H, np.zeros(whole.shape) if g is None else g, whole)
 
     def part(self, at: np.ndarray) -> Form:
-        """Return the form of the parameters at some indices, shape (n,), conditional on the others."""
+        """Return the form of the parameters at some indices, shape (n,), conditional on
+        the others.
+        """
         return Form(self.H[..., at[:, None], at], self.g[..., at], self.whole[..., at])
 
     def sum(self) -> Form:
         """Return the sum over leading axes."""
         several = tuple(range(self.g.ndim - 1))
-        return Form(*(np.sum(of, axis=several) if several else of for of in (self.H, self.g, self.whole)))
+        return Form(
+            *(np.sum(of, axis=several) if several else of for of in (self.H, self.g, self.whole))
+        )
 
     def gain(self, at: np.ndarray, tolerance: float = SEEN) -> tuple[float, int]:
-        """Return how much some parameters, the others held, reduce the sum of squares, and their observed rank.
+        """Return how much some parameters, the others held, reduce the sum of squares, and their
+        observed rank.
 
         If they are zero the gain is chi-square with as many degrees of freedom.
         """
@@ -75,18 +84,23 @@ class Form:
         return float(chdtrc(rank, gain)) if rank else 1.0
 
     def estimate(self, at: np.ndarray, tolerance: float = SEEN) -> tuple[np.ndarray, np.ndarray]:
-        """Return the estimates of some parameters, the others held, and their covariance; zero where unobserved."""
+        """Return the estimates of some parameters, the others held, and their covariance; zero
+        where unobserved.
+        """
         root = self.root(at, tolerance)
         return root @ (root.T @ self.g[at]), root @ root.T
 
     def root(self, at: np.ndarray, tolerance: float = SEEN) -> np.ndarray:
-        """Return the root of the covariance of some parameters, the others held, over what is observed, (n, rank)."""
+        """Return the root of the covariance of some parameters, the others held, over what is
+        observed, (n, rank).
+        """
         return root_of_inverse(self.H[np.ix_(at, at)], self.whole[at], tolerance)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Quadratic(Form):
-    """Squares about a point, square - 2 g x + x H x, over F named parameters x, in units of the noise.
+    """Squares about a point, square - 2 g x + x H x, over F named parameters x, in units of the
+    noise.
 
     Attributes:
         names: the parameters.
@@ -100,12 +114,18 @@ class Quadratic(Form):
 
     @classmethod
     def of_rows(cls, names: Sequence[str], J: np.ndarray, r: np.ndarray) -> Self:
-        """Return the form of R rows: J of shape (R, F) and r of shape (R,), both in units of the noise."""
+        """Return the form of R rows: J of shape (R, F) and r of shape (R,), both in units of the
+        noise.
+        """
         H = J.T @ J
-        return cls(H, J.T @ r, np.diag(H), names=tuple(names), square=float(r @ r), degrees=float(len(r)))
+        return cls(
+            H, J.T @ r, np.diag(H), names=tuple(names), square=float(r @ r), degrees=float(len(r))
+        )
 
     @classmethod
-    def of_prior(cls, names: Sequence[str], sizes: np.ndarray, offsets: np.ndarray | None = None) -> Self:
+    def of_prior(
+        cls, names: Sequence[str], sizes: np.ndarray, offsets: np.ndarray | None = None
+    ) -> Self:
         """Return the form of independent priors.
 
         Args:
@@ -115,20 +135,33 @@ class Quadratic(Form):
         """
         precision = np.asarray(sizes, float) ** -2.0
         at = np.zeros(len(precision)) if offsets is None else offsets
-        square, known = float(precision @ at**2), float(np.count_nonzero(precision))
-        return cls(np.diag(precision), -precision * at, precision, names=tuple(names), square=square, degrees=known)
+        square = float(precision @ at**2)
+        known = float(np.count_nonzero(precision))
+        return cls(
+            np.diag(precision),
+            -precision * at,
+            precision,
+            names=tuple(names),
+            square=square,
+            degrees=known,
+        )
 
     def __add__(self, other: Quadratic) -> Quadratic:
-        """Return the sum of both, by parameter name; a form holds no information on parameters that it does not have."""
+        """Return the sum of both, by parameter name; a form holds no information on parameters that
+        it does not have.
+        """
         names = tuple(dict.fromkeys((*self.names, *other.names)))
         place = {name: i for i, name in enumerate(names)}
-        H, g, whole = np.zeros((len(names),) * 2), np.zeros(len(names)), np.zeros(len(names))
+        H = np.zeros((len(names),) * 2)
+        g = np.zeros(len(names))
+        whole = np.zeros(len(names))
         for form in (self, other):
             at = np.array([place[name] for name in form.names], int)
             H[np.ix_(at, at)] += form.H
             g[at] += form.g
             whole[at] += form.whole
-        square, degrees = self.square + other.square, self.degrees + other.degrees
+        square = self.square + other.square
+        degrees = self.degrees + other.degrees
         return Quadratic(H, g, whole, names=names, square=square, degrees=degrees)
 
     def at(self, values: np.ndarray) -> Quadratic:
@@ -150,7 +183,8 @@ class Quadratic(Form):
         They keep their indices, without any information on them; :meth:`held` removes them.
         """
         root = self.root(at, tolerance)
-        across, along = self.H[:, at] @ root, root.T @ self.g[at]
+        across = self.H[:, at] @ root
+        along = root.T @ self.g[at]
         return replace(
             self,
             H=self.H - across @ across.T,
@@ -194,15 +228,26 @@ class Factor:
 
     def back(self, half: np.ndarray) -> np.ndarray:
         """Return H^-1 right for :meth:`half` of it."""
-        return np.asarray((solve_triangular(self.L, half, lower=True, trans="T", check_finite=False).T * self.scale).T)
+        return np.asarray(
+            (
+                solve_triangular(self.L, half, lower=True, trans="T", check_finite=False).T
+                * self.scale
+            ).T
+        )
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Return H^-1 right, shape (F,) or (F, n)."""
-        return np.asarray((cho_solve((self.L, True), (right.T * self.scale).T, check_finite=False).T * self.scale).T)
+        return np.asarray(
+            (
+                cho_solve((self.L, True), (right.T * self.scale).T, check_finite=False).T
+                * self.scale
+            ).T
+        )
 
 
 def root_of_inverse(H: np.ndarray, whole: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return R, shape (n, k), with R R^T the inverse of information H over the k observed directions.
+    """Return R, shape (n, k), with R R^T the inverse of information H over the k observed
+    directions.
 
     Args:
         H: shape (n, n).

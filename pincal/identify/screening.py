@@ -27,7 +27,8 @@ _ROUNDS = 3
 
 
 def wrong_readings(fit: ModelFit, tables: Mapping[str, Measurements]) -> dict[str, np.ndarray]:
-    """Return the wrong readings among those of poses that were read more than once, for each table a mask, shape (N,).
+    """Return the wrong readings among those of poses that were read more than once, for each table
+    a mask, shape (N,).
 
     Args:
         fit: a calibration, one station for each table in this order.
@@ -39,9 +40,14 @@ def wrong_readings(fit: ModelFit, tables: Mapping[str, Measurements]) -> dict[st
     return found
 
 
-def without_wrong(tables: Mapping[str, Measurements], wrong: Mapping[str, np.ndarray]) -> dict[str, Measurements]:
+def without_wrong(
+    tables: Mapping[str, Measurements], wrong: Mapping[str, np.ndarray]
+) -> dict[str, Measurements]:
     """Return tables without the rows of masks, shape (N,) each."""
-    return {name: table.select(~wrong[name]) if wrong[name].any() else table for name, table in tables.items()}
+    return {
+        name: table.select(~wrong[name]) if wrong[name].any() else table
+        for name, table in tables.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -73,7 +79,8 @@ class _Readings:
             sound = self._near_the_others(sound)
             if np.array_equal(sound, before):
                 break
-        count, agree = np.bincount(self.pose), np.bincount(self.pose, sound)
+        count = np.bincount(self.pose)
+        agree = np.bincount(self.pose, sound)
         by_others = (count >= 3) & (agree >= 2) & (agree > count - agree)
         wrong = by_others[self.pose] & ~sound
         for pose in np.flatnonzero((agree < count) & ~by_others):
@@ -82,10 +89,15 @@ class _Readings:
         return np.asarray(wrong)
 
     def _near_the_others(self, sound: np.ndarray) -> np.ndarray:
-        """Return which readings are near the mean of the other sound ones of their pose, shape (n,)."""
+        """Return which readings are near the mean of the other sound ones of their pose, shape
+        (n,).
+        """
         weight = sound.astype(float)
         mass = np.bincount(self.pose, weight)[self.pose] - weight
-        sums = np.stack([np.bincount(self.pose, weight * x)[self.pose] - weight * x for x in self.left.T], axis=1)
+        sums = np.stack(
+            [np.bincount(self.pose, weight * x)[self.pose] - weight * x for x in self.left.T],
+            axis=1,
+        )
         others = np.where(mass > 0.0, mass, np.inf)
         apart = self.left - sums / np.maximum(mass, 1.0)[:, None]
         # Without another sound reading there is nothing to compare with.
@@ -93,7 +105,9 @@ class _Readings:
         return np.asarray(near & (mass > 0.0))
 
     def _by_model(self, rows: np.ndarray) -> np.ndarray:
-        """Return which readings of a pose are wrong by the model, shape (n,); none if it does not decide."""
+        """Return which readings of a pose are wrong by the model, shape (n,); none if it does not
+        decide.
+        """
         covariance = self.scatter.covariance(self.levers[rows]) + np.diag(self.misfit**2)
         left = self.left[rows]
         squares = np.sum(left * np.linalg.solve(covariance, left[:, :, None])[:, :, 0], axis=1)
@@ -108,7 +122,12 @@ def _wrong_at(fit: ModelFit, k: int, table: Measurements) -> np.ndarray:
     nothing = np.zeros(len(table), bool)
     station, places, blocks = list(fit.stations)[k]
     sensor = station.sensor
-    if table.readings_per_row is not None or table.moving is not None or sensor.is_of_joints or sensor.is_whole:
+    if (
+        table.readings_per_row is not None
+        or table.moving is not None
+        or sensor.is_of_joints
+        or sensor.is_whole
+    ):
         return nothing
     if not len(table):
         return nothing
@@ -122,7 +141,8 @@ def _wrong_at(fit: ModelFit, k: int, table: Measurements) -> np.ndarray:
         return nothing
     at = fit.readings(table.select(rows), station=station.name)
     values = fit.values[places]
-    left, levers = at.residuals(values).T, levers_of(at, values)
+    left = at.residuals(values).T
+    levers = levers_of(at, values)
     count = np.bincount(pose)[pose]
     least = np.repeat([block.rounding for block in sensor.blocks], station.block_sizes)
     # In two readings the mean is the median, which halves the deviations of both.

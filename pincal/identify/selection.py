@@ -1,7 +1,9 @@
-"""Stepwise selection: candidates are scored, the best is accepted if it suffices, and the rest are scored given it.
+"""Stepwise selection: candidates are scored, the best is accepted if it suffices, and the rest are
+scored given it.
 
-Searches differ in their candidates, in the cost of each (reduction of the sum of squares against the cost of its parameters,
-or a p-value), and in how one is accepted: by releasing it in an information form, or by a fit.
+Searches differ in their candidates, in the cost of each (reduction of the sum of squares against
+the cost of its parameters, or a p-value), and in how one is accepted: by releasing it in an
+information form, or by a fit.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ _S = TypeVar("_S")
 
 @dataclass(frozen=True)
 class Scored(Generic[_C]):
-    """A candidate, its cost given those accepted before (the first of the least is best), and whether it suffices."""
+    """A candidate, its cost given those accepted before (the first of the least is best), and
+    whether it suffices.
+    """
 
     candidate: _C
     cost: float
@@ -24,9 +28,14 @@ class Scored(Generic[_C]):
 
 
 def select_stepwise(
-    state: _S, scores: Callable[[_S], Iterable[Scored[_C]]], taken: Callable[[_S, _C], _S], *, most: int
+    state: _S,
+    scores: Callable[[_S], Iterable[Scored[_C]]],
+    taken: Callable[[_S, _C], _S],
+    *,
+    most: int,
 ) -> _S:
-    """Return the final state of a search that accepts the best candidate again and again until it does not suffice.
+    """Return the final state of a search that accepts the best candidate again and again until it
+    does not suffice.
 
     Example:
         >>> def scores(chosen):

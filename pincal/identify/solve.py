@@ -1,8 +1,10 @@
-"""The solver of every fit: Gauss-Newton on the posterior, with robust weights, estimated noise and bounds.
+"""The solver of every fit: Gauss-Newton on the posterior, with robust weights, estimated noise and
+bounds.
 
-Where two parameters multiply each other and the readings hardly distinguish them, such as a bearing's compliance and its
-place, Gauss-Newton steps lead far off this curved ridge. A step is then damped by the priors, and the remaining error is
-corrected from its end by what the readings determine best. Halving steps instead would creep along the ridge.
+Where two parameters multiply each other and the readings hardly distinguish them, such as a
+bearing's compliance and its place, Gauss-Newton steps lead far off this curved ridge. A step is
+then damped by the priors, and the remaining error is corrected from its end by what the readings
+determine best. Halving steps instead would creep along the ridge.
 """
 
 from __future__ import annotations
@@ -15,19 +17,31 @@ import numpy as np
 
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import MOST_STEPS, Ending, Priors, Solution
-from pincal.identify.noise import MOST_EXACT, Judge, Loss, Noise, is_exact, polish, rounding, usual_sizes
+from pincal.identify.noise import (
+    MOST_EXACT,
+    Judge,
+    Loss,
+    Noise,
+    is_exact,
+    polish,
+    rounding,
+    usual_sizes,
+)
 from pincal.identify.problem import Problem
 from pincal.units import readable_unit
 
 log = logging.getLogger(__name__)
 
-# A step that moves predictions by less than this part of the noise ends the fit: the next one would be smaller still. So
-# does one that had to be halved down to this: along a curved ridge there is nothing to gain.
+# A step that moves predictions by less than this part of the noise ends the fit: the next one would
+# be smaller still. So does one that had to be halved down to this: along a curved ridge there is
+# nothing to gain.
 SETTLED = 1e-3
 _ROUGH = 0.1
-# The same in standard deviations of parameters, which are smaller than a short step if there are very many rows. On a ridge
-# that is known to rounding such steps may continue, so after this number of them a short one suffices.
-_NEAR, _TRIALS = 0.05, 8
+# The same in standard deviations of parameters, which are smaller than a short step if there are
+# very many rows. On a ridge that is known to rounding such steps may continue, so after this number
+# of them a short one suffices.
+_NEAR = 0.05
+_TRIALS = 8
 # The same where the noise is at its floor: steps there are rounding.
 _ROUNDED = 0.03
 # Relative change of the noise above which earlier steps do not predict the next.
@@ -35,10 +49,14 @@ _STEADY = 0.05
 # Change of robust weights below which they are settled.
 _SETTLED = 1e-3
 # Number of steps kept, and the ratio of successive steps above which they are used.
-_MEMORY, _SLOW = 4, 0.3
-# First damping, in units of the priors' precision; its factors after a refused and after an accepted step; and the number of
-# refusals after which steps are halved instead.
-_FIRST, _MORE, _LESS, _MOST = 3.0, 4.0, 2.0, 6
+_MEMORY = 4
+_SLOW = 0.3
+# First damping, in units of the priors' precision; its factors after a refused and after an
+# accepted step; and the number of refusals after which steps are halved instead.
+_FIRST = 3.0
+_MORE = 4.0
+_LESS = 2.0
+_MOST = 6
 # Additional damping of a step that corrects another one.
 _REPAIR = 10.0
 # Halvings of a step that increased the squares, before the fit counts as stalled.
@@ -50,11 +68,14 @@ class Course:
     """How a fit is done.
 
     Attributes:
-        loss: "screen" down-weights rows beyond the range of the noise and excludes them at the end; "huber" only
-            down-weights them; "none" takes every row at full weight.
-        rough: whether another fit follows, so that this one may end early and only down-weight outliers.
-        short: motion of the predictions, root mean square in units of the noise, below which a step ends the fit.
-        ahead: whether to stop before a step that moves every parameter by little of its standard deviation.
+        loss: "screen" down-weights rows beyond the range of the noise and excludes them at the end;
+            "huber" only down-weights them; "none" takes every row at full weight.
+        rough: whether another fit follows, so that this one may end early and only down-weight
+            outliers.
+        short: motion of the predictions, root mean square in units of the noise, below which a step
+            ends the fit.
+        ahead: whether to stop before a step that moves every parameter by little of its standard
+            deviation.
         label: name of the fit in the log; without one it is not logged.
         executor: computes the stations' contributions; default: serially, in this process.
     """
@@ -75,12 +96,14 @@ def solve(
     noise: Noise,
     course: Course = Course(),
 ) -> Solution:
-    """Find the most probable values of the free parameters; ``exit`` of the result reports how the fit ended.
+    """Find the most probable values of the free parameters; ``exit`` of the result reports how the
+    fit ended.
 
     Args:
         problem: model and readings.
-        start: shape (P,), start values, which the other parameters keep. Or the problem at such values with the robust
-            weights of an earlier fit, whose outliers are then known, and perhaps more free parameters.
+        start: shape (P,), start values, which the other parameters keep. Or the problem at such
+            values with the robust weights of an earlier fit, whose outliers are then known, and
+            perhaps more free parameters.
         free: shape (P,), parameters to fit.
         priors: about the nominal, zero.
         noise: declared standard deviations.
@@ -92,7 +115,12 @@ def solve(
 
 
 def likeliest_values(
-    problem: Problem, start: np.ndarray, free: np.ndarray, priors: Priors, noise: Noise, course: Course = Course()
+    problem: Problem,
+    start: np.ndarray,
+    free: np.ndarray,
+    priors: Priors,
+    noise: Noise,
+    course: Course = Course(),
 ) -> np.ndarray:
     """Return only the values of :func:`solve`, shape (P,), without their posterior."""
     run = _Run(problem, start, free, priors, noise, course)
@@ -106,11 +134,13 @@ class _Run:
 
     Attributes:
         is_whole: whether more than the values is needed.
-        point: the problem at the latest values, rows weighted by robust weights of an earlier point.
+        point: the problem at the latest values, rows weighted by robust weights of an earlier
+            point.
         judged: noise and robust weights by the residuals there.
         hard: whether outliers are excluded rather than down-weighted.
         iterations: number of steps.
-        wanted: motion of the predictions by the last Gauss-Newton step, root mean square in units of the noise.
+        wanted: motion of the predictions by the last Gauss-Newton step, root mean square in units
+            of the noise.
         is_short: whether the part of it that was taken is too short to matter.
         held: shape (F,), free parameters that a bound stopped.
         damping: for the next step; 0 while full steps succeed.
@@ -127,7 +157,10 @@ class _Run:
         noise: Noise,
         course: Course,
     ) -> None:
-        self.problem, self.free, self.priors, self.course = problem, free, priors, course
+        self.problem = problem
+        self.free = free
+        self.priors = priors
+        self.course = course
         self.judge = Judge(problem, free, noise, course.loss)
         # Outliers are known if robust weights are.
         self.hard = isinstance(start, Linearised)
@@ -137,8 +170,13 @@ class _Run:
             declared = None if np.isnan(noise.known).any() else noise.known
             self.point = replace(start.narrowed(free), executor=course.executor, sigma=declared)
         self.judged = self.judge.at(self.point, hard=self.hard)
-        self.iterations, self.wanted, self.is_short, self.held = 0, np.inf, False, np.zeros(int(free.sum()), bool)
-        self.damping, self.was_refused, self.is_whole = 0.0, False, True
+        self.iterations = 0
+        self.wanted = np.inf
+        self.is_short = False
+        self.held = np.zeros(int(free.sum()), bool)
+        self.damping = 0.0
+        self.was_refused = False
+        self.is_whole = True
         self.history: list[tuple[np.ndarray, np.ndarray]] = []
 
     def until_it_ends(self) -> Ending:
@@ -148,7 +186,13 @@ class _Run:
             self.advance()
             if label := self.course.label:
                 size = self.readable()
-                log.info("%s: iteration %d, residual %s, step %.1e of the noise", label, self.iterations, size, self.wanted)
+                log.info(
+                    "%s: iteration %d, residual %s, step %.1e of the noise",
+                    label,
+                    self.iterations,
+                    size,
+                    self.wanted,
+                )
             ended = self.ending()
             if ended is None:
                 self.reweigh()
@@ -161,7 +205,9 @@ class _Run:
 
     def advance(self) -> None:
         """Take a step."""
-        free, here, before = self.free, self.point, self.judged
+        free = self.free
+        here = self.point
+        before = self.judged
         posterior = here.posterior(before.sigma)
         step, self.held = posterior.step_within(self.priors.bounds[free])
         longer = self.accelerated(step, posterior.metric)
@@ -171,34 +217,50 @@ class _Run:
         self.judged = self.judge.at(self.point, hard=self.hard)
         self.iterations += 1
         taken = self.point.values[free] - here.values[free]
-        refused = longer is not step and not np.array_equal(self.point.values[free], here.values[free] + longer)
+        refused = longer is not step and not np.array_equal(
+            self.point.values[free], here.values[free] + longer
+        )
         if refused or np.max(np.abs(self.judged.sigma / before.sigma - 1.0)) > _STEADY:
             self.history = []
-        shortest = self.course.short if np.any(self.judged.sigma > rounding(self.problem)) else _ROUNDED
+        shortest = (
+            self.course.short if np.any(self.judged.sigma > rounding(self.problem)) else _ROUNDED
+        )
         self.is_short = (
-            self.wanted < shortest or self.length(self.point.posterior(self.judged.sigma).square(taken)) < shortest
+            self.wanted < shortest
+            or self.length(self.point.posterior(self.judged.sigma).square(taken)) < shortest
         )
         if self.course.ahead and self.iterations < _TRIALS:
             self.is_short = self.is_near()
 
     def is_near(self) -> bool:
-        """Return whether the next step would move every parameter by only a small part of its standard deviation."""
-        posterior, free = self.point.posterior(self.judged.sigma), self.free
+        """Return whether the next step would move every parameter by only a small part of its
+        standard deviation.
+        """
+        posterior = self.point.posterior(self.judged.sigma)
+        free = self.free
         step, _ = posterior.step_within(self.priors.bounds[free])
-        return posterior.square(step) + float(np.sum((step / self.priors.sizes[free]) ** 2)) < _NEAR**2
+        return (
+            posterior.square(step) + float(np.sum((step / self.priors.sizes[free]) ** 2)) < _NEAR**2
+        )
 
     def accelerated(self, step: np.ndarray, metric: np.ndarray) -> np.ndarray:
         """Return the step to take in place of the Gauss-Newton ``step``, both of shape (F,).
 
-        Anderson acceleration over the last few steps (Walker and Ni 2011): where residuals are large and a direction is
-        weakly determined, Gauss-Newton overshoots by almost the same amount again and again, and two such steps determine
-        the limit. A fit that converges fast is unaffected.
+        Anderson acceleration over the last few steps (Walker and Ni 2011): where residuals are
+        large and a direction is weakly determined, Gauss-Newton overshoots by almost the same
+        amount again and again, and two such steps determine the limit. A fit that converges fast is
+        unaffected.
         """
         self.history = [*self.history[-_MEMORY:], (self.point.values[self.free], step.copy())]
         points, steps = zip(*self.history, strict=True)
-        if self.damping or len(steps) < 3 or np.linalg.norm(metric * step) < _SLOW * np.linalg.norm(metric * steps[-2]):
+        if (
+            self.damping
+            or len(steps) < 3
+            or np.linalg.norm(metric * step) < _SLOW * np.linalg.norm(metric * steps[-2])
+        ):
             return step
-        dx, ds = np.diff(points, axis=0).T, np.diff(steps, axis=0).T
+        dx = np.diff(points, axis=0).T
+        ds = np.diff(steps, axis=0).T
         mix = np.linalg.lstsq(metric[:, None] * ds, metric * step, rcond=1e-8)[0]
         return np.asarray(step - (dx + ds) @ mix)
 
@@ -210,7 +272,9 @@ class _Run:
     def ending(self) -> Ending | None:
         """Return how the fit has ended, None if it continues."""
         rough = self.course.rough
-        screened = self.judge.loss == "screen" and not self.hard and np.any(self.point.robust != 1.0)
+        screened = (
+            self.judge.loss == "screen" and not self.hard and np.any(self.point.robust != 1.0)
+        )
         if rough and (self.is_short or self.wanted < _ROUGH):
             done = Ending.ROUGH
         elif self.is_beyond_normal_equations():
@@ -223,7 +287,9 @@ class _Run:
         return done if self.wanted < _ROUGH else Ending.STUCK
 
     def reweigh(self) -> None:
-        """Take the robust weights that follow from the residuals, hard ones once nothing else moves."""
+        """Take the robust weights that follow from the residuals, hard ones once nothing else
+        moves.
+        """
         if self.is_short and self.is_steady:
             self.hard = True
             self.judged = self.judge.at(self.point, hard=True)
@@ -236,7 +302,11 @@ class _Run:
         J contains neither knowledge beyond the priors of each parameter nor correlated noise.
         """
         correlated = any(s.is_correlated or s.whitening is not None for s in self.problem.stations)
-        if correlated or not self.problem.beliefs.is_slope or not np.isfinite(self.priors.sizes[self.free]).any():
+        if (
+            correlated
+            or not self.problem.beliefs.is_slope
+            or not np.isfinite(self.priors.sizes[self.free]).any()
+        ):
             return False
         whole = self.point.posterior(self.judged.sigma).whole
         # A prior that is wider than usual does not make readings more exact.
@@ -245,7 +315,8 @@ class _Run:
 
     def solution(self, ended: Ending) -> Solution:
         """Return the solution, its noise estimated with the effective number of parameters."""
-        point, noise = self.point, self.judge.noise
+        point = self.point
+        noise = self.judge.noise
         spent = point.posterior(self.judge.at(point, hard=True).sigma).spent
         degrees = self.judge.degrees(point.robust, *spent)
         estimated = np.maximum(np.sqrt(point.squares / degrees), rounding(self.problem))
@@ -270,20 +341,39 @@ class _Run:
         """Return the size of the residuals for the log."""
         units = [readable_unit(block.unit) for block in self.problem.blocks]
         return ", ".join(
-            f"{sigma * factor:.5f} {unit}" for sigma, (factor, unit) in zip(self.judged.estimated, units, strict=True)
+            f"{sigma * factor:.5f} {unit}"
+            for sigma, (factor, unit) in zip(self.judged.estimated, units, strict=True)
         )
 
     def linearised(
-        self, values: np.ndarray, robust: np.ndarray, sigma: np.ndarray | None, *, squares_first: bool = False
+        self,
+        values: np.ndarray,
+        robust: np.ndarray,
+        sigma: np.ndarray | None,
+        *,
+        squares_first: bool = False,
     ) -> Linearised:
-        """Return the problem at values; if ``sigma``, the noise so far, is the declared one, it will be used again."""
-        likely = sigma if sigma is not None and np.array_equal(sigma, self.judge.noise.known) else None
+        """Return the problem at values; if ``sigma``, the noise so far, is the declared one, it
+        will be used again.
+        """
+        likely = (
+            sigma if sigma is not None and np.array_equal(sigma, self.judge.noise.known) else None
+        )
         return Linearised(
-            self.problem, values, self.free, robust, self.priors.sizes, self.course.executor, likely, squares_first
+            self.problem,
+            values,
+            self.free,
+            robust,
+            self.priors.sizes,
+            self.course.executor,
+            likely,
+            squares_first,
         )
 
     def length(self, square: float) -> float:
-        """Return the motion of the predictions by a step of this square, root mean square, in units of the noise."""
+        """Return the motion of the predictions by a step of this square, root mean square, in units
+        of the noise.
+        """
         return float(np.sqrt(max(square, 0.0) / self.readings(self.judged.robust)))
 
     def readings(self, robust: np.ndarray) -> float:
@@ -297,7 +387,9 @@ class _Run:
             longer: the accelerated step, shape (F,).
             step: the Gauss-Newton step.
         """
-        here, sigma, bounds = self.point, self.judged.sigma, self.priors.bounds[self.free]
+        here = self.point
+        sigma = self.judged.sigma
+        bounds = self.priors.bounds[self.free]
         trial = _Trial(self)
         # The equations here are rarely needed again.
         here.release()
@@ -312,7 +404,8 @@ class _Run:
                 return trial.there
             # Correcting from the end of a full step may lead on into another valley.
             if damping:
-                there, worse = trial.there, trial.there.objective(sigma) / max(here.objective(sigma), 1e-300)
+                there = trial.there
+                worse = trial.there.objective(sigma) / max(here.objective(sigma), 1e-300)
                 repair = _REPAIR * (1.0 + damping) * max(worse, 1.0)
                 if trial.succeeds(step + there.posterior(sigma).step_within(bounds, repair)[0]):
                     return trial.there
@@ -327,7 +420,8 @@ class _Run:
 class _Trial:
     """Steps from a point, tried one after the other until one does not increase the squares.
 
-    Stations that share no free parameter are fits of their own: each takes the first step that succeeds for it.
+    Stations that share no free parameter are fits of their own: each takes the first step that
+    succeeds for it.
 
     Attributes:
         there: the latest point.
@@ -335,17 +429,24 @@ class _Trial:
     """
 
     def __init__(self, run: _Run) -> None:
-        self._run, self._here, self._sigma = run, run.point, run.judged.sigma
+        self._run = run
+        self._here = run.point
+        self._sigma = run.judged.sigma
         spare = 1e-6 * run.readings(self._here.robust)
         self._limits = self._here.objectives(self._sigma) * (1.0 + 1e-9) + spare
-        self._group, self._is_refused = self._here.group_of[run.free], False
+        self._group = self._here.group_of[run.free]
+        self._is_refused = False
         self.there, self.is_open = self._here, np.ones(len(self._limits), bool)
 
     def succeeds(self, step: np.ndarray) -> bool:
         """Try a step, shape (F,); return whether all fits have a successful step now."""
         run = self._run
         # Squares suffice for the last point if only its values are needed.
-        squares_first = self._is_refused or run.was_refused or (run.wanted < run.course.short and not run.is_whole)
+        squares_first = (
+            self._is_refused
+            or run.was_refused
+            or (run.wanted < run.course.short and not run.is_whole)
+        )
         self.there = self.at(step, squares_first=squares_first)
         self.is_open &= self.there.objectives(self._sigma) > self._limits
         if self.is_open.any():
@@ -356,6 +457,8 @@ class _Trial:
 
     def at(self, step: np.ndarray, *, squares_first: bool = False) -> Linearised:
         """Return the point where the fits that still need a step take this one."""
-        here, free, values = self._here, self._run.free, self.there.values.copy()
+        here = self._here
+        free = self._run.free
+        values = self.there.values.copy()
         values[free] = np.where(self.is_open[self._group], here.values[free] + step, values[free])
         return self._run.linearised(values, here.robust, self._sigma, squares_first=squares_first)

@@ -1,7 +1,9 @@
-"""Held-out rows and repeated fits: cross-validation, bootstrap and Monte Carlo, serially or with any executor.
+"""Held-out rows and repeated fits: cross-validation, bootstrap and Monte Carlo, serially or with
+any executor.
 
-Rows are held out at random, by regions of joint space, or by stretches of consecutive rows. Each repetition is one call of a
-module-level function on picklable arguments with a seed of its own; :mod:`pincal.spread` lists the executors.
+Rows are held out at random, by regions of joint space, or by stretches of consecutive rows. Each
+repetition is one call of a module-level function on picklable arguments with a seed of its own;
+:mod:`pincal.spread` lists the executors.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ from pincal.spread import spread
 
 Split = Literal["random", "blocked"]
 HeldWay = Literal["regions", "stretches"]
-"""In what rows that are held out for good are apart from fitted ones: joint positions, or the order of measurement."""
+"""In what rows that are held out for good are apart from fitted ones: joint positions, or the order
+of measurement.
+"""
 
 # Number of regions of joint space, and of stretches of rows, in a blocked split.
 _BLOCKS = 25
@@ -46,25 +50,30 @@ def hold_out(
     Args:
         measurements: the table.
         fraction: of the rows to hold out, from 0 to below 1.
-        split: "random" rows, or "blocked": whole clusters of similar joint positions, so that held-out poses are not next to
-            measured ones.
+        split: "random" rows, or "blocked": whole clusters of similar joint positions, so that
+            held-out poses are not next to measured ones.
         seed: of the choice.
 
     Raises:
         BadInputError: if the fraction is out of range.
     """
-    held, wanted = np.zeros(len(measurements), bool), _rows_to_hold(measurements, fraction)
+    held = np.zeros(len(measurements), bool)
+    wanted = _rows_to_hold(measurements, fraction)
     if wanted:
         held = _drawn_groups(row_groups(measurements, split=split, seed=seed), wanted, seed)
     return measurements.select(~held), measurements.select(held)
 
 
-def ways_held_out(measurements: Measurements, fraction: float, *, seed: int = 0) -> dict[HeldWay, np.ndarray]:
-    """Return which rows to hold out both ways, half of them by regions of joint space and half by stretches of rows.
+def ways_held_out(
+    measurements: Measurements, fraction: float, *, seed: int = 0
+) -> dict[HeldWay, np.ndarray]:
+    """Return which rows to hold out both ways, half of them by regions of joint space and half by
+    stretches of rows.
 
-    A model that knows the neighbours of a pose, or the rows measured before and after it, predicts it better than others: by
-    curves between trained positions, or by drift between trained rows. What is drawn are poses, with all their readings: a
-    stretch is of the poses in the order of their first visits. Arguments and errors as for :func:`hold_out`.
+    A model that knows the neighbours of a pose, or the rows measured before and after it, predicts
+    it better than others: by curves between trained positions, or by drift between trained rows.
+    What is drawn are poses, with all their readings: a stretch is of the poses in the order of
+    their first visits. Arguments and errors as for :func:`hold_out`.
 
     Returns:
         For each way a mask, shape (N,), no row in both.
@@ -82,7 +91,9 @@ def ways_held_out(measurements: Measurements, fraction: float, *, seed: int = 0)
     wanted = round(0.5 * fraction * count)
     if not wanted:
         return {"regions": np.zeros(n, bool), "stretches": np.zeros(n, bool)}
-    regions = _drawn_groups(row_groups(measurements.select(first), split="blocked", seed=seed), wanted, seed)
+    regions = _drawn_groups(
+        row_groups(measurements.select(first), split="blocked", seed=seed), wanted, seed
+    )
     place = np.argsort(np.argsort(along[first], kind="stable"), kind="stable")
     stretches = _drawn_groups(place * min(_BLOCKS, count) // count, wanted, seed + 1) & ~regions
     return {"regions": regions[pose], "stretches": stretches[pose]}
@@ -98,7 +109,8 @@ def _rows_to_hold(measurements: Measurements, fraction: float) -> int:
 def _drawn_groups(groups: np.ndarray, wanted: int, seed: int) -> np.ndarray:
     """Return the rows of randomly drawn groups, about as many as are wanted, shape (N,)."""
     sizes = np.bincount(groups).tolist()
-    is_held, count = np.zeros(len(sizes), bool), 0
+    is_held = np.zeros(len(sizes), bool)
+    count = 0
     for group in np.random.default_rng(seed).permutation(len(sizes)).tolist():
         if count + 0.5 * sizes[group] <= wanted:
             is_held[group] = True
@@ -107,7 +119,8 @@ def _drawn_groups(groups: np.ndarray, wanted: int, seed: int) -> np.ndarray:
 
 
 def row_groups(measurements: Measurements, *, split: Split, seed: int) -> np.ndarray:
-    """Return the group number of each row, shape (N,): each row its own, or clusters in joint space.
+    """Return the group number of each row, shape (N,): each row its own, or clusters in joint
+    space.
 
     Rows with the same joint positions (replicates, several targets) always share a group.
     """
@@ -121,7 +134,8 @@ class CrossValidation:
     """Residuals of rows by fits without them.
 
     Attributes:
-        residuals: shape (m, N), reading minus prediction [m, rad, px]; nan at points that no other fold has.
+        residuals: shape (m, N), reading minus prediction [m, rad, px]; nan at points that no other
+            fold has.
         fold: shape (N,), in which fold each row was held out.
     """
 
@@ -161,7 +175,9 @@ def cross_validate(
     return CrossValidation(residuals, fold)
 
 
-def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fold: np.ndarray, k: int) -> np.ndarray:
+def _held_out_residuals(
+    robot: Robot, table: Measurements, options: Options, fold: np.ndarray, k: int
+) -> np.ndarray:
     fit = fit_tables(robot, table.select(fold != k), options)
     held = table.select(fold == k)
     known = scorable(held, fit.options.setup)
@@ -170,8 +186,11 @@ def _held_out_residuals(robot: Robot, table: Measurements, options: Options, fol
     return residuals
 
 
-def bootstrap(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
-    """Refit poses resampled with replacement, with all their targets; the spread of the values needs no model of the noise.
+def bootstrap(
+    fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None
+) -> np.ndarray:
+    """Refit poses resampled with replacement, with all their targets; the spread of the values
+    needs no model of the noise.
 
     Args:
         fit: the calibration.
@@ -186,7 +205,10 @@ def bootstrap(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | 
 
 
 def _drawn(
-    refit: Callable[[np.random.SeedSequence], np.ndarray], draws: int, seed: int, executor: Executor | None
+    refit: Callable[[np.random.SeedSequence], np.ndarray],
+    draws: int,
+    seed: int,
+    executor: Executor | None,
 ) -> np.ndarray:
     """Return the values of refits with a seed each, shape (draws, P)."""
     seeds = np.random.SeedSequence(seed).spawn(draws)
@@ -195,7 +217,9 @@ def _drawn(
 
 def _refit_drawn_rows(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray:
     problem = fit.problem
-    poses = np.concatenate([_apart(number, poses_of(station)) for number, station in enumerate(problem.stations)])
+    poses = np.concatenate(
+        [_apart(number, poses_of(station)) for number, station in enumerate(problem.stations)]
+    )
     pose = np.unique(poses, axis=0, return_inverse=True)[1].ravel()
     n = int(pose.max()) + 1
     rows_of = np.split(np.argsort(pose, kind="stable"), np.cumsum(np.bincount(pose))[:-1])
@@ -218,23 +242,34 @@ def _apart(station: int, poses: np.ndarray) -> np.ndarray:
     return np.column_stack([np.full(len(poses), station), poses])
 
 
-def bootstrap_stations(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
-    """Refit stations resampled with replacement: the spread includes variation from day to day, unlike resampled rows.
+def bootstrap_stations(
+    fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None
+) -> np.ndarray:
+    """Refit stations resampled with replacement: the spread includes variation from day to day,
+    unlike resampled rows.
 
-    Arguments as for :func:`bootstrap`; returns shape (draws, P), nan for the own parameters of stations not drawn.
+    Arguments as for :func:`bootstrap`; returns shape (draws, P), nan for the own parameters of
+    stations not drawn.
 
     Raises:
         BadInputError: if there is only one station.
     """
     if len(fit.problem.stations) < 2:
-        raise BadInputError("a bootstrap over stations of one station; expected several, or bootstrap() over its rows")
+        raise BadInputError(
+            "a bootstrap over stations of one station; expected several, or bootstrap() "
+            "over its rows"
+        )
     return _drawn(partial(_refit_drawn_stations, fit), draws, seed, executor)
 
 
 def _refit_drawn_stations(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray:
-    problem, n = fit.problem, len(fit.problem.stations)
+    problem = fit.problem
+    n = len(fit.problem.stations)
     drawn = np.random.default_rng(seed).integers(0, n, n)
-    stations = tuple(replace(problem.stations[j], name=f"{k} {problem.stations[j].name}") for k, j in enumerate(drawn))
+    stations = tuple(
+        replace(problem.stations[j], name=f"{k} {problem.stations[j].name}")
+        for k, j in enumerate(drawn)
+    )
     again = Problem(stations)
 
     def carried(vector: np.ndarray) -> np.ndarray:
@@ -244,8 +279,11 @@ def _refit_drawn_stations(fit: ModelFit, seed: np.random.SeedSequence) -> np.nda
         return found
 
     priors = Priors(carried(fit.priors.sizes), carried(fit.priors.bounds))
-    noise = Noise(tuple(sigma for j in drawn for sigma in fit.noise.declared[problem.block_spans[j]]))
-    values, free = carried(fit.values), carried(fit.solution.free)
+    noise = Noise(
+        tuple(sigma for j in drawn for sigma in fit.noise.declared[problem.block_spans[j]])
+    )
+    values = carried(fit.values)
+    free = carried(fit.solution.free)
     solution = solve(again, values, free, priors, noise, Course(fit.options.loss))
     out = np.full(len(fit.values), np.nan)
     for j, places in zip(drawn, again.places, strict=True):
@@ -253,8 +291,11 @@ def _refit_drawn_stations(fit: ModelFit, seed: np.random.SeedSequence) -> np.nda
     return out
 
 
-def monte_carlo(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None) -> np.ndarray:
-    """Refit simulated readings of the calibrated model with its noise, the parametric bootstrap; return shape (draws, P).
+def monte_carlo(
+    fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor | None = None
+) -> np.ndarray:
+    """Refit simulated readings of the calibrated model with its noise, the parametric bootstrap;
+    return shape (draws, P).
 
     Arguments as for :func:`bootstrap`.
     """
@@ -263,21 +304,29 @@ def monte_carlo(fit: ModelFit, *, draws: int, seed: int = 0, executor: Executor 
 
 def _refit_simulated(fit: ModelFit, seed: np.random.SeedSequence) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    problem, stations = fit.problem, []
-    for station, places, span in zip(problem.stations, problem.places, problem.block_spans, strict=True):
+    problem = fit.problem
+    stations = []
+    for station, places, span in zip(
+        problem.stations, problem.places, problem.block_spans, strict=True
+    ):
         sigma = np.repeat(fit.solution.sigma[span], station.block_sizes)
         noise = rng.normal(size=(len(sigma), len(station))) * sigma[:, None] / station.weights
-        sensor = station.sensor.shifted(station.coloured(noise) - station.residuals(fit.values[places]))
+        sensor = station.sensor.shifted(
+            station.coloured(noise) - station.residuals(fit.values[places])
+        )
         stations.append(replace(station, sensor=sensor))
     return _refit(fit, replace(problem, stations=tuple(stations))).values
 
 
 def _refit(fit: ModelFit, problem: Problem) -> Solution:
-    return solve(problem, fit.values, fit.solution.free, fit.priors, fit.noise, Course(fit.options.loss))
+    return solve(
+        problem, fit.values, fit.solution.free, fit.priors, fit.noise, Course(fit.options.loss)
+    )
 
 
 def joint_regions(q: np.ndarray, most: int, seed: int = 0) -> np.ndarray:
-    """Return the number of each row's region of joint space, shape (N,), at most ``most`` regions, for q of shape (N, n).
+    """Return the number of each row's region of joint space, shape (N,), at most ``most`` regions,
+    for q of shape (N, n).
 
     Regions differ in the joints that move: what an encoder reads of one that rests is not a place.
     """
@@ -293,15 +342,18 @@ def joint_regions(q: np.ndarray, most: int, seed: int = 0) -> np.ndarray:
 
 
 def distinct_poses(q: np.ndarray) -> np.ndarray:
-    """Return a number for each row of q, shape (N, n), equal for equal joint positions, shape (N,)."""
+    """Return a number for each row of q, shape (N, n), equal for equal joint positions,
+    shape (N,).
+    """
     return np.unique(np.round(_at_one_turn(q), 9), axis=0, return_inverse=True)[1].ravel()
 
 
 def _at_one_turn(q: np.ndarray) -> np.ndarray:
-    """Return joint positions, shape (N, n), of joints that take more than a turn folded into one turn.
+    """Return joint positions, shape (N, n), of joints that take more than a turn folded into one
+    turn.
 
-    The turn begins in the largest gap, so that neighbours stay neighbours. A rail of more than 6 m is folded, too: distant
-    places on it may then be held out together, which does no harm.
+    The turn begins in the largest gap, so that neighbours stay neighbours. A rail of more than 6 m
+    is folded, too: distant places on it may then be held out together, which does no harm.
     """
     folded = np.array(q, float)
     for j in np.flatnonzero(np.ptp(q, axis=0) > TURN) if len(q) else ():

@@ -1,4 +1,6 @@
-"""A station: one table of readings under a model, evaluated in pieces so that memory does not grow with their number."""
+"""A station: one table of readings under a model, evaluated in pieces so that memory does not grow
+with their number.
+"""
 
 from __future__ import annotations
 
@@ -27,13 +29,15 @@ from pincal.parameters import Parameter, is_on_link
 PIECE = 4096
 
 
-# Columns of each joint in units of its position; the approach direction, in contrast, is that of its drive.
+# Columns of each joint in units of its position; the approach direction, in contrast, is that of
+# its drive.
 _MOVED = ("droop", "move")
 
 
 @dataclass(frozen=True)
 class Station:
-    """One set-up of instrument and targets: a model, the conditions of N poses and the sensor's readings there.
+    """One set-up of instrument and targets: a model, the conditions of N poses and the sensor's
+    readings there.
 
     Vectors of values have the model's parameters first, then the sensor's.
 
@@ -41,15 +45,18 @@ class Station:
         model: the model, its chain's reference orientations being those of this station.
         conditions: the poses.
         sensor: the readings.
-        weights: shape (N,), each row's inverse standard deviation relative to the others (mean about 1).
-        whitening: shape (m, m, N), lower triangular matrix of each row that whitens the noise of its readings; default: it
-            is white.
+        weights: shape (N,), each row's inverse standard deviation relative to the others (mean
+            about 1).
+        whitening: shape (m, m, N), lower triangular matrix of each row that whitens the noise of
+            its readings; default: it is white.
         name: distinguishes the stations of a problem; "" for a single one.
-        position: shape (N,), of each row in the order of measurement, in rows; None without an order.
+        position: shape (N,), of each row in the order of measurement, in rows; None without an
+            order.
         serial: correlation of the noise along that order; default: none.
         arrival: noise that the rows of each stop of the robot share; default: none.
         trusted: shape (N,), rows that are never outliers; default: none.
-        setup: name of the set-up whose instrument it shares with stations between other links; "" if it is its own.
+        setup: name of the set-up whose instrument it shares with stations between other links; ""
+            if it is its own.
     """
 
     model: Model
@@ -67,16 +74,22 @@ class Station:
     @property
     def shares_setup(self) -> bool:
         """Whether other stations may share some of its own parameters."""
-        return bool(self.setup) or any(is_on_link(p.element) for p in compress(self.parameters, self.is_own))
+        return bool(self.setup) or any(
+            is_on_link(p.element) for p in compress(self.parameters, self.is_own)
+        )
 
     def owner(self, parameter: Parameter) -> str:
-        """Return the name under which one of several stations has a parameter of its own, "" for a part of the robot.
+        """Return the name under which one of several stations has a parameter of its own, "" for a
+        part of the robot.
 
-        A place on a link belongs to the robot, a target to the station, and all else to the instrument.
+        A place on a link belongs to the robot, a target to the station, and all else to the
+        instrument.
         """
         if is_on_link(parameter.element):
             return ""
-        return self.name if parameter.element in self.model.chain.targets else self.setup or self.name
+        return (
+            self.name if parameter.element in self.model.chain.targets else self.setup or self.name
+        )
 
     def split(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the parts of a vector, shape (P,), for the model and for the sensor."""
@@ -124,7 +137,9 @@ class Station:
             conditions=self.conditions.select(rows),
             sensor=self.sensor.select(rows),
             weights=self.weights[rows],
-            whitening=None if self.whitening is None else np.ascontiguousarray(self.whitening[..., rows]),
+            whitening=None
+            if self.whitening is None
+            else np.ascontiguousarray(self.whitening[..., rows]),
             position=None if self.position is None else self.position[rows],
             serial=None if self.serial is None else self.serial.select(rows),
             arrival=None if self.arrival is None else self.arrival.select(rows),
@@ -132,8 +147,14 @@ class Station:
         )
 
     def sample(self, most: int) -> Station:
-        """Return the station with at most ``most`` of its rows, some of everything; itself if it has no more."""
-        return self if len(self) <= most else self.select(sample_rows(len(self), most, self.sensor.groups))
+        """Return the station with at most ``most`` of its rows, some of everything; itself if it
+        has no more.
+        """
+        return (
+            self
+            if len(self) <= most
+            else self.select(sample_rows(len(self), most, self.sensor.groups))
+        )
 
     def with_model(self, model: Model) -> Station:
         """Return the same readings under another model."""
@@ -141,17 +162,24 @@ class Station:
 
     def residuals(self, values: np.ndarray) -> np.ndarray:
         """Return reading minus prediction at all rows, shape (m, N), not weighted [m, rad]."""
-        out, (of_model, own) = np.empty((self.reading_size, len(self))), self.split(values)
+        out = np.empty((self.reading_size, len(self)))
+        (of_model, own) = self.split(values)
         for piece in self._pieces():
             part = self._part(piece)
-            out[:, piece] = part.sensor.residuals(part.model.predict(of_model, part.conditions.at_moments), own)
+            out[:, piece] = part.sensor.residuals(
+                part.model.predict(of_model, part.conditions.at_moments), own
+            )
         return out
 
     def whitened(self, residuals: np.ndarray) -> np.ndarray:
         """Return residuals of all rows, shape (m, N), with white noise as a fit weights them."""
         if self.whitening is not None:
-            residuals = np.asarray(whitened_rows(self.whitening, np.ascontiguousarray(residuals[None]))[0])
-        return np.concatenate([self._along(residuals[None, :, p], p)[0] for p in self._pieces()], axis=1)
+            residuals = np.asarray(
+                whitened_rows(self.whitening, np.ascontiguousarray(residuals[None]))[0]
+            )
+        return np.concatenate(
+            [self._along(residuals[None, :, p], p)[0] for p in self._pieces()], axis=1
+        )
 
     @property
     def is_correlated(self) -> bool:
@@ -159,7 +187,9 @@ class Station:
         return self.serial is not None or self.arrival is not None
 
     def _along(self, columns: np.ndarray, piece: slice) -> np.ndarray:
-        """Return columns of a piece of the rows, shape (D, m, n), with the correlation of rows removed, too."""
+        """Return columns of a piece of the rows, shape (D, m, n), with the correlation of rows
+        removed, too.
+        """
         if not self.is_correlated:
             return columns
         # Rows of larger weight have less of all kinds of noise.
@@ -172,22 +202,30 @@ class Station:
         return np.asarray(columns / weights)
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
-        """Return white noise of all rows, shape (m, N), correlated like the readings': the inverse of :meth:`whitened`."""
+        """Return white noise of all rows, shape (m, N), correlated like the readings': the inverse
+        of :meth:`whitened`.
+        """
         if self.serial is not None:
-            parts = [self.serial.select(p).coloured((noise * self.weights)[:, p]) for p in self._pieces()]
+            parts = [
+                self.serial.select(p).coloured((noise * self.weights)[:, p]) for p in self._pieces()
+            ]
             noise = np.concatenate(parts, axis=1) / self.weights
         if self.arrival is not None:
             noise = self.arrival.coloured(noise * self.weights) / self.weights
         if self.whitening is None:
             return noise
-        return np.asarray(np.linalg.solve(np.moveaxis(self.whitening, 2, 0), noise.T[:, :, None])[:, :, 0].T)
+        return np.asarray(
+            np.linalg.solve(np.moveaxis(self.whitening, 2, 0), noise.T[:, :, None])[:, :, 0].T
+        )
 
     def displacements(self, values: np.ndarray, residuals: np.ndarray | None = None) -> np.ndarray:
-        """Return the displacement of each row's target, as far as its reading determines it, shape (N, 3) [m].
+        """Return the displacement of each row's target, as far as its reading determines it, shape
+        (N, 3) [m].
 
         ``residuals``, shape (m, N), are of predictions by nearby values; default: by these.
         """
-        out, (of_model, own) = np.empty((len(self), 3)), self.split(values)
+        out = np.empty((len(self), 3))
+        (of_model, own) = self.split(values)
         for piece in self._pieces():
             part = self._part(piece)
             poses = part.model.predict(of_model, part.conditions.at_moments)
@@ -196,16 +234,26 @@ class Station:
         return out
 
     def metres_per_reading(self, values: np.ndarray) -> float:
-        """Return the displacement of the target per unit of the first block of readings: 1 except for images."""
+        """Return the displacement of the target per unit of the first block of readings: 1 except
+        for images.
+        """
         if self.sensor.blocks[0].unit == "m":
             return 1.0
         if not self.sensor.reads_place:
             return np.nan
         sizes = np.linalg.norm(self.residuals(values)[: self.sensor.blocks[0].size], axis=0)
-        return float(np.median(np.linalg.norm(self.displacements(values), axis=1) / np.maximum(sizes, 1e-300)))
+        return float(
+            np.median(
+                np.linalg.norm(self.displacements(values), axis=1) / np.maximum(sizes, 1e-300)
+            )
+        )
 
-    def linearise(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Yield, piece by piece, the rows, the residuals, shape (m, n), and the Jacobian, shape (free, m, n)."""
+    def linearise(
+        self, values: np.ndarray, free: np.ndarray
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Yield, piece by piece, the rows, the residuals, shape (m, n), and the Jacobian, shape
+        (free, m, n).
+        """
         of_model, own = self.split(values)
         model_free, own_free = self.split(free)
         for piece in self._pieces():
@@ -217,20 +265,30 @@ class Station:
             yield piece, part.sensor.residuals(poses, own), jacobian
 
     def _motion(self, of_model: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the poses that the rows depend on, and their motion by free parameters of the model, shape (F, rows, n)."""
-        poses, motion = self.model.linearise(of_model, self.conditions.at_moments, free=free, rows=self.sensor.twist_rows)
+        """Return the poses that the rows depend on, and their motion by free parameters of the
+        model, shape (F, rows, n).
+        """
+        poses, motion = self.model.linearise(
+            of_model, self.conditions.at_moments, free=free, rows=self.sensor.twist_rows
+        )
         return poses, motion.transpose(2, 1, 0)
 
-    def linearise_shared(self, values: np.ndarray, free: np.ndarray) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
-        """Yield what :meth:`linearise` does, whitened and with curves as basis times column, for Gram matrices.
+    def linearise_shared(
+        self, values: np.ndarray, free: np.ndarray
+    ) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
+        """Yield what :meth:`linearise` does, whitened and with curves as basis times column, for
+        Gram matrices.
 
-        Parameters of joints off the path that act through the loads on it alone have no columns: their effect is negligible.
+        Parameters of joints off the path that act through the loads on it alone have no columns:
+        their effect is negligible.
         """
         # Nothing of a piece is held here while it is processed.
         for piece in self._pieces():
             yield piece, *self._shared(self._part(piece), piece, values, free)
 
-    def _shared(self, part: Station, piece: slice, values: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, Jacobian]:
+    def _shared(
+        self, part: Station, piece: slice, values: np.ndarray, free: np.ndarray
+    ) -> tuple[np.ndarray, Jacobian]:
         """Return residuals and Jacobian of a piece of the rows."""
         of_model, own = self.split(values)
         model_free, own_free = self.split(free)
@@ -243,12 +301,17 @@ class Station:
         else:
             # A curve has another value at each moment of a row.
             poses, motion = part._motion(of_model, model_free)
-        curves = [(parameters, basis, i) for i, group in enumerate(shared) for parameters, basis in group.families]
+        curves = [
+            (parameters, basis, i)
+            for i, group in enumerate(shared)
+            for parameters, basis in group.families
+        ]
         apart = free.copy()
         self.split(apart)[0][:] = model_free
         for parameters, *_ in curves:
             apart[parameters] = False
-        columns, residuals = part.sensor.jacobian(poses, motion, own), part.sensor.residuals(poses, own)
+        columns = part.sensor.jacobian(poses, motion, own)
+        residuals = part.sensor.residuals(poses, own)
         if part.whitening is not None:
             columns = whitened_rows(part.whitening, np.ascontiguousarray(columns))
             residuals = whitened_rows(part.whitening, np.ascontiguousarray(residuals[None]))[0]
@@ -257,16 +320,23 @@ class Station:
         plain = not shared and not len(of_sensor)
         dense = columns[:n_apart] if plain else np.concatenate([columns[:n_apart], of_sensor])
         column_of = np.cumsum(free) - 1
-        families = tuple(SharedColumns(column_of[places], basis, columns[n_apart + i]) for places, basis, i in curves)
+        families = tuple(
+            SharedColumns(column_of[places], basis, columns[n_apart + i])
+            for places, basis, i in curves
+        )
         jacobian = Jacobian(int(free.sum()), column_of[apart], dense, families)
         if not self.is_correlated:
             return residuals, jacobian
         # The effect of a curve at one row reaches others, too.
         columns, places = jacobian.dense_columns()
-        return self._along(residuals[None], piece)[0], Jacobian(jacobian.size, places, self._along(columns, piece))
+        return self._along(residuals[None], piece)[0], Jacobian(
+            jacobian.size, places, self._along(columns, piece)
+        )
 
     def _pieces(self) -> Iterator[slice]:
-        is_whole = self.sensor.is_whole or (self.serial is not None and np.any(np.diff(self.serial.position) < 0.0))
+        is_whole = self.sensor.is_whole or (
+            self.serial is not None and np.any(np.diff(self.serial.position) < 0.0)
+        )
         if self.arrival is not None and not is_whole:
             is_whole = not _is_contiguous(self.arrival.stop)
         around = self.conditions.around
@@ -285,7 +355,9 @@ class Station:
             return self
         conditions = part_of(self.conditions, piece, (piece.start, piece.stop))
         # Weights and positions are the whole station's, as pieces are assembled by them.
-        whitening = None if self.whitening is None else np.ascontiguousarray(self.whitening[..., piece])
+        whitening = (
+            None if self.whitening is None else np.ascontiguousarray(self.whitening[..., piece])
+        )
         serial = None if self.serial is None else self.serial.select(piece)
         arrival = None if self.arrival is None else self.arrival.select(piece)
         return replace(
@@ -318,18 +390,31 @@ def station_of(
         model: the model; its chain's targets are those of the table.
         measurements: the table.
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
-        setup: the named points and the camera; default: as for :func:`pincal.measure.measurements.sensor_of`.
+        setup: the named points and the camera; default: as for
+            :func:`pincal.measure.measurements.sensor_of`.
         name: of the station, if there are several.
         instrument: declared noise of its positions by range and direction.
     """
     sigma = measurements.sigma
     weights = np.ones(len(measurements)) if sigma is None else np.sqrt(np.mean(sigma**2)) / sigma
     conditions = conditions_of(model, measurements, payload_centre)
-    sensor, whitening = sensor_of(measurements, setup), None
+    sensor = sensor_of(measurements, setup)
+    whitening = None
     if instrument is not None:
-        whitening = instrument.whitening(seen_by(measurements), sum(block.size for block in sensor.blocks))
+        whitening = instrument.whitening(
+            seen_by(measurements), sum(block.size for block in sensor.blocks)
+        )
     position = _positions(measurements)
-    return Station(model, conditions, sensor, weights, name, whitening, position=position, setup=measurements.setup)
+    return Station(
+        model,
+        conditions,
+        sensor,
+        weights,
+        name,
+        whitening,
+        position=position,
+        setup=measurements.setup,
+    )
 
 
 def _positions(measurements: Measurements) -> np.ndarray:
@@ -339,27 +424,40 @@ def _positions(measurements: Measurements) -> np.ndarray:
     if measurements.time is None and np.any(np.diff(along) <= 0.0):
         # Rows of several files.
         return np.arange(len(along), dtype=float)
-    return np.asarray(along / np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else np.arange(len(along), dtype=float)
+    return (
+        np.asarray(along / np.median(steps[steps > 0.0]))
+        if np.any(steps > 0.0)
+        else np.arange(len(along), dtype=float)
+    )
 
 
-def conditions_of(model: Model, measurements: Measurements, payload_centre: np.ndarray) -> Conditions:
+def conditions_of(
+    model: Model, measurements: Measurements, payload_centre: np.ndarray
+) -> Conditions:
     """Return the conditions of a table's rows; rows without a payload have none.
 
     Raises:
         BadInputError: for a target that a model of several targets does not have.
     """
     targets = model.chain.targets
-    n, index = len(measurements), np.zeros(len(measurements), int)
+    n = len(measurements)
+    index = np.zeros(len(measurements), int)
     if len(targets) > 1:
         unknown = sorted(set(map(str, measurements.target)) - set(targets))
         if unknown:
             raise BadInputError(
-                f"{measurements.source}: target {unknown[0]!r} is not in the model; expected one of {', '.join(targets)}"
+                f"{measurements.source}: target {unknown[0]!r} is not in the model; "
+                f"expected one of {', '.join(targets)}"
             )
         index[:] = [targets.index(target) for target in measurements.target]
-    robot, recorded = model.chain.robot, measurements.recorded()
+    robot = model.chain.robot
+    recorded = measurements.recorded()
     if robot.couplings:
-        recorded |= {name: way @ robot.combination.T for name in _MOVED if (way := recorded[name]) is not None}
+        recorded |= {
+            name: way @ robot.combination.T
+            for name in _MOVED
+            if (way := recorded[name]) is not None
+        }
     return Conditions(
         q=robot.from_reported(measurements.q),
         target=index,
@@ -367,7 +465,9 @@ def conditions_of(model: Model, measurements: Measurements, payload_centre: np.n
         payload_centre=np.asarray(payload_centre, float),
         sighted=measurements.position,
         inertial=None if measurements.moving is None else measurements.moving.inertial,
-        around=measurements.moving if measurements.moving is not None and measurements.moving.q is not None else None,
+        around=measurements.moving
+        if measurements.moving is not None and measurements.moving.q is not None
+        else None,
         **recorded,
     )
 
@@ -378,10 +478,15 @@ def fingerprints(station: Station) -> str:
     They identify the rows that a model was fitted to, which need not be kept.
     """
     sensor = station.sensor
-    columns = [station.conditions.q, *(np.asarray(getattr(sensor, name)) for name in sensor.per_row)]
+    columns = [
+        station.conditions.q,
+        *(np.asarray(getattr(sensor, name)) for name in sensor.per_row),
+    ]
     numbers = [c.reshape(len(station), -1) for c in columns if np.issubdtype(c.dtype, np.floating)]
     rows = np.ascontiguousarray(np.hstack(numbers)) + 0.0
-    return base64.b64encode(np.array([zlib.crc32(row.tobytes()) for row in rows], "<u4").tobytes()).decode()
+    return base64.b64encode(
+        np.array([zlib.crc32(row.tobytes()) for row in rows], "<u4").tobytes()
+    ).decode()
 
 
 def together(*marks: str) -> str:
@@ -403,7 +508,9 @@ def are_fingerprints(text: str) -> bool:
 
 
 def known_rows(marks: str, station: Station) -> np.ndarray:
-    """Return which rows of a station are among those behind fingerprints, shape (N,); by chance one in 10^5 is."""
+    """Return which rows of a station are among those behind fingerprints, shape (N,); by chance one
+    in 10^5 is.
+    """
     return np.isin(_numbers(fingerprints(station)), _numbers(marks))
 
 

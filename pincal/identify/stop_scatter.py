@@ -1,14 +1,18 @@
-r"""Scatter of readings within a stop, and of stops at a pose, by moments; and the covariance of rows that share them.
+r"""Scatter of readings within a stop, and of stops at a pose, by moments; and the covariance of
+rows that share them.
 
-A reading is :math:`y = f(q) + m + J a + e`: e of each reading, the arrival a of the drives of each stop, and what the model
-lacks, m, of each pose. Readings of one target in one stop differ by e; means of the stops at a pose by a and by what is left
-of e. From n_s readings in stop s, with mean squares
+A reading is :math:`y = f(q) + m + J a + e`: e of each reading, the arrival a of the drives of each
+stop, and what the model lacks, m, of each pose. Readings of one target in one stop differ by e;
+means of the stops at a pose by a and by what is left of e. From n_s readings in stop s, with mean
+squares
 
 .. math:: MS_e = \frac{\sum (y - \bar y_s)^2}{\sum (n_s - 1)}, \quad
-    MS_a = \frac{\sum (\bar y_s - \bar y_p)^2}{\sum (v_p - 1)}, \quad E\, MS_a = a^2 + e^2 \, \overline{1 / n_s}.
+    MS_a = \frac{\sum (\bar y_s - \bar y_p)^2}{\sum (v_p - 1)}, \quad E\, MS_a = a^2 + e^2 \,
+    \overline{1 / n_s}.
 
-The noise of a calibration is that of its rows, the means of poses: :math:`\sigma^2 = m^2 + a^2 / v + e^2 / (n v)`
-of n readings in each of v stops. Rows with other n and v have another noise.
+The noise of a calibration is that of its rows, the means of poses:
+:math:`\sigma^2 = m^2 + a^2 / v + e^2 / (n v)` of n readings in each of v stops. Rows with other n
+and v have another noise.
 """
 
 from __future__ import annotations
@@ -27,26 +31,32 @@ from pincal.measure.stops import Plan
 
 # Range in which the share of the drives is searched, log of its odds.
 _LOGITS = (-6.0, 9.0)
-# Rows by which a fit's loss of information to shared stops is found, and directions that are too weak to count.
-_MOST_ROWS, _RANK = 2000, 1e-4
+# Rows by which a fit's loss of information to shared stops is found, and directions that are too
+# weak to count.
+_MOST_ROWS = 2000
+_RANK = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class StopScatter:
-    """Variances by moments of the readings of a station, per component of each block of readings, shape (blocks,) each.
+    """Variances by moments of the readings of a station, per component of each block of readings,
+    shape (blocks,) each.
 
     Attributes:
         within: variance of a reading about the mean of its stop; 0 where nothing was repeated.
-        between: variance of a stop about the mean of its pose, without that of its readings; 0 where no pose was revisited.
-        within_degrees: degrees of freedom of the first, readings times components; 0 where nothing was repeated.
+        between: variance of a stop about the mean of its pose, without that of its readings; 0
+            where no pose was revisited.
+        within_degrees: degrees of freedom of the first, readings times components; 0 where nothing
+            was repeated.
         between_degrees: degrees of freedom of the second.
         readings: number of readings of a target in a stop, harmonic mean.
         stops: number of stops at a pose, harmonic mean.
-        shared: factor by which noise that readings of a stop share increases the variances of a fit that takes them to be
-            independent; 1 if none is known.
-        drives: fraction of the variance of the rows that follows the levers of the drives; 0 if unknown.
-        of_single: whether the noise of a fit to these rows is that of a single reading in a single stop, by which they are
-            weighted; else that of their means.
+        shared: factor by which noise that readings of a stop share increases the variances of a fit
+            that takes them to be independent; 1 if none is known.
+        drives: fraction of the variance of the rows that follows the levers of the drives; 0 if
+            unknown.
+        of_single: whether the noise of a fit to these rows is that of a single reading in a single
+            stop, by which they are weighted; else that of their means.
     """
 
     within: np.ndarray
@@ -72,14 +82,18 @@ class StopScatter:
         return bool(repeated) or self.shared > 1.0 or self.drives > 0.0
 
     def of_row(self, readings: np.ndarray | float, stops: np.ndarray | float = 1.0) -> np.ndarray:
-        """Return the variance of the mean of so many readings in each of so many stops, shape (blocks, ...)."""
+        """Return the variance of the mean of so many readings in each of so many stops, shape
+        (blocks, ...).
+        """
         size = np.ndim(readings) * (None,)
         between = self.between[(slice(None), *size)]
         within = self.within[(slice(None), *size)]
         return np.asarray(between / stops + within / (np.asarray(readings) * stops))
 
     def row_variance(self, noise: np.ndarray) -> np.ndarray:
-        """Return the variance of the rows that were fitted, shape (blocks,), for the noise of the fit, shape (blocks,)."""
+        """Return the variance of the rows that were fitted, shape (blocks,), for the noise of the
+        fit, shape (blocks,).
+        """
         if not self.of_single:
             return noise**2
         of_row = self.of_row(self.readings, self.stops)
@@ -102,7 +116,8 @@ def scatter_of_stops(station: Station, values: np.ndarray, plan: Plan) -> StopSc
     """Return the scatter within and between the stops of a station's single readings.
 
     Args:
-        station: the model over them; differences of recorded joints within a pose are corrected by it.
+        station: the model over them; differences of recorded joints within a pose are corrected by
+            it.
         values: shape (P,).
         plan: by which they were measured.
     """
@@ -144,7 +159,8 @@ def _means(columns: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 
 def _mean_square(apart: np.ndarray, group: np.ndarray) -> tuple[float, float]:
-    """Return the mean square of differences from the means of groups, gross groups left out, and its degrees of freedom.
+    """Return the mean square of differences from the means of groups, gross groups left out, and
+    its degrees of freedom.
 
     Args:
         apart: shape (m, N).
@@ -167,9 +183,11 @@ def _mean_square(apart: np.ndarray, group: np.ndarray) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class SharedNoise:
-    r"""Noise that rows of a station share: of the arrival of the drives in a stop, and of what the model lacks at a pose.
+    r"""Noise that rows of a station share: of the arrival of the drives in a stop, and of what the
+    model lacks at a pose.
 
-    In units of the noise of each row, with :math:`\bar J` the readings' derivatives by the drives, scaled to unit variance,
+    In units of the noise of each row, with :math:`\bar J` the readings' derivatives by the drives,
+    scaled to unit variance,
 
     .. math:: V_{ij} = \lambda \, (\mu \, [pose] + (1 - \mu) \, [stop]) \, \bar J_i \bar J_j^T
         + \nu \, (\mu \, [thing] + (1 - \mu) \, [row]) \, I ,
@@ -177,7 +195,8 @@ class SharedNoise:
     so that a row of its own has the variance :math:`\lambda + \nu`. V is whitened pose by pose.
 
     Attributes:
-        pose: shape (N,), number of each row's pose; so are ``stop`` and ``thing``, the same target at the same pose.
+        pose: shape (N,), number of each row's pose; so are ``stop`` and ``thing``, the same target
+            at the same pose.
         stop: shape (N,).
         thing: shape (N,).
         levers: shape (n, m, N), derivatives by the n drives, in units of the noise.
@@ -215,19 +234,25 @@ class SharedNoise:
 
     @cached_property
     def whitening(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """The rows of the poses that have as many, shape (P, n), and the matrices, shape (P, n m, n m), that whiten them.
+        """The rows of the poses that have as many, shape (P, n), and the matrices, shape (P, n m, n
+        m), that whiten them.
 
         Poses of a single row, of unit variance, are left out where targets have nothing in common.
         """
         correlated = [rows for rows in self._poses if rows.shape[1] > 1 or self.of_drives]
-        return [(rows, np.linalg.inv(np.linalg.cholesky(self.covariance(rows)))) for rows in correlated]
+        return [
+            (rows, np.linalg.inv(np.linalg.cholesky(self.covariance(rows)))) for rows in correlated
+        ]
 
     def covariance(self, rows: np.ndarray) -> np.ndarray:
-        """Return the covariances of the n rows of each of P poses, shape (P, n), as shape (P, n m, n m), row by row."""
+        """Return the covariances of the n rows of each of P poses, shape (P, n), as shape (P, n m,
+        n m), row by row.
+        """
         poses, n = rows.shape
         m = self.levers.shape[1]
         own = np.eye(n)
-        first, second = rows[:, :, None], rows[:, None, :]
+        first = rows[:, :, None]
+        second = rows[:, None, :]
         same_stop = self.stop[first] == self.stop[second]
         same_thing = self.thing[first] == self.thing[second]
         of_pose = np.sqrt(self.of_pose[first] * self.of_pose[second])
@@ -236,9 +261,13 @@ class SharedNoise:
         V = alone[:, :, None, :, None] * np.eye(m)[:, None, :]
         if self.of_drives:
             # Shape (P, n m, drives).
-            J = np.moveaxis(self.levers[..., rows], (2, 3, 1, 0), (0, 1, 2, 3)).reshape(poses, n * m, -1)
+            J = np.moveaxis(self.levers[..., rows], (2, 3, 1, 0), (0, 1, 2, 3)).reshape(
+                poses, n * m, -1
+            )
             together = self.of_drives * (of_pose + of_stop * same_stop)
-            V = V + together[:, :, None, :, None] * (J @ J.transpose(0, 2, 1)).reshape(poses, n, m, n, m)
+            V = V + together[:, :, None, :, None] * (J @ J.transpose(0, 2, 1)).reshape(
+                poses, n, m, n, m
+            )
         return np.asarray(V.reshape(poses, n * m, n * m))
 
     def _places(self, rows: np.ndarray) -> np.ndarray:
@@ -247,15 +276,21 @@ class SharedNoise:
         return np.asarray((rows[:, :, None] * m + np.arange(m)).reshape(len(rows), -1))
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """Return columns of readings in units of the noise, shape (..., R), row by row and more behind, whitened."""
+        """Return columns of readings in units of the noise, shape (..., R), row by row and more
+        behind, whitened.
+        """
         return self._turned(columns, self.whitening)
 
     def back(self, columns: np.ndarray) -> np.ndarray:
         """Return columns of whitened readings, shape (..., R), times the transposed whitening."""
         return self._turned(columns, [(rows, W.transpose(0, 2, 1)) for rows, W in self.whitening])
 
-    def _turned(self, columns: np.ndarray, turns: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-        """Return columns of readings, shape (..., R), those of rows, shape (P, n), by matrices, shape (P, n m, n m)."""
+    def _turned(
+        self, columns: np.ndarray, turns: list[tuple[np.ndarray, np.ndarray]]
+    ) -> np.ndarray:
+        """Return columns of readings, shape (..., R), those of rows, shape (P, n), by matrices,
+        shape (P, n m, n m).
+        """
         columns = columns.copy()
         each = columns.reshape(-1, columns.shape[-1])
         for rows, turn in turns:
@@ -264,7 +299,9 @@ class SharedNoise:
         return np.asarray(columns)
 
     def covariances(self, columns: np.ndarray) -> np.ndarray:
-        """Return U V U^T for columns U of readings, shape (K, R), row by row; what is not whitened has unit variance."""
+        """Return U V U^T for columns U of readings, shape (K, R), row by row; what is not whitened
+        has unit variance.
+        """
         found = columns @ columns.T
         for rows, _ in self.whitening:
             places = self._places(rows)
@@ -285,7 +322,8 @@ class SharedNoise:
         return found
 
     def likeliest(self, residuals: np.ndarray, *, spent: int) -> SharedNoise:
-        """Return the noise with the variances of drives and rows under which residuals, shape (m, N), are most likely.
+        """Return the noise with the variances of drives and rows under which residuals, shape (m,
+        N), are most likely.
 
         Args:
             residuals: in units of the noise.
@@ -297,11 +335,17 @@ class SharedNoise:
         squares = along**2
 
         def misfit(share: float) -> float:
-            """Return -2 log likelihood for a share of the drives, with the likeliest size of the whole."""
+            """Return -2 log likelihood for a share of the drives, with the likeliest size of the
+            whole.
+            """
             relative = share * variances + (1.0 - share)
-            return len(squares) * float(np.log(np.sum(squares / relative))) + float(np.sum(np.log(relative)))
+            return len(squares) * float(np.log(np.sum(squares / relative))) + float(
+                np.sum(np.log(relative))
+            )
 
-        found = minimize_scalar(lambda logit: misfit(float(expit(logit))), bounds=_LOGITS, method="bounded")
+        found = minimize_scalar(
+            lambda logit: misfit(float(expit(logit))), bounds=_LOGITS, method="bounded"
+        )
         share = float(expit(found.x))
         if misfit(0.0) - misfit(share) < STOPS.shared:
             return replace(self, of_drives=0.0, of_rows=1.0)
@@ -310,10 +354,13 @@ class SharedNoise:
         return replace(self, of_drives=size * share, of_rows=size * (1.0 - share))
 
     def _principal(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return variances by the drives along axes of unit variance by rows, and the residuals r there, (R,) each."""
+        """Return variances by the drives along axes of unit variance by rows, and the residuals r
+        there, (R,) each.
+        """
         drives = replace(self, of_drives=1.0, of_rows=0.0)
         alone = replace(self, of_drives=0.0, of_rows=1.0)
-        variances, along = [], []
+        variances = []
+        along = []
         for rows in self._poses:
             W = np.linalg.inv(np.linalg.cholesky(alone.covariance(rows)))
             found, axes = np.linalg.eigh(W @ drives.covariance(rows) @ W.transpose(0, 2, 1))
@@ -323,7 +370,9 @@ class SharedNoise:
         return np.concatenate(variances), np.concatenate(along)
 
 
-def shared_noise(station: Station, values: np.ndarray, plan: Plan, *, sigma: np.ndarray, of_pose: np.ndarray) -> SharedNoise:
+def shared_noise(
+    station: Station, values: np.ndarray, plan: Plan, *, sigma: np.ndarray, of_pose: np.ndarray
+) -> SharedNoise:
     """Return the noise that rows of a station share by a plan, without any part of the drives yet.
 
     Args:
@@ -343,11 +392,13 @@ def shared_noise(station: Station, values: np.ndarray, plan: Plan, *, sigma: np.
 def shared_in_fit(
     station: Station, values: np.ndarray, plan: Plan, *, sigma: np.ndarray, free: np.ndarray
 ) -> tuple[float, float]:
-    r"""Return the factor by which noise that readings of a stop share increases the variances of a fit, and its fraction.
+    r"""Return the factor by which noise that readings of a stop share increases the variances of a
+    fit, and its fraction.
 
-    It is that of the arrival of the drives: in a stop of several targets, or in the coordinates of one. With X the Jacobian
-    of the readings in units of the noise, it is the largest eigenvalue of
-    :math:`(X^T X)^{-1} X^T V X` (White 1980): that of the direction which is most like an arrival, a joint offset.
+    It is that of the arrival of the drives: in a stop of several targets, or in the coordinates of
+    one. With X the Jacobian of the readings in units of the noise, it is the largest eigenvalue of
+    :math:`(X^T X)^{-1} X^T V X` (White 1980): that of the direction which is most like an arrival,
+      a joint offset.
 
     Args:
         station: the model over the fitted rows.
@@ -356,7 +407,9 @@ def shared_in_fit(
         sigma: shape (blocks,), noise.
         free: shape (P,), parameters that were fitted.
     """
-    some = np.isin(plan.stop, np.unique(plan.stop)[: max(_MOST_ROWS * plan.n_stops // len(plan), 2)])
+    some = np.isin(
+        plan.stop, np.unique(plan.stop)[: max(_MOST_ROWS * plan.n_stops // len(plan), 2)]
+    )
     station = station.select(np.flatnonzero(some))
     plan = plan.select(some)
     scale = station.weights / np.repeat(sigma, station.block_sizes)[:, None]
@@ -372,4 +425,6 @@ def shared_in_fit(
     strong = squares > _RANK**2 * squares[-1]
     U = (axes[:, strong] / np.sqrt(squares[strong])).T @ X
     whole = noise.of_drives + noise.of_rows
-    return max(float(np.linalg.eigvalsh(noise.covariances(U))[-1]), 1.0), float(noise.of_drives / whole)
+    return max(float(np.linalg.eigvalsh(noise.covariances(U))[-1]), 1.0), float(
+        noise.of_drives / whole
+    )

@@ -40,7 +40,8 @@ class Arrivals:
     """Scatter of readings between visits of a pose.
 
     Attributes:
-        noise: shape (m,), standard deviation of each component of a reading at one stop [m, rad, px].
+        noise: shape (m,), standard deviation of each component of a reading at one stop [m, rad,
+            px].
         sizes: shape (J,), standard deviation of the arrival of each joint [rad or m].
     """
 
@@ -59,19 +60,27 @@ class Arrivals:
 
 
 def levers_of(station: Station, values: np.ndarray) -> np.ndarray:
-    """Return the motion of the readings by each drive, shape (N, m, J) [m/rad, ...]; ``values`` are of shape (P,)."""
+    """Return the motion of the readings by each drive, shape (N, m, J) [m/rad, ...]; ``values`` are
+    of shape (P,).
+    """
     return np.ascontiguousarray(drive_levers(station, values).transpose(2, 1, 0))
 
 
 def arrivals_of(
-    deviations: np.ndarray, levers: np.ndarray, share: np.ndarray, *, blocks: list[slice], least: np.ndarray
+    deviations: np.ndarray,
+    levers: np.ndarray,
+    share: np.ndarray,
+    *,
+    blocks: list[slice],
+    least: np.ndarray,
 ) -> Arrivals:
     """Return the scatter of readings that deviations from the others of their pose show.
 
     Args:
         deviations: shape (N, m).
         levers: shape (N, m, J), from :func:`levers_of`.
-        share: shape (N,), variance of a deviation relative to that of a reading, 1 - 1/n for one from the mean of n.
+        share: shape (N,), variance of a deviation relative to that of a reading, 1 - 1/n for one
+            from the mean of n.
         blocks: components with the same noise.
         least: shape (m,), smallest noise, as of rounding.
     """
@@ -80,11 +89,16 @@ def arrivals_of(
     levers = levers[::step]
     m = scaled.shape[1]
     sizes = [b.stop - b.start for b in blocks]
-    typical = [np.median(np.sum(scaled[:, b] ** 2, axis=1)) / chdtri(b.stop - b.start, 0.5) for b in blocks]
+    typical = [
+        np.median(np.sum(scaled[:, b] ** 2, axis=1)) / chdtri(b.stop - b.start, 0.5) for b in blocks
+    ]
     whole = np.sqrt(np.repeat(typical, sizes))
     least = np.maximum(_LEAST * whole, least)
     found = Arrivals(np.maximum(whole, least), np.zeros(levers.shape[2]))
-    of_block = [np.diag(np.repeat(np.arange(len(blocks)) == i, sizes).astype(float)) for i in range(len(blocks))]
+    of_block = [
+        np.diag(np.repeat(np.arange(len(blocks)) == i, sizes).astype(float))
+        for i in range(len(blocks))
+    ]
     limit = float(chdtri(m, _BEYOND))
     for _ in range(_ROUNDS):
         sound = found.distances(scaled, levers) < limit

@@ -1,14 +1,16 @@
-r"""How readings scatter: within a stop of the robot, between stops at a pose, and the poses about the model.
+r"""How readings scatter: within a stop of the robot, between stops at a pose, and the poses about
+the model.
 
 With n readings in v stops behind the mean of a pose, its variance about the model is
 
 .. math:: V = \frac{\sigma_r^2}{n} + \frac{\sigma_a^2}{v} + \tau^2 ,
 
-of the readings (the instrument), of the stops (the arrival of the drives) and of what the model lacks at a pose. The
-first two follow from moments of repeated readings, whatever the model (Searle, Casella and McCulloch 1992, Variance
-Components, section 3.6); the third from the residuals of a fit, which they exceed (Paule and Mandel 1982, J. Res. NBS
-87, 377-385). Means of poses are weighted by V, relative to a single reading in a single stop: so the noise of a fit is
-that of one visit, however often poses were visited.
+of the readings (the instrument), of the stops (the arrival of the drives) and of what the model
+lacks at a pose. The first two follow from moments of repeated readings, whatever the model (Searle,
+Casella and McCulloch 1992, Variance Components, section 3.6); the third from the residuals of a
+fit, which they exceed (Paule and Mandel 1982, J. Res. NBS 87, 377-385). Means of poses are weighted
+by V, relative to a single reading in a single stop: so the noise of a fit is that of one visit,
+however often poses were visited.
 """
 
 from __future__ import annotations
@@ -45,11 +47,15 @@ class VarianceComponent:
     degrees: float
 
     def interval(self, level: float = 0.95) -> tuple[float, float]:
-        """Return the interval of the standard deviation by chi-square [m]; (0, inf) without degrees of freedom."""
+        """Return the interval of the standard deviation by chi-square [m]; (0, inf) without degrees
+        of freedom.
+        """
         if self.degrees < 1.0:
             return 0.0, np.inf
         squares = self.degrees * self.sigma_m**2
-        upper, lower = (float(chdtri(self.degrees, p)) for p in (0.5 * (1.0 - level), 0.5 * (1.0 + level)))
+        upper, lower = (
+            float(chdtri(self.degrees, p)) for p in (0.5 * (1.0 - level), 0.5 * (1.0 + level))
+        )
         return float(np.sqrt(squares / upper)), float(np.sqrt(squares / max(lower, 1e-300)))
 
 
@@ -59,8 +65,8 @@ class ScatterByLevel:
 
     Attributes:
         reading: between readings of a target within a stop: the instrument.
-        stop: between stops at a pose, apart from it: the arrival of the drives. Where no stop has repeated readings it
-            includes the instrument.
+        stop: between stops at a pose, apart from it: the arrival of the drives. Where no stop has
+            repeated readings it includes the instrument.
         model: between poses, about the model, apart from both.
     """
 
@@ -77,20 +83,25 @@ class ScatterByLevel:
         return ", ".join(f"{words} {1e3 * of.sigma_m:.4f} mm" for words, of in levels if of.degrees)
 
     def variance(self, readings: np.ndarray, stops: np.ndarray) -> np.ndarray:
-        """Return the variance of one coordinate of means of so many readings in so many stops [m^2]."""
+        """Return the variance of one coordinate of means of so many readings in so many stops
+        [m^2].
+        """
         of_stops = self.stop.sigma_m**2 / stops
         return np.asarray(self.reading.sigma_m**2 / readings + of_stops + self.model.sigma_m**2)
 
 
 def with_visits(fit: ModelFit, tables: Mapping[str, Measurements]) -> ModelFit:
-    """Return a fit, not refitted, whose means of poses are weighted by the visits behind them; itself if none changes.
+    """Return a fit, not refitted, whose means of poses are weighted by the visits behind them;
+    itself if none changes.
 
     ``tables`` are the readings of each station as they were measured, in the order of the stations.
     """
     stations = list[Station]()
     for alone, station, table in zip(fit.alone, fit.problem.stations, tables.values(), strict=True):
         found = scatter_by_level(alone, fit.readings(table, station=station.name), plan_of(table))
-        stations.append(station if found is None else _weighted(station, found, plan_of(table), table.sigma))
+        stations.append(
+            station if found is None else _weighted(station, found, plan_of(table), table.sigma)
+        )
     is_changed = any(a is not b for a, b in zip(stations, fit.problem.stations, strict=True))
     return fit.over(stations) if is_changed else fit
 
@@ -106,7 +117,8 @@ def weighs_visits(station: Station, plan: Plan) -> bool:
 
 
 def scatter_by_level(alone: ModelFit, as_read: Station, plan: Plan) -> ScatterByLevel | None:
-    """Return how the readings of a station scatter; None where none was repeated, or readings are not of positions.
+    """Return how the readings of a station scatter; None where none was repeated, or readings are
+    not of positions.
 
     Args:
         alone: the fit of this station alone, whose rows are the means of poses.
@@ -141,8 +153,12 @@ def _as_declared(reading: VarianceComponent, declared: float | None) -> Variance
     return replace(reading, sigma_m=declared) if low <= declared <= high else reading
 
 
-def _weighted(station: Station, scatter: ScatterByLevel, plan: Plan, sigma: np.ndarray | None) -> Station:
-    """Return the station with rows weighted by the visits behind them; itself if they are so already."""
+def _weighted(
+    station: Station, scatter: ScatterByLevel, plan: Plan, sigma: np.ndarray | None
+) -> Station:
+    """Return the station with rows weighted by the visits behind them; itself if they are so
+    already.
+    """
     readings, stops = _counts(plan)
     one = np.ones(1)
     weights = np.sqrt(scatter.variance(one, one) / scatter.variance(readings, stops))
@@ -160,7 +176,9 @@ def _counts(plan: Plan) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _beyond(squares: np.ndarray, known: np.ndarray, degrees: float) -> float:
-    """Return the variance beyond a known one that makes squares of rows, shape (N,), add up to their degrees of freedom."""
+    """Return the variance beyond a known one that makes squares of rows, shape (N,), add up to
+    their degrees of freedom.
+    """
 
     def excess(variance: float) -> float:
         return float(np.sum(squares / (variance + known))) - degrees

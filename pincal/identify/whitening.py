@@ -1,13 +1,15 @@
-r"""Whitening of noise: among the readings of each row, among the rows of a stop, and along the rows in their order.
+r"""Whitening of noise: among the readings of each row, among the rows of a stop, and along the rows
+in their order.
 
-Drift of a set-up, moving air or a settling floor correlate the errors of consecutive rows. Each component of a reading then
-has, in addition to white noise, an autoregression of first order along the rows,
+Drift of a set-up, moving air or a settling floor correlate the errors of consecutive rows. Each
+component of a reading then has, in addition to white noise, an autoregression of first order along
+the rows,
 
 .. math:: V_{tu} = \sigma^2 \left( (1 - s) \, \delta_{tu} + s \, \varphi^{|t - u|} \right) ,
 
-which with :math:`\varphi` near 1 is a random walk. Its innovations (Kalman 1960) are independent and follow from the
-readings by a recursion, in a time linear in the number of rows, and all methods for independent rows (fits, score tests,
-covariances) apply to them.
+which with :math:`\varphi` near 1 is a random walk. Its innovations (Kalman 1960) are independent
+and follow from the readings by a recursion, in a time linear in the number of rows, and all methods
+for independent rows (fits, score tests, covariances) apply to them.
 """
 
 from __future__ import annotations
@@ -27,7 +29,9 @@ _TILE = 512
 
 @compiled(nogil=True)
 def whitened_rows(whitening, columns):
-    """Return columns, shape (D, m, N), times the lower triangular matrix of each row, shape (m, m, N)."""
+    """Return columns, shape (D, m, N), times the lower triangular matrix of each row, shape (m, m,
+    N).
+    """
     n_columns, m, n = columns.shape
     out = columns.copy()
     for first in range(0, n, _TILE):
@@ -35,11 +39,14 @@ def whitened_rows(whitening, columns):
         for d in range(n_columns):
             for i in range(m):
                 # As slices: loops over these are vectorised.
-                to, own, mine = out[d, i, first:end], columns[d, i, first:end], whitening[i, i, first:end]
+                to = out[d, i, first:end]
+                own = columns[d, i, first:end]
+                mine = whitening[i, i, first:end]
                 for k in range(end - first):
                     to[k] = mine[k] * own[k]
                 for j in range(i):
-                    factor, other = whitening[i, j, first:end], columns[d, j, first:end]
+                    factor = whitening[i, j, first:end]
+                    other = columns[d, j, first:end]
                     for k in range(end - first):
                         to[k] += factor[k] * other[k]
     return out
@@ -47,20 +54,26 @@ def whitened_rows(whitening, columns):
 
 @compiled(nogil=True)
 def recursion(phi, share, gaps, counted):
-    """Return decay, gain and scale, shape (m, N), for :func:`filtered`, of an autoregression plus white noise.
+    """Return decay, gain and scale, shape (m, N), for :func:`filtered`, of an autoregression plus
+    white noise.
 
-    Their variances are ``share`` and 1 - ``share``, shape (m,); ``phi`` is the correlation per step; ``gaps``, shape (N,),
-    are the steps from the previous row; rows that are not ``counted`` do not predict the next ones.
+    Their variances are ``share`` and 1 - ``share``, shape (m,); ``phi`` is the correlation per
+    step; ``gaps``, shape (N,), are the steps from the previous row; rows that are not ``counted``
+    do not predict the next ones.
     """
-    m, n = len(phi), len(gaps)
-    decay, gain, scale = np.empty((m, n)), np.empty((m, n)), np.empty((m, n))
+    m = len(phi)
+    n = len(gaps)
+    decay = np.empty((m, n))
+    gain = np.empty((m, n))
+    scale = np.empty((m, n))
     for i in range(m):
         known = share[i]
         for k in range(n):
             left = phi[i] ** gaps[k]
             known = left * left * known + share[i] * (1.0 - left * left)
             variance = known + 1.0 - share[i]
-            decay[i, k], scale[i, k] = left, 1.0 / np.sqrt(variance)
+            decay[i, k] = left
+            scale[i, k] = 1.0 / np.sqrt(variance)
             gain[i, k] = known / variance if counted[k] else 0.0
             known *= 1.0 - gain[i, k]
     return decay, gain, scale
@@ -68,10 +81,12 @@ def recursion(phi, share, gaps, counted):
 
 @compiled(nogil=True)
 def filtered(columns, order, decay, gain, scale, back):
-    """Return the innovations of columns, shape (D, m, N), along rows in an order, each times its scale (a Kalman filter).
+    """Return the innovations of columns, shape (D, m, N), along rows in an order, each times its
+    scale (a Kalman filter).
 
-    The prediction of a row is ``decay`` times the last estimate, which is corrected by ``gain`` times the innovation; order
-    has shape (N,), the others (m, N), in this order. With ``back`` columns are returned for given innovations.
+    The prediction of a row is ``decay`` times the last estimate, which is corrected by ``gain``
+    times the innovation; order has shape (N,), the others (m, N), in this order. With ``back``
+    columns are returned for given innovations.
     """
     n_columns, m, n = columns.shape
     out = np.empty_like(columns)
@@ -97,8 +112,8 @@ class Serial:
         share: shape (m,), correlated fraction of the variance.
         position: shape (N,), of each row in the order.
         counted: shape (N,), rows that predict the next ones; an outlier does not.
-        turns: shape (N, 3, 3), rotation from the frame in which the error persists, such as a loose target's, to the
-            readings' frame; default: the same frame.
+        turns: shape (N, 3, 3), rotation from the frame in which the error persists, such as a loose
+            target's, to the readings' frame; default: the same frame.
     """
 
     phi: np.ndarray
@@ -117,21 +132,32 @@ class Serial:
         """The order of the rows, shape (N,), and decay, gain and scale of each, shape (m, N)."""
         order = np.argsort(self.position, kind="stable")
         gaps = np.diff(self.position[order], prepend=self.position[order[:1]])
-        size = np.sqrt([self._spread(*each) for each in zip(self.phi.tolist(), self.share.tolist(), strict=True)])
+        size = np.sqrt(
+            [
+                self._spread(*each)
+                for each in zip(self.phi.tolist(), self.share.tolist(), strict=True)
+            ]
+        )
         decay, gain, scale = recursion(self.phi, self.share, gaps, self.counted[order])
         return order, decay, gain, scale * size[:, None]
 
     def _spread(self, phi: float, share: float) -> float:
-        """Return the variance of the rows about their mean, in units of the process's; for a random walk it is small."""
+        """Return the variance of the rows about their mean, in units of the process's; for a random
+        walk it is small.
+        """
         n = max(len(self.position), 1)
         # The mean of phi^|i - j| over all pairs of n rows in a closed form.
         q = 1.0 - phi
-        together = 1.0 if q * n < 1e-6 else 1.0 / n + 2.0 * phi * (n * q - 1.0 + phi**n) / (n * q) ** 2
+        together = (
+            1.0 if q * n < 1e-6 else 1.0 / n + 2.0 * phi * (n * q - 1.0 + phi**n) / (n * q) ** 2
+        )
         return max(1.0 - share * together - (1.0 - share) / n, 1e-12)
 
     @property
     def log_determinant(self) -> float:
-        """Logarithm of the determinant of the covariance, relative to white noise of the same size."""
+        """Logarithm of the determinant of the covariance, relative to white noise of
+        the same size.
+        """
         return -2.0 * float(np.sum(np.log(self._recursion[3])))
 
     def innovations(self, columns: np.ndarray) -> np.ndarray:
@@ -152,7 +178,8 @@ class StopNoise:
 
     Attributes:
         levers: shape (r, m, N), L of each row, in units of the independent noise.
-        size: shape (m,), standard deviation of both together, a typical row's, by component: noise is whitened to this.
+        size: shape (m,), standard deviation of both together, a typical row's, by component: noise
+            is whitened to this.
         stop: shape (N,), number of each row's stop, from 0.
         axes: eigenvalues, shape (S, r), and eigenvectors, shape (S, r, r), of L^T L of each stop.
         rows: shape (S,), number of rows of each stop behind them.
@@ -166,18 +193,23 @@ class StopNoise:
 
     @classmethod
     def of(cls, levers: np.ndarray, stop: np.ndarray, size: np.ndarray | None = None) -> StopNoise:
-        """Return the noise of rows with levers, shape (r, m, N), in stops, shape (N,); ``size`` by default 1."""
+        """Return the noise of rows with levers, shape (r, m, N), in stops, shape (N,); ``size`` by
+        default 1.
+        """
         size = np.ones(levers.shape[1]) if size is None else size
         stop = np.unique(stop, return_inverse=True)[1].ravel()
         rows = np.bincount(stop)
         G = np.zeros((len(rows), len(levers), len(levers)))
         np.add.at(G, stop, np.einsum("imn,jmn->nij", levers, levers))
         values, vectors = np.linalg.eigh(G)
-        return cls(np.ascontiguousarray(levers), size, stop, (np.maximum(values, 0.0), vectors), rows)
+        return cls(
+            np.ascontiguousarray(levers), size, stop, (np.maximum(values, 0.0), vectors), rows
+        )
 
     def select(self, index: Any) -> StopNoise:
         """Return that of some rows (mask, indices or slice)."""
-        levers, stop = self.levers[..., index], self.stop[index]
+        levers = self.levers[..., index]
+        stop = self.stop[index]
         count = np.bincount(stop, minlength=len(self.rows))
         if np.any((count > 0) & (count < self.rows)):
             # Of some stops only a part of the rows is left.
@@ -186,7 +218,9 @@ class StopNoise:
 
     @property
     def log_determinant(self) -> float:
-        """Logarithm of the determinant of the covariance, relative to independent noise of the same size."""
+        """Logarithm of the determinant of the covariance, relative to independent noise of the same
+        size.
+        """
         together = float(np.sum(np.log1p(self.axes[0][np.unique(self.stop)])))
         return together - 2.0 * len(self.stop) * float(np.sum(np.log(self.size)))
 
@@ -197,12 +231,18 @@ class StopNoise:
         return np.asarray(self._along(columns, -1.0 / (root * (root + 1.0))) * self.size[:, None])
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
-        """Return white noise, shape (m, N), with this covariance: the inverse of :meth:`whitened`."""
+        """Return white noise, shape (m, N), with this covariance: the inverse of
+        :meth:`whitened`.
+        """
         independent = noise / self.size[:, None]
-        return np.asarray(self._along(independent[None], 1.0 / (np.sqrt(1.0 + self.axes[0]) + 1.0))[0])
+        return np.asarray(
+            self._along(independent[None], 1.0 / (np.sqrt(1.0 + self.axes[0]) + 1.0))[0]
+        )
 
     def _along(self, columns: np.ndarray, factor: np.ndarray) -> np.ndarray:
-        """Return columns plus L U f U^T L^T times these, with the eigenvectors U and factors f, shape (S, r)."""
+        """Return columns plus L U f U^T L^T times these, with the eigenvectors U and factors f,
+        shape (S, r).
+        """
         vectors = self.axes[1]
         r, m, n = self.levers.shape
         present, stop = np.unique(self.stop, return_inverse=True)
@@ -210,7 +250,9 @@ class StopNoise:
         at = stop.ravel() * r + np.arange(r)[:, None]
         rows = np.broadcast_to(at[:, None], (r, m, n)).ravel()
         places = np.broadcast_to(np.arange(m * n).reshape(1, m, n), (r, m, n)).ravel()
-        L = coo_array((self.levers.ravel(), (rows, places)), shape=(len(present) * r, m * n)).tocsr()
+        L = coo_array(
+            (self.levers.ravel(), (rows, places)), shape=(len(present) * r, m * n)
+        ).tocsr()
         flat = columns.reshape(len(columns), m * n)
         sums = (L @ flat.T).reshape(len(present), r, len(columns))
         U = vectors[present]
@@ -220,7 +262,9 @@ class StopNoise:
 
 
 def turned_into(turns: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return columns, shape (..., m, N), in the frames of N rotations, shape (N, 3, 3), three components at a time."""
+    """Return columns, shape (..., m, N), in the frames of N rotations, shape (N, 3, 3), three
+    components at a time.
+    """
     shape = columns.shape
     vectors = columns.reshape(*shape[:-2], shape[-2] // 3, 3, shape[-1])
     return np.asarray(np.einsum("nij,...in->...jn", turns, vectors)).reshape(shape)

@@ -1,16 +1,17 @@
 r"""Arrays in files: lists of numbers whose shape and values are validated on reading.
 
-A field declares its shape by an :class:`ArrayShape` in its annotation. A name in it is a count that has to agree within one
-structure; the first field with the name determines it.
+A field declares its shape by an :class:`ArrayShape` in its annotation. A name in it is a count that
+has to agree within one structure; the first field with the name determines it.
 
-Large matrices are text: their 64-bit words, transposed to bytes of equal weight, deflated, in base64. A matrix is restored
-to the last bit. The covariance of many parameters is written as integer multiples of the power of two
+Large matrices are text: their 64-bit words, transposed to bytes of equal weight, deflated, in
+base64. A matrix is restored to the last bit. The covariance of many parameters is written as
+integer multiples of the power of two
 
 .. math:: 2^{e_i + e_j - 50}, \qquad \sigma_i = m \, 2^{e_i}, \quad 1/2 \le m < 1,
 
-and only its lower half, as the digits beyond are rounding of its computation: 17 MB as lists of numbers become 1.7 MB. The
-error of an entry is at most :math:`2^{-49} \sigma_i \sigma_j`; for a UR10 with 850 parameters, standard deviations of
-predictions have relative errors of 5e-10.
+and only its lower half, as the digits beyond are rounding of its computation: 17 MB as lists of
+numbers become 1.7 MB. The error of an entry is at most :math:`2^{-49} \sigma_i \sigma_j`; for a
+UR10 with 850 parameters, standard deviations of predictions have relative errors of 5e-10.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ from pincal.robot.se3 import are_rotations
 
 # Tolerance of rotations: users give as few as three decimals.
 _ROTATION = 1e-3
-# Tolerance of the robot's transforms, which pincal writes in full precision: a micrometre on an arm of a metre.
+# Tolerance of the robot's transforms, which pincal writes in full precision: a micrometre on an arm
+# of a metre.
 _EXACT = 1e-6
 _NUMBERS = {float, int, type(None)}
 
@@ -53,7 +55,10 @@ class ArrayShape:
         write: Callable[[np.ndarray], Any] = np.ndarray.tolist,
         null: float | None = None,
     ) -> None:
-        self.sizes, self.check, self.write, self.null = sizes, check, write, null
+        self.sizes = sizes
+        self.check = check
+        self.write = write
+        self.null = null
 
     def expected(self, counts: Mapping[str, int]) -> tuple[int | None, ...]:
         """Return the known sizes, None for others."""
@@ -67,8 +72,13 @@ def _check_rotations(found: np.ndarray) -> None:
 
 def _check_transforms(found: np.ndarray) -> None:
     last = found[..., 3, :]
-    if not are_rotations(found[..., :3, :3], tolerance=_EXACT) or not (last == [0.0, 0.0, 0.0, 1.0]).all():
-        raise Fault("is not a rigid transform", "4 rows of 4, rotation and metres, the last row 0 0 0 1")
+    if (
+        not are_rotations(found[..., :3, :3], tolerance=_EXACT)
+        or not (last == [0.0, 0.0, 0.0, 1.0]).all()
+    ):
+        raise Fault(
+            "is not a rigid transform", "4 rows of 4, rotation and metres, the last row 0 0 0 1"
+        )
 
 
 def _numbers(depth: int, *, null: bool = False) -> msgspec.Meta:
@@ -83,7 +93,9 @@ def _numbers(depth: int, *, null: bool = False) -> msgspec.Meta:
 Numbers = Annotated[np.ndarray, _numbers(1)]
 Matrix = Annotated[np.ndarray, _numbers(2)]
 # Matrices that are written as text.
-_AS_TEXT = msgspec.Meta(extra_json_schema={"anyOf": [_numbers(2).extra_json_schema, {"type": "string"}]})
+_AS_TEXT = msgspec.Meta(
+    extra_json_schema={"anyOf": [_numbers(2).extra_json_schema, {"type": "string"}]}
+)
 Packed = Annotated[np.ndarray, _AS_TEXT]
 # Limits, with null for none.
 LimitNumbers = Annotated[np.ndarray, _numbers(1, null=True)]
@@ -98,18 +110,22 @@ Transforms = Annotated[np.ndarray, _numbers(3), ArrayShape("joints", 4, 4, check
 class Record(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A structure of a file whose arrays have the shapes declared by their annotations.
 
-    Unknown keys are ignored, so that later versions can add some; optional ones are omitted where absent.
+    Unknown keys are ignored, so that later versions can add some; optional ones are omitted where
+    absent.
     """
 
     @classmethod
     def like(cls, found: object, **others: Any) -> Self:
-        """Return the record of an object with the same fields as attributes, except for ``others``."""
+        """Return the record of an object with the same fields as attributes, except for
+        ``others``.
+        """
         same = {name: getattr(found, name) for name in cls.__struct_fields__ if name not in others}
         return cls(**same | others)
 
     def written(self, name: str) -> Any:
         """Return the representation of one of its arrays in a file."""
-        shape, value = dict(_declared(type(self))).get(name, ArrayShape()), getattr(self, name)
+        shape = dict(_declared(type(self))).get(name, ArrayShape())
+        value = getattr(self, name)
         if shape.null is not None:
             return [number if np.isfinite(number) else None for number in value.tolist()]
         return shape.write(value)
@@ -121,7 +137,11 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             if isinstance(value, np.ndarray):
                 if np.isnan(value).any():
                     if shape.null is None:
-                        raise Fault("has entries that are not finite numbers", "an array of numbers", key=f".{name}")
+                        raise Fault(
+                            "has entries that are not finite numbers",
+                            "an array of numbers",
+                            key=f".{name}",
+                        )
                     value = np.where(np.isnan(value), shape.null, value)
                 msgspec.structs.force_setattr(self, name, shaped(f".{name}", value, shape, counts))
             elif value is not None:
@@ -132,14 +152,20 @@ class Record(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def shaped(key: str, value: np.ndarray, shape: ArrayShape, counts: dict[str, int]) -> np.ndarray:
-    """Return an array of the right shape, whose counts are added to ``counts``; refuse others with a Fault at ``key``."""
+    """Return an array of the right shape, whose counts are added to ``counts``; refuse others with
+    a Fault at ``key``.
+    """
     expected = shape.expected(counts)
     if value.size == 0 and 0 in expected:
         return np.zeros([size or 0 for size in expected])
-    if value.ndim != len(expected) or any(size not in (None, n) for size, n in zip(expected, value.shape, strict=True)):
+    if value.ndim != len(expected) or any(
+        size not in (None, n) for size, n in zip(expected, value.shape, strict=True)
+    ):
         words = str(tuple("any" if size is None else size for size in expected)).replace("'", "")
         raise Fault(f"has shape {value.shape}", f"numbers of shape {words}", key=key)
-    counts.update((size, n) for size, n in zip(shape.sizes, value.shape, strict=True) if isinstance(size, str))
+    counts.update(
+        (size, n) for size, n in zip(shape.sizes, value.shape, strict=True) if isinstance(size, str)
+    )
     counts.pop("any", None)
     if shape.check is not None and value.size:
         try:
@@ -155,7 +181,8 @@ def array_of(value: Any) -> np.ndarray:
     Raises:
         Fault: for other values, or rows of unequal length.
     """
-    level, kinds = [value], {type(value)}
+    level = [value]
+    kinds = {type(value)}
     while kinds == {list}:
         if len(set(map(len, level))) > 1:
             raise Fault("has rows of unequal length", "an array of numbers")
@@ -186,12 +213,15 @@ _MOST_EXACT = 300
 # Largest covariance that pincal writes.
 _MOST_ROWS = 1500
 _BITS = 50
-_COVARIANCE, _MATRIX = "covariance:", "matrix:"
+_COVARIANCE = "covariance:"
+_MATRIX = "matrix:"
 _EXPECTED = "a matrix, as lists of numbers or as pincal packs it"
 
 
 def packed_matrix(matrix: np.ndarray) -> Any:
-    """Return a matrix as text, to the last bit; as lists where it is empty or its numbers aren't finite."""
+    """Return a matrix as text, to the last bit; as lists where it is empty or its numbers aren't
+    finite.
+    """
     if matrix.size == 0 or not np.isfinite(matrix).all():
         return matrix.tolist()
     words = np.ascontiguousarray(matrix, "<f8").view("<u8").ravel()
@@ -200,13 +230,20 @@ def packed_matrix(matrix: np.ndarray) -> Any:
 
 def packed_covariance(covariance: np.ndarray) -> Any:
     """Return a covariance as text, a large one rounded as in the docstring of the module."""
-    n, sigma = len(covariance), np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    n = len(covariance)
+    sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     mean = 0.5 * (covariance + covariance.T)
-    if n <= _MOST_EXACT or n > _MOST_ROWS or not (np.abs(mean) <= 2.0 * np.outer(sigma, sigma)).all():
+    if (
+        n <= _MOST_EXACT
+        or n > _MOST_ROWS
+        or not (np.abs(mean) <= 2.0 * np.outer(sigma, sigma)).all()
+    ):
         return packed_matrix(covariance)
     exponents = np.frexp(sigma)[1].astype("<i8")
     lower = np.tril_indices(n)
-    units = np.rint(np.ldexp(mean[lower], _BITS - exponents[lower[0]] - exponents[lower[1]])).astype("<i8")
+    units = np.rint(
+        np.ldexp(mean[lower], _BITS - exponents[lower[0]] - exponents[lower[1]])
+    ).astype("<i8")
     words = np.concatenate([exponents, units])
     # With the sign as the last bit, so that the leading bytes of small numbers are zero.
     return _COVARIANCE + _text(((words << 1) ^ (words >> 63)).view("<u8"))
@@ -230,7 +267,11 @@ def unpacked(text: str, most: int) -> np.ndarray:
 
 def _matrix(words: np.ndarray) -> np.ndarray | None:
     rows, values = (int(words[0]), words[1:].view("<f8")) if len(words) else (0, words)
-    return values.reshape(rows, -1).astype(float) if rows and len(values) and len(values) % rows == 0 else None
+    return (
+        values.reshape(rows, -1).astype(float)
+        if rows and len(values) and len(values) % rows == 0
+        else None
+    )
 
 
 def _covariance(words: np.ndarray) -> np.ndarray | None:
@@ -239,7 +280,8 @@ def _covariance(words: np.ndarray) -> np.ndarray | None:
     if not 0 < n <= _MOST_ROWS or n * (n + 3) != 2 * len(words):
         return None
     numbers = (words >> np.uint64(1)).view("<i8") ^ -(words & np.uint64(1)).view("<i8")
-    exponents, (i, j) = np.clip(numbers[:n], -600, 600), np.tril_indices(n)
+    exponents = np.clip(numbers[:n], -600, 600)
+    (i, j) = np.tril_indices(n)
     found = np.empty((n, n))
     found[i, j] = np.ldexp(numbers[n:].astype(float), exponents[i] + exponents[j] - _BITS)
     found[j, i] = found[i, j]

@@ -20,7 +20,8 @@ _CAMERA_FILE = FileKind(
     "a camera's JSON",
     MeasurementError,
     mark=" ",
-    whole=f"an object with {', '.join(PINHOLE)} [px] and, where known, {', '.join(DISTORTION)}, T_tip_camera",
+    whole=f"an object with {', '.join(PINHOLE)} [px] and, where known, {', '.join(DISTORTION)}, "
+    "T_tip_camera",
 )
 
 
@@ -29,7 +30,8 @@ class CameraFile(Lens):
     """A camera, see :class:`pincal.Lens`; unknown distortion is 0.
 
     Attributes:
-        T_tip_camera: shape (4, 4), the camera's frame in the tip frame [m]; null if the mount is to be identified.
+        T_tip_camera: shape (4, 4), the camera's frame in the tip frame [m]; null if the mount is to
+            be identified.
     """
 
     T_tip_camera: Matrix | None = None
@@ -42,7 +44,11 @@ class CameraFile(Lens):
             is_whole = mount.shape == (4, 4) and bool(np.isfinite(mount).all())
             is_rigid = is_whole and are_rotations(mount[:3, :3], tolerance=_ROTATION)
             if not is_rigid or not np.array_equal(mount[3], [0.0, 0.0, 0.0, 1.0]):
-                raise Fault("is not a rigid transform", "4 rows of 4, rotation and metres", key=".T_tip_camera")
+                raise Fault(
+                    "is not a rigid transform",
+                    "4 rows of 4, rotation and metres",
+                    key=".T_tip_camera",
+                )
 
     def lens(self) -> Lens:
         """Return the lens."""
@@ -50,7 +56,8 @@ class CameraFile(Lens):
 
 
 def read_camera(path: str | os.PathLike[str]) -> CameraFile:
-    """Read a camera from JSON: ``fx fy u0 v0``, optionally ``k1 k2 p1 p2 k3`` and ``T_tip_camera`` (4 rows of 4).
+    """Read a camera from JSON: ``fx fy u0 v0``, optionally ``k1 k2 p1 p2 k3`` and ``T_tip_camera``
+    (4 rows of 4).
 
     Raises:
         MeasurementError: if the file can't be read, or a value is missing or invalid.

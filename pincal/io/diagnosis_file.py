@@ -75,7 +75,8 @@ class ExcludedEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class MovedEntry(msgspec.Struct, frozen=True):
-    """Displacement of instrument and target since the calibration; null if these data do not determine it.
+    """Displacement of instrument and target since the calibration; null if these data do not
+    determine it.
 
     Attributes:
         moved_mm: distance between the instrument's positions in the robot's base frame [mm].
@@ -93,7 +94,8 @@ class CurveEntry(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         joint: the joint.
-        error_mm: mean error of the new rows, cross-validated over blocks of poses, if this curve alone is re-estimated [mm].
+        error_mm: mean error of the new rows, cross-validated over blocks of poses, if this curve
+            alone is re-estimated [mm].
         correlation: of the old curve and the new one over the new rows; null where one is flat.
         rms: their difference, root mean square, its mean apart [``unit``].
         unit: the unit.
@@ -114,7 +116,8 @@ class CurvesEntry(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         session: name of the new rows.
         as_it_was_mm: mean error with the calibrated curves, outliers left out [mm].
-        all_anew_mm: the same with all of them re-estimated, cross-validated over blocks of poses [mm].
+        all_anew_mm: the same with all of them re-estimated, cross-validated over blocks of poses
+            [mm].
         joints: by joint, largest contribution first.
     """
 
@@ -133,12 +136,14 @@ class DiagnosisFile(msgspec.Struct, frozen=True, kw_only=True):
         alpha: the allowed probability of a false alarm.
         changes: the changes found.
         excluded: changes that would have been detected.
-        gap: errors at the new poses of the old model with new base and tool, and of the re-identified one [mm].
+        gap: errors at the new poses of the old model with new base and tool, and of the
+            re-identified one [mm].
         station: displacement of instrument and target.
         rows: number of new rows.
         warnings: further messages, doubts first.
         curves: contribution of the drive curves to the error of the new rows, if the model has any.
-        is_judged: whether the rows can show a change; if not, none is reported, and doubts give the reason.
+        is_judged: whether the rows can show a change; if not, none is reported, and doubts give the
+            reason.
     """
 
     changed: bool

@@ -35,9 +35,12 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         joint: the joint on which it acts; null for one of the whole arm.
         source: the joint whose position it follows, if another one.
         order: cycles per revolution of the joint, of a periodic effect.
-        depends_on: the variable of an effect without a name: a joint, "time", "temperature" or "payload".
-        acts_on: the coordinate on which an effect without a name acts: "drive", "gamma_x", "gamma_y", "s_x" or "s_y".
-        shape: form of a dependence without a name: "curve", "waves", "product", "map", "step" or "kink".
+        depends_on: the variable of an effect without a name: a joint, "time", "temperature" or
+            "payload".
+        acts_on: the coordinate on which an effect without a name acts: "drive", "gamma_x",
+            "gamma_y", "s_x" or "s_y".
+        shape: form of a dependence without a name: "curve", "waves", "product", "map", "step" or
+            "kink".
         place: position of its break along the variable [unit of the variable].
         station: name of the only station with it.
     """
@@ -82,8 +85,8 @@ class Stage(Gap, frozen=True, kw_only=True, omit_defaults=True):
     Attributes:
         name: the change, in words.
         entered, left: effects added to the model by this change, and removed.
-        share: share of this change in the total reduction of the mean square error; all shares add up to 1. Negative where
-            it grew; none for the first stage, or without a reduction.
+        share: share of this change in the total reduction of the mean square error; all shares add
+            up to 1. Negative where it grew; none for the first stage, or without a reduction.
     """
 
     name: str
@@ -102,7 +105,8 @@ class FoundParameter(msgspec.Struct, frozen=True):
 
     Attributes:
         value: its estimate [``unit``].
-        sigma: its standard deviation [``unit``]; of the prior where it was not fitted, null if unknown.
+        sigma: its standard deviation [``unit``]; of the prior where it was not fitted, null if
+            unknown.
         unit: the unit.
     """
 
@@ -145,8 +149,8 @@ class Bootstrap(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     """Significance of the effect accepted last, including the selection among all candidates.
 
     Attributes:
-        p_value: fraction of tables drawn from the model without it, and of the measured one, in which some candidate is as
-            good.
+        p_value: fraction of tables drawn from the model without it, and of the measured one, in
+            which some candidate is as good.
         draws: number of drawn tables.
     """
 
@@ -159,15 +163,19 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
 
     Attributes:
         period: of a periodic dependence without a name, in units of its variable.
-        resolution: uncertainty of the order of a ripple [1/revolution]: one over the revolutions of the joint.
-        beside: orders of further harmonics within this resolution, by which the amplitude varies over the span.
+        resolution: uncertainty of the order of a ripple [1/revolution]: one over the revolutions of
+            the joint.
+        beside: orders of further harmonics within this resolution, by which the amplitude varies
+            over the span.
         origin: origin of the ripple as suggested by its order; empty if unknown.
         parameters: its parameters by name.
         p_value: probability of this result without the effect.
-        gap_before_mm, gap_after_mm: mean error on held-out rows before it entered the model, and with it.
+        gap_before_mm, gap_after_mm: mean error on held-out rows before it entered the model, and
+            with it.
         gap_before_mrad, gap_after_mrad: the same for the orientation, where it was measured.
         equivalent: effects that the data can't distinguish from it.
-        tell_apart: the cheapest measurement that would distinguish it from the first of them; empty without one.
+        tell_apart: the cheapest measurement that would distinguish it from the first of them; empty
+            without one.
         stability: number of subsamples in which the search finds it; None if not tested.
     """
 
@@ -218,7 +226,8 @@ class ScatteringJoint(msgspec.Struct, frozen=True):
         joint: the joint.
         sigma_rad: standard deviation of its position [rad; m of a sliding joint].
         missing: the column that could explain it.
-        shown_by: evidence that it is not a function of the pose: "replicates" or "neighbours"; "" if unknown.
+        shown_by: evidence that it is not a function of the pose: "replicates" or "neighbours"; ""
+            if unknown.
     """
 
     joint: str
@@ -251,13 +260,15 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         verdict: whether the final model explains the data down to an independently known noise.
         unexplained_mm: residual in excess of the noise.
         hints: effects found in less than 60 % of the subsamples.
-        only_in_halves: names found in at least 60 % of the subsamples, but not in the full data set.
+        only_in_halves: names found in at least 60 % of the subsamples, but not in the full data
+            set.
         poses_in_a_half: number of poses of each subsample; None if not tested.
-        bootstrap: significance of the effect accepted last; None if not tested, or none was accepted.
+        bootstrap: significance of the effect accepted last; None if not tested, or none was
+            accepted.
         approach_from: origin of the directions of approach; None if unknown.
         warnings: further messages, doubts first, as in ``result.json``.
-        held_out: the gap on rows held out in each way, "regions" of joint space and "stretches" of consecutive rows;
-            ``gap`` is the one that is larger at the end.
+        held_out: the gap on rows held out in each way, "regions" of joint space and "stretches" of
+            consecutive rows; ``gap`` is the one that is larger at the end.
     """
 
     noise_floor_mm: float

@@ -12,7 +12,16 @@ import numpy as np
 # Imported for its classes, which it registers.
 import pincal.model.catalogue  # noqa: F401
 from pincal.errors import nearest_first, warn
-from pincal.io.arrays import ArrayShape, Numbers, Record, Rotation, Rotations, Vector, array_of, unpacked
+from pincal.io.arrays import (
+    ArrayShape,
+    Numbers,
+    Record,
+    Rotation,
+    Rotations,
+    Vector,
+    array_of,
+    unpacked,
+)
 from pincal.io.robot_entry import PathEntry, RobotEntry
 from pincal.io.strict_json import MISSING, MOST_BYTES, Fault, Hook, explained, what_is
 from pincal.measure.lens import Lens
@@ -25,7 +34,11 @@ from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
 
 # JSON Schema common to all effects in a file.
-EFFECT_SCHEMA: dict[str, Any] = {"type": "object", "properties": {"name": {"type": "string"}}, "required": ["name"]}
+EFFECT_SCHEMA: dict[str, Any] = {
+    "type": "object",
+    "properties": {"name": {"type": "string"}},
+    "required": ["name"],
+}
 # More than pincal writes: an arm has about ten effects for each of its joints.
 Effects = Annotated[tuple[Effect, ...], msgspec.Meta(max_length=2000)]
 
@@ -36,8 +49,8 @@ class ChainEntry(Record, frozen=True, kw_only=True):
     Older files have no ``bearing_heights``: their bearings are at the origins of the joint frames.
 
     Attributes:
-        on_carriages: whether prismatic joints bear and deflect on their carriages, and not where their travel starts, as
-            in older files.
+        on_carriages: whether prismatic joints bear and deflect on their carriages, and not where
+            their travel starts, as in older files.
     """
 
     moment_frame: MomentFrame
@@ -74,32 +87,54 @@ class ModelEntry(Record, frozen=True, kw_only=True):
     @classmethod
     def of_model(cls, model: Model) -> ModelEntry:
         """Return the entry of a model."""
-        return cls.like(model, robot=RobotEntry.of_robot(model.chain.robot), chain=ChainEntry.of_chain(model.chain))
+        return cls.like(
+            model,
+            robot=RobotEntry.of_robot(model.chain.robot),
+            chain=ChainEntry.of_chain(model.chain),
+        )
 
     def model(self) -> Model:
         """Return the model."""
         return model_of(self.robot.robot(), self.chain, self.effects, equilibrium=self.equilibrium)
 
 
-def model_of(robot: Robot, chain: ChainEntry, effects: tuple[Effect, ...], *, equilibrium: bool, key: str = "") -> Model:
+def model_of(
+    robot: Robot,
+    chain: ChainEntry,
+    effects: tuple[Effect, ...],
+    *,
+    equilibrium: bool,
+    key: str = "",
+) -> Model:
     """Return a robot's model.
 
     Raises:
         Fault: below ``key``, if an effect has a joint or symbol that the robot lacks.
     """
-    given, n = msgspec.structs.asdict(chain), robot.n_joints
+    given = msgspec.structs.asdict(chain)
+    n = robot.n_joints
     is_of_carriages = given.pop("on_carriages")
-    slides = [name for name, kind in zip(robot.joint_names, robot.joint_types, strict=True) if kind == "prismatic"]
+    slides = [
+        name
+        for name, kind in zip(robot.joint_names, robot.joint_types, strict=True)
+        if kind == "prismatic"
+    ]
     if slides and not is_of_carriages and any(effect.uses_moments for effect in effects):
         warn(
-            f"{robot.name}: an earlier version took the moments on {', '.join(slides)} about the start of the travel, and "
-            "this one takes them about the carriage: deflections by the load differ; calibrate again from the same table"
+            f"{robot.name}: an earlier version took the moments on {', '.join(slides)} "
+            "about the start of the travel, and "
+            "this one takes them about the carriage: deflections by the load differ; "
+            "calibrate again from the same table"
         )
     given["ends"] = None if chain.ends is None else chain.ends.path(n, f"{key}.chain.ends")
     if chain.bearing_heights is None:
         given["bearing_heights"] = np.zeros(n)
     elif len(chain.bearing_heights) != n:
-        raise Fault(f"has {len(chain.bearing_heights)} entries", f"{n}, one per joint", key=f"{key}.chain.bearing_heights")
+        raise Fault(
+            f"has {len(chain.bearing_heights)} entries",
+            f"{n}, one per joint",
+            key=f"{key}.chain.bearing_heights",
+        )
     model = Model(Chain(robot=robot, **given), effects, equilibrium=equilibrium)
     try:
         model.parameters  # noqa: B018
@@ -126,7 +161,9 @@ class ParameterEntry(Record, frozen=True, kw_only=True):
 
     def parameter(self) -> Parameter:
         """Return the parameter."""
-        return Parameter(**msgspec.structs.asdict(self) | {"size": np.inf if self.size is None else self.size})
+        return Parameter(
+            **msgspec.structs.asdict(self) | {"size": np.inf if self.size is None else self.size}
+        )
 
 
 class PointEntry(Record, frozen=True, kw_only=True):
@@ -158,7 +195,9 @@ class SetupEntry(Record, frozen=True, kw_only=True):
     @classmethod
     def of_setup(cls, setup: Setup) -> SetupEntry:
         """Return the entry of a setup."""
-        points = tuple(PointEntry(name=name, position=position) for name, position in setup.points.items())
+        points = tuple(
+            PointEntry(name=name, position=position) for name, position in setup.points.items()
+        )
         lens = None if setup.lens is None else setup.lens.values
         return cls(points=points, gaps=setup.distances, lens=lens, fit_lens=setup.fit_lens)
 
@@ -212,19 +251,25 @@ def plain(value: Any) -> Any:
 
 @cache
 def _defaults(kind: type[Record]) -> list[tuple[str, Any]]:
-    """Return the fields of a kind of records and their defaults, cached as they take longer to find than to write."""
+    """Return the fields of a kind of records and their defaults, cached as they take longer to find
+    than to write.
+    """
     return [(field.name, field.default) for field in msgspec.structs.fields(kind)]
 
 
 def effect_to_entry(effect: Effect) -> dict[str, Any]:
     """Return an effect's name and fields in JSON types; an array is ``{"array": ...}``.
 
-    The entry of a custom effect contains its module, which reading never imports: a user has to name it, as a plugin.
+    The entry of a custom effect contains its module, which reading never imports: a user has to
+    name it, as a plugin.
     """
     module = type(effect).__module__
     origin = {} if module.split(".")[0] == "pincal" else {"module": module}
     values = {field.name: getattr(effect, field.name) for field in _fields(effect)}
-    values = {name: effect_to_entry(value) if isinstance(value, Effect) else value for name, value in values.items()}
+    values = {
+        name: effect_to_entry(value) if isinstance(value, Effect) else value
+        for name, value in values.items()
+    }
     return {"name": effect.name, **origin, **msgspec.to_builtins(values, enc_hook=_plain)}
 
 
@@ -236,27 +281,38 @@ def effect_from_entry(entry: Any) -> Effect:
     """
     if not isinstance(entry, dict):
         raise Fault(what_is(entry, "an object"), "an object")
-    name, known = entry.get("name"), EFFECTS.known()
+    name = entry.get("name")
+    known = EFFECTS.known()
     if "name" not in entry:
         raise Fault(MISSING, "this key", key=".name")
     if not isinstance(name, str):
         raise Fault(what_is(name, "a string"), "a string", key=".name")
     if name not in known:
         if isinstance(module := entry.get("module"), str):
-            raise Fault(f"effect {name!r} is not pincal's own", f"its module to be loaded: --plugin {module}", key=".name")
+            raise Fault(
+                f"effect {name!r} is not pincal's own",
+                f"its module to be loaded: --plugin {module}",
+                key=".name",
+            )
         names = ", ".join(nearest_first([name], sorted(known)))
-        raise Fault(f"unknown effect {name!r}", f"one of {names} (a newer pincal may know it)", key=".name")
+        raise Fault(
+            f"unknown effect {name!r}", f"one of {names} (a newer pincal may know it)", key=".name"
+        )
     given = {key: value for key, value in entry.items() if key not in ("name", "module")}
     wanted = [field.name for field in _fields(known[name])]
     for key in given.keys() - set(wanted):
-        raise Fault(f"{name} has no such field", f"only {', '.join(wanted) or 'the name'}", key=f".{key}")
+        raise Fault(
+            f"{name} has no such field", f"only {', '.join(wanted) or 'the name'}", key=f".{key}"
+        )
     try:
         return msgspec.convert(given, known[name], dec_hook=_restored)
     except msgspec.ValidationError as error:
         place, problem, expected = explained(error, lambda: given, known[name])
         raise Fault(problem, expected, key=f".{place}" if place else "") from None
     except (TypeError, ValueError) as error:
-        raise Fault(f"{name} can't be built from these fields ({error})", "fields as pincal writes them") from None
+        raise Fault(
+            f"{name} can't be built from these fields ({error})", "fields as pincal writes them"
+        ) from None
 
 
 def _fields(effect: Effect | type[Effect]) -> tuple[Field[Any], ...]:
@@ -269,7 +325,10 @@ def _plain(value: Any) -> Any:
         return {"array": value.tolist()}
     if isinstance(value, np.generic):
         return value.item()
-    raise TypeError(f"a field of type {type(value).__name__} can't be written to model.json; use numbers, strings, tuples")
+    raise TypeError(
+        f"a field of type {type(value).__name__} can't be written to model.json; use "
+        "numbers, strings, tuples"
+    )
 
 
 def _restored(kind: Any, value: Any) -> Any:

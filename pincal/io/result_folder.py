@@ -1,8 +1,9 @@
 """Folders of results, each consistently from one run.
 
-``model.json``, which every such folder has, lists the files that were written with it, with their hashes. Where the system
-can exchange two folders in one step, a run is published so. Elsewhere the files are replaced one by one, ``model.json``
-last: until then it lists files that no longer exist, and readers refuse it.
+``model.json``, which every such folder has, lists the files that were written with it, with their
+hashes. Where the system can exchange two folders in one step, a run is published so. Elsewhere the
+files are replaced one by one, ``model.json`` last: until then it lists files that no longer exist,
+and readers refuse it.
 """
 
 from __future__ import annotations
@@ -50,25 +51,38 @@ def output_folder(path: Path) -> Iterator[Path]:
             yield draft
             model = draft / MODEL
             if model.exists():
-                listed = {name: file_hash(draft / name) for name in RESULTS if (draft / name).exists()}
+                listed = {
+                    name: file_hash(draft / name) for name in RESULTS if (draft / name).exists()
+                }
                 model.write_bytes(_sealed(model.read_bytes(), listed))
             _publish(draft, goal)
     except OSError as error:
-        raise OutputError(f"{path}: can't write here ({error.strerror}); choose another --out") from None
+        raise OutputError(
+            f"{path}: can't write here ({error.strerror}); choose another --out"
+        ) from None
 
 
 def not_written_with(model: Path, files: Mapping[str, str]) -> str:
-    """Return the name of a file in a model's folder that was not written with it; empty if there is none."""
+    """Return the name of a file in a model's folder that was not written with it; empty if there is
+    none.
+    """
     for name, expected in files.items():
         file = model.parent / name
         # Other files may have been edited by hand.
-        if name in RESULTS and file.suffix == ".json" and file.is_file() and file_hash(file) != expected:
+        if (
+            name in RESULTS
+            and file.suffix == ".json"
+            and file.is_file()
+            and file_hash(file) != expected
+        ):
             return name
     return ""
 
 
 def _sealed(content: bytes, files: Mapping[str, str]) -> bytes:
-    """Return the text of a ``model.json``, with one line per key, with the list of files written with it."""
+    """Return the text of a ``model.json``, with one line per key, with the list of files written
+    with it.
+    """
     head, line_end, rest = content.partition(b"\n")
     return head + line_end + b'"files": ' + json.dumps(dict(files)).encode() + b",\n" + rest
 
@@ -105,9 +119,15 @@ def _publish(draft: Path, goal: Path) -> None:
 
 
 def _has_joined(draft: Path, goal: Path) -> bool:
-    """Return whether all other files could be linked into the draft, which is impossible for folders."""
+    """Return whether all other files could be linked into the draft, which is impossible for
+    folders.
+    """
     owners = [(folder.stat().st_uid, folder.stat().st_gid) for folder in (draft, goal)]
-    kept = [entry for entry in goal.iterdir() if entry.name not in (MODEL, *RESULTS) and not (draft / entry.name).exists()]
+    kept = [
+        entry
+        for entry in goal.iterdir()
+        if entry.name not in (MODEL, *RESULTS) and not (draft / entry.name).exists()
+    ]
     if owners[0] != owners[1] or any(entry.is_dir() or entry.is_symlink() for entry in kept):
         return False
     joined: list[Path] = []

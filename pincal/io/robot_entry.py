@@ -45,7 +45,9 @@ class FramesEntry(Record, frozen=True, kw_only=True):
     def frames(self) -> DhFrames:
         """Return the frames."""
         found = msgspec.structs.asdict(self)
-        return DhFrames(**found | ({} if self.branches else {"T_branch_first": np.zeros((0, 4, 4))}))
+        return DhFrames(
+            **found | ({} if self.branches else {"T_branch_first": np.zeros((0, 4, 4))})
+        )
 
 
 class PathEntry(Record, frozen=True, kw_only=True):
@@ -66,7 +68,9 @@ class PathEntry(Record, frozen=True, kw_only=True):
     def path(self, n_joints: int, key: str) -> LinkPath:
         """Return the path in a robot of n joints; raise a Fault at ``key`` for other joints."""
         if not all(-1 <= joint < n_joints for joint in (self.start_joint, self.tip_joint)):
-            raise Fault("refers to joints that do not exist", f"numbers from -1 to {n_joints - 1}", key=key)
+            raise Fault(
+                "refers to joints that do not exist", f"numbers from -1 to {n_joints - 1}", key=key
+            )
         return LinkPath(**msgspec.structs.asdict(self))
 
 
@@ -79,10 +83,14 @@ class ClosureEntry(Record, frozen=True, kw_only=True):
     rows: tuple[int, ...]
 
     def closure(self, n_joints: int, key: str) -> Closure:
-        """Return the closure in a robot of n joints; raise a Fault below ``key`` for other joints or equations."""
+        """Return the closure in a robot of n joints; raise a Fault below ``key`` for other joints
+        or equations.
+        """
         found = Closure(self.name, self.kind, self.path.path(n_joints, f"{key}.path"), self.rows)
         if not self.rows or not set(self.rows) <= set(range(found.size)):
-            raise Fault("are not equations", f"numbers from 0 to {found.size - 1}", key=f"{key}.rows")
+            raise Fault(
+                "are not equations", f"numbers from 0 to {found.size - 1}", key=f"{key}.rows"
+            )
         return found
 
 
@@ -125,34 +133,72 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         self._check_tree()
         driven = {mimic.joint for mimic in self.mimics}
         for k, mimic in enumerate(self.mimics):
-            if mimic.joint not in self.joint_names or mimic.source not in set(self.joint_names) - driven:
-                raise Fault("names other joints", "a joint of the arm that follows another of its own", key=f".mimics[{k}]")
+            if (
+                mimic.joint not in self.joint_names
+                or mimic.source not in set(self.joint_names) - driven
+            ):
+                raise Fault(
+                    "names other joints",
+                    "a joint of the arm that follows another of its own",
+                    key=f".mimics[{k}]",
+                )
         for k, one in enumerate(self.couplings):
             if {one.joint, one.source} - set(self.joint_names) or one.joint == one.source:
                 raise Fault("names other joints", "two of the arm's", key=f".couplings[{k}]")
         rows = sum(len(closure.rows) for closure in self.closures)
-        if len(set(self.passive) & set(self.joint_names) - driven) != rows or len(self.passive) != rows:
-            raise Fault("do not fit the loops", f"{rows} joints, one for each equation of the closures", key=".passive")
-        shaped(".frames.T_base_link", self.frames.T_base_link, ArrayShape(len(self.joint_names), 4, 4), {})
+        if (
+            len(set(self.passive) & set(self.joint_names) - driven) != rows
+            or len(self.passive) != rows
+        ):
+            raise Fault(
+                "do not fit the loops",
+                f"{rows} joints, one for each equation of the closures",
+                key=".passive",
+            )
+        shaped(
+            ".frames.T_base_link",
+            self.frames.T_base_link,
+            ArrayShape(len(self.joint_names), 4, 4),
+            {},
+        )
         try:
             self.urdf_bytes()
         except UnicodeEncodeError as error:
-            raise Fault(f"is not text ({error.reason})", "the text of a URDF, or null", key=".urdf") from None
+            raise Fault(
+                f"is not text ({error.reason})", "the text of a URDF, or null", key=".urdf"
+            ) from None
 
     def _check_tree(self) -> None:
-        """Refuse joints that are not carried by the base or an earlier joint, and wrong branches."""
-        n, branches = len(self.joint_names), self.frames.branches
+        """Refuse joints that are not carried by the base or an earlier joint, and wrong
+        branches.
+        """
+        n = len(self.joint_names)
+        branches = self.frames.branches
         parents = self.parents or tuple(range(-1, n - 1))
         if len(parents) != n or any(not -1 <= parent < i for i, parent in enumerate(parents)):
-            raise Fault("form no tree of the joints", "for each joint an earlier one, or -1 for the base", key=".parents")
+            raise Fault(
+                "form no tree of the joints",
+                "for each joint an earlier one, or -1 for the base",
+                key=".parents",
+            )
         following = dict(zip(reversed(parents), reversed(range(n)), strict=True))
         if list(branches) != [i for i, parent in enumerate(parents) if following[parent] != i]:
-            raise Fault("do not fit the tree", "the joints that are not the first on their link", key=".frames.branches")
+            raise Fault(
+                "do not fit the tree",
+                "the joints that are not the first on their link",
+                key=".frames.branches",
+            )
         if (self.frames.T_branch_first is None) != (not branches):
-            raise Fault("do not fit the branches", "a transform for each branch", key=".frames.T_branch_first")
+            raise Fault(
+                "do not fit the branches",
+                "a transform for each branch",
+                key=".frames.T_branch_first",
+            )
 
     def urdf_bytes(self) -> bytes:
-        """Return the original bytes of the URDF; those that are not UTF-8 are escaped in the file."""
+        """Return the original bytes of the URDF; those that are not UTF-8 are escaped
+        in the file.
+        """
         return (self.urdf or "").encode("utf-8", "surrogateescape")
 
     @classmethod
@@ -160,14 +206,24 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         """Return the entry of a robot."""
         urdf = robot.urdf.decode("utf-8", "surrogateescape")
         parents = () if robot.is_serial else robot.parents
-        ends, frames = PathEntry.of_path(robot.ends), FramesEntry.of_frames(robot.frames)
-        closures = tuple(ClosureEntry.like(one, path=PathEntry.like(one.path)) for one in robot.closures)
-        return cls.like(robot, frames=frames, urdf=urdf, parents=parents, ends=ends, closures=closures)
+        ends = PathEntry.of_path(robot.ends)
+        frames = FramesEntry.of_frames(robot.frames)
+        closures = tuple(
+            ClosureEntry.like(one, path=PathEntry.like(one.path)) for one in robot.closures
+        )
+        return cls.like(
+            robot, frames=frames, urdf=urdf, parents=parents, ends=ends, closures=closures
+        )
 
     def robot(self) -> Robot:
         """Return the robot."""
         n = len(self.joint_names)
         ends = None if self.ends is None else self.ends.path(n, ".ends")
         closures = tuple(one.closure(n, f".closures[{k}]") for k, one in enumerate(self.closures))
-        made = {"frames": self.frames.frames(), "urdf": self.urdf_bytes(), "ends": ends, "closures": closures}
+        made = {
+            "frames": self.frames.frames(),
+            "urdf": self.urdf_bytes(),
+            "ends": ends,
+            "closures": closures,
+        }
         return Robot(**msgspec.structs.asdict(self) | made)

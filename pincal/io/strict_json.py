@@ -1,4 +1,6 @@
-"""JSON files read strictly into typed structures: within limits, and with the key of every fault."""
+"""JSON files read strictly into typed structures: within limits, and with the key of
+every fault.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,12 @@ from pincal.errors import BadInputError, ModelFileError, OutputError
 _T = TypeVar("_T")
 Hook = Callable[[Any, Any], Any]
 
-# Limits that are checked before parsing. Together they bound the work on a hostile file to less than a second and 200 MB,
-# but allow a model of 1500 parameters, whose covariance has 2.25 million numbers in files of version 0.1.0.
+# Limits that are checked before parsing. Together they bound the work on a hostile file to less
+# than a second and 200 MB, but allow a model of 1500 parameters, whose covariance has 2.25 million
+# numbers in files of version 0.1.0.
 MOST_BYTES = 52 << 20
-# Separators, brackets and quotes: each value has at least one, and becomes a Python object of 30 to 100 bytes.
+# Separators, brackets and quotes: each value has at least one, and becomes a Python object of 30 to
+# 100 bytes.
 MOST_TOKENS = 2_500_000
 # pincal's files nest eight deep; the provenance by users may be deeper.
 MOST_DEPTH = 32
@@ -42,7 +46,13 @@ _NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 _SURROGATES = re.compile(rb"\\u[dD][89a-fA-F]")
 _PLACE = re.compile(r" - at `(?P<place>[^`]*)`$")
 _KEY = re.compile(r"\.([^.\[]+)|\[(\d+)\]")
-_KINDS = {dict: "an object", list: "a list", str: "a string", type(None): "null", bool: "true or false"}
+_KINDS = {
+    dict: "an object",
+    list: "a list",
+    str: "a string",
+    type(None): "null",
+    bool: "true or false",
+}
 _EXPECTED = {
     "object": "an object",
     "array": "a list",
@@ -60,12 +70,15 @@ class Fault(ValueError):
     Attributes:
         problem: what is wrong with it.
         expected: what was expected instead.
-        key: keys from the structure being built to the value, e.g. ``.covered.q``; empty for the structure.
+        key: keys from the structure being built to the value, e.g. ``.covered.q``; empty for the
+            structure.
     """
 
     def __init__(self, problem: str, expected: str, *, key: str = "") -> None:
         super().__init__(f"{problem}; expected {expected}")
-        self.problem, self.expected, self.key = problem, expected, key
+        self.problem = problem
+        self.expected = expected
+        self.key = key
 
 
 @dataclass(frozen=True)
@@ -91,23 +104,32 @@ class FileKind:
         key = f"{place}{self.mark}" if place else ""
         if self.whole and (not place or problem == MISSING):
             expected = self.whole
-        return self.error(f"{file}: {key}{problem}; expected {expected}" + (f"; {self.advice}" if self.advice else ""))
+        return self.error(
+            f"{file}: {key}{problem}; expected {expected}"
+            + (f"; {self.advice}" if self.advice else "")
+        )
 
 
-MODEL_FILE = FileKind("a model.json", ModelFileError, "take the file from a backup or run pincal calibrate again")
+MODEL_FILE = FileKind(
+    "a model.json", ModelFileError, "take the file from a backup or run pincal calibrate again"
+)
 
 
-def read_json(path: str | os.PathLike[str], wanted: type[_T], kind: FileKind, *, hook: Hook | None = None) -> _T:
+def read_json(
+    path: str | os.PathLike[str], wanted: type[_T], kind: FileKind, *, hook: Hook | None = None
+) -> _T:
     """Read a JSON file.
 
     Args:
         path: the file.
         wanted: the structure to read.
         kind: the kind of file, for messages.
-        hook: builds values of types unknown to msgspec, see :class:`msgspec.json.Decoder`; raises :class:`Fault`.
+        hook: builds values of types unknown to msgspec, see :class:`msgspec.json.Decoder`; raises
+            :class:`Fault`.
 
     Raises:
-        BadInputError: of the kind's class: the file can't be read, is too large, is not JSON, or has a fault.
+        BadInputError: of the kind's class: the file can't be read, is too large, is not JSON, or
+            has a fault.
     """
     return built(read_bounded(path, kind), wanted, kind, file=os.fspath(path), hook=hook)
 
@@ -125,11 +147,15 @@ def read_bounded(path: str | os.PathLike[str], kind: FileKind) -> bytes:
     except OSError as error:
         within = Path(path) / "model.json"
         such = f", such as {within}" if kind is MODEL_FILE and within.is_file() else ""
-        raise kind.error(f"{file}: can't be read ({error.strerror}); expected {kind.name}{such}") from None
+        raise kind.error(
+            f"{file}: can't be read ({error.strerror}); expected {kind.name}{such}"
+        ) from None
     return bounded(content, kind, file)
 
 
-def built(content: bytes, wanted: type[_T], kind: FileKind, *, file: str, hook: Hook | None = None) -> _T:
+def built(
+    content: bytes, wanted: type[_T], kind: FileKind, *, file: str, hook: Hook | None = None
+) -> _T:
     """Return the structure in a bounded text; see :func:`read_json`.
 
     Example:
@@ -149,23 +175,31 @@ calibrate again
             place, problem, expected = explained(error, lambda: _loaded(content), wanted)
         except ValueError as other:
             # The decoder stopped at the first fault; the text after it is not JSON.
-            place, problem, expected = "", f"truncated or not JSON ({other})", kind.name
+            place = ""
+            problem = f"truncated or not JSON ({other})"
+            expected = kind.name
         raise kind.fault(file, place, problem, expected) from None
     except ValueError as error:
         raise kind.fault(file, "", f"truncated or not JSON ({error})", kind.name) from None
 
 
 def bounded(content: bytes, kind: FileKind, file: str) -> bytes:
-    """Return a text within the limits, with NaN and infinities as numbers out of range, which are reported by key."""
+    """Return a text within the limits, with NaN and infinities as numbers out of range, which are
+    reported by key.
+    """
     if excess := _excess(content):
         raise kind.fault(file, "", f"too large to be read safely ({excess})", kind.name)
     if b"NaN" in content or b"Infinity" in content:
-        return _NOT_FINITE.sub(lambda found: found[0] if found[0][:1] == b'"' else b"1e999", content)
+        return _NOT_FINITE.sub(
+            lambda found: found[0] if found[0][:1] == b'"' else b"1e999", content
+        )
     return content
 
 
 def _loaded(content: bytes) -> Any:
-    """Return a JSON text in Python's types; unlike msgspec this accepts lone surrogates, by which bytes are escaped."""
+    """Return a JSON text in Python's types; unlike msgspec this accepts lone surrogates, by which
+    bytes are escaped.
+    """
     return json.loads(content, parse_float=_finite)
 
 
@@ -182,17 +216,24 @@ def _excess(content: bytes) -> str:
     if sum(content.count(token) for token in (b",", b":", b"[", b"{", b'"')) > MOST_TOKENS:
         return f"more than {MOST_TOKENS:,} values"
     # Most files have neither long numbers nor many brackets, even in strings, and need no parsing.
-    if _LONG_NUMBER not in content.translate(_DIGITS) and content.count(b"[") + content.count(b"{") <= MOST_DEPTH:
+    if (
+        _LONG_NUMBER not in content.translate(_DIGITS)
+        and content.count(b"[") + content.count(b"{") <= MOST_DEPTH
+    ):
         return ""
     bare = _STRINGS.sub(b'""', content)
     if _LONG_NUMBER in bare.translate(_DIGITS):
         return f"a number of more than {MOST_DIGITS} digits"
     brackets = np.frombuffer(bare.translate(None, _NO_BRACKETS), np.uint8)
-    depth = np.cumsum(np.where((brackets == ord("[")) | (brackets == ord("{")), 1, -1), dtype=np.int32)
+    depth = np.cumsum(
+        np.where((brackets == ord("[")) | (brackets == ord("{")), 1, -1), dtype=np.int32
+    )
     return f"nested more than {MOST_DEPTH} deep" if depth.max(initial=0) > MOST_DEPTH else ""
 
 
-def explained(error: msgspec.ValidationError, loaded: Callable[[], Any], wanted: Any) -> tuple[str, str, str]:
+def explained(
+    error: msgspec.ValidationError, loaded: Callable[[], Any], wanted: Any
+) -> tuple[str, str, str]:
     """Return the key of an error of the decoder, the problem and the expected value, in words."""
     message = str(error)
     found = _PLACE.search(message)
@@ -204,10 +245,18 @@ def explained(error: msgspec.ValidationError, loaded: Callable[[], Any], wanted:
     if match := re.fullmatch(r"Object missing required field `(.+)`", message):
         return f"{place}.{match[1]}".removeprefix("."), MISSING, "this key"
     if message == "Number out of range":
-        return re.sub(r"(\[[^]]*\])+$", "", place), "has entries that are not finite numbers", "finite numbers"
+        return (
+            re.sub(r"(\[[^]]*\])+$", "", place),
+            "has entries that are not finite numbers",
+            "finite numbers",
+        )
     value = _value_at(loaded(), place)
     if message.startswith("Invalid enum value"):
-        return place, f"is {value!r}", f"one of {', '.join(map(str, get_args(_type_at(wanted, place))))}"
+        return (
+            place,
+            f"is {value!r}",
+            f"one of {', '.join(map(str, get_args(_type_at(wanted, place))))}",
+        )
     if match := re.fullmatch(r"Expected `([^`]+)`, got `[^`]+`", message):
         expected = " or ".join(_EXPECTED.get(name, name) for name in match[1].split(" | "))
         return place, what_is(value, expected), expected
@@ -222,7 +271,11 @@ def what_is(value: Any, expected: str) -> str:
 
 
 def _steps(place: str) -> list[str | int]:
-    return [key or int(index) for key, index in _KEY.findall(f".{place}" if place[:1] != "[" else place) if key or index]
+    return [
+        key or int(index)
+        for key, index in _KEY.findall(f".{place}" if place[:1] != "[" else place)
+        if key or index
+    ]
 
 
 def _value_at(value: Any, place: str) -> Any:
@@ -237,7 +290,9 @@ def _value_at(value: Any, place: str) -> Any:
 def _type_at(wanted: Any, place: str) -> Any:
     for step in _steps(place):
         if isinstance(step, str):
-            wanted = next(field.type for field in msgspec.structs.fields(wanted) if field.encode_name == step)
+            wanted = next(
+                field.type for field in msgspec.structs.fields(wanted) if field.encode_name == step
+            )
         while not isinstance(wanted, type) and get_origin(wanted) is not Literal:
             wanted = get_args(wanted)[0]
     return wanted
@@ -248,7 +303,9 @@ def in_script(text: str) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def write_json(path: str | os.PathLike[str], contents: dict[str, Any], *, indent: int | None = 1) -> None:
+def write_json(
+    path: str | os.PathLike[str], contents: dict[str, Any], *, indent: int | None = 1
+) -> None:
     """Write contents in JSON types atomically, with numbers in full precision.
 
     The indent is as for :func:`json.dumps`; None gives one line per key of the outermost object.
@@ -258,10 +315,15 @@ def write_json(path: str | os.PathLike[str], contents: dict[str, Any], *, indent
     """
     try:
         if indent is None:
-            lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in contents.items()]
+            lines = [
+                f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}"
+                for key, value in contents.items()
+            ]
             text = "{\n" + ",\n".join(lines) + "\n}\n"
         else:
             text = json.dumps(contents, indent=indent, allow_nan=False) + "\n"
     except ValueError as error:
-        raise OutputError(f"{os.fspath(path)}: a number is not finite ({error}); calibrate again") from None
+        raise OutputError(
+            f"{os.fspath(path)}: a number is not finite ({error}); calibrate again"
+        ) from None
     write_atomic(path, text)

@@ -29,7 +29,9 @@ _BLANKS = re.compile(rb"\s*")
 
 @dataclass(frozen=True)
 class Origin:
-    """Numbers of an ``<origin>``: ``xyz``, shape (3,) [m], and ``rpy``, shape (3,) [rad], R = R_z R_y R_x."""
+    """Numbers of an ``<origin>``: ``xyz``, shape (3,) [m], and ``rpy``, shape (3,) [rad], R = R_z
+    R_y R_x.
+    """
 
     xyz: np.ndarray
     rpy: np.ndarray
@@ -41,14 +43,16 @@ class Origin:
 
 
 def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
-    r"""Return the roll, pitch and yaw [rad] that reproduce a rotation to rounding, the ones nearest to ``near``.
+    r"""Return the roll, pitch and yaw [rad] that reproduce a rotation to rounding, the ones nearest
+    to ``near``.
 
-    Yaw and pitch are of :math:`R R_x(-roll)`, which is also exact at a pitch of 90 degrees, where roll and yaw are about the
-    same axis and only their sum or difference is determined.
+    Yaw and pitch are of :math:`R R_x(-roll)`, which is also exact at a pitch of 90 degrees, where
+    roll and yaw are about the same axis and only their sum or difference is determined.
     """
     R = rotation
     rolls = np.array([near[0], np.arctan2(R[2, 1], R[2, 2]), np.arctan2(-R[2, 1], -R[2, 2])])
-    c, s = np.cos(rolls), np.sin(rolls)
+    c = np.cos(rolls)
+    s = np.sin(rolls)
     pitches = np.arctan2(-R[2, 0], R[2, 1] * s + R[2, 2] * c)
     yaws = np.arctan2(R[0, 2] * s - R[0, 1] * c, R[1, 1] * c - R[1, 2] * s)
     found = np.column_stack([rolls, pitches, yaws])
@@ -58,13 +62,19 @@ def rpy_of(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
 
 
 def read_origins(text: bytes, source: str) -> dict[str, Origin]:
-    """Return the origins of joints, and of constraints as ``NAME.parent_origin`` and ``NAME.child_origin``, or zero."""
-    origins, root = {}, parse_xml(text, source)
+    """Return the origins of joints, and of constraints as ``NAME.parent_origin`` and
+    ``NAME.child_origin``, or zero.
+    """
+    origins = {}
+    root = parse_xml(text, source)
     for holder, tags in _ORIGINS.items():
         for element in root.iterfind(holder):
             for tag in tags:
                 origin = element.find(tag)
-                numbers = [("0 0 0" if origin is None else origin.get(key, "0 0 0")).split() for key in ("xyz", "rpy")]
+                numbers = [
+                    ("0 0 0" if origin is None else origin.get(key, "0 0 0")).split()
+                    for key in ("xyz", "rpy")
+                ]
                 origins[_key(element.get("name", ""), tag)] = Origin(*np.array(numbers, float))
     return origins
 
@@ -86,16 +96,26 @@ def write_origins(text: bytes, origins: Mapping[str, Origin], source: str) -> by
     edits = []
     for name, new in origins.items():
         pairs = {"xyz": (new.xyz, before[name].xyz), "rpy": (new.rpy, before[name].rpy)}
-        changes = {key: value for key, (value, old) in pairs.items() if np.any(np.abs(value - old) >= UNCHANGED)}
+        changes = {
+            key: value
+            for key, (value, old) in pairs.items()
+            if np.any(np.abs(value - old) >= UNCHANGED)
+        }
         if changes:
             at = places.origins.get(name)
-            edits.append(_inserted(text, *places.holders[name], changes) if at is None else _replaced(text, at, changes))
+            edits.append(
+                _inserted(text, *places.holders[name], changes)
+                if at is None
+                else _replaced(text, at, changes)
+            )
     for start, end, piece in sorted(edits, reverse=True):
         text = text[:start] + piece + text[end:]
     return text
 
 
-def append_frame(text: bytes, *, parent: str, joint: str, link: str, origin: Origin, source: str) -> bytes:
+def append_frame(
+    text: bytes, *, parent: str, joint: str, link: str, origin: Origin, source: str
+) -> bytes:
     """Return the text with a further link at its end, fixed to link ``parent``."""
     encoding = parse_xml(text, source).getroottree().docinfo.encoding or "utf-8"
     end = _places(text, source).end
@@ -114,7 +134,9 @@ def append_frame(text: bytes, *, parent: str, joint: str, link: str, origin: Ori
 
 @dataclass
 class _Places:
-    """Byte offsets in a text: start tags of holders of origins, with their tags, origins, and the end tag of the root."""
+    """Byte offsets in a text: start tags of holders of origins, with their tags, origins, and the
+    end tag of the root.
+    """
 
     holders: dict[str, tuple[int, str]] = field(default_factory=dict)
     origins: dict[str, int] = field(default_factory=dict)
@@ -123,7 +145,8 @@ class _Places:
 
 def _places(text: bytes, source: str) -> _Places:
     """Find the joints directly below the root, not those of transmissions and controllers."""
-    places, above = _Places(), list[str]()
+    places = _Places()
+    above = list[str]()
     name = ""
     parser = expat.ParserCreate()
 
@@ -141,11 +164,14 @@ def _places(text: bytes, source: str) -> _Places:
         above.pop()
         places.end = parser.CurrentByteIndex
 
-    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
     try:
         parser.Parse(text, True)
     except (expat.ExpatError, ValueError, LookupError) as error:
-        raise RobotFileError(f"{source}: can't be edited ({error}); save it as UTF-8 first") from None
+        raise RobotFileError(
+            f"{source}: can't be edited ({error}); save it as UTF-8 first"
+        ) from None
     offsets = [*(at for at, _ in places.holders.values()), *places.origins.values()]
     tags = tuple(f"<{tag}".encode() for holder, held in _ORIGINS.items() for tag in (holder, *held))
     if not all(text.startswith(tags, at) for at in offsets):
@@ -174,18 +200,28 @@ def _tag_at(text: bytes, at: int) -> bytes:
 def _replaced(text: bytes, at: int, changes: Mapping[str, np.ndarray]) -> tuple[int, int, bytes]:
     """Return start, end and new text of an origin's tag with changed attributes."""
     tag = _tag_at(text, at)
-    piece, missing = tag, dict(changes)
+    piece = tag
+    missing = dict(changes)
     for found in reversed(list(_ATTRIBUTE.finditer(tag))):
         key = found[1].decode("ascii", "replace")
         if key in missing:
-            first, last = found.start(2) + 1, found.end(2) - 1
-            piece = piece[:first] + _words(missing.pop(key), tag[first:last]).encode() + piece[last:]
+            first = found.start(2) + 1
+            last = found.end(2) - 1
+            piece = (
+                piece[:first] + _words(missing.pop(key), tag[first:last]).encode() + piece[last:]
+            )
     close = len(piece) - (2 if piece.endswith(b"/>") else 1)
     added = "".join(f' {key}="{_words(values)}"' for key, values in missing.items())
-    return at, at + len(tag), piece[:close].rstrip() + added.encode() + piece[close:] if added else piece
+    return (
+        at,
+        at + len(tag),
+        piece[:close].rstrip() + added.encode() + piece[close:] if added else piece,
+    )
 
 
-def _inserted(text: bytes, holder: int, tag: str, changes: Mapping[str, np.ndarray]) -> tuple[int, int, bytes]:
+def _inserted(
+    text: bytes, holder: int, tag: str, changes: Mapping[str, np.ndarray]
+) -> tuple[int, int, bytes]:
     """Return where to insert a missing origin, and its text, indented like the next element."""
     start = holder + len(_tag_at(text, holder))
     blanks = _BLANKS.match(text, start)

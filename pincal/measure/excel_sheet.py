@@ -22,10 +22,13 @@ if TYPE_CHECKING:
 ENDINGS = (".xlsx", ".xlsm")
 # Most rows of an Excel worksheet.
 _MOST_LINES = 1_048_576
-# Least size of a cell in memory, a reference [bytes], and number of cells between two checks of the total.
-_BYTES, _CELLS = 8, 100_000
+# Least size of a cell in memory, a reference [bytes], and number of cells between two checks of the
+# total.
+_BYTES = 8
+_CELLS = 100_000
 # Lines that a note lists, and lines searched for the header.
-_LISTED, _LOOKED_AT = 3, 200
+_LISTED = 3
+_LOOKED_AT = 200
 _ROW = re.compile(rb"<(?:\w+:)?row\b([^>]*)>")
 _HIDDEN = re.compile(rb"\bhidden\s*=\s*[\"'](?:1|true)[\"']")
 _NUMBER = re.compile(rb"\br\s*=\s*[\"'](\d+)[\"']")
@@ -34,84 +37,125 @@ _FAILED = ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A")
 
 
 def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] = ()) -> Sheet:
-    """Read a worksheet: the one given by name, else the first with joint columns, else the first with any cells.
+    """Read a worksheet: the one given by name, else the first with joint columns, else the first
+    with any cells.
 
-    Visible worksheets precede hidden ones. Worksheets and lines above the table that are left out, and hidden rows, cause a
-    `PincalWarning`.
+    Visible worksheets precede hidden ones. Worksheets and lines above the table that are left out,
+    and hidden rows, cause a `PincalWarning`.
 
     Raises:
-        MeasurementError: without the library openpyxl, or for a workbook that is empty, holds far more than fits into its
-            size, lacks the worksheet, or can't be read.
+        MeasurementError: without the library openpyxl, or for a workbook that is empty, holds far
+            more than fits into its size, lacks the worksheet, or can't be read.
     """
     import polars as pl
 
     title, lines = _lines(path, sheet, joints)
     if not lines:
-        raise MeasurementError(f"{path.name}: is empty; expected a header line and one line per pose")
-    found = find_heading([["" if cell is None else str(cell) for cell in cells] for _, cells in lines[:_LOOKED_AT]], joints)
-    found = found or TableHead(0, 1, tuple("" if cell is None else str(cell).strip() for cell in lines[0][1]))
+        raise MeasurementError(
+            f"{path.name}: is empty; expected a header line and one line per pose"
+        )
+    found = find_heading(
+        [["" if cell is None else str(cell) for cell in cells] for _, cells in lines[:_LOOKED_AT]],
+        joints,
+    )
+    found = found or TableHead(
+        0, 1, tuple("" if cell is None else str(cell).strip() for cell in lines[0][1])
+    )
     if found.body > 1:
         warn(f"{path.name}: {found.described([row for row, _ in lines])}")
-    body, count, top = lines[found.body :], len(found.labels), lines[found.header][0]
+    body = lines[found.body :]
+    count = len(found.labels)
+    top = lines[found.header][0]
     for row, cells in body:
         if len(cells) > count:
             raise MeasurementError(
-                f"{path.name}, line {row}: {len(cells)} cells; expected {count} as in the header, line {top}; "
+                f"{path.name}, line {row}: {len(cells)} cells; expected {count} as in the "
+                f"header, line {top}; "
                 "delete the lines above it, or begin them with #"
             )
-    columns = [_series([cells[i] if i < len(cells) else None for _, cells in body], str(i)) for i in range(count)]
+    columns = [
+        _series([cells[i] if i < len(cells) else None for _, cells in body], str(i))
+        for i in range(count)
+    ]
     rows = np.array([row for row, _ in body], int)
-    return FrameSheet(path, found.labels, False, pl.LazyFrame(columns), rows, worksheet=title, header_line=top)
+    return FrameSheet(
+        path, found.labels, False, pl.LazyFrame(columns), rows, worksheet=title, header_line=top
+    )
 
 
-def _lines(path: Path, named: str | None, joints: Collection[str]) -> tuple[str, list[tuple[int, tuple[Any, ...]]]]:
-    """Return the name of the worksheet, and number and cells of its non-blank lines; warn of what is left out."""
+def _lines(
+    path: Path, named: str | None, joints: Collection[str]
+) -> tuple[str, list[tuple[int, tuple[Any, ...]]]]:
+    """Return the name of the worksheet, and number and cells of its non-blank lines; warn of what
+    is left out.
+    """
     install = "'pincal[excel]', or save the table as CSV"
     with needed("openpyxl", f"{path.name}: Excel files", install=install, error=MeasurementError):
         import openpyxl
     try:
         with zipfile.ZipFile(path) as parts:
             check_unpacked(path, sum(part.file_size for part in parts.infolist()))
-        with contextlib.closing(openpyxl.load_workbook(path, read_only=True, data_only=True)) as book:
+        with contextlib.closing(
+            openpyxl.load_workbook(path, read_only=True, data_only=True)
+        ) as book:
             sheets = sorted(book.worksheets, key=lambda sheet: bool(sheet.sheet_state != "visible"))
             if named is not None and named not in (titles := [sheet.title for sheet in sheets]):
-                raise MeasurementError(f"{path.name}: no worksheet {named!r}; expected one of {', '.join(titles)}")
+                raise MeasurementError(
+                    f"{path.name}: no worksheet {named!r}; expected one of {', '.join(titles)}"
+                )
             others = list[Any]()
             first: tuple[Any, list[tuple[int, tuple[Any, ...]]]] | None = None
-            for sheet in sheets if named is None else [sheet for sheet in sheets if sheet.title == named]:
+            for sheet in (
+                sheets if named is None else [sheet for sheet in sheets if sheet.title == named]
+            ):
                 if found := list(_filled(sheet, path)):
                     first = first or (sheet, found)
                     others.append(sheet)
-                    texts = ([str(cell) for cell in cells if cell is not None] for _, cells in found[:_LOOKED_AT])
+                    texts = (
+                        [str(cell) for cell in cells if cell is not None]
+                        for _, cells in found[:_LOOKED_AT]
+                    )
                     if named is not None or any(names_joints(cells, joints) for cells in texts):
                         first = sheet, found
                         others += sheets[sheets.index(sheet) + 1 :]
                         break
             if first is None:
                 return "", []
-            _warn_of_hidden(first[0], {row for row, _ in first[1]}, path.name, is_wanted=named is not None)
+            _warn_of_hidden(
+                first[0], {row for row, _ in first[1]}, path.name, is_wanted=named is not None
+            )
             others.remove(first[0])
             if named is None and others:
-                listed = ", ".join(sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others)
+                listed = ", ".join(
+                    sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others
+                )
                 warn(
-                    f"{path.name}: worksheet {first[0].title} is read; worksheets {listed} are not read (--sheet NAME reads "
+                    f"{path.name}: worksheet {first[0].title} is read; worksheets "
+                    f"{listed} are not read (--sheet NAME reads "
                     "another one)"
                 )
             return first[0].title, first[1]
     except (OSError, MeasurementError):
         raise
     except Exception as error:  # Broken archives raise all kinds of errors in these libraries.
-        raise MeasurementError(f"{path.name}: can't be read ({error}); expected an Excel workbook") from error
+        raise MeasurementError(
+            f"{path.name}: can't be read ({error}); expected an Excel workbook"
+        ) from error
 
 
 def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
-    """Yield number and cells of each non-blank line; refuse more lines than Excel has, or far too many blank cells."""
+    """Yield number and cells of each non-blank line; refuse more lines than Excel has, or far too
+    many blank cells.
+    """
     # The stated size of the worksheet may be wrong, and rows beyond it would be lost.
     sheet.reset_dimensions()
-    name, cells = path.name, 0
+    name = path.name
+    cells = 0
     for row, values in enumerate(sheet.iter_rows(values_only=True), start=1):
         if row > _MOST_LINES:
-            raise MeasurementError(f"{name}: has more than the {_MOST_LINES} lines of Excel; save the table as CSV")
+            raise MeasurementError(
+                f"{name}: has more than the {_MOST_LINES} lines of Excel; save the table as CSV"
+            )
         if not _has_cells(values):
             continue
         cells += len(values)
@@ -124,7 +168,10 @@ def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
 def _warn_of_hidden(sheet: Any, rows: set[int], name: str, *, is_wanted: bool) -> None:
     """Warn if the worksheet is hidden, unless it was asked for, and if some of its rows are."""
     if sheet.sheet_state != "visible" and not is_wanted:
-        warn(f"{name}: no visible worksheet has columns of joints; the hidden one {sheet.title} is read")
+        warn(
+            f"{name}: no visible worksheet has columns of joints; the hidden one "
+            f"{sheet.title} is read"
+        )
     # In read-only mode openpyxl drops the attributes of rows.
     with sheet._get_source() as source:
         text = source.read()
@@ -135,7 +182,8 @@ def _warn_of_hidden(sheet: Any, rows: set[int], name: str, *, is_wanted: bool) -
             hidden.append(row)
     if hidden:
         warn(
-            f"{name}: {len(hidden)} rows of worksheet {sheet.title} are hidden, by a filter perhaps (line "
+            f"{name}: {len(hidden)} rows of worksheet {sheet.title} are hidden, by a "
+            "filter perhaps (line "
             f"{few(hidden, _LISTED)}), and read like the others; delete them to leave them out"
         )
 

@@ -1,4 +1,6 @@
-"""Poses of instrument and tools, with the linear algebra and the subsample of rows for finding them."""
+"""Poses of instrument and tools, with the linear algebra and the subsample of rows for finding
+them.
+"""
 
 from __future__ import annotations
 
@@ -46,12 +48,14 @@ _EACH = 6
 def sample_rows(n: int, most: int, groups: np.ndarray | None = None) -> np.ndarray:
     """Return the indices of a random subsample of n rows, in order, always the same one.
 
-    It is drawn because every k-th row of a periodic table (targets, points of an object) would miss the others.
+    It is drawn because every k-th row of a periodic table (targets, points of an object) would miss
+    the others.
 
     Args:
         n: number of rows.
         most: size of the subsample.
-        groups: shape (n,), group of each row, if some rows of each are needed; there may be more then.
+        groups: shape (n,), group of each row, if some rows of each are needed; there may be more
+            then.
 
     Example:
         >>> sample_rows(3, 5).tolist(), len(sample_rows(1000, 5)), len(sample_rows(1000, 5, np.arange(1000) % 3))

@@ -1,4 +1,6 @@
-"""Quantities that tables can hold, each in one column or several, and the options for reading them."""
+"""Quantities that tables can hold, each in one column or several, and the options for
+reading them.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +25,18 @@ class Rule:
     expected: str
     """The valid values in words, for messages."""
     is_met: Callable[[np.ndarray], np.ndarray]
-    """Returns which values of an array, shape (N,) or (N, k), are valid, in the same shape or (N,)."""
+    """Returns which values of an array, shape (N,) or (N, k), are valid, in the same
+    shape or (N,).
+    """
 
 
 FINITE = Rule("a finite number", np.isfinite)
-POSITIVE = Rule(f"a number > 0, at least {SMALLEST:g}", lambda value: np.isfinite(value) & (value >= SMALLEST))
+POSITIVE = Rule(
+    f"a number > 0, at least {SMALLEST:g}", lambda value: np.isfinite(value) & (value >= SMALLEST)
+)
 NOT_NEGATIVE = Rule(
-    f"0 or a number > 0, at least {SMALLEST:g}", lambda value: np.isfinite(value) & ((value == 0.0) | (value >= SMALLEST))
+    f"0 or a number > 0, at least {SMALLEST:g}",
+    lambda value: np.isfinite(value) & ((value == 0.0) | (value >= SMALLEST)),
 )
 SIGN = Rule("-1, 0 or 1", lambda value: np.isin(value, (-1, 0, 1)))
 
@@ -41,11 +48,12 @@ class Field:
     Attributes:
         name: of the array that holds it.
         columns: their names without units, in the order of the components.
-        quantity: physical quantity, which determines the possible units: "length", "angle", "pixel", "noise", "mass",
-            "time", "temperature", "number" or "name".
+        quantity: physical quantity, which determines the possible units: "length", "angle",
+            "pixel", "noise", "mass", "time", "temperature", "number" or "name".
         rule: which values are valid; names always are.
         is_unit: whether the components form a unit vector, to be normalised.
-        mistakes: how its columns get mixed up: in words, and a function that returns the right values.
+        mistakes: how its columns get mixed up: in words, and a function that returns the right
+            values.
         mirror: returns the values in the frame with y reversed; None where that is undefined.
     """
 
@@ -67,10 +75,14 @@ class Field:
 
 
 POINT = Field("point", ("point",), "name")
-_RECORDED = {name: variable.quantity for name, variable in RECORDABLE.items() if not variable.of_joints}
+_RECORDED = {
+    name: variable.quantity for name, variable in RECORDABLE.items() if not variable.of_joints
+}
 CONDITIONS = {"point": POINT} | {
     name: Field(name, (name,), quantity)
-    for name, quantity in ({"target": "name"} | _RECORDED | {"stop": "name", "station": "name"}).items()
+    for name, quantity in (
+        {"target": "name"} | _RECORDED | {"stop": "name", "station": "name"}
+    ).items()
 }
 CONDITIONS |= {f"{end}_link": Field(f"{end}_link", (end,), "name") for end in ("from", "to")}
 """Conditions of a pose that a table can contain in addition to the readings."""
@@ -98,16 +110,18 @@ class TableOptions:
 
     Attributes:
         ignore: columns to leave out; ``"*"`` leaves out all unknown ones.
-        columns: meanings of columns by their names in the table, with a unit if the header lacks one: ``{"J1":
-            "joint_a1 [deg]"}``.
-        orientation: convention of the orientation, one of :data:`pincal.measure.orientation.CONVENTIONS`; default: as in
-            the header.
-        joints: a separate file with the joint positions, whose rows are matched by a common column, by time while the pose
-            is held still, or by order; a `PincalWarning` states which.
+        columns: meanings of columns by their names in the table, with a unit if the header lacks
+            one: ``{"J1": "joint_a1 [deg]"}``.
+        orientation: convention of the orientation, one of
+            :data:`pincal.measure.orientation.CONVENTIONS`; default: as in the header.
+        joints: a separate file with the joint positions, whose rows are matched by a common column,
+            by time while the pose is held still, or by order; a `PincalWarning` states which.
         sheet: worksheet of a workbook; default: the first with joint columns.
-        rows_in_order: whether rows are in the order of measurement, or of their times, which gives the direction of
-            approach of joints without a column for it, see :mod:`pincal.measure.approach`.
-        shares_log: whether several tables take their joints from the same file, so that its order has no meaning.
+        rows_in_order: whether rows are in the order of measurement, or of their times, which gives
+            the direction of approach of joints without a column for it, see
+            :mod:`pincal.measure.approach`.
+        shares_log: whether several tables take their joints from the same file, so that its order
+            has no meaning.
     """
 
     ignore: Sequence[str] = ()
@@ -119,10 +133,13 @@ class TableOptions:
     shares_log: bool = False
 
 
-# Second positions of joints, and the factor on these minus the fitted ones that gives commanded minus read back.
+# Second positions of joints, and the factor on these minus the fitted ones that gives commanded
+# minus read back.
 OTHERS = {"commanded": 1.0, "read": -1.0}
 # Variables with a column for each joint.
-OF_EACH_JOINT = tuple(name for name, variable in RECORDABLE.items() if variable.column == f"{name}_<joint>")
+OF_EACH_JOINT = tuple(
+    name for name, variable in RECORDABLE.items() if variable.column == f"{name}_<joint>"
+)
 
 
 @dataclass(frozen=True)
@@ -131,15 +148,17 @@ class Schema:
 
     Attributes:
         fields: the known quantities.
-        joint_names: the joints, each with its column and optionally columns for the direction of approach and for the
-            commanded or read-back position.
-        joint_types: "revolute" or "prismatic" for each joint, which determines its possible units; all revolute if empty.
+        joint_names: the joints, each with its column and optionally columns for the direction of
+            approach and for the commanded or read-back position.
+        joint_types: "revolute" or "prismatic" for each joint, which determines its possible units;
+            all revolute if empty.
         own_joints: the independent joints; all if empty. The others may be absent.
-        following: returns positions, shape (N, n), with the dependent joints set by the independent ones.
+        following: returns positions, shape (N, n), with the dependent joints set by the independent
+            ones.
         resting: joints that may be absent, with their rest positions [rad or m].
         may_lack_joints: whether a table without any joint is allowed.
-        is_stream: whether it is a log of a moving arm: columns may have the names that loggers use, unneeded ones and rows
-            with an empty cell are left out.
+        is_stream: whether it is a log of a moving arm: columns may have the names that loggers use,
+            unneeded ones and rows with an empty cell are left out.
         options: how to read it.
     """
 
@@ -173,21 +192,32 @@ class Schema:
         return tuple(name for name in self.own_joints if name not in self.resting)
 
     def quantities(self, *, source: str) -> dict[str, str]:
-        """Return the physical quantity of each possible column; refuse joints that have the name of a field."""
+        """Return the physical quantity of each possible column; refuse joints that have the name of
+        a field.
+        """
         known = {column: field.quantity for field in self.fields for column in field.columns}
         if clash := [name for name in self.joint_names if name in known]:
-            raise MeasurementError(f'{source}: joint "{clash[0]}" has the name of a column; rename it in the URDF')
+            raise MeasurementError(
+                f'{source}: joint "{clash[0]}" has the name of a column; rename it in the URDF'
+            )
         types = self.joint_types or ("revolute",) * len(self.joint_names)
         pairs = zip(self.joint_names, types, strict=True)
         joints = {name: "length" if kind == "prismatic" else "angle" for name, kind in pairs}
-        # In addition to the fitted positions: commanded ones where these were read back, or vice versa.
-        own = {f"{what}_{name}": RECORDABLE[what].quantity for what in OF_EACH_JOINT for name in joints}
-        others = {f"{kind}_{name}": quantity for kind in OTHERS for name, quantity in joints.items()}
+        # In addition to the fitted positions: commanded ones where these were read back, or vice
+        # versa.
+        own = {
+            f"{what}_{name}": RECORDABLE[what].quantity for what in OF_EACH_JOINT for name in joints
+        }
+        others = {
+            f"{kind}_{name}": quantity for kind in OTHERS for name, quantity in joints.items()
+        }
         return joints | known | own | others
 
 
 class TableRows(Protocol):
-    """The interface of a table of N rows for sensors; :class:`pincal.measure.measurements.Measurements` implements it."""
+    """The interface of a table of N rows for sensors;
+    :class:`pincal.measure.measurements.Measurements` implements it.
+    """
 
     @property
     def source(self) -> str:
@@ -215,6 +245,8 @@ class TableRows(Protocol):
 
 def __getattr__(name: str) -> Any:
     if name == "Table":
-        warnings.warn("pincal.measure.fields.Table is now TableRows", DeprecationWarning, stacklevel=2)
+        warnings.warn(
+            "pincal.measure.fields.Table is now TableRows", DeprecationWarning, stacklevel=2
+        )
         return TableRows
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

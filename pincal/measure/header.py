@@ -1,4 +1,6 @@
-"""Interpretation of a header: the needed columns with their units; guesses and omissions are reported."""
+"""Interpretation of a header: the needed columns with their units; guesses and omissions are
+reported.
+"""
 
 from __future__ import annotations
 
@@ -27,12 +29,19 @@ from pincal.measure.labels import (
     without_unit,
     words_of,
 )
-from pincal.measure.orientation import CONVENTIONS, Convention, find_orientation, looks_like_orientation, looks_like_place
+from pincal.measure.orientation import (
+    CONVENTIONS,
+    Convention,
+    find_orientation,
+    looks_like_orientation,
+    looks_like_place,
+)
 from pincal.measure.sheet import Sheet, SheetColumn
 from pincal.units import SIZES, plain_numbers
 
 # Unknown columns that are examined, and those that a message lists.
-_EXAMINED, _LISTED = 500, 20
+_EXAMINED = 500
+_LISTED = 20
 # Unread columns of a stream that a note lists.
 _UNREAD = 8
 
@@ -62,19 +71,30 @@ def rotations(fields: Iterable[Field]) -> Field:
 
 
 def understood(sheet: Sheet, schema: Schema) -> Header:
-    """Return the interpretation of a header; raise for what is ambiguous, warn of guesses and omissions."""
-    source, options = sheet.path.name, schema.options
+    """Return the interpretation of a header; raise for what is ambiguous, warn of guesses and
+    omissions.
+    """
+    source = sheet.path.name
+    options = schema.options
     labels = unignored(renamed(sheet.labels, options.columns, source=source), options.ignore)
     quantities = schema.quantities(source=source)
     labels = with_joints(labels, schema, quantities, sheet=sheet)
-    labels = _timed_stream(labels, sheet, quantities) if schema.is_stream else _timed(labels, sheet, quantities)
+    labels = (
+        _timed_stream(labels, sheet, quantities)
+        if schema.is_stream
+        else _timed(labels, sheet, quantities)
+    )
     labels = _with_vectors(labels, sheet, quantities, schema)
     orientation = None
     if any(part.is_unit for part in schema.fields):
         orientation = _orientation(labels, schema, quantities, source=source)
     units = {}
     if orientation is not None:
-        hidden = {*rotations(schema.fields).columns} - {*orientation.columns} if options.orientation else set()
+        hidden = (
+            {*rotations(schema.fields).columns} - {*orientation.columns}
+            if options.orientation
+            else set()
+        )
         quantities = {name: quantity for name, quantity in quantities.items() if name not in hidden}
         quantities |= dict.fromkeys(orientation.columns, orientation.quantity)
         units = dict.fromkeys(orientation.columns, orientation.unit)
@@ -82,7 +102,9 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
     joints = schema.joint_names
     if schema.may_lack_joints and not columns.keys() & set(joints):
         joints = ()
-    check_joints([name for name in schema.needed_joints if joints and name not in columns], unknown, sheet)
+    check_joints(
+        [name for name in schema.needed_joints if joints and name not in columns], unknown, sheet
+    )
     readings = [part for part in schema.fields if part.name not in CONDITIONS and part != SIGMA]
     given = {*columns, *(rotations(schema.fields).columns if orientation else ())}
     flag = next((label for label in unknown if label.name.casefold() in FLAGS), None)
@@ -95,10 +117,14 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
         others = [label for label in unknown if label is not flag]
         # A robot program is complete without a measured pose, unless other columns may be one.
         names = [without_unit(label.name) for label in others]
-        is_whole |= schema.may_lack_joints and bool(joints) and not found and not looks_like_place(names)
+        is_whole |= (
+            schema.may_lack_joints and bool(joints) and not found and not looks_like_place(names)
+        )
         is_turned = orientation is None and looks_like_orientation([label.name for label in others])
         _check_unknown(sheet, others, free, is_complete=is_whole and not is_turned)
-    measured = {name for part in readings for name in part.columns} | {*(orientation.columns if orientation else ())}
+    measured = {name for part in readings for name in part.columns} | {
+        *(orientation.columns if orientation else ())
+    }
     if schema.is_stream:
         measured |= {*columns}
     return Header(
@@ -106,16 +132,39 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
         joints,
         orientation,
         tuple(name for name in columns if name in measured),
-        None if flag is None or not readings else SheetColumn(flag.index, "\0flag", flag.text, "", "name"),
+        None
+        if flag is None or not readings
+        else SheetColumn(flag.index, "\0flag", flag.text, "", "name"),
     )
 
 
 # Columns that state whether a row's reading is valid.
-FLAGS = ("valid", "is_valid", "isvalid", "ok", "visible", "tracked", "status", "state", "quality", "flag", "flags")
+FLAGS = (
+    "valid",
+    "is_valid",
+    "isvalid",
+    "ok",
+    "visible",
+    "tracked",
+    "status",
+    "state",
+    "quality",
+    "flag",
+    "flags",
+)
 
 
 # Names of a time in a stream: the stamp of a reading takes precedence over the recorder's.
-_STAMPS = (("header", "stamp"), ("stamp",), ("timestamp",), ("time", "stamp"), ("time",), ("t",), ("elapsed",), ("clock",))
+_STAMPS = (
+    ("header", "stamp"),
+    ("stamp",),
+    ("timestamp",),
+    ("time", "stamp"),
+    ("time",),
+    ("t",),
+    ("elapsed",),
+    ("clock",),
+)
 # Names of the columns of a stamp that is split into seconds and nanoseconds.
 _SECONDS = (("sec",), ("secs",), ("seconds",))
 _NANOSECONDS = (("nanosec",), ("nanosecs",), ("nsec",), ("nsecs",), ("nanoseconds",))
@@ -126,27 +175,49 @@ NANOSECONDS = "\0nanoseconds"
 
 
 def _timed(labels: list[Label], sheet: Sheet, quantities: Mapping[str, str]) -> list[Label]:
-    """Return the labels with a numeric column timestamp as the time, unless another column is the time."""
-    stamps = [label for label in labels if without_unit(label.name).casefold() in ("timestamp", "time_stamp", "time stamp")]
+    """Return the labels with a numeric column timestamp as the time, unless another column is the
+    time.
+    """
+    stamps = [
+        label
+        for label in labels
+        if without_unit(label.name).casefold() in ("timestamp", "time_stamp", "time stamp")
+    ]
     named = any((spelled(label, quantities) or ("",))[0] == "time" for label in labels)
     if len(stamps) != 1 or named or "time" not in quantities or sheet.has_words(stamps[0].index):
         return labels
     unit = unit_in(stamps[0].meant) or "s"
-    warn(f'{sheet.path.name}: "{stamps[0].text[:30]}" is read as time [{unit}]; if that is wrong, --ignore it')
-    return [replace(label, meant=f"time [{unit}]") if label in stamps else label for label in labels]
+    warn(
+        f'{sheet.path.name}: "{stamps[0].text[:30]}" is read as time [{unit}]; if that is '
+        "wrong, --ignore it"
+    )
+    return [
+        replace(label, meant=f"time [{unit}]") if label in stamps else label for label in labels
+    ]
 
 
 def _timed_stream(labels: list[Label], sheet: Sheet, quantities: dict[str, str]) -> list[Label]:
-    """Return the labels of a stream with its time, whose unit follows from values since 1970; refuse several candidates."""
+    """Return the labels of a stream with its time, whose unit follows from values since 1970;
+    refuse several candidates.
+    """
     source = sheet.path.name
     exact = [label for label in labels if (spelled(label, quantities) or ("",))[0] == "time"]
-    whole, rest = ([label for label in labels if words_of(label.meant)[-1:] in ends] for ends in (_SECONDS, _NANOSECONDS))
+    whole, rest = (
+        [label for label in labels if words_of(label.meant)[-1:] in ends]
+        for ends in (_SECONDS, _NANOSECONDS)
+    )
     if not exact and len(whole) == len(rest) == 1:
         quantities[NANOSECONDS] = "time"
-        warn(f'{source}: the time is "{whole[0].text}" and "{rest[0].text}"; if that is wrong, --ignore both')
+        warn(
+            f'{source}: the time is "{whole[0].text}" and "{rest[0].text}"; if that is '
+            "wrong, --ignore both"
+        )
         meant = {whole[0]: "time [s]", rest[0]: f"{NANOSECONDS} [ns]"}
         return [replace(label, meant=meant.get(label, label.meant)) for label in labels]
-    units = {label: next((pair for pair in splits(label.meant, "time") if pair[1]), (label.name, "")) for label in labels}
+    units = {
+        label: next((pair for pair in splits(label.meant, "time") if pair[1]), (label.name, ""))
+        for label in labels
+    }
     ranks = dict[Label, int]()
     for label, (name, _) in units.items():
         words = words_of(name)
@@ -157,67 +228,112 @@ def _timed_stream(labels: list[Label], sheet: Sheet, quantities: dict[str, str])
         return labels
     check_one([[label] for label in found], "time", source=source)
     (stamp,) = found
-    unit = units[stamp][1] or ("s" if stamp in whole else _unit_since_1970(sheet.first_cells(stamp.index, 1)))
+    unit = units[stamp][1] or (
+        "s" if stamp in whole else _unit_since_1970(sheet.first_cells(stamp.index, 1))
+    )
     if stamp in exact and (units[stamp][1] or not unit):
         return labels
     meaning = f"time [{unit}]" if unit else "time"
-    warn(f'{source}: "{stamp.text[:40]}" is read as time [{unit or "s"}]; if that is wrong, --ignore it')
+    warn(
+        f'{source}: "{stamp.text[:40]}" is read as time [{unit or "s"}]; if that is '
+        "wrong, --ignore it"
+    )
     return [replace(label, meant=meaning) if label is stamp else label for label in labels]
 
 
 def _unit_since_1970(cells: Sequence[str]) -> str:
-    """Return the unit below a second in which a number is a time in this century; empty if there is none."""
+    """Return the unit below a second in which a number is a time in this century; empty if there is
+    none.
+    """
     pairs = ((unit, size) for size in plain_numbers(cells[:1]) for unit in ("ms", "us", "ns"))
     return next((unit for unit, size in pairs if _EPOCH[0] < size * SIZES[unit] < _EPOCH[1]), "")
 
 
-def _with_vectors(labels: list[Label], sheet: Sheet, quantities: Mapping[str, str], schema: Schema) -> list[Label]:
-    """Return the labels with vectors by other names, such as ``TCP_X``, identified where none has its own name."""
+def _with_vectors(
+    labels: list[Label], sheet: Sheet, quantities: Mapping[str, str], schema: Schema
+) -> list[Label]:
+    """Return the labels with vectors by other names, such as ``TCP_X``, identified where none has
+    its own name.
+    """
     named = {(spelled(label, quantities) or ("",))[0] for label in labels}
-    free = [label for label in labels if not spelled(label, quantities) and not sheet.has_words(label.index)]
+    free = [
+        label
+        for label in labels
+        if not spelled(label, quantities) and not sheet.has_words(label.index)
+    ]
     wanted = {name: quantity for name, quantity in quantities.items() if name not in named}
     guessed = vector_columns(free, wanted, is_stream=schema.is_stream, source=sheet.path.name)
     if not guessed:
         return labels
     pairs = ", ".join(f"{label}={axis}" for label, axis in guessed.items())
-    what = "interpreted by their names:" if schema.is_stream else "the position is taken from the columns"
+    what = (
+        "interpreted by their names:"
+        if schema.is_stream
+        else "the position is taken from the columns"
+    )
     warn(f"{sheet.path.name}: {what} {pairs}; if that is wrong, map them with --columns")
     return [replace(label, meant=guessed.get(label.meant, label.meant)) for label in labels]
 
 
-def with_joints(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, sheet: Sheet) -> list[Label]:
+def with_joints(
+    labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, sheet: Sheet
+) -> list[Label]:
     """Return the labels with numbered joints identified, if no joint has a column under its name.
 
     Raises:
         MeasurementError: for a stream in which several sets of columns may be the joints.
     """
-    names, source = set(schema.joint_names), sheet.path.name
-    if not names or any(label.name in names or (spelled(label, quantities) or ("", ""))[0] in names for label in labels):
+    names = set(schema.joint_names)
+    source = sheet.path.name
+    if not names or any(
+        label.name in names or (spelled(label, quantities) or ("", ""))[0] in names
+        for label in labels
+    ):
         return labels
     free = [label for label in labels if label.name not in quantities]
-    guessed = _joints_of_stream(free, schema, sheet) if schema.is_stream else numbered_joints(free, schema.own_joints)
+    guessed = (
+        _joints_of_stream(free, schema, sheet)
+        if schema.is_stream
+        else numbered_joints(free, schema.own_joints)
+    )
     if not guessed:
         return labels
     pairs = ", ".join(f"{label}={joint}" for label, joint in guessed.items())
-    warn(f"{source}: joints are taken from the columns {pairs}; if that is wrong, map them with --columns")
+    warn(
+        f"{source}: joints are taken from the columns {pairs}; if that is wrong, map them "
+        "with --columns"
+    )
     return [replace(label, meant=guessed.get(label.meant, label.meant)) for label in labels]
 
 
 def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> dict[str, str]:
     """Return the meanings of a stream's joint columns, by names among other words or by numbers."""
-    numeric, needed = [label for label in free if not sheet.has_words(label.index)], schema.needed_joints
-    whole = [family for family in joint_families(numeric, schema.joint_names) if family.keys() >= {*needed}]
+    numeric = [label for label in free if not sheet.has_words(label.index)]
+    needed = schema.needed_joints
+    whole = [
+        family
+        for family in joint_families(numeric, schema.joint_names)
+        if family.keys() >= {*needed}
+    ]
     if not whole:
-        n, more = len(schema.own_joints), list[dict[int, tuple[Label, str]]]()
+        n = len(schema.own_joints)
+        more = list[dict[int, tuple[Label, str]]]()
         for _, numbered in numbered_families(numeric, is_stream=True):
             if not numbers_all(numbered, n):
                 more += [numbered] if len(numbered) > n else []
                 continue
             order = [*schema.own_joints]
             # A recording of ROS has columns of names in addition to positions.
-            names = [label for label in free if words_of(label.meant)[-2:-1] == ("name",) and label not in numeric]
+            names = [
+                label
+                for label in free
+                if words_of(label.meant)[-2:-1] == ("name",) and label not in numeric
+            ]
             texts = {
-                int(words_of(label.meant)[-1]): (sheet.first_cells(label.index, 1) or [""])[0].strip() for label in names
+                int(words_of(label.meant)[-1]): (sheet.first_cells(label.index, 1) or [""])[
+                    0
+                ].strip()
+                for label in names
             }
             if {texts.get(k) for k in numbered} == {*order}:
                 order = [texts[k] for k in sorted(numbered)]
@@ -225,26 +341,43 @@ def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> di
         if more and not whole:
             first, last = (more[0][end(more[0])][0].text for end in (min, max))
             raise MeasurementError(
-                f'{sheet.path.name}: "{first}" to "{last}" number {len(more[0])} joints; expected {n} for this arm: '
+                f'{sheet.path.name}: "{first}" to "{last}" number {len(more[0])} joints; '
+                f"expected {n} for this arm: "
                 f"leave out others, such as a gripper (--ignore {last})"
             )
     columns = [[label for label, _ in family.values()] for family in whole]
-    check_one(columns, "joints", source=sheet.path.name, example=next(iter(whole[-1]), "") if whole else "")
+    check_one(
+        columns,
+        "joints",
+        source=sheet.path.name,
+        example=next(iter(whole[-1]), "") if whole else "",
+    )
     if not whole:
         return {}
-    return {label.meant: f"{joint} [{unit}]" if unit else joint for joint, (label, unit) in whole[0].items()}
+    return {
+        label.meant: f"{joint} [{unit}]" if unit else joint
+        for joint, (label, unit) in whole[0].items()
+    }
 
 
-def _orientation(labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, source: str) -> Convention | None:
-    """Return the convention of the table's orientation, None if it is qx qy qz qw or there is none."""
-    names, declared = [without_unit(label.meant) for label in labels], schema.options.orientation
+def _orientation(
+    labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, source: str
+) -> Convention | None:
+    """Return the convention of the table's orientation, None if it is qx qy qz qw or
+    there is none.
+    """
+    names = [without_unit(label.meant) for label in labels]
+    declared = schema.options.orientation
     usual = rotations(schema.fields).columns
-    found = find_orientation(names, declared, taken=[n for n in quantities if n not in usual], source=source)
+    found = find_orientation(
+        names, declared, taken=[n for n in quantities if n not in usual], source=source
+    )
     if found is None or declared is not None:
         return found
     if set(usual) & set(names):
         raise MeasurementError(
-            f"{source}: orientations in {' '.join(found.columns)} and in {' '.join(usual)}; expected one: ignore the others"
+            f"{source}: orientations in {' '.join(found.columns)} and in "
+            f"{' '.join(usual)}; expected one: ignore the others"
         )
     warn(
         f"{source}: {' '.join(found.columns)} are read as {found.words}; if that is wrong, use "
@@ -256,12 +389,14 @@ def _orientation(labels: list[Label], schema: Schema, quantities: Mapping[str, s
 def matched(
     labels: Sequence[Label], quantities: Mapping[str, str], units: Mapping[str, str], *, source: str
 ) -> tuple[dict[str, SheetColumn], list[Label]]:
-    """Return the known columns and the unknown labels; exact names take precedence over other spellings.
+    """Return the known columns and the unknown labels; exact names take precedence over other
+    spellings.
 
     ``units`` are those of columns without one in the label, where it is not SI.
     """
     exact = {label.name for label in labels} & quantities.keys()
-    columns, unknown = dict[str, SheetColumn](), list[Label]()
+    columns = dict[str, SheetColumn]()
+    unknown = list[Label]()
     for label in labels:
         found = spelled(label, quantities)
         if found is None or (found[0] in exact and found[0] != label.name):
@@ -269,10 +404,16 @@ def matched(
             continue
         name, unit = found
         if "[" in unit:
-            unit = unit_of(unit, quantities[name], where=f'{source}, column {label.index + 1} ("{label.text}")')
+            unit = unit_of(
+                unit, quantities[name], where=f'{source}, column {label.index + 1} ("{label.text}")'
+            )
         if name in columns:
-            raise MeasurementError(f'{source}: two columns "{name}"; expected one, delete or rename the other')
-        columns[name] = SheetColumn(label.index, name, label.text, unit or units.get(name, ""), quantities[name])
+            raise MeasurementError(
+                f'{source}: two columns "{name}"; expected one, delete or rename the other'
+            )
+        columns[name] = SheetColumn(
+            label.index, name, label.text, unit or units.get(name, ""), quantities[name]
+        )
     return columns, unknown
 
 
@@ -280,23 +421,29 @@ def check_joints(missing: Sequence[str], unknown: Sequence[Label], sheet: Sheet)
     """Refuse a table that lacks joints, naming the columns that may be meant."""
     if not missing:
         return
-    texts, labels = [], [label.text for label in unknown]
+    texts = []
+    labels = [label.text for label in unknown]
     for name in missing:
         close = difflib.get_close_matches(name, labels, n=1, cutoff=0.6)
         texts.append(f'"{name}"' + (f' (is it "{close[0]}"?)' if close else ""))
     raise MeasurementError(
-        f"{sheet.path.name}: no column for joint {', '.join(texts)}; expected a column named as in the URDF, or "
-        f"--columns 'NAME={missing[0]},...', or a log of the joints (--joints LOG); {columns_listed(sheet.labels)}"
+        f"{sheet.path.name}: no column for joint {', '.join(texts)}; expected a column "
+        "named as in the URDF, or "
+        f"--columns 'NAME={missing[0]},...', or a log of the joints (--joints LOG); "
+        f"{columns_listed(sheet.labels)}"
     )
 
 
 def _warn_of_unread(sheet: Sheet, unknown: Sequence[Label]) -> None:
-    """Warn of the columns of a stream that are not read, and of a quaternion in an unknown order."""
+    """Warn of the columns of a stream that are not read, and of a quaternion in an
+    unknown order.
+    """
     texts = [label.text for label in unknown if not sheet.is_blank(label.index)]
     by_name = {label.name.casefold(): label.text for label in unknown}
     if {"q0", "q1", "q2", "q3"} <= by_name.keys() and "q4" not in by_name:
         warn(
-            f"{sheet.path.name}: q0 q1 q2 q3 may be a quaternion in either order, and are left out; "
+            f"{sheet.path.name}: q0 q1 q2 q3 may be a quaternion in either order, and are "
+            "left out; "
             "give --columns q0=qw,q1=qx,q2=qy,q3=qz or q0=qx,q1=qy,q2=qz,q3=qw, or --ignore them"
         )
     if texts:
@@ -305,34 +452,54 @@ def _warn_of_unread(sheet: Sheet, unknown: Sequence[Label]) -> None:
         warn(f"{sheet.path.name}: columns that are not read: {named}{more}")
 
 
-def _check_unknown(sheet: Sheet, unknown: Sequence[Label], free: Mapping[str, str], *, is_complete: bool) -> None:
-    """Leave out unknown columns with a `PincalWarning`; refuse those that may be misspelled names of ``free`` ones.
+def _check_unknown(
+    sheet: Sheet, unknown: Sequence[Label], free: Mapping[str, str], *, is_complete: bool
+) -> None:
+    """Leave out unknown columns with a `PincalWarning`; refuse those that may be misspelled names
+    of ``free`` ones.
 
     If the table is complete, only obvious misspellings are refused.
     """
-    wrong, words, others = list[str](), list[str](), list[str]()
+    wrong = list[str]()
+    words = list[str]()
+    others = list[str]()
     for label in unknown[:_EXAMINED]:
         if sheet.is_blank(label.index):
             continue
         is_word = sheet.has_words(label.index)
         names = [name for name, quantity in free.items() if not is_word or quantity == "name"]
         close = difflib.get_close_matches(label.name.casefold(), names, n=1, cutoff=0.75)
-        is_longer = bool(close) and re.match(rf"{close[0]}..|.*[ _.-]{close[0]}$", label.name.casefold()) is not None
+        is_longer = (
+            bool(close)
+            and re.match(rf"{close[0]}..|.*[ _.-]{close[0]}$", label.name.casefold()) is not None
+        )
         is_slip = bool(close) and not is_longer
-        (wrong if is_slip else words if is_word else others if is_complete else wrong).append(label.text)
+        (wrong if is_slip else words if is_word else others if is_complete else wrong).append(
+            label.text
+        )
     if wrong or len(unknown) > _EXAMINED:
         few = wrong[:_LISTED] or [unknown[-1].text]
         known = ", ".join(nearest_first(few, free)[:_LISTED])
-        hint = f"; an orientation? --orientation {'|'.join(CONVENTIONS)}" if looks_like_orientation(wrong) else ""
+        hint = (
+            f"; an orientation? --orientation {'|'.join(CONVENTIONS)}"
+            if looks_like_orientation(wrong)
+            else ""
+        )
         raise MeasurementError(
-            f"{sheet.path.name}: unknown column {', '.join(map(_short, few))}; known and not in the table, nearest first: "
-            f"{known or 'none'}{hint}; leave it out (--ignore '{few[0][:30]}'), or state what it holds "
-            f"(--columns '{few[0][:30]}=NAME'; a unit is written as x [mm]); {columns_listed(sheet.labels)}"
+            f"{sheet.path.name}: unknown column {', '.join(map(_short, few))}; known and "
+            "not in the table, nearest first: "
+            f"{known or 'none'}{hint}; leave it out (--ignore '{few[0][:30]}'), or state "
+            "what it holds "
+            f"(--columns '{few[0][:30]}=NAME'; a unit is written as x [mm]); "
+            f"{columns_listed(sheet.labels)}"
         )
     for texts, what in ((words, "columns of text"), (others, "columns unknown to pincal")):
         if texts:
             more = f" and {len(texts) - _LISTED} more" if len(texts) > _LISTED else ""
-            warn(f"{sheet.path.name}: {what} are ignored: {', '.join(map(_short, texts[:_LISTED]))}{more}")
+            warn(
+                f"{sheet.path.name}: {what} are ignored: "
+                f"{', '.join(map(_short, texts[:_LISTED]))}{more}"
+            )
 
 
 def _short(text: str) -> str:

@@ -12,14 +12,18 @@ from dataclasses import dataclass
 from pincal.units import SIZES, plain_numbers
 
 NUMBERED = re.compile(
-    r"(j|joint(?:[ _]?angle|[ _]?pos(?:ition)?)?|a|axis(?:[ _]?angle)?|achse|gelenk|angle|q|actual_q|actualq|theta|rax)"
+    r"(j|joint(?:[ _]?angle|[ _]?pos(?:ition)?)?|a|axis(?:[ "
+    r"_]?angle)?|achse|gelenk|angle|q|actual_q|actualq|theta|rax)"
     r"[ _.-]?(\d{1,2})",
     re.IGNORECASE,
 )
 """How programs name numbered joints, without the blank or sign before the number."""
 
 # Spellings of units.
-_WRITTEN = {"°": ("degree", "degrees", "º"), "mm": ("millimeter", "millimeters", "millimetre", "millimetres")}
+_WRITTEN = {
+    "°": ("degree", "degrees", "º"),
+    "mm": ("millimeter", "millimeters", "millimetre", "millimetres"),
+}
 _WRITTEN |= {
     "m": ("meter", "meters", "metre", "metres"),
     "rad": ("radian", "radians"),
@@ -31,10 +35,19 @@ _WRITTEN |= {
     "s": ("sec", "secs", "second", "seconds"),
 }
 _WRITTEN |= {
-    short: (f"{short[0]}sec", f"{short[0]}secs", f"{long}sec", f"{long}secs", f"{long}second", f"{long}seconds")
+    short: (
+        f"{short[0]}sec",
+        f"{short[0]}secs",
+        f"{long}sec",
+        f"{long}secs",
+        f"{long}second",
+        f"{long}seconds",
+    )
     for short, long in (("ms", "milli"), ("us", "micro"), ("ns", "nano"))
 }
-_SPELLED = {word: unit for unit, words in _WRITTEN.items() for word in (unit, *words)} | {"deg": "deg"}
+_SPELLED = {word: unit for unit, words in _WRITTEN.items() for word in (unit, *words)} | {
+    "deg": "deg"
+}
 # Cells of a row of units below columns without a unit, or with a unit that no known column has.
 _NO_UNITS = (
     "",
@@ -56,7 +69,25 @@ _NO_UNITS = (
     "date",
 )
 # Names by which the row of names is recognised, in addition to those of joints.
-_KNOWN = ("x", "y", "z", "qx", "qy", "qz", "qw", "distance", "socket", "point", "u", "v", "cx", "cy", "cz", "plane", "gauge")
+_KNOWN = (
+    "x",
+    "y",
+    "z",
+    "qx",
+    "qy",
+    "qz",
+    "qw",
+    "distance",
+    "socket",
+    "point",
+    "u",
+    "v",
+    "cx",
+    "cy",
+    "cz",
+    "plane",
+    "gauge",
+)
 # A row with a smaller share of its cells filled is a title, not a header.
 _FILLED = 0.6
 
@@ -89,7 +120,9 @@ class TableHead:
     units: int | None = None
 
     def described(self, lines: Sequence[int]) -> str:
-        """Return how the rows are interpreted, in words; ``lines`` are their numbers in the file."""
+        """Return how the rows are interpreted, in words; ``lines`` are their numbers in
+        the file.
+        """
         others = self.body - len({self.header, self.units} - {None})
         texts = [f"the names of the columns are taken from line {lines[self.header]}"]
         texts += [f"units from line {lines[self.units]}"] if self.units is not None else []
@@ -103,7 +136,8 @@ def is_number(cell: str) -> bool:
 
 
 def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) -> TableHead | None:
-    """Return where the column names are among the first rows of a table; None where no row looks like names.
+    """Return where the column names are among the first rows of a table; None where no row looks
+    like names.
 
     Args:
         rows: cells.
@@ -118,10 +152,21 @@ def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) ->
     usual = statistics.mode(widths) if rows else 0
     if usual < 2:
         return None
-    wide = [len(row) >= usual and sum(bool(c.strip()) for c in row) >= _FILLED * usual for row in rows]
-    names = [is_wide and not any(map(is_number, row)) for is_wide, row in zip(wide, rows, strict=True)]
+    wide = [
+        len(row) >= usual and sum(bool(c.strip()) for c in row) >= _FILLED * usual for row in rows
+    ]
+    names = [
+        is_wide and not any(map(is_number, row)) for is_wide, row in zip(wide, rows, strict=True)
+    ]
     with_units = [is_unit_row(row, usual) for row in rows]
-    body = next((i for i, row in enumerate(rows) if i and wide[i] and any(map(is_number, row)) and any(names[:i])), None)
+    body = next(
+        (
+            i
+            for i, row in enumerate(rows)
+            if i and wide[i] and any(map(is_number, row)) and any(names[:i])
+        ),
+        None,
+    )
     if body is None:
         return None
     top = body
@@ -139,7 +184,8 @@ def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) ->
         below += [""] * (len(labels) - len(below))
         pairs = zip(labels, map(normal_unit, below), strict=False)
         labels = [
-            f"{name} [{unit}]" if unit in SIZES and name and not re.search(r"[\[(]", name) else name for name, unit in pairs
+            f"{name} [{unit}]" if unit in SIZES and name and not re.search(r"[\[(]", name) else name
+            for name, unit in pairs
         ]
     return TableHead(header, body, tuple(labels), units)
 
@@ -157,7 +203,10 @@ def is_unit_row(row: Sequence[str], usual: int) -> bool:
 def names_joints(cells: Sequence[str], joints: Collection[str]) -> bool:
     """Return whether a row names joints: one by its name, or three by numbers."""
     bare = _bare(cells)
-    return bool({*bare} & {joint.casefold() for joint in joints}) or sum(bool(NUMBERED.match(cell)) for cell in bare) > 2
+    return (
+        bool({*bare} & {joint.casefold() for joint in joints})
+        or sum(bool(NUMBERED.match(cell)) for cell in bare) > 2
+    )
 
 
 def _bare(row: Sequence[str]) -> list[str]:
@@ -172,7 +221,8 @@ def _known(row: Sequence[str], joints: Collection[str]) -> int:
 def _distinct(labels: list[str], above: Sequence[str]) -> list[str]:
     """Return the labels, repeated ones prefixed with the group name in the row above."""
     twice = {label for label, count in Counter(labels).items() if label and count > 1}
-    group, found = "", list[str]()
+    group = ""
+    found = list[str]()
     for label, over in zip(labels, [*above, *[""] * len(labels)], strict=False):
         group = over.strip() or group
         found.append(f"{group} {label}" if label in twice and group else label)

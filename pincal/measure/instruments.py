@@ -1,7 +1,8 @@
 """Noise of instruments that measure ranges and angles, growing with the distance as in data sheets.
 
-A laser tracker is most accurate along its line of sight; across it, angular errors grow with the distance. The
-covariance of a row follows from the position of the target, which has to be in the instrument's own frame.
+A laser tracker is most accurate along its line of sight; across it, angular errors grow with the
+distance. The covariance of a row follows from the position of the target, which has to be in the
+instrument's own frame.
 """
 
 from __future__ import annotations
@@ -16,12 +17,16 @@ from pincal.errors import BadInputError, MeasurementError
 from pincal.measure.measurements import Measurements
 from pincal.units import unit_sizes
 
-# Standard deviation over maximum permissible error (MPE): "Typical measurement results are half of the relevant MPE values",
-# Leica AT500 User Manual, 2.8.1.
+# Standard deviation over maximum permissible error (MPE): "Typical measurement results are half of
+# the relevant MPE values", Leica AT500 User Manual, 2.8.1.
 _OF_MPE = 0.5
 # Units of a constant term [m], and of one proportional to the range [m/m].
 _CONSTANT = unit_sizes("um", "µm", "mm")
-_PER_METRE = {f"{unit}/m": size for unit, size in _CONSTANT.items()} | {"ppm": 1e-6} | unit_sizes("urad", "mrad")
+_PER_METRE = (
+    {f"{unit}/m": size for unit, size in _CONSTANT.items()}
+    | {"ppm": 1e-6}
+    | unit_sizes("urad", "mrad")
+)
 _TERM = re.compile(r"(?P<number>[0-9]*\.?[0-9]+(?:[eE]-?[0-9]+)?)\s*(?P<unit>\S+)")
 _EXAMPLE = "10um+0.3um/m,15um+6um/m"
 
@@ -35,16 +40,21 @@ class _Sheet(NamedTuple):
 
 INSTRUMENTS = {
     # e_ADM +- 10 um + 0.3 um/m and e_T +- 15 um + 6 um/m, MPE by ISO 10360-10:2021, Annex D.
-    "leica_at500": _Sheet("10um+0.3um/m,15um+6um/m", "Leica Absolute Tracker AT500 User Manual, section 2.8.2"),
+    "leica_at500": _Sheet(
+        "10um+0.3um/m,15um+6um/m", "Leica Absolute Tracker AT500 User Manual, section 2.8.2"
+    ),
     # U_x,y,z +- 15 um + 6 um/m, MPE of each coordinate, used in all directions.
-    "leica_at960": _Sheet("15um+6um/m", "Hexagon, Leica Absolute Tracker AT960, technical data: accuracy U_x,y,z"),
+    "leica_at960": _Sheet(
+        "15um+6um/m", "Hexagon, Leica Absolute Tracker AT960, technical data: accuracy U_x,y,z"
+    ),
 }
 """Instruments by name, with their data sheets; for all others the numbers can be given."""
 
 
 @dataclass(frozen=True)
 class InstrumentNoise:
-    """Standard deviations of readings at a range r: along + along_per_m r, and across + across_per_m r.
+    """Standard deviations of readings at a range r: along + along_per_m r, and across +
+    across_per_m r.
 
     Attributes:
         along: along the line of sight [m].
@@ -68,17 +78,23 @@ class InstrumentNoise:
     def __post_init__(self) -> None:
         """Refuse invalid numbers."""
         numbers = (self.along, self.along_per_m, self.across, self.across_per_m)
-        is_some = max(self.along, self.along_per_m) > 0.0 and max(self.across, self.across_per_m) > 0.0
+        is_some = (
+            max(self.along, self.along_per_m) > 0.0 and max(self.across, self.across_per_m) > 0.0
+        )
         if not (np.all(np.isfinite(numbers)) and min(numbers) >= 0.0 and is_some):
-            raise BadInputError(f"noise of an instrument {numbers}; expected finite numbers, more than 0 along and across")
+            raise BadInputError(
+                f"noise of an instrument {numbers}; expected finite numbers, more than 0 "
+                "along and across"
+            )
 
     @classmethod
     def of(cls, text: str) -> Self:
         """Return the noise of an instrument, half of its maximum permissible errors.
 
         Args:
-            text: a name of ``INSTRUMENTS``, or MPE along and across the line of sight, separated by a comma, each a constant
-                and a term proportional to the range, such as ``10um+0.3um/m,15um+6um/m``; a single one applies to both.
+            text: a name of ``INSTRUMENTS``, or MPE along and across the line of sight, separated by
+                a comma, each a constant and a term proportional to the range, such as
+                ``10um+0.3um/m,15um+6um/m``; a single one applies to both.
 
         Raises:
             BadInputError: for a name or a number that is invalid.
@@ -90,7 +106,8 @@ class InstrumentNoise:
         except ValueError:
             known = ", ".join(INSTRUMENTS)
             raise BadInputError(
-                f"instrument {text!r}; expected {known}, or the maximum permissible errors of its data sheet along and "
+                f"instrument {text!r}; expected {known}, or the maximum permissible "
+                "errors of its data sheet along and "
                 f"across the line of sight, such as {_EXAMPLE}"
             ) from None
         return cls(*(_OF_MPE * number for number in (*along, *across)))
@@ -100,7 +117,9 @@ class InstrumentNoise:
         return self.along + self.along_per_m * distance, self.across + self.across_per_m * distance
 
     def covariance(self, position: np.ndarray) -> np.ndarray:
-        """Return the covariance of readings at positions in the instrument's frame, shape (N, 3, 3) for (N, 3) [m]."""
+        """Return the covariance of readings at positions in the instrument's frame, shape (N, 3, 3)
+        for (N, 3) [m].
+        """
         distance = np.linalg.norm(position, axis=1)
         along, across = self.sigmas(distance)
         way = position / np.maximum(distance, 1e-9)[:, None]
@@ -110,14 +129,18 @@ class InstrumentNoise:
         )
 
     def sigma(self, position: np.ndarray) -> float:
-        """Return the standard deviation of one coordinate, the root mean square over positions, shape (N, 3) [m]."""
+        """Return the standard deviation of one coordinate, the root mean square over positions,
+        shape (N, 3) [m].
+        """
         along, across = self.sigmas(np.linalg.norm(position, axis=1))
         return float(np.sqrt(np.mean(along**2 + 2.0 * across**2) / 3.0))
 
     def whitening(self, position: np.ndarray, size: int) -> np.ndarray:
-        """Return the matrices that whiten the noise of readings at positions, shape (N, 3) [m], in units of :meth:`sigma`.
+        """Return the matrices that whiten the noise of readings at positions, shape (N, 3) [m], in
+        units of :meth:`sigma`.
 
-        They have the shape (size, size, N); components of a reading after the position are unchanged.
+        They have the shape (size, size, N); components of a reading after the position are
+        unchanged.
         """
         found = np.tile(np.eye(size)[:, :, None], (1, 1, len(position)))
         inverse = np.linalg.inv(np.linalg.cholesky(self.covariance(position)))
@@ -133,22 +156,28 @@ def seen_by(table: Measurements) -> np.ndarray:
     """
     if table.position is None:
         raise MeasurementError(
-            f"{table.source}: --instrument is for positions or poses in the instrument's own frame, but this table holds "
+            f"{table.source}: --instrument is for positions or poses in the instrument's "
+            "own frame, but this table holds "
             f"{table.kind}; leave it out and give --noise"
         )
     if table.sigma is not None:
-        raise MeasurementError(f"{table.source}: --instrument and a column sigma; expected only one of the two")
+        raise MeasurementError(
+            f"{table.source}: --instrument and a column sigma; expected only one of the two"
+        )
     return table.position
 
 
 def _terms(text: str) -> tuple[float, float]:
-    """Return the constant [m] and the factor of the range [m/m]; raise ValueError for other text."""
+    """Return the constant [m] and the factor of the range [m/m]; raise ValueError for
+    other text.
+    """
     constant = per_metre = 0.0
     for term in text.split("+"):
         found = _TERM.fullmatch(term.strip())
         if found is None:
             raise ValueError(term)
-        number, unit = float(found["number"]), found["unit"]
+        number = float(found["number"])
+        unit = found["unit"]
         if unit in _CONSTANT:
             constant += number * _CONSTANT[unit]
         elif unit in _PER_METRE:

@@ -1,7 +1,7 @@
 """Joins a table of readings with a separate log of the joints.
 
-Rows are matched by a common column, by time while the pose is held still, or by their order where the counts agree; a
-`PincalWarning` states which.
+Rows are matched by a common column, by time while the pose is held still, or by their order where
+the counts agree; a `PincalWarning` states which.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-# An arm that moves by less than this [rad, m] within this time [s] is held still; encoder noise is smaller.
-_STILL, _HOLD = 3e-4, 0.3
+# An arm that moves by less than this [rad, m] within this time [s] is held still; encoder noise is
+# smaller.
+_STILL = 3e-4
+_HOLD = 0.3
 # Largest drift of a held pose [rad, m].
 _DRIFT = 2e-3
 
@@ -48,14 +50,22 @@ class HeldPoses:
         return np.column_stack([self.begin, self.end])
 
     def at(self, time: np.ndarray, asked: np.ndarray) -> np.ndarray:
-        """Return the index of the pose held at each of the times ``asked``, shape (M,); -1 where none is."""
+        """Return the index of the pose held at each of the times ``asked``, shape (M,); -1 where
+        none is.
+        """
         found = np.searchsorted(time[self.begin], asked, side="right") - 1
-        is_held = (found >= 0) & (asked <= time[self.end][np.maximum(found, 0)]) if len(self) else np.zeros(len(asked), bool)
+        is_held = (
+            (found >= 0) & (asked <= time[self.end][np.maximum(found, 0)])
+            if len(self)
+            else np.zeros(len(asked), bool)
+        )
         return np.where(is_held, found, -1)
 
     def means(self, values: np.ndarray) -> np.ndarray:
         """Return the mean of values, shape (T, k), in each pose, shape (K, k)."""
-        return np.array([values[a : b + 1].mean(axis=0) for a, b in zip(self.begin, self.end, strict=True)])
+        return np.array(
+            [values[a : b + 1].mean(axis=0) for a, b in zip(self.begin, self.end, strict=True)]
+        )
 
 
 def held_poses(time: np.ndarray, q: np.ndarray) -> HeldPoses:
@@ -82,26 +92,41 @@ def held_poses(time: np.ndarray, q: np.ndarray) -> HeldPoses:
     moves = np.append(np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0) > _STILL, True)
     begin = inside & np.append(True, ~inside[:-1] | moves[:-1])
     end = inside & (np.append(~inside[1:], True) | moves)
-    first, last = np.flatnonzero(begin), np.flatnonzero(end)
-    steady = [float(np.ptp(q[a : b + 1], axis=0).max(initial=0.0)) <= _DRIFT for a, b in zip(first, last, strict=True)]
+    first = np.flatnonzero(begin)
+    last = np.flatnonzero(end)
+    steady = [
+        float(np.ptp(q[a : b + 1], axis=0).max(initial=0.0)) <= _DRIFT
+        for a, b in zip(first, last, strict=True)
+    ]
     return HeldPoses(first[steady], last[steady])
 
 
-# Fewest rows of a log, its longest time step [s], and the share of rows in motion above which it is cut into held poses.
-_LOG_ROWS, _LOG_STEP, _IN_MOTION = 100, 0.1, 0.05
+# Fewest rows of a log, its longest time step [s], and the share of rows in motion above which it is
+# cut into held poses.
+_LOG_ROWS = 100
+_LOG_STEP = 0.1
+_IN_MOTION = 0.05
 # Rows per pose above which a log that was joined with its joints is averaged.
 _PER_POSE = 10
 
 
 def is_log(time: np.ndarray) -> bool:
-    """Return whether rows are as close in time as in a log, which may consist of several recordings."""
+    """Return whether rows are as close in time as in a log, which may consist of several
+    recordings.
+    """
     return len(time) >= _LOG_ROWS and 0.0 < float(np.median(np.diff(time))) <= _LOG_STEP
 
 
 def held_rows(
-    values: Mapping[str, np.ndarray], rows: np.ndarray, joints: Sequence[str], *, was_joined: bool, source: str
+    values: Mapping[str, np.ndarray],
+    rows: np.ndarray,
+    joints: Sequence[str],
+    *,
+    was_joined: bool,
+    source: str,
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Return one row per pose that is held still, if a table is a log in which the arm moves; else the table.
+    """Return one row per pose that is held still, if a table is a log in which the arm moves; else
+    the table.
 
     Numbers are means over the middle half of the pose. A `PincalWarning` reports it.
 
@@ -124,22 +149,27 @@ def held_rows(
     if len(poses) < 2 or (held > (1.0 - _IN_MOTION) * len(kept) and not is_dense):
         return dict(values), rows
     quarter = (poses.end - poses.begin) // 4
-    first, last = kept[poses.begin + quarter], kept[poses.end - quarter]
+    first = kept[poses.begin + quarter]
+    last = kept[poses.end - quarter]
     found = {name: _pooled(v, np.column_stack([first, last])) for name, v in values.items()}
     if "qx" in values:
         turned = np.column_stack([values[name] for name in ("qx", "qy", "qz", "qw")])
         means = [mean_turn(turned[a : b + 1]) for a, b in zip(first, last, strict=True)]
         found |= dict(zip(("qx", "qy", "qz", "qw"), np.array(means).T, strict=True))
     warn(
-        f"{source}: a log of {len(rows)} rows at {1.0 / np.median(steps):.0f} Hz is cut into the {len(poses)} poses that "
-        f"are held still, each the mean over its middle half; rows in motion left out: {len(kept) - held}"
+        f"{source}: a log of {len(rows)} rows at {1.0 / np.median(steps):.0f} Hz is cut "
+        f"into the {len(poses)} poses that "
+        "are held still, each the mean over its middle half; rows in motion left out: "
+        f"{len(kept) - held}"
     )
     return found, rows[first]
 
 
 def mean_turn(quaternions: np.ndarray) -> np.ndarray:
     """Return the mean of quaternions of either sign, shape (4,) for (N, 4)."""
-    mean = np.where((quaternions @ quaternions[0] < 0.0)[:, None], -quaternions, quaternions).mean(axis=0)
+    mean = np.where((quaternions @ quaternions[0] < 0.0)[:, None], -quaternions, quaternions).mean(
+        axis=0
+    )
     return np.asarray(mean / np.linalg.norm(mean))
 
 
@@ -192,7 +222,9 @@ class _Pairs:
     words: str
 
 
-def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[str], has: Collection[str]) -> Sheet:
+def join(
+    table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[str], has: Collection[str]
+) -> Sheet:
     """Return a table with the joints and other known columns of a log for its rows.
 
     Args:
@@ -203,7 +235,8 @@ def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[s
         has: known columns of the table.
 
     Raises:
-        MeasurementError: if no criterion determines which rows belong together, or two contradict each other.
+        MeasurementError: if no criterion determines which rows belong together, or two contradict
+            each other.
     """
     import polars as pl
 
@@ -214,16 +247,28 @@ def join(table: Sheet, log: Log, time: np.ndarray | None, *, known: Collection[s
     folded = {name.casefold() for name in known}
     free = [label for label in table.labels if name_of(label).casefold() not in folded]
     keys = {label: places[label.casefold()] for label in free if label.casefold() in places}
-    pairs = _agreed(_by_columns(table, frame, log, lines=lines, keys=keys), _by_time(log, time), table=table, log=log)
+    pairs = _agreed(
+        _by_columns(table, frame, log, lines=lines, keys=keys),
+        _by_time(log, time),
+        table=table,
+        log=log,
+    )
     pairs = pairs or (None if log.is_shared else _by_order(log, frame.height))
     if pairs is None:
         raise MeasurementError(_advice(table, log, frame.height, has_times=time is not None))
     lost = frame.height - len(pairs.rows)
     rest = f"; {lost} rows between two poses are left out" if lost else ""
     source = log.sheet.path.name
-    warn(f"{table.path.name}: {len(pairs.rows)} rows have their joints from {source} {pairs.words}{rest}")
+    warn(
+        f"{table.path.name}: {len(pairs.rows)} rows have their joints from {source} "
+        f"{pairs.words}{rest}"
+    )
     kept = [i for i, label in enumerate(table.labels) if label not in keys]
-    taken = [pl.Series(name, _pooled(v, pairs.samples)) for name, v in log.values.items() if name not in has]
+    taken = [
+        pl.Series(name, _pooled(v, pairs.samples))
+        for name, v in log.values.items()
+        if name not in has
+    ]
     whole = pl.DataFrame([*(frame.to_series(i)[pairs.rows] for i in kept), *taken])
     labels = (*(table.labels[i] for i in kept), *(series.name for series in taken))
     return FrameSheet(table.path, labels, table.decimal_comma, whole.lazy(), lines[pairs.rows])
@@ -238,7 +283,9 @@ def _pooled(values: np.ndarray, samples: np.ndarray) -> np.ndarray:
     return np.asarray((total[last + 1] - total[first]) / (last + 1 - first) + values[0])
 
 
-def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarray, keys: Mapping[str, int]) -> _Pairs | None:
+def _by_columns(
+    table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarray, keys: Mapping[str, int]
+) -> _Pairs | None:
     """Pair rows by common columns that identify the pose of each row; several have to agree."""
     found: dict[str, np.ndarray] = {}
     for label, place in keys.items():
@@ -250,8 +297,10 @@ def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarra
         lost = [i for i, key in enumerate(mine) if key not in theirs]
         if lost:
             raise MeasurementError(
-                f'{table.path.name}, line {lines[lost[0]]}, column "{label}": {mine[lost[0]]} is not in '
-                f"{log.sheet.path.name}, whose rows it identifies; rows affected: {len(lost)}; correct them, or "
+                f'{table.path.name}, line {lines[lost[0]]}, column "{label}": '
+                f"{mine[lost[0]]} is not in "
+                f"{log.sheet.path.name}, whose rows it identifies; rows affected: "
+                f"{len(lost)}; correct them, or "
                 "ignore the column"
             )
         found[label] = np.array([theirs[key] for key in mine])
@@ -261,27 +310,39 @@ def _by_columns(table: Sheet, frame: pl.DataFrame, log: Log, *, lines: np.ndarra
     for label, other in others:
         if not np.array_equal(samples, other):
             raise MeasurementError(
-                f'{table.path.name}: the columns "{first}" and "{label}" of {log.sheet.path.name} give different joints for '
+                f'{table.path.name}: the columns "{first}" and "{label}" of '
+                f"{log.sheet.path.name} give different joints for "
                 "the same row; expected one: ignore the wrong one"
             )
     return _Pairs(np.arange(frame.height), samples, f'by the column "{first}"')
 
 
-def _agreed(by_column: _Pairs | None, by_time: _Pairs | None, *, table: Sheet, log: Log) -> _Pairs | None:
-    """Return the pairs by column, else those by time; refuse a column that contradicts the time, as a row counter does."""
+def _agreed(
+    by_column: _Pairs | None, by_time: _Pairs | None, *, table: Sheet, log: Log
+) -> _Pairs | None:
+    """Return the pairs by column, else those by time; refuse a column that contradicts the time, as
+    a row counter does.
+    """
     if by_column is None:
         return by_time
     if by_time is not None:
-        one, other = by_column.samples[by_time.rows], by_time.samples
+        one = by_column.samples[by_time.rows]
+        other = by_time.samples
     elif log.held:
         # The samples just before and after.
-        one, other = by_column.samples, np.clip(by_column.samples + np.array([-1, 1]), 0, len(log.q) - 1)
+        one = by_column.samples
+        other = np.clip(by_column.samples + np.array([-1, 1]), 0, len(log.q) - 1)
     else:
         return by_column
     if any(np.abs(_pooled(q, one) - _pooled(q, other)).max(initial=0.0) > _SAME for q in log.q.T):
-        time = "its time" if by_time is not None else "the motion of the arm, which does not hold still there"
+        time = (
+            "its time"
+            if by_time is not None
+            else "the motion of the arm, which does not hold still there"
+        )
         raise MeasurementError(
-            f"{table.path.name}: joints from {log.sheet.path.name} {by_column.words} contradict {time}; expected one pose "
+            f"{table.path.name}: joints from {log.sheet.path.name} {by_column.words} "
+            f"contradict {time}; expected one pose "
             "per row: ignore the column if it only counts rows, or correct the times"
         )
     return by_column
@@ -293,7 +354,9 @@ def _as_keys(series: pl.Series) -> list[str]:
 
     text = series.cast(pl.String).str.strip_chars().fill_null("")
     number = text.cast(pl.Float64, strict=False)
-    return [repr(value) if value is not None else word for word, value in zip(text, number, strict=True)]
+    return [
+        repr(value) if value is not None else word for word, value in zip(text, number, strict=True)
+    ]
 
 
 def _places(keys: Sequence[str], q: np.ndarray) -> dict[str, tuple[int, int]] | None:
@@ -317,7 +380,8 @@ def _by_time(log: Log, time: np.ndarray | None) -> _Pairs | None:
     if log.held is None:
         line = int(np.flatnonzero(np.diff(theirs) <= 0)[0])
         raise MeasurementError(
-            f"{log.sheet.path.name}: time does not increase in row {line + 2}; expected a log in order, one sample per row"
+            f"{log.sheet.path.name}: time does not increase in row {line + 2}; expected a "
+            "log in order, one sample per row"
         )
     which = log.held.at(theirs, time)
     rows = np.flatnonzero(which >= 0)
@@ -337,12 +401,21 @@ def _by_order(log: Log, count: int) -> _Pairs | None:
 
 
 def _advice(table: Sheet, log: Log, count: int, *, has_times: bool) -> str:
-    source, other = table.path.name, log.sheet.path.name
+    source = table.path.name
+    other = log.sheet.path.name
     what = f"{count} rows and {len(log.q)} samples of joints"
     if "time" in log.values and has_times:
-        what += f" ({len(log.held or ())} poses held still, at most times of the table none; do the clocks differ?)"
-    order = " (several tables share it)" if log.is_shared else ", or a sample for each row in the same order"
+        what += (
+            f" ({len(log.held or ())} poses held still, at most times of the table none; do "
+            "the clocks differ?)"
+        )
+    order = (
+        " (several tables share it)"
+        if log.is_shared
+        else ", or a sample for each row in the same order"
+    )
     return (
-        f"{source}: it is not known which joints of {other} belong to which row: {what}; expected a column that both "
+        f"{source}: it is not known which joints of {other} belong to which row: {what}; "
+        "expected a column that both "
         f"files have and that numbers the poses, or times of one clock in both (column time){order}"
     )

@@ -17,7 +17,18 @@ _PLACES = frozenset(
 )  # fmt: skip
 _FORCES = frozenset(("a", "acc", "accel", "acceleration", "accelerometer", "specific force"))
 _RATES = frozenset(
-    ("w", "g", "gyr", "gyro", "gyroscope", "omega", "angular velocity", "angular rate", "gyro rate", "turn rate")
+    (
+        "w",
+        "g",
+        "gyr",
+        "gyro",
+        "gyroscope",
+        "omega",
+        "angular velocity",
+        "angular rate",
+        "gyro rate",
+        "turn rate",
+    )
 )
 _TURNS = frozenset(("q", "quat", "quaternion", "orientation", "rotation", "rot", "attitude"))
 # Vectors of a stream, and the words next to the letter of an axis in their names.
@@ -28,15 +39,23 @@ _VECTORS = {
     ("qx", "qy", "qz", "qw"): _TURNS,
 }
 # Words that denote the position of a joint, and words that denote another quantity.
-_POSITIONS = frozenset(("position", "positions", "pos", "q", "angle", "value", "actual", "act", "measured", "meas"))
+_POSITIONS = frozenset(
+    ("position", "positions", "pos", "q", "angle", "value", "actual", "act", "measured", "meas")
+)
 _NUMBERS = _POSITIONS | {"j", "joint", "joints", "a", "axis", "theta", "rax", "achse", "gelenk"}
 _OTHERS = frozenset(
     ("velocity", "velocities", "vel", "speed", "qd", "dq", "qdd", "effort", "torque", "tau", "current", "error", "command",
      "commanded", "cmd", "desired", "des", "target", "setpoint", "goal", "reference", "ref", "nominal", "temperature",
      "temp", "covariance", "std", "bias", "voltage", "load", "magnetic", "mag", "gravity", "angular")
 )  # fmt: skip
-# `x [mm]` is how pincal writes a unit; these are the other spellings: `x (mm)`, `x_mm`, `x mm`, `x/mm`.
-_OTHER_SPELLINGS = (r"(.*?)\s*\(\s*([^()]*?)\s*\)", r"(.*)_([^_]*)", r"(.*?)\s+(\S*)", r"(.*?)\s*/\s*(\S*)")
+# `x [mm]` is how pincal writes a unit; these are the other spellings: `x (mm)`, `x_mm`, `x mm`,
+# `x/mm`.
+_OTHER_SPELLINGS = (
+    r"(.*?)\s*\(\s*([^()]*?)\s*\)",
+    r"(.*)_([^_]*)",
+    r"(.*?)\s+(\S*)",
+    r"(.*?)\s*/\s*(\S*)",
+)
 # Units that are ordinary words as well.
 _WORDS = ("in",)
 
@@ -66,8 +85,11 @@ def name_of(label: str) -> str:
     return label.split("[")[0].strip()
 
 
-def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, others: Sequence[str] = ()) -> list[Label]:
-    """Return the labels with the meanings that the user assigned; units in the header apply unless the user gives one.
+def renamed(
+    labels: Sequence[str], columns: Mapping[str, str], *, source: str, others: Sequence[str] = ()
+) -> list[Label]:
+    """Return the labels with the meanings that the user assigned; units in the header apply unless
+    the user gives one.
 
     Args:
         labels: the header.
@@ -86,14 +108,19 @@ def renamed(labels: Sequence[str], columns: Mapping[str, str], *, source: str, o
         if len(hits) != 1:
             column, bracket, unit = meaning.partition("[")
             swapped = not hits and any(is_named(text, column.strip()) for text in labels)
-            hint = f'; is "{column.strip()}={name}{bracket and f" [{unit}"}" meant?' if swapped else ""
+            hint = (
+                f'; is "{column.strip()}={name}{bracket and f" [{unit}"}" meant?' if swapped else ""
+            )
             count = "no column" if not hits else f"{len(hits)} columns"
             raise MeasurementError(
-                f'{source}: {count} "{name}" for --columns {name}={meaning}{hint}; {columns_listed(labels)}'
+                f'{source}: {count} "{name}" for --columns {name}={meaning}{hint}; '
+                f"{columns_listed(labels)}"
             )
         text = labels[hits[0]]
         unit = unit_in(text)
-        found[hits[0]] = Label(hits[0], text, meaning if "[" in meaning or not unit else f"{meaning} [{unit}]")
+        found[hits[0]] = Label(
+            hits[0], text, meaning if "[" in meaning or not unit else f"{meaning} [{unit}]"
+        )
     return found
 
 
@@ -154,22 +181,28 @@ def spelled(label: Label, quantities: Mapping[str, str]) -> tuple[str, str] | No
 
 
 def unit_of(label: str, quantity: str, *, where: str) -> str:
-    """Return the unit of a label in brackets, empty without one; refuse an unclosed one or one of another quantity."""
+    """Return the unit of a label in brackets, empty without one; refuse an unclosed one or one of
+    another quantity.
+    """
     match = re.fullmatch(r"[^\[\]]*(?:\[([^\[\]]*)\])?", label)
     unit = normal_unit(match[1] or "") if match else ""
     accepted = ", ".join(f"[{unit}]" for unit in UNITS[quantity]) or "no unit"
     if match is None:
         raise MeasurementError(f"{where}: unclosed unit; expected at its end one of {accepted}")
     if "[" in label and unit not in UNITS[quantity]:
-        raise MeasurementError(f"{where}: [{unit}] is not a unit of this column; expected one of {accepted}")
+        raise MeasurementError(
+            f"{where}: [{unit}] is not a unit of this column; expected one of {accepted}"
+        )
     return unit
 
 
 def numbered_joints(labels: Sequence[Label], joints: Sequence[str]) -> dict[str, str]:
-    """Return the meanings of the labels that number all joints of an arm; empty if no set of labels does, or several do.
+    """Return the meanings of the labels that number all joints of an arm; empty if no set of labels
+    does, or several do.
 
-    Joints are numbered from the base to the flange, starting at 1 or 0. Sets with a further number, such as an external
-    axis, are not taken for an arm, nor are q1 q2 q3 q4, which may be a quaternion.
+    Joints are numbered from the base to the flange, starting at 1 or 0. Sets with a further number,
+    such as an external axis, are not taken for an arm, nor are q1 q2 q3 q4, which may be a
+    quaternion.
 
     Example:
         >>> labels = [Label(i, f"J{i + 1} (deg)", f"J{i + 1} (deg)") for i in range(2)]
@@ -178,7 +211,9 @@ def numbered_joints(labels: Sequence[Label], joints: Sequence[str]) -> dict[str,
     """
     n = len(joints)
     whole = [
-        family for words, family in numbered_families(labels) if numbers_all(family, n) and not (words == ("q",) and n == 4)
+        family
+        for words, family in numbered_families(labels)
+        if numbers_all(family, n) and not (words == ("q",) and n == 4)
     ]
     if len(whole) != 1:
         return {}
@@ -187,7 +222,8 @@ def numbered_joints(labels: Sequence[Label], joints: Sequence[str]) -> dict[str,
 
 
 def without_unit(text: str, *quantities: str) -> str:
-    """Return a label without the unit of an angle or a length, or of the given quantities, in any spelling.
+    """Return a label without the unit of an angle or a length, or of the given quantities, in any
+    spelling.
 
     Example:
         >>> without_unit("Roll (deg)"), without_unit("rx_deg"), without_unit("q_1")
@@ -197,9 +233,13 @@ def without_unit(text: str, *quantities: str) -> str:
 
 
 def splits(text: str, *quantities: str) -> Iterator[tuple[str, str]]:
-    """Yield the splits of a label into a name and a unit of an angle, a length or the given quantities."""
+    """Yield the splits of a label into a name and a unit of an angle, a length or the given
+    quantities.
+    """
     yield name_of(text), unit_in(text) if "[" in text else ""
-    known: Collection[str] = {unit for quantity in quantities or ("angle", "length") for unit in UNITS[quantity]}
+    known: Collection[str] = {
+        unit for quantity in quantities or ("angle", "length") for unit in UNITS[quantity]
+    }
     for pattern in _OTHER_SPELLINGS:
         match = re.fullmatch(pattern, text)
         if match and normal_unit(match[2]) in known:
@@ -217,15 +257,19 @@ def words_of(text: str) -> tuple[str, ...]:
 
 
 def vector_columns(
-    labels: Sequence[Label], quantities: Mapping[str, str], *, is_stream: bool = False, source: str = ""
+    labels: Sequence[Label],
+    quantities: Mapping[str, str],
+    *,
+    is_stream: bool = False,
+    source: str = "",
 ) -> dict[str, str]:
     """Return the meanings of labels that name a vector otherwise than by x y z and the like.
 
     Args:
         labels: unknown columns.
         quantities: what may still be missing.
-        is_stream: whether names may have any prefix, such as the topic of a recording, and vectors include those of an IMU
-            and orientations; otherwise only positions are sought.
+        is_stream: whether names may have any prefix, such as the topic of a recording, and vectors
+            include those of an IMU and orientations; otherwise only positions are sought.
         source: the file, for messages.
 
     Raises:
@@ -240,14 +284,19 @@ def vector_columns(
     for columns, names in _VECTORS.items():
         if not quantities.keys() >= {*columns} or (columns[0] != "x" and not is_stream):
             continue
-        families, letters = dict[tuple[str, ...], dict[str, tuple[Label, str]]](), {column[-1] for column in columns}
+        families = dict[tuple[str, ...], dict[str, tuple[Label, str]]]()
+        letters = {column[-1] for column in columns}
         for label in labels:
             for base, unit in splits(label.meant, quantities[columns[0]]):
                 # ``posx`` is one word.
                 parts = [
                     part
                     for word in words_of(base)
-                    for part in ((word[:-1], word[-1]) if word[:-1] in names and word[-1] in letters else (word,))
+                    for part in (
+                        (word[:-1], word[-1])
+                        if word[:-1] in names and word[-1] in letters
+                        else (word,)
+                    )
                 ]
                 axes = [part for part in parts if part in letters]
                 rest = tuple(part for part in parts if part not in axes)
@@ -261,30 +310,44 @@ def vector_columns(
                     families.setdefault(rest, {}).setdefault(axes[0], (label, unit))
         whole = [axes for axes in families.values() if len(axes) == len(columns)]
         if is_stream:
-            check_one([[label for label, _ in axes.values()] for axes in whole], " ".join(columns), source=source)
+            check_one(
+                [[label for label, _ in axes.values()] for axes in whole],
+                " ".join(columns),
+                source=source,
+            )
         if len(whole) == 1:
             by_axis = {column[-1]: column for column in columns}
             pairs = ((label, by_axis[axis], unit) for axis, (label, unit) in whole[0].items())
-            guessed |= {label.meant: f"{column} [{unit}]" if unit else column for label, column, unit in pairs}
+            guessed |= {
+                label.meant: f"{column} [{unit}]" if unit else column
+                for label, column, unit in pairs
+            }
     return guessed
 
 
-def check_one(families: Sequence[Sequence[Label]], what: str, *, source: str, example: str = "") -> None:
+def check_one(
+    families: Sequence[Sequence[Label]], what: str, *, source: str, example: str = ""
+) -> None:
     """Refuse several sets of columns with the same meaning."""
     if len(families) > 1:
         firsts = " and ".join(f'"{family[0].text}"' for family in families)
         cure = f"{families[-1][0].text}={example or what.split()[0]}"
         raise MeasurementError(
-            f"{source}: {what} may be the columns of {firsts}; expected one set: name the right ones (--columns "
-            f"'{cure}{',...' if len(families[-1]) > 1 else ''}'), or leave out the others (--ignore)"
+            f"{source}: {what} may be the columns of {firsts}; expected one set: name the "
+            "right ones (--columns "
+            f"'{cure}{',...' if len(families[-1]) > 1 else ''}'), or leave out the others "
+            "(--ignore)"
         )
 
 
-def joint_families(labels: Sequence[Label], joints: Collection[str]) -> list[dict[str, tuple[Label, str]]]:
-    """Return columns that name joints among other words, with their units, by joint: one entry for each set of words.
+def joint_families(
+    labels: Sequence[Label], joints: Collection[str]
+) -> list[dict[str, tuple[Label, str]]]:
+    """Return columns that name joints among other words, with their units, by joint: one entry for
+    each set of words.
 
-    The word joint, topics and namespaces before a name, and words for a position are disregarded; velocities and commanded
-    positions are excluded.
+    The word joint, topics and namespaces before a name, and words for a position are disregarded;
+    velocities and commanded positions are excluded.
 
     Example:
         >>> texts = ("/joint_states/elbow_joint/position", "/joint_states/elbow_joint/velocity", "elbow.pos")
@@ -296,15 +359,19 @@ def joint_families(labels: Sequence[Label], joints: Collection[str]) -> list[dic
     families = dict[tuple[tuple[str, ...], ...], dict[str, tuple[Label, str]]]()
     for label in labels:
         for base, unit in splits(label.meant):
-            words, found = _core(base), list[tuple[int, int, str]]()
+            words = _core(base)
+            found = list[tuple[int, int, str]]()
             for joint, core in cores.items():
                 found += [
-                    (len(core), at, joint) for at in range(len(words) - len(core) + 1) if words[at : at + len(core)] == core
+                    (len(core), at, joint)
+                    for at in range(len(words) - len(core) + 1)
+                    if words[at : at + len(core)] == core
                 ]
             if not found:
                 continue
             size, at, joint = max(found)
-            before, after = words[:at], words[at + size :]
+            before = words[:at]
+            after = words[at + size :]
             if not _OTHERS & {*before, *after} and _POSITIONS.issuperset(after):
                 families.setdefault((before, after), {}).setdefault(joint, (label, unit))
                 break
@@ -321,7 +388,8 @@ def _core(name: str) -> tuple[str, ...]:
 def numbered_families(
     labels: Sequence[Label], *, is_stream: bool = False
 ) -> list[tuple[tuple[str, ...], dict[int, tuple[Label, str]]]]:
-    """Return columns of numbered joints, with their units, by number: one entry for each set of words around the number.
+    """Return columns of numbered joints, with their units, by number: one entry for each set of
+    words around the number.
 
     Args:
         labels: the columns.
@@ -329,7 +397,9 @@ def numbered_families(
     """
     families = dict[tuple[str, ...], dict[int, tuple[Label, str]]]()
     for label in labels:
-        for base, unit in splits(re.sub(r"\[(\d+)\]", r"_\1", label.meant) if is_stream else label.meant):
+        for base, unit in splits(
+            re.sub(r"\[(\d+)\]", r"_\1", label.meant) if is_stream else label.meant
+        ):
             if found := _amid_words(base) if is_stream else _after_name(base):
                 words, number = found
                 families.setdefault(words, {}).setdefault(number, (label, unit))
@@ -350,5 +420,10 @@ def _after_name(base: str) -> tuple[tuple[str, ...], int] | None:
 def _amid_words(base: str) -> tuple[tuple[str, ...], int] | None:
     words = words_of(base)
     at = next((k for k in range(len(words) - 1, 0, -1) if words[k].isdigit()), 0)
-    is_joint = at and words[at - 1] in _NUMBERS and _POSITIONS.issuperset(words[at + 1 :]) and not _OTHERS & {*words}
+    is_joint = (
+        at
+        and words[at - 1] in _NUMBERS
+        and _POSITIONS.issuperset(words[at + 1 :])
+        and not _OTHERS & {*words}
+    )
     return ((*words[:at], *words[at + 1 :]), int(words[at])) if is_joint else None

@@ -26,7 +26,8 @@ _ARRAYS = ("q", *_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row", "
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measurements(Recorded):
-    """Measured poses of one robot, one row per measured pose; absent columns are None and all arrays are read-only.
+    """Measured poses of one robot, one row per measured pose; absent columns are None and all
+    arrays are read-only.
 
     Readings of pincal's own sensors are also attributes.
 
@@ -46,23 +47,31 @@ class Measurements(Recorded):
     source: str
     """Name of the file, for messages."""
     readings: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Readings of the instrument by the fields of its sensor: shape (N,) or (N, k) each, lengths in m."""
+    """Readings of the instrument by the fields of its sensor: shape (N,) or (N, k) each, lengths in
+    m.
+    """
     point: np.ndarray | None = None
     """Name of the point of the calibration object, shape (N,)."""
     payload: np.ndarray | None = None
     """Payload [kg], shape (N,)."""
     stop: np.ndarray | None = None
-    """Name of the stop of the robot in which each row was read, shape (N,); see :mod:`pincal.measure.stops`."""
+    """Name of the stop of the robot in which each row was read, shape (N,); see
+    :mod:`pincal.measure.stops`.
+    """
     station: np.ndarray | None = None
     """Name of the set-up of instrument and targets that each row belongs to, shape (N,)."""
     from_link: np.ndarray | None = None
-    """Name of the link on which the instrument of each row is, shape (N,); default: the robot's base."""
+    """Name of the link on which the instrument of each row is, shape (N,); default: the robot's
+    base.
+    """
     to_link: np.ndarray | None = None
     """Name of the link on which the target of each row is, shape (N,); default: the robot's tip."""
     sigma: np.ndarray | None = None
     """Standard deviation of the row [m], shape (N,)."""
     readings_per_row: np.ndarray | None = None
-    """Number of readings of which each row is the mean, shape (N,); None where each row is a single reading."""
+    """Number of readings of which each row is the mean, shape (N,); None where each row is a single
+    reading.
+    """
     stops_per_row: np.ndarray | None = None
     """Number of stops of the robot in which they were read, shape (N,); None likewise."""
     units: Mapping[str, str] = field(default_factory=dict)
@@ -70,14 +79,20 @@ class Measurements(Recorded):
     approach_from: str = ""
     """Origin of ``approach`` in words, if known."""
     setup: str = ""
-    """Name of the set-up whose instrument it shares with rows between other links; empty if it shares none."""
+    """Name of the set-up whose instrument it shares with rows between other links; empty if it
+    shares none.
+    """
     moving: Moving | None = None
-    """Motion of the arm about each row, by its path (:mod:`pincal.motion`); None where poses were held."""
+    """Motion of the arm about each row, by its path (:mod:`pincal.motion`); None where poses were
+    held.
+    """
 
     def __post_init__(self) -> None:
         for name, array in self._present().items():
             object.__setattr__(self, name, _read_only(array))
-        object.__setattr__(self, "readings", {name: _read_only(array) for name, array in self.readings.items()})
+        object.__setattr__(
+            self, "readings", {name: _read_only(array) for name, array in self.readings.items()}
+        )
 
     def __len__(self) -> int:
         return len(self.q)
@@ -108,7 +123,9 @@ class Measurements(Recorded):
 
     @property
     def distance(self) -> np.ndarray | None:
-        """Distance from the instrument's point, or the row's anchor, to the target [m], shape (N,)."""
+        """Distance from the instrument's point, or the row's anchor, to the target [m],
+        shape (N,).
+        """
         return self.readings.get("distance")
 
     @property
@@ -130,7 +147,11 @@ class Measurements(Recorded):
     def point_names(self) -> np.ndarray | None:
         """Name of each row's fixed point, shape (N,); None where rows involve none."""
         sensor = self.sensor
-        return None if sensor is None or sensor.names_points is None else self.array(sensor.names_points)
+        return (
+            None
+            if sensor is None or sensor.names_points is None
+            else self.array(sensor.names_points)
+        )
 
     def array(self, name: str) -> np.ndarray:
         """Return the values of a field of the table, shape (N,) or (N, k)."""
@@ -142,10 +163,14 @@ class Measurements(Recorded):
 
     def names(self) -> dict[str, np.ndarray]:
         """Return the arrays of names, such as the target's, shape (N,) each."""
-        return {name: array for name, array in self.columns().items() if array.dtype.kind not in "fi"}
+        return {
+            name: array for name, array in self.columns().items() if array.dtype.kind not in "fi"
+        }
 
     def select(self, index_or_mask: Any) -> Measurements:
-        """Return the rows that an index, a slice or a boolean mask of shape (N,) selects, in that order."""
+        """Return the rows that an index, a slice or a boolean mask of shape (N,) selects, in that
+        order.
+        """
         take = np.atleast_1d(np.arange(len(self))[index_or_mask])
         chosen = self._with({name: array[take] for name, array in self.columns().items()})
         return chosen if self.moving is None else replace(chosen, moving=self.moving[take])
@@ -155,7 +180,9 @@ class Measurements(Recorded):
         return replace(self, readings={**self.readings, **readings})
 
     def of_joints(self, robot: Robot) -> Measurements:
-        """Return the table with positions of the URDF's joints instead of those reported by the controller."""
+        """Return the table with positions of the URDF's joints instead of those reported by the
+        controller.
+        """
         q = robot.from_reported(self.q)
         return self if q is self.q else replace(self, q=q)
 
@@ -196,7 +223,9 @@ class Measurements(Recorded):
 
     def _with(self, columns: Mapping[str, np.ndarray]) -> Measurements:
         readings = {name: columns[name] for name in self.readings}
-        rest: dict[str, Any] = {name: array for name, array in columns.items() if name not in readings}
+        rest: dict[str, Any] = {
+            name: array for name, array in columns.items() if name not in readings
+        }
         return replace(self, readings=readings, **rest)
 
     def _present(self) -> dict[str, np.ndarray]:
@@ -216,18 +245,22 @@ def measurements(
 
     Args:
         joints: the robot, or the names of its n joints.
-        q: joint positions [rad], prismatic [m], shape (N, n); dependent joints of a robot may be left out.
+        q: joint positions [rad], prismatic [m], shape (N, n); dependent joints of a robot may be
+            left out.
         rows: line numbers for messages, shape (N,); by default 2, 3, ... as if read from a file.
         source: name of the data for messages.
         units: explicitly stated units, by column.
         columns: readings and conditions by name, and fields of custom sensors; None means absent:
 
             - position: of the target in the instrument's frame [m], shape (N, 3).
-            - quaternion: orientation of the tool in the instrument's frame, x y z w, shape (N, 4); with ``position``.
-            - distance: from the instrument's point, or the row's anchor, to the target [m], shape (N,).
+            - quaternion: orientation of the tool in the instrument's frame, x y z w, shape (N, 4);
+              with ``position``.
+            - distance: from the instrument's point, or the row's anchor, to the target [m], shape
+              (N,).
             - anchor: name of the point that a distance is measured from, shape (N,).
             - socket: name of the fixed point that held the tool point, shape (N,).
-            - camera_point: point of the calibration object in the camera's frame [m], shape (N, 3); with ``point``.
+            - camera_point: point of the calibration object in the camera's frame [m], shape (N, 3);
+              with ``point``.
             - pixel: the same point in the image [px], shape (N, 2); with ``point``.
             - point: name of the point of the calibration object, shape (N,).
             - plane: name of the plane that the probe touched, shape (N,).
@@ -236,18 +269,23 @@ def measurements(
             - payload: mass at the tip [kg], shape (N,).
             - temperature: in deg C, shape (N,).
             - time: in s, shape (N,).
-            - stop: name of the stop of the robot in which a row was read, shape (N,); default: by joints, order and time.
+            - stop: name of the stop of the robot in which a row was read, shape (N,); default: by
+              joints, order and time.
             - station: name of the set-up that a row belongs to, shape (N,).
             - approach: direction from which each joint arrived, -1, 0 (unknown) or 1, shape (N, n).
-            - droop: commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n).
-            - move: last move of each joint with its sign [rad], prismatic [m], 0 where it is not known, shape (N, n).
+            - droop: commanded minus read-back position of each joint [rad], prismatic [m], shape
+              (N, n).
+            - move: last move of each joint with its sign [rad], prismatic [m], 0 where it is not
+              known, shape (N, n).
             - sigma: standard deviation of the row [m], shape (N,).
 
     Returns:
-        The measurements; target is "tool" (of a camera's readings "camera") unless given, quaternions are normalised.
+        The measurements; target is "tool" (of a camera's readings "camera") unless given,
+        quaternions are normalised.
 
     Raises:
-        MeasurementError: for an unknown column, a wrong shape, an invalid value, or two kinds of measurement.
+        MeasurementError: for an unknown column, a wrong shape, an invalid value, or two kinds of
+            measurement.
 
     Example:
         >>> measurements(["shoulder", "elbow"], [[0.1, 0.2], [0.3, 0.4]], position=[[1, 0, 0], [0, 1, 0]])
@@ -263,20 +301,26 @@ def measurements(
     if unknown:
         known = ", ".join(nearest_first(unknown, [*_OF_JOINTS, *fields]))
         raise MeasurementError(f'{source}: unknown column "{unknown[0]}"; known columns: {known}')
-    names, given = tuple(joints), {"q": q, "rows": rows, **columns}
+    names = tuple(joints)
+    given = {"q": q, "rows": rows, **columns}
     arrays = {
-        name: _as_array(name, value, fields.get(name), source=source) for name, value in given.items() if value is not None
+        name: _as_array(name, value, fields.get(name), source=source)
+        for name, value in given.items()
+        if value is not None
     }
     if arrays["q"].ndim != 2 or arrays["q"].shape[1] != len(names):
         raise MeasurementError(
-            f"{source}: q has shape {arrays['q'].shape}; expected (N, {len(names)}), one column per joint"
+            f"{source}: q has shape {arrays['q'].shape}; expected (N, {len(names)}), one "
+            "column per joint"
         )
     for name, array in arrays.items():
         width = len(fields[name].columns) if name in fields else 1
         one = arrays["q"].shape[:1] if width == 1 else (len(arrays["q"]), width)
         expected = arrays["q"].shape if name in ("q", *_OF_JOINTS) else one
         if array.shape != expected:
-            raise MeasurementError(f'{source}: "{name}" has shape {array.shape}; expected {expected}, as for q')
+            raise MeasurementError(
+                f'{source}: "{name}" has shape {array.shape}; expected {expected}, as for q'
+            )
     return validated(names, arrays, source=source, units=dict(units or {}))
 
 
@@ -296,21 +340,37 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
             tables = [_with_ones(table, name) for table in tables]
     if any(table.move is not None for table in tables):
         # Last moves are no column of a file, and unknown for rows without a declared order.
-        tables = [table if table.move is not None else replace(table, move=np.zeros(table.q.shape)) for table in tables]
+        tables = [
+            table if table.move is not None else replace(table, move=np.zeros(table.q.shape))
+            for table in tables
+        ]
     first = tables[0]
     for other in tables[1:]:
         if other.joint_names != first.joint_names:
-            expected, got = ", ".join(first.joint_names), ", ".join(other.joint_names)
+            expected = ", ".join(first.joint_names)
+            got = ", ".join(other.joint_names)
             raise MeasurementError(f"{other.source}: joints {got}; {first.source} has {expected}")
         odd = sorted(set(first.columns()) ^ set(other.columns()))
         if odd:
-            raise MeasurementError(f'"{odd[0]}" is in only one of {first.source} and {other.source}; add or drop it')
+            raise MeasurementError(
+                f'"{odd[0]}" is in only one of {first.source} and {other.source}; add or drop it'
+            )
     parts = [table.columns() for table in tables]
-    joined = first._with({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
-    units = {k: v for k, v in first.units.items() if all(table.units.get(k) == v for table in tables)}
+    joined = first._with(
+        {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    )
+    units = {
+        k: v for k, v in first.units.items() if all(table.units.get(k) == v for table in tables)
+    }
     source = ", ".join(dict.fromkeys(table.source for table in tables))
-    origins = ", ".join(dict.fromkeys(table.approach_from for table in tables if table.approach_from))
-    path = None if first.moving is None else first.moving.joined([table.moving for table in tables[1:] if table.moving])
+    origins = ", ".join(
+        dict.fromkeys(table.approach_from for table in tables if table.approach_from)
+    )
+    path = (
+        None
+        if first.moving is None
+        else first.moving.joined([table.moving for table in tables[1:] if table.moving])
+    )
     return replace(joined, units=units, source=source, approach_from=origins, moving=path)
 
 
@@ -332,7 +392,10 @@ def validated(
     given = frozenset(name for name in arrays if name in fields)
     check_fields(given, source=source)
     sensor = sensor_class(given)
-    arrays.setdefault("target", np.broadcast_to(np.array("tool" if sensor is None else sensor.default_target), count))
+    arrays.setdefault(
+        "target",
+        np.broadcast_to(np.array("tool" if sensor is None else sensor.default_target), count),
+    )
     read = {} if sensor is None else {field.name: field for field in sensor.fields}
     for name, array in arrays.items():
         _check_values(name, array, read.get(name, fields.get(name)), arrays["rows"], source=source)
@@ -357,18 +420,30 @@ def _as_array(name: str, value: ArrayLike, known: Field | None, *, source: str) 
     try:
         return np.array(value, dtype=str if is_name else int if name == "rows" else float)
     except (TypeError, ValueError) as error:
-        raise MeasurementError(f'{source}: "{name}" is not an array of {"names" if is_name else "numbers"}') from error
+        raise MeasurementError(
+            f'{source}: "{name}" is not an array of {"names" if is_name else "numbers"}'
+        ) from error
 
 
-def _check_values(name: str, values: np.ndarray, known: Field | None, lines: np.ndarray, *, source: str) -> None:
+def _check_values(
+    name: str, values: np.ndarray, known: Field | None, lines: np.ndarray, *, source: str
+) -> None:
     """Refuse invalid values of one array, naming the line of the first."""
     if values.dtype.kind not in "fi":
         return
     rule = SIGN if name == "approach" else FINITE if known is None else known.rule
-    quantity = known.quantity if known is not None else "angle" if name == "q" else _OF_JOINTS.get(name, "number")
-    right, expected = is_possible(values, quantity), expected_number(quantity)
+    quantity = (
+        known.quantity
+        if known is not None
+        else "angle"
+        if name == "q"
+        else _OF_JOINTS.get(name, "number")
+    )
+    right = is_possible(values, quantity)
+    expected = expected_number(quantity)
     if right.all():
-        right, expected = rule.is_met(values), rule.expected
+        right = rule.is_met(values)
+        expected = rule.expected
     if not right.all():
         wrong = np.flatnonzero(~right.reshape(len(right), -1).all(axis=1))
         raise MeasurementError(
@@ -380,23 +455,27 @@ def _check_values(name: str, values: np.ndarray, known: Field | None, lines: np.
 def sensor_of(measurements: Measurements, setup: Setup | None = None) -> Sensor:
     """Return the sensor of a table of measurements.
 
-    Points that the setup does not have are refused, except sockets, which are judged by the mean of their rows. By default
-    all points of the table are unknown parameters.
+    Points that the setup does not have are refused, except sockets, which are judged by the mean of
+    their rows. By default all points of the table are unknown parameters.
 
     Raises:
-        MeasurementError: if no sensor has such columns, or for a point that the setup does not have.
+        MeasurementError: if no sensor has such columns, or for a point that the setup does not
+            have.
     """
     found = measurements.sensor
     if found is None:
         raise MeasurementError(
-            f"{measurements.source}: no sensor reads measurements of kind {measurements.kind!r}; expected columns "
+            f"{measurements.source}: no sensor reads measurements of kind "
+            f"{measurements.kind!r}; expected columns "
             f"{expected_columns()}"
         )
     return found.of(measurements, Setup().over(measurements) if setup is None else setup)
 
 
 def sensor_like(measurements: Measurements, setup: Setup) -> Sensor:
-    """Return the sensor of the first row of a table, with all properties that do not depend on the rows."""
+    """Return the sensor of the first row of a table, with all properties that do not depend on the
+    rows.
+    """
     return sensor_of(measurements.select(slice(0, 1)), setup.over(measurements))
 
 
@@ -405,7 +484,9 @@ def _signature() -> inspect.Signature:
     plain = inspect.signature(measurements)
     *first, rest = plain.parameters.values()
     names = dict.fromkeys([*known_fields(), *_OF_JOINTS])
-    columns = [rest.replace(name=name, kind=inspect.Parameter.KEYWORD_ONLY, default=None) for name in names]
+    columns = [
+        rest.replace(name=name, kind=inspect.Parameter.KEYWORD_ONLY, default=None) for name in names
+    ]
     return plain.replace(parameters=[*first, *columns, rest])
 
 

@@ -1,11 +1,13 @@
-"""JSON, YAML, NumPy's .npz and MATLAB's .mat as sheets: lists of records, or columns of numbers and lists.
+"""JSON, YAML, NumPy's .npz and MATLAB's .mat as sheets: lists of records, or columns of numbers and
+lists.
 
 The columns of a list of numbers follow from its name and length.
 
-Samples of hand-eye calibrations (MoveIt, easy_handeye) hold the pose of an object in a camera for each pose of the robot.
-With a fixed camera the object is on the hand, and its pose is that of a tool. With the camera on the hand the object is
-fixed, and the inverse is the pose of the camera in the object's frame. The samples determine which: relative rotations of
-hand and object are consistent in one of the two cases only.
+Samples of hand-eye calibrations (MoveIt, easy_handeye) hold the pose of an object in a camera for
+each pose of the robot. With a fixed camera the object is on the hand, and its pose is that of a
+tool. With the camera on the hand the object is fixed, and the inverse is the pose of the camera in
+the object's frame. The samples determine which: relative rotations of hand and object are
+consistent in one of the two cases only.
 """
 
 from __future__ import annotations
@@ -24,13 +26,18 @@ from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
 from pincal.robot.se3 import transform
 
 JOINTS = re.compile(
-    r"(joints?|joint_?(positions?|values?|angles?|states?|pos)|(actual_?)?q|qpos|angles?|state)(_deg|_rad)?", re.I
+    r"(joints?|joint_?(positions?|values?|angles?|states?|pos)|(actual_?)?q|qpos|angles?|state)(_deg|_rad)?",
+    re.I,
 )
 """Names of lists of joint positions."""
-PLACE = re.compile(r"(position|pos|xyz|translation|point|p|t|trans|tvec|target|place|measured)(_mm|_m)?", re.I)
+PLACE = re.compile(
+    r"(position|pos|xyz|translation|point|p|t|trans|tvec|target|place|measured)(_mm|_m)?", re.I
+)
 TURNED = re.compile(r"(orientation|rotation|quaternions?|quat|q|ori|rot|R)(_?(xyzw|wxyz))?", re.I)
 POSE = re.compile(r".*(pose|transform|T|matrix|wrt).*", re.I)
-IS_OF_CONTROLLER = re.compile(r"robot|effector_wrt_world|(actual_)?tcp(_pose)?|flange|ee_pos(e)?|end_?effector", re.I)
+IS_OF_CONTROLLER = re.compile(
+    r"robot|effector_wrt_world|(actual_)?tcp(_pose)?|flange|ee_pos(e)?|end_?effector", re.I
+)
 """Names of poses that a controller computes from the joints, which are no measurements."""
 _UNIT = re.compile(r".*[_ \[(](deg|rad|mm|cm|m)[\])]?")
 _AXES = ("x", "y", "z")
@@ -41,7 +48,8 @@ _ORDER = "quaternions in lists are read in the order x y z w; if that is wrong, 
 def vector_labels(
     path: str, values: np.ndarray, names: Sequence[str] | None = None
 ) -> tuple[tuple[str, ...], list[np.ndarray], str]:
-    """Return labels and columns of N lists or matrices, and a note on an assumed order of components, or an empty one.
+    """Return labels and columns of N lists or matrices, and a note on an assumed order of
+    components, or an empty one.
 
     Args:
         path: their keys in the file, separated by dots.
@@ -53,11 +61,17 @@ def vector_labels(
         ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
     """
     key = path.split(".")[-1]
-    if not JOINTS.fullmatch(key) and any(IS_OF_CONTROLLER.fullmatch(part) for part in path.split(".")):
+    if not JOINTS.fullmatch(key) and any(
+        IS_OF_CONTROLLER.fullmatch(part) for part in path.split(".")
+    ):
         return *_numbered(path, values), ""
     if values.shape[1:] == (4, 4) or (values.shape[1:] == (16,) and POSE.fullmatch(key)):
         matrices = values.reshape(-1, 4, 4)
-        return (*_AXES, *_QUATERNION), [*matrices[:, :3, 3].T, *quaternions_of(matrices[:, :3, :3]).T], ""
+        return (
+            (*_AXES, *_QUATERNION),
+            [*matrices[:, :3, 3].T, *quaternions_of(matrices[:, :3, :3]).T],
+            "",
+        )
     if values.shape[1:] == (3, 3):
         return _QUATERNION, [*quaternions_of(values).T], ""
     if values.ndim != 2:
@@ -66,12 +80,20 @@ def vector_labels(
     if not labels:
         return *_numbered(path, values), ""
     unit = match[1] if (match := _UNIT.fullmatch(key)) else ""
-    return tuple(f"{label} [{unit}]" if unit and label[0] != "q" else label for label in labels), [*values.T], note
+    return (
+        tuple(f"{label} [{unit}]" if unit and label[0] != "q" else label for label in labels),
+        [*values.T],
+        note,
+    )
 
 
 def _plain(key: str, count: int, names: Sequence[str] | None) -> tuple[tuple[str, ...], str]:
     """Return the labels of ``count`` numbers and a note; no labels if undetermined."""
-    if names is not None and len(names) == count and (JOINTS.fullmatch(key) or "state" in key or "position" in key):
+    if (
+        names is not None
+        and len(names) == count
+        and (JOINTS.fullmatch(key) or "state" in key or "position" in key)
+    ):
         return tuple(map(str, names)), ""
     if count == 3 and PLACE.fullmatch(key):
         return _AXES, ""
@@ -94,7 +116,9 @@ def quaternions_of(matrices: np.ndarray) -> np.ndarray:
     """Return quaternions x y z w of rotation matrices, shape (N, 3, 3); NaN for other matrices."""
     found = np.full((len(matrices), 4), np.nan)
     product = np.einsum("nij,nkj->nik", matrices, matrices)
-    right = np.isfinite(matrices).all(axis=(1, 2)) & (np.abs(product - np.eye(3)).max(axis=(1, 2)) < 1e-2)
+    right = np.isfinite(matrices).all(axis=(1, 2)) & (
+        np.abs(product - np.eye(3)).max(axis=(1, 2)) < 1e-2
+    )
     right &= np.linalg.det(np.where(right[:, None, None], matrices, np.eye(3))) > 0
     found[right] = Rotation.from_matrix(matrices[right]).as_quat() if right.any() else found[right]
     return found
@@ -114,26 +138,35 @@ _CLEAR = 0.3
 def _tracked_poses(
     columns: Mapping[str, np.ndarray], *, is_on_hand: bool | None, source: str
 ) -> tuple[np.ndarray, tuple[str, str]] | None:
-    """Return the poses of a hand-eye calibration, shape (N, 4, 4), and the keys of its groups; None for other files.
+    """Return the poses of a hand-eye calibration, shape (N, 4, 4), and the keys of its groups; None
+    for other files.
 
     Refused if neither the file nor the samples determine whether the camera is on the hand.
     """
     parts = {path.split(".")[0] for path in columns}
-    robot, seen = (next((name for name in names if name in parts), None) for names in (_OF_ROBOT, _OF_OBJECT))
+    robot, seen = (
+        next((name for name in names if name in parts), None) for names in (_OF_ROBOT, _OF_OBJECT)
+    )
     if robot is None or seen is None:
         return None
     hand, object_ = (_matrices(columns, name, source=source) for name in (robot, seen))
     evidence = "as the file states"
     if is_on_hand is None:
-        fixed, moved = _misfit(hand, object_), _misfit(hand, np.linalg.inv(object_))
+        fixed = _misfit(hand, object_)
+        moved = _misfit(hand, np.linalg.inv(object_))
         if min(fixed, moved) > _CLEAR * max(fixed, moved):
             raise MeasurementError(
-                f"{source}: {len(hand)} samples do not show whether the camera is on the hand ({moved:.3g} rad) or fixed "
+                f"{source}: {len(hand)} samples do not show whether the camera is on the "
+                f"hand ({moved:.3g} rad) or fixed "
                 f"({fixed:.3g} rad); expected more samples with rotations about different axes"
             )
-        is_on_hand, evidence = moved < fixed, "as the samples show"
+        is_on_hand = moved < fixed
+        evidence = "as the samples show"
     where = "on the hand and the object fixed" if is_on_hand else "fixed and the object on the hand"
-    warn(f"{source}: {len(hand)} samples of a hand-eye calibration with the camera {where}, {evidence}; {robot} is not used")
+    warn(
+        f"{source}: {len(hand)} samples of a hand-eye calibration with the camera "
+        f"{where}, {evidence}; {robot} is not used"
+    )
     return np.linalg.inv(object_) if is_on_hand else object_, (robot, seen)
 
 
@@ -151,30 +184,40 @@ def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> 
                 found["q" * above.startswith(("rot", "ori")) + leaf] = values
     try:
         place, turned = (
-            np.column_stack([np.asarray(found[n], float) for n in ns]) for ns in ("xyz", ("qx", "qy", "qz", "qw"))
+            np.column_stack([np.asarray(found[n], float) for n in ns])
+            for ns in ("xyz", ("qx", "qy", "qz", "qw"))
         )
         rotations = Rotation.from_quat(turned).as_matrix()
     except (KeyError, ValueError, TypeError) as error:
         raise MeasurementError(
-            f"{source}: {group} does not hold a pose in each sample; expected translation and rotation"
+            f"{source}: {group} does not hold a pose in each sample; expected translation "
+            "and rotation"
         ) from error
     if np.isnan(quaternions_of(rotations)).any() or not np.isfinite(place).all():
-        raise MeasurementError(f"{source}: {group} does not hold a pose in each sample; expected finite numbers")
+        raise MeasurementError(
+            f"{source}: {group} does not hold a pose in each sample; expected finite numbers"
+        )
     return transform(rotations, place)
 
 
 def _misfit(hand: np.ndarray, target: np.ndarray) -> float:
-    """Return the residual of the rotations of two bodies from sample to sample as those of one rigid body [rad]."""
+    """Return the residual of the rotations of two bodies from sample to sample as those of one
+    rigid body [rad].
+    """
     turns = [
-        Rotation.from_matrix(np.einsum("nji,njk->nik", T[:-1, :3, :3], T[1:, :3, :3])).as_rotvec() for T in (hand, target)
+        Rotation.from_matrix(np.einsum("nji,njk->nik", T[:-1, :3, :3], T[1:, :3, :3])).as_rotvec()
+        for T in (hand, target)
     ]
     found = Rotation.align_vectors(*turns)[0] if len(turns[0]) else Rotation.identity()
-    return float(np.sqrt(np.mean((turns[0] - found.apply(turns[1])) ** 2))) if len(turns[0]) else 0.0
+    return (
+        float(np.sqrt(np.mean((turns[0] - found.apply(turns[1])) ** 2))) if len(turns[0]) else 0.0
+    )
 
 
 _YAML = (".yaml", ".yml", ".samples")
 # Deepest nesting of measured values, and most values of a record.
-_DEEPEST, _MOST = 12, 2000
+_DEEPEST = 12
+_MOST = 2000
 
 
 def nested_kind(path: Path) -> str:
@@ -188,7 +231,9 @@ def nested_kind(path: Path) -> str:
         return "mat"
     if re.match(rb'[{]\s*["}]|\[\s*[{\[]', start) and b"\0" not in head:
         return "json"
-    is_yaml = path.suffix.lower() in _YAML or re.match(rb"---\s|%YAML|- *\n|- \w+:\s|\w+:[ ]*\n\s*- ", start)
+    is_yaml = path.suffix.lower() in _YAML or re.match(
+        rb"---\s|%YAML|- *\n|- \w+:\s|\w+:[ ]*\n\s*- ", start
+    )
     return "yaml" if is_yaml and b"\0" not in head else ""
 
 
@@ -206,16 +251,22 @@ def open_nested(path: Path, kind: str) -> Sheet:
         raise
     except Exception as error:  # Broken files raise all kinds of errors in these libraries.
         reason = " ".join(str(error).split())[:200]
-        raise MeasurementError(f"{path.name}: can't be read as {kind} ({reason}); expected a list of records") from error
+        raise MeasurementError(
+            f"{path.name}: can't be read as {kind} ({reason}); expected a list of records"
+        ) from error
     if isinstance(data, Mapping) and {"transformation", "parameters"} <= data.keys():
         raise MeasurementError(
-            f"{path.name}: the result of a hand-eye calibration; expected the samples behind it, with --joints LOG"
+            f"{path.name}: the result of a hand-eye calibration; expected the samples "
+            "behind it, with --joints LOG"
         )
     columns = _table(data, path.name)
     found = dict[str, pl.Series]()
     for label, values in columns.items():
         if values.dtype == object:
-            texts = [None if v is None else str(v) if isinstance(v, str | int | float) else "" for v in values]
+            texts = [
+                None if v is None else str(v) if isinstance(v, str | int | float) else ""
+                for v in values
+            ]
             found[label] = pl.Series(label, texts, dtype=pl.String)
         else:
             found[label] = pl.Series(label, values)
@@ -241,7 +292,9 @@ def _yaml(path: Path) -> Any:
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.check_event(yaml.events.AliasEvent):
-                raise MeasurementError(f"{path.name}: holds references (*name); expected plain values")
+                raise MeasurementError(
+                    f"{path.name}: holds references (*name); expected plain values"
+                )
             return super().compose_node(parent, index)
 
     return yaml.load(path.read_bytes(), Plain)
@@ -258,8 +311,12 @@ def _mat(path: Path) -> Any:
     import scipy.io
 
     if path.read_bytes()[:10] == b"MATLAB 7.3":
-        raise MeasurementError(f"{path.name}: MATLAB's format 7.3 is not read; expected save(..., '-v7')")
-    check_unpacked(path, sum(8 * int(np.prod(shape, dtype=float)) for _, shape, _ in scipy.io.whosmat(path)))
+        raise MeasurementError(
+            f"{path.name}: MATLAB's format 7.3 is not read; expected save(..., '-v7')"
+        )
+    check_unpacked(
+        path, sum(8 * int(np.prod(shape, dtype=float)) for _, shape, _ in scipy.io.whosmat(path))
+    )
     found = scipy.io.loadmat(path, simplify_cells=True)
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
@@ -267,27 +324,42 @@ def _mat(path: Path) -> Any:
 def _table(data: Any, source: str) -> dict[str, np.ndarray]:
     """Return the columns of a table, shape (N,) each, as numbers or as objects."""
     columns = _by_path(data, source)
-    on_hand = (v for path, v in _flat(data) if path.split(".")[-1] == "eye_on_hand" and isinstance(v, bool))
-    if (tracked := _tracked_poses(columns, is_on_hand=next(on_hand, None), source=source)) is not None:
+    on_hand = (
+        v for path, v in _flat(data) if path.split(".")[-1] == "eye_on_hand" and isinstance(v, bool)
+    )
+    if (
+        tracked := _tracked_poses(columns, is_on_hand=next(on_hand, None), source=source)
+    ) is not None:
         poses, groups = tracked
-        columns = {path: v for path, v in columns.items() if path.split(".")[0] not in groups} | {"pose": poses}
-    names = {path: list(value) for path, value in _flat(data) if re.search(r"names?$", path) and isinstance(value, list)}
+        columns = {path: v for path, v in columns.items() if path.split(".")[0] not in groups} | {
+            "pose": poses
+        }
+    names = {
+        path: list(value)
+        for path, value in _flat(data)
+        if re.search(r"names?$", path) and isinstance(value, list)
+    }
     given = next(iter(names.values()), None)
-    found, notes = dict[str, np.ndarray](), list[str]()
+    found = dict[str, np.ndarray]()
+    notes = list[str]()
     for path, values in columns.items():
         shape = values.shape[1:]
         if not shape:
-            labels, parts = [_scalar_label(path)], [values]
+            labels = [_scalar_label(path)]
+            parts = [values]
         elif values.dtype == object or int(np.prod(shape)) > _MOST:
             continue
         else:
             several, parts, note = vector_labels(path, values, given)
-            labels, notes = [*several], [*notes, *([note] if note else [])]
+            labels = [*several]
+            notes = [*notes, *([note] if note else [])]
         if taken := [label for label in labels if label in found]:
             labels = [f"{path}.{label}" if label in taken else label for label in labels]
         found |= dict(zip(labels, parts, strict=True))
     if not found:
-        raise MeasurementError(f"{source}: no table in the file; expected a list of records, or columns of one length")
+        raise MeasurementError(
+            f"{source}: no table in the file; expected a list of records, or columns of one length"
+        )
     for note in dict.fromkeys(notes):
         warn(f"{source}: {note}")
     return found
@@ -306,27 +378,45 @@ def _by_path(data: Any, source: str) -> dict[str, np.ndarray]:
     """Return the columns of equal length N, by their keys in the file: shape (N, ...)."""
     records = data if isinstance(data, list) else None
     if isinstance(data, Mapping):
-        lists = {path: v for path, v in _flat(data) if isinstance(v, list) and v and all(isinstance(r, Mapping) for r in v)}
+        lists = {
+            path: v
+            for path, v in _flat(data)
+            if isinstance(v, list) and v and all(isinstance(r, Mapping) for r in v)
+        }
         if len(lists) > 1:
-            raise MeasurementError(f"{source}: several lists of records: {', '.join(lists)}; expected one")
+            raise MeasurementError(
+                f"{source}: several lists of records: {', '.join(lists)}; expected one"
+            )
         records = next(iter(lists.values()), None)
     if records is not None:
         if not records or not all(isinstance(record, Mapping) for record in records):
-            raise MeasurementError(f"{source}: a list without records; expected one named record per pose")
+            raise MeasurementError(
+                f"{source}: a list without records; expected one named record per pose"
+            )
         rows = [dict(_flat(record)) for record in records]
         paths = dict.fromkeys(path for row in rows for path in row)
         if len(paths) > _MOST:
-            raise MeasurementError(f"{source}: {len(paths)} values per record; expected at most {_MOST}")
+            raise MeasurementError(
+                f"{source}: {len(paths)} values per record; expected at most {_MOST}"
+            )
         return {path: _array([row.get(path) for row in rows]) for path in paths}
     if not isinstance(data, Mapping):
-        raise MeasurementError(f"{source}: holds one value; expected a list of records, or columns of one length")
+        raise MeasurementError(
+            f"{source}: holds one value; expected a list of records, or columns of one length"
+        )
     found = {path: _array(v) for path, v in _flat(data) if isinstance(v, list | np.ndarray)}
-    found = {path: np.moveaxis(v, -1, 0) if v.shape[:2] == (4, 4) and v.ndim == 3 else v for path, v in found.items()}
+    found = {
+        path: np.moveaxis(v, -1, 0) if v.shape[:2] == (4, 4) and v.ndim == 3 else v
+        for path, v in found.items()
+    }
     lengths = [len(v) for path, v in found.items() if v.ndim and not re.search(r"names?$", path)]
     count = max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
     others = [path for path, v in found.items() if not v.ndim or len(v) != count]
     if others:
-        warn(f"{source}: these differ in length from the {count} rows and are left out: {', '.join(others[:20])}")
+        warn(
+            f"{source}: these differ in length from the {count} rows and are left out: "
+            f"{', '.join(others[:20])}"
+        )
     return {path: v for path, v in found.items() if path not in others}
 
 

@@ -1,25 +1,30 @@
 """Orientations in the conventions of controllers, converted to unit quaternions x y z w.
 
 =========  =================  =======  ======================================================================
-name       columns            unit     rotation
-=========  =================  =======  ======================================================================
-``kuka``   A B C              deg      R_z(A) R_y(B) R_x(C): about z, the new y, the new x [KUKA]_
-``fanuc``  W P R              deg      R_z(R) R_y(P) R_x(W): about the fixed x, y and z [FANUC]_
-``rpy``    roll pitch yaw     rad      R_z(yaw) R_y(pitch) R_x(roll): about the fixed x, y and z [URDF]_
-``ur``     rx ry rz           rad      by the length of the vector about its direction [UR]_
-``abb``    q1 q2 q3 q4        1        quaternion w x y z [ABB]_; so is ``wxyz``
-``xyzw``   qx qy qz qw        1        quaternion x y z w [ROS]_
-=========  =================  =======  ======================================================================
+name       columns            unit     rotation =========  =================  =======
+====================================================================== ``kuka``   A B C
+deg      R_z(A) R_y(B) R_x(C): about z, the new y, the new x [KUKA]_ ``fanuc``  W P R
+deg      R_z(R) R_y(P) R_x(W): about the fixed x, y and z [FANUC]_ ``rpy``    roll pitch yaw     rad
+R_z(yaw) R_y(pitch) R_x(roll): about the fixed x, y and z [URDF]_ ``ur``     rx ry rz           rad
+by the length of the vector about its direction [UR]_ ``abb``    q1 q2 q3 q4        1
+quaternion w x y z [ABB]_; so is ``wxyz`` ``xyzw``   qx qy qz qw        1        quaternion x y z w
+[ROS]_ =========  =================  =======
+======================================================================
 
-A unit in the header overrides the one in this table. Columns named after their axes (rx ry rz, roll pitch yaw) may also hold
-the angles of another convention, and q1 q2 q3 q4 a quaternion in the order x y z w, if the user declares it.
+A unit in the header overrides the one in this table. Columns named after their axes (rx ry rz, roll
+pitch yaw) may also hold the angles of another convention, and q1 q2 q3 q4 a quaternion in the order
+x y z w, if the user declares it.
 
-.. [KUKA] KUKA System Software 8.3, Operating and Programming Instructions for System Integrators: A, B, C as rotations about
+.. [KUKA] KUKA System Software 8.3, Operating and Programming Instructions for System Integrators:
+  A, B, C as rotations about
    the Z, Y and X axis, each about the axes as turned before.
-.. [FANUC] FANUC R-30iA, KAREL Reference Manual, POSITION data type: W, P, R as rotations about the fixed X, Y and Z axes.
+.. [FANUC] FANUC R-30iA, KAREL Reference Manual, POSITION data type: W, P, R as rotations about the
+  fixed X, Y and Z axes.
 .. [URDF] https://wiki.ros.org/urdf/XML/joint, element origin, attribute rpy.
-.. [UR] Universal Robots, The URScript Programming Language: a pose is p[x, y, z, ax, ay, az] with a rotation vector.
-.. [ABB] ABB, Technical reference manual, RAPID instructions, functions and data types: orient, q1 being the scalar part.
+.. [UR] Universal Robots, The URScript Programming Language: a pose is p[x, y, z, ax, ay, az] with a
+  rotation vector.
+.. [ABB] ABB, Technical reference manual, RAPID instructions, functions and data types: orient, q1
+  being the scalar part.
 .. [ROS] REP 103 and geometry_msgs/Quaternion.
 """
 
@@ -65,7 +70,8 @@ class Convention:
         return "number" if self.kind == "quaternion" else "angle"
 
     def quaternions(self, columns: Mapping[str, np.ndarray], *, where: str) -> np.ndarray:
-        """Return quaternions x y z w, shape (N, 4), of values by column, shape (N,) each, angles in rad.
+        """Return quaternions x y z w, shape (N, 4), of values by column, shape (N,) each, angles in
+        rad.
 
         Raises:
             MeasurementError: for angles that can't be in this unit.
@@ -74,12 +80,16 @@ class Convention:
         values = np.column_stack([columns[by_axis[axis]] for axis in "xyzw" if axis in by_axis])
         if self.kind == "quaternion":
             return values
-        size = np.linalg.norm(values, axis=1) if self.kind == "vector" else np.abs(values).max(axis=1)
+        size = (
+            np.linalg.norm(values, axis=1) if self.kind == "vector" else np.abs(values).max(axis=1)
+        )
         if self.unit == "rad" and len(size) and size.max() > _FULL_TURN:
             name = CONVENTIONS[self.name].columns[0]
             raise MeasurementError(
-                f"{where}: an orientation of {size.max():.4g} rad as {self.words}, more than a revolution; in degrees? "
-                f"Then write `{name} [deg]` in the header; or choose another convention: --orientation "
+                f"{where}: an orientation of {size.max():.4g} rad as {self.words}, more "
+                "than a revolution; in degrees? "
+                f"Then write `{name} [deg]` in the header; or choose another convention: "
+                "--orientation "
                 f"{'|'.join(CONVENTIONS)}"
             )
         if self.kind == "vector":
@@ -87,7 +97,9 @@ class Convention:
         return np.asarray(Rotation.from_euler("xyz", values).as_quat())
 
     def values(self, rotation: np.ndarray) -> np.ndarray:
-        """Return the values of the columns, in their order and unit, for a rotation matrix, shape (3, 3)."""
+        """Return the values of the columns, in their order and unit, for a rotation matrix, shape
+        (3, 3).
+        """
         turned = Rotation.from_matrix(rotation)
         if self.kind == "quaternion":
             found = turned.as_quat(canonical=True)
@@ -98,11 +110,45 @@ class Convention:
 
 
 _ALL = (
-    Convention("kuka", "KUKA's A B C about z, y, x", ("A", "B", "C"), "zyx", "deg", "angles", ("A",)),
-    Convention("fanuc", "FANUC's W P R about fixed x, y, z", ("W", "P", "R"), "xyz", "deg", "angles", ("W",)),
-    Convention("abb", "ABB's quaternion w x y z", ("q1", "q2", "q3", "q4"), "wxyz", "", "quaternion", ("q1", "Q1")),
-    Convention("ur", "the rotation vector of Universal Robots", ("rx", "ry", "rz"), "xyz", "rad", "vector", ("rx",)),
-    Convention("rpy", "roll, pitch, yaw", ("roll", "pitch", "yaw"), "xyz", "rad", "angles", ("roll", "Roll", "ROLL")),
+    Convention(
+        "kuka", "KUKA's A B C about z, y, x", ("A", "B", "C"), "zyx", "deg", "angles", ("A",)
+    ),
+    Convention(
+        "fanuc",
+        "FANUC's W P R about fixed x, y, z",
+        ("W", "P", "R"),
+        "xyz",
+        "deg",
+        "angles",
+        ("W",),
+    ),
+    Convention(
+        "abb",
+        "ABB's quaternion w x y z",
+        ("q1", "q2", "q3", "q4"),
+        "wxyz",
+        "",
+        "quaternion",
+        ("q1", "Q1"),
+    ),
+    Convention(
+        "ur",
+        "the rotation vector of Universal Robots",
+        ("rx", "ry", "rz"),
+        "xyz",
+        "rad",
+        "vector",
+        ("rx",),
+    ),
+    Convention(
+        "rpy",
+        "roll, pitch, yaw",
+        ("roll", "pitch", "yaw"),
+        "xyz",
+        "rad",
+        "angles",
+        ("roll", "Roll", "ROLL"),
+    ),
     Convention("xyzw", "a quaternion x y z w", ("qx", "qy", "qz", "qw"), "xyzw", "", "quaternion"),
     Convention("wxyz", "a quaternion w x y z", ("qw", "qx", "qy", "qz"), "wxyz", "", "quaternion"),
 )
@@ -116,20 +162,28 @@ _BY_NUMBER = ("q1", "q2", "q3", "q4")
 def find_orientation(
     names: Collection[str], declared: str | None, *, taken: Collection[str], source: str
 ) -> Convention | None:
-    """Return the convention of columns that give an orientation other than by a quaternion qx qy qz qw; None without any.
+    """Return the convention of columns that give an orientation other than by a quaternion qx qy qz
+    qw; None without any.
 
     Columns have no units here; ``taken`` ones have another meaning, such as joints.
 
     Raises:
-        MeasurementError: for an unknown convention, one whose columns are missing, or columns of two conventions.
+        MeasurementError: for an unknown convention, one whose columns are missing, or columns of
+            two conventions.
     """
     free = [name for name in names if name not in taken]
     if declared is not None:
         return _as_declared(free, declared, source=source)
-    found = [replace(each, columns=columns) for each in _ALL if (columns := _known(free, each)) is not None]
+    found = [
+        replace(each, columns=columns)
+        for each in _ALL
+        if (columns := _known(free, each)) is not None
+    ]
     if len(found) > 1:
         listed = " and ".join(" ".join(each.columns) for each in found)
-        raise MeasurementError(f"{source}: orientations in {listed}; expected one: ignore the others")
+        raise MeasurementError(
+            f"{source}: orientations in {listed}; expected one: ignore the others"
+        )
     return found[0] if found else None
 
 
@@ -144,30 +198,41 @@ def _known(free: Collection[str], convention: Convention) -> tuple[str, ...] | N
     for first in convention.known_by:
         spell = str.upper if first.isupper() else str.title if first.istitle() else str.lower
         columns = tuple(spell(name) for name in convention.columns)
-        if set(columns) <= set(free) and not (convention.columns == _BY_NUMBER and spell("q5") in free):
+        if set(columns) <= set(free) and not (
+            convention.columns == _BY_NUMBER and spell("q5") in free
+        ):
             return columns
     return None
 
 
 def _as_declared(free: Collection[str], name: str, *, source: str) -> Convention:
     if name not in CONVENTIONS:
-        raise MeasurementError(f"{source}: orientation {name!r} is unknown; expected one of {', '.join(CONVENTIONS)}")
+        raise MeasurementError(
+            f"{source}: orientation {name!r} is unknown; expected one of {', '.join(CONVENTIONS)}"
+        )
     convention = CONVENTIONS[name]
     folded = {name.casefold(): name for name in free}
-    others = [other for other in _ALL if len(other.order) == len(convention.order) and convention.kind != "vector"]
+    others = [
+        other
+        for other in _ALL
+        if len(other.order) == len(convention.order) and convention.kind != "vector"
+    ]
     for other in (convention, *others):
         if all(column.casefold() in folded for column in other.columns):
             columns = tuple(folded[column.casefold()] for column in other.columns)
             order = convention.order if other.columns == _BY_NUMBER else other.order
             return replace(convention, columns=columns, order=order)
     raise MeasurementError(
-        f"{source}: no columns {' '.join(convention.columns)} for the orientation {name!r} ({convention.words}); the table "
+        f"{source}: no columns {' '.join(convention.columns)} for the orientation "
+        f"{name!r} ({convention.words}); the table "
         f"has {', '.join(free)}; name them with --columns 'NAME={convention.columns[0]},...'"
     )
 
 
 def looks_like_place(names: Collection[str]) -> bool:
-    """Return whether columns may be a position: three that differ by x, y and z at an end, or a short one with x, y or z."""
+    """Return whether columns may be a position: three that differ by x, y and z at an end, or a
+    short one with x, y or z.
+    """
     small = {name.casefold() for name in names}
     ends = ([f"{name[:-1]}{axis}" for axis in "xyz"] for name in small if name.endswith("x"))
     starts = ([f"{axis}{name[1:]}" for axis in "xyz"] for name in small if name.startswith("x"))

@@ -32,9 +32,10 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     Attributes:
         thing: name of such a point in messages.
         fewest: least number of readings of an unknown point that are redundant.
-        judges_new_points: whether a point that the calibration did not have is judged by the mean of its rows, of which it
-            needs two.
-        in_link_frame: whether points are fixed to the link at which the path starts, whose frame is the base.
+        judges_new_points: whether a point that the calibration did not have is judged by the mean
+            of its rows, of which it needs two.
+        in_link_frame: whether points are fixed to the link at which the path starts, whose frame is
+            the base.
         points: the named points.
         index: shape (N,), each row's point.
     """
@@ -49,11 +50,13 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @classmethod
     def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the readings of a table; points that the setup does not have are refused, unless they can be judged.
+        """Return the readings of a table; points that the setup does not have are refused, unless
+        they can be judged.
 
         A class with an attribute ``setup`` gets the setup.
         """
-        points, names = setup.named(), {field.name for field in cls.fields}.intersection(cls.per_row)
+        points = setup.named()
+        names = {field.name for field in cls.fields}.intersection(cls.per_row)
         index = index_of(table, points, may_be_new=cls.judges_new_points)
         others: dict[str, object] = {name: table.array(name) for name in names}
         if "setup" in cls.__dataclass_fields__:
@@ -79,7 +82,9 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @property
     @final
     def base_symbols(self) -> tuple[str, ...]:
-        """All if any point is known in the instrument's frame; else the robot's base is that frame."""
+        """All if any point is known in the instrument's frame; else the robot's base is
+        that frame.
+        """
         return FRAME_SYMBOLS if self.points.known.any() and not self.in_link_frame else ()
 
     @property
@@ -93,7 +98,9 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         gaps = self.points.distances
         if not gaps:
             return None
-        ends = np.array([[self.points.names.index(name) for name in (gap.first, gap.second)] for gap in gaps]).T
+        ends = np.array(
+            [[self.points.names.index(name) for name in (gap.first, gap.second)] for gap in gaps]
+        ).T
         places = self.points.positions(own)
         lines = places[ends[0]] - places[ends[1]]
         lengths = np.maximum(np.linalg.norm(lines, axis=1), 1e-12)
@@ -110,8 +117,15 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         known = int(self.points.known.sum())
         yield from self.unobservable_with(known)
         if known and self.points.are_in_line and not self.in_link_frame:
-            some = "fewer than three of the named points are known" if known < 3 else "the known points are collinear"
-            yield f"{some}, so a rotation of the base about them is undetermined: give another one off their line"
+            some = (
+                "fewer than three of the named points are known"
+                if known < 3
+                else "the known points are collinear"
+            )
+            yield (
+                f"{some}, so a rotation of the base about them is undetermined: give another "
+                "one off their line"
+            )
 
     @abstractmethod
     def unobservable_with(self, known: int) -> Iterator[str]:
@@ -119,17 +133,22 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @final
     def unusable_rows(self) -> Iterator[Excluded]:
-        """Yield impossible readings, then unknown points with too few readings to do more than locate them."""
+        """Yield impossible readings, then unknown points with too few readings to do more than
+        locate them.
+        """
         keep = np.ones(len(self), bool)
         if self.impossible is not None:
             keep = ~self.impossible.rows
             yield self.impossible
         lonely = np.zeros(len(self), bool)
         known = [name for name, place in self.points.places.items() if place is not None]
-        lonely[keep], listed = poor_groups(np.array(self.points.names)[self.index][keep], self.fewest, known)
+        lonely[keep], listed = poor_groups(
+            np.array(self.points.names)[self.index][keep], self.fewest, known
+        )
         yield Excluded(
             lonely,
-            f"are of {self.thing} with fewer than {self.fewest} readings, which only determine its pose ({listed})",
+            f"are of {self.thing} with fewer than {self.fewest} readings, which only "
+            f"determine its pose ({listed})",
             f"{self.fewest} readings and more of {self.thing}, in other poses",
         )
 
@@ -141,13 +160,21 @@ class PointSensor(Sensor, OwnParameters, Grouped):
     @classmethod
     @final
     def unscorable_rows(cls, table: TableRows, setup: Setup) -> Iterator[Excluded]:
-        """Yield rows of points that the calibration did not have, unless judged by the mean of two rows or more."""
+        """Yield rows of points that the calibration did not have, unless judged by the mean of two
+        rows or more.
+        """
         lost, listed = rows_of_new(table, setup, enough=2 if cls.judges_new_points else None)
-        yield Excluded(lost, f"are of points not used in the calibration ({listed})", "points of the calibration")
+        yield Excluded(
+            lost,
+            f"are of points not used in the calibration ({listed})",
+            "points of the calibration",
+        )
 
     @final
     def by_points(self, by_place: np.ndarray) -> np.ndarray:
-        """Return the derivative with respect to the unknown points, shape (own, m, N), from the rows', shape (3, m, N)."""
+        """Return the derivative with respect to the unknown points, shape (own, m, N), from the
+        rows', shape (3, m, N).
+        """
         out = np.zeros((len(self.points.parameters), *by_place.shape[1:]))
         slot = self.points.slot[self.index]
         for k in range(len(out) // 3):
@@ -157,14 +184,20 @@ class PointSensor(Sensor, OwnParameters, Grouped):
 
     @final
     def start_at_means(self, ends: np.ndarray, tools: np.ndarray) -> Extrinsics:
-        """Return the poses with each point at the mean of its rows' ``ends``, shape (N, 3), in the base frame."""
+        """Return the poses with each point at the mean of its rows' ``ends``, shape (N, 3), in the
+        base frame.
+        """
         n = len(self.points.names)
         count = np.bincount(self.index, minlength=n).astype(float)
-        places = np.stack([np.bincount(self.index, weights=column, minlength=n) for column in ends.T], axis=1)
+        places = np.stack(
+            [np.bincount(self.index, weights=column, minlength=n) for column in ends.T], axis=1
+        )
         return self.start_with_points(places / np.maximum(count, 1.0)[:, None], tools)
 
     @final
-    def start_with_points(self, places: np.ndarray, tools: np.ndarray, *, rest: np.ndarray | None = None) -> Extrinsics:
+    def start_with_points(
+        self, places: np.ndarray, tools: np.ndarray, *, rest: np.ndarray | None = None
+    ) -> Extrinsics:
         """Return the poses for points in the robot's base frame; the known ones determine the base.
 
         Args:
@@ -188,15 +221,23 @@ def _names_of(table: TableRows) -> np.ndarray:
     return names
 
 
-def poor_groups(names: np.ndarray, fewest: int, known: Collection[str] = ()) -> tuple[np.ndarray, str]:
-    """Return the rows of unknown names with fewer than ``fewest`` rows, shape (N,), and these names."""
+def poor_groups(
+    names: np.ndarray, fewest: int, known: Collection[str] = ()
+) -> tuple[np.ndarray, str]:
+    """Return the rows of unknown names with fewer than ``fewest`` rows, shape (N,), and these
+    names.
+    """
     found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
     poor = (count < fewest) & np.array([str(name) not in known for name in found], bool)
     return poor[inverse], few(found[poor], _LISTED)
 
 
-def rows_of_new(table: TableRows, setup: Setup, *, enough: int | None = None) -> tuple[np.ndarray, str]:
-    """Return the rows of names that a calibration did not have, shape (N,), unless they are enough, and these names."""
+def rows_of_new(
+    table: TableRows, setup: Setup, *, enough: int | None = None
+) -> tuple[np.ndarray, str]:
+    """Return the rows of names that a calibration did not have, shape (N,), unless they are enough,
+    and these names.
+    """
     names = _names_of(table)
     found, inverse, count = np.unique(names, return_inverse=True, return_counts=True)
     is_new = np.array([str(name) not in setup.points for name in found], bool)
@@ -205,7 +246,9 @@ def rows_of_new(table: TableRows, setup: Setup, *, enough: int | None = None) ->
 
 
 def index_of(table: TableRows, points: NamedPoints, *, may_be_new: bool = False) -> np.ndarray:
-    """Return the index of each row's point, shape (N,); new points are refused, or have the indices -1, -2, ..."""
+    """Return the index of each row's point, shape (N,); new points are refused, or have the indices
+    -1, -2, ...
+    """
     names = _names_of(table)
     found, inverse = np.unique(names, return_inverse=True)
     place = {name: i for i, name in enumerate(points.names)}
@@ -216,12 +259,17 @@ def index_of(table: TableRows, points: NamedPoints, *, may_be_new: bool = False)
             f"{table.source}, line {table.rows[row]}: point {new[0]!r} was not among those of the "
             f"calibration; expected {few(points.names, _LISTED)}"
         )
-    index = np.array([place[str(name)] if str(name) in place else -1 - new.index(str(name)) for name in found], int)
+    index = np.array(
+        [place[str(name)] if str(name) in place else -1 - new.index(str(name)) for name in found],
+        int,
+    )
     return index[inverse]
 
 
 def centred(values: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return values, shape (N, 3, ...), minus the mean over the rows of the same point, as shape (3 N, ...)."""
+    """Return values, shape (N, 3, ...), minus the mean over the rows of the same point, as shape (3
+    N, ...).
+    """
     _, group, count = np.unique(index, return_inverse=True, return_counts=True)
     total = np.zeros((len(count), *values.shape[1:]))
     np.add.at(total, group, values)

@@ -1,11 +1,13 @@
 r"""Replicates: the rows of each pose, and the table with one row per pose.
 
-Rows are of one pose if they have the same joint positions, target, named point, payload and direction of approach, and
-temperatures within 4 K, as ISO 9283 allows :math:`\pm 2` K. Times may differ, so that drift counts as poor repeatability.
+Rows are of one pose if they have the same joint positions, target, named point, payload and
+direction of approach, and temperatures within 4 K, as ISO 9283 allows :math:`\pm 2` K. Times may
+differ, so that drift counts as poor repeatability.
 
-The error of the robot is common to all readings of a pose: they are one observation of the robot, however many they are. So
-fits, tests and held-out sets use the means of poses. The scatter of the readings of a pose is pure error, against which the
-means are judged (:mod:`pincal.validate.lack_of_fit`).
+The error of the robot is common to all readings of a pose: they are one observation of the robot,
+however many they are. So fits, tests and held-out sets use the means of poses. The scatter of the
+readings of a pose is pure error, against which the means are judged
+(:mod:`pincal.validate.lack_of_fit`).
 """
 
 from __future__ import annotations
@@ -23,10 +25,13 @@ from pincal.measure.registry import known_fields
 SCATTER = 1e-4
 """Joint positions that count as the same although drives settle differently [rad or m].
 
-Drives repeat to 1e-5 to 9e-5 rad (Slamani 2012: an IRB 1600 to 8.7e-5); means of closer rows are exact to 1e-9 m.
+Drives repeat to 1e-5 to 9e-5 rad (Slamani 2012: an IRB 1600 to 8.7e-5); means of closer rows are
+exact to 1e-9 m.
 """
-# Payloads that count as the same [kg]: a gram bends no arm. Range of temperatures by ISO 9283, ±2 K [K].
-_SAME_LOAD, _SAME_CLIMATE = 1e-3, 4.0
+# Payloads that count as the same [kg]: a gram bends no arm. Range of temperatures by ISO 9283, ±2 K
+# [K].
+_SAME_LOAD = 1e-3
+_SAME_CLIMATE = 4.0
 
 
 def by_pose(table: Measurements) -> Measurements:
@@ -48,11 +53,13 @@ def by_pose(table: Measurements) -> Measurements:
 
 
 def mean_rows(table: Measurements, group: np.ndarray) -> Measurements:
-    """Return a table with one row for each group of rows: the mean of readings, joints and conditions.
+    """Return a table with one row for each group of rows: the mean of readings, joints and
+    conditions.
 
     Args:
         table: the table; copies among its rows count once.
-        group: shape (N,), number of each row's group; rows of one group are of one target and point.
+        group: shape (N,), number of each row's group; rows of one group are of one target and
+            point.
 
     Returns:
         The means in the order of their first rows, with ``readings_per_row`` counted; the table
@@ -63,9 +70,12 @@ def mean_rows(table: Measurements, group: np.ndarray) -> Measurements:
     kept = without_copies(table, group)
     table = table.select(kept)
     group = group[kept]
-    _, first, number, count = np.unique(group, return_index=True, return_inverse=True, return_counts=True)
+    _, first, number, count = np.unique(
+        group, return_index=True, return_inverse=True, return_counts=True
+    )
     in_order = np.argsort(first)
-    first, count = first[in_order], count[in_order]
+    first = first[in_order]
+    count = count[in_order]
     number = np.argsort(in_order)[number.ravel()]
     if len(first) == len(group):
         return replace(table, readings_per_row=count)
@@ -92,7 +102,9 @@ def mean_rows(table: Measurements, group: np.ndarray) -> Measurements:
     if table.sigma is not None:
         means["sigma"] = mass**-0.5
     rows = table.select(first)
-    readings: Mapping[str, np.ndarray] = {name: means.pop(name, array) for name, array in rows.readings.items()}
+    readings: Mapping[str, np.ndarray] = {
+        name: means.pop(name, array) for name, array in rows.readings.items()
+    }
     others: dict[str, Any] = means
     return replace(rows, readings=readings, readings_per_row=count, **others)
 
@@ -105,7 +117,8 @@ def without_copies(table: Measurements, group: np.ndarray) -> np.ndarray:
 def numbers_of_copies(table: Measurements, group: np.ndarray) -> np.ndarray:
     """Return a number for each row, shape (N,), that only copies of it in its group share.
 
-    Copies have the same readings, or the same joints where these are all that is read, as in sockets.
+    Copies have the same readings, or the same joints where these are all that is read, as in
+    sockets.
     """
     numbers = {name: a for name, a in table.columns().items() if a.dtype.kind == "f"}
     read = [numbers[name].reshape(len(group), -1) for name in table.readings if name in numbers]
@@ -123,8 +136,8 @@ def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) ->
         within: difference of joint positions that count as the same [rad or m].
 
     Returns:
-        For each table shape (N,), integers from 0; equal for readings of the same target, and point, at
-        the same pose.
+        For each table shape (N,), integers from 0; equal for readings of the same target, and
+        point, at the same pose.
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
@@ -139,13 +152,15 @@ def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) ->
 def pose_groups(tables: Sequence[Measurements], *, within: float = SCATTER) -> list[np.ndarray]:
     """Return the pose of each row of some tables as a number, whatever was read there.
 
-    Arguments and result as for :func:`replicate_groups`: readings of several targets at one pose have
-    one number.
+    Arguments and result as for :func:`replicate_groups`: readings of several targets at one pose
+    have one number.
     """
     return _pose_numbers(tables, within, by_thing=False)
 
 
-def _pose_numbers(tables: Sequence[Measurements], within: float, *, by_thing: bool) -> list[np.ndarray]:
+def _pose_numbers(
+    tables: Sequence[Measurements], within: float, *, by_thing: bool
+) -> list[np.ndarray]:
     ends = np.cumsum([len(t) for t in tables])[:-1]
     keys = [same_joints(np.vstack([table.q for table in tables]), within)]
     if len(np.unique(keys[0])) == len(keys[0]):
@@ -154,7 +169,10 @@ def _pose_numbers(tables: Sequence[Measurements], within: float, *, by_thing: bo
     for name in dict.fromkeys(name for columns in named for name in columns):
         # A stop is a visit of a pose, not another pose.
         if by_thing and name != "stop":
-            names = [columns.get(name, np.full(len(t), "")) for t, columns in zip(tables, named, strict=True)]
+            names = [
+                columns.get(name, np.full(len(t), ""))
+                for t, columns in zip(tables, named, strict=True)
+            ]
             keys.append(np.unique(np.concatenate(names), return_inverse=True)[1])
     keys.append(np.round(_stacked(tables, "payload") / _SAME_LOAD).astype(int))
     if any(table.approach is not None for table in tables):
@@ -173,7 +191,9 @@ def _pose_numbers(tables: Sequence[Measurements], within: float, *, by_thing: bo
 def _stacked(tables: Sequence[Measurements], name: str) -> np.ndarray:
     """Return a column of numbers, 0 where a table has none."""
     columns = [getattr(table, name) for table in tables]
-    return np.concatenate([np.zeros(len(t)) if c is None else c for t, c in zip(tables, columns, strict=True)])
+    return np.concatenate(
+        [np.zeros(len(t)) if c is None else c for t, c in zip(tables, columns, strict=True)]
+    )
 
 
 def _numbered(keys: np.ndarray) -> np.ndarray:
@@ -192,9 +212,12 @@ def same_joints(q: np.ndarray, within: float = SAME) -> np.ndarray:
 
     cells, inverse = np.unique(np.floor(q / within), axis=0, return_inverse=True)
     pairs = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
+    links = coo_array(
+        (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells))
+    )
     count, label = connected_components(links, directed=False)
-    low, high = np.full((count, q.shape[1]), np.inf), np.full((count, q.shape[1]), -np.inf)
+    low = np.full((count, q.shape[1]), np.inf)
+    high = np.full((count, q.shape[1]), -np.inf)
     np.minimum.at(low, label, cells)
     np.maximum.at(high, label, cells)
     # A slow motion connects cells over a long distance: its rows are not replicates.
@@ -206,11 +229,16 @@ def same_joints(q: np.ndarray, within: float = SAME) -> np.ndarray:
 def _same_climate(temperature: np.ndarray, poses: np.ndarray) -> np.ndarray:
     """Return the temperature window of each row within its pose, as a number."""
     window = np.zeros(len(poses), int)
-    pose, lowest, number = -1, 0.0, 0
+    pose = -1
+    lowest = 0.0
+    number = 0
     for row in np.lexsort((temperature, poses)):
         if poses[row] != pose:
-            pose, lowest, number = poses[row], temperature[row], 0
+            pose = poses[row]
+            lowest = temperature[row]
+            number = 0
         elif temperature[row] - lowest > _SAME_CLIMATE:
-            lowest, number = temperature[row], number + 1
+            lowest = temperature[row]
+            number = number + 1
         window[row] = number
     return window

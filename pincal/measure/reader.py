@@ -1,4 +1,5 @@
-"""Reading a table: columns by name and unit, converted to SI units and assembled into the fields of a schema.
+"""Reading a table: columns by name and unit, converted to SI units and assembled into the fields of
+a schema.
 
 Measurements, targets of a compensation and lists of known points are tables of different schemas.
 """
@@ -16,8 +17,25 @@ import numpy as np
 from pincal.errors import MeasurementError, warn
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, gives_order, moves_of_table
 from pincal.measure.excel_sheet import ENDINGS, open_excel
-from pincal.measure.fields import CONDITIONS, FIRST, OF_EACH_JOINT, OTHERS, SECOND, Field, Schema, TableOptions, link_of
-from pincal.measure.header import NANOSECONDS, check_joints, matched, rotations, understood, with_joints
+from pincal.measure.fields import (
+    CONDITIONS,
+    FIRST,
+    OF_EACH_JOINT,
+    OTHERS,
+    SECOND,
+    Field,
+    Schema,
+    TableOptions,
+    link_of,
+)
+from pincal.measure.header import (
+    NANOSECONDS,
+    check_joints,
+    matched,
+    rotations,
+    understood,
+    with_joints,
+)
 from pincal.measure.joined import Log, held_rows, join
 from pincal.measure.labels import is_named, joint_families, renamed, spelled, unignored
 from pincal.measure.nested_sheet import nested_kind, open_nested
@@ -46,7 +64,8 @@ def open_sheet(
         path: the file; a recording may be a folder.
         ignore: topics of a recording to leave out.
         only_joints: whether to read only the joints of a recording, sample by sample.
-        joints: those that have to stand still in a recording, and by which the header of a table is recognised.
+        joints: those that have to stand still in a recording, and by which the header of a table is
+            recognised.
         sheet: worksheet of a workbook.
 
     Raises:
@@ -85,7 +104,9 @@ def typed_errors(path: Path) -> Iterator[None]:
         raise MeasurementError(f"{path}: is a folder; expected a file, .csv or .parquet") from error
     except (OSError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         reason = str(error).strip().split("\n")[0]
-        raise MeasurementError(f"{path}: can't be read ({reason}); expected a CSV or .parquet table") from error
+        raise MeasurementError(
+            f"{path}: can't be read ({reason}); expected a CSV or .parquet table"
+        ) from error
 
 
 @dataclass(frozen=True)
@@ -93,8 +114,8 @@ class Cells:
     """The contents of a table of N rows.
 
     Attributes:
-        arrays: values in SI units by field, shape (N,) or (N, k); "q", "approach" and "move" of the joints, shape (N, n),
-            where there are any.
+        arrays: values in SI units by field, shape (N,) or (N, k); "q", "approach" and "move" of the
+            joints, shape (N, n), where there are any.
         rows: shape (N,), line of each row in its file, the header being line 1.
         units: the units in the header, by column.
         approach_from: origin of the directions of approach, in words; empty where there are none.
@@ -113,22 +134,32 @@ class Cells:
 
 
 def read_table(path: str | os.PathLike[str], schema: Schema, *, part: range | None = None) -> Cells:
-    """Read a table, or some rows of a Parquet file, by a schema of its possible contents; see :func:`open_sheet`.
+    """Read a table, or some rows of a Parquet file, by a schema of its possible contents; see
+    :func:`open_sheet`.
 
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or cell that is invalid.
     """
     path = Path(path)
     with typed_errors(path):
-        sheet = open_sheet(path, ignore=schema.options.ignore, joints=schema.joint_names, sheet=schema.options.sheet)
+        sheet = open_sheet(
+            path,
+            ignore=schema.options.ignore,
+            joints=schema.joint_names,
+            sheet=schema.options.sheet,
+        )
         sheet = sheet if part is None else _part(sheet, part)
         if was_joined := schema.options.joints is not None and bool(schema.joint_names):
             sheet, schema = _with_log(sheet, schema)
     return cells_of(sheet, schema, is_part=part is not None, was_joined=was_joined)
 
 
-def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined: bool = False) -> Cells:
-    """Return the contents of a sheet; a part of a table, or a stream, is not cut into held poses."""
+def cells_of(
+    sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined: bool = False
+) -> Cells:
+    """Return the contents of a sheet; a part of a table, or a stream, is not cut into
+    held poses.
+    """
     path = sheet.path
     with typed_errors(path):
         header = understood(sheet, schema)
@@ -137,33 +168,54 @@ def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined:
         values["time"] = values["time"] + values.pop(NANOSECONDS)
     if header.orientation is not None:
         found = header.orientation.quaternions(values, where=path.name)
-        values = {name: value for name, value in values.items() if name not in header.orientation.columns}
+        values = {
+            name: value for name, value in values.items() if name not in header.orientation.columns
+        }
         values |= zip(rotations(schema.fields).columns, found.T, strict=True)
     joints = header.joints
     resting = [name for name in schema.resting if name in joints and name not in values]
     values |= {name: np.full(len(rows), schema.resting[name]) for name in resting}
     if resting:
         at = ", ".join(f"{name} at {schema.resting[name]:g}" for name in resting)
-        warn(f"{path.name}: no column for {len(resting)} joints off the paths of these rows; they are assumed at rest: {at}")
+        warn(
+            f"{path.name}: no column for {len(resting)} joints off the paths of these "
+            f"rows; they are assumed at rest: {at}"
+        )
     if joints and (missing := [name for name in joints if name not in values]):
         values |= _followers(schema, values, missing)
-    if joints and header.readings and "time" in values and not is_part and not schema.may_lack_joints:
+    if (
+        joints
+        and header.readings
+        and "time" in values
+        and not is_part
+        and not schema.may_lack_joints
+    ):
         values, rows = held_rows(values, rows, joints, was_joined=was_joined, source=path.name)
     droop = _droop(values, joints, source=path.name)
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
     if droop is not None:
         arrays["droop"] = droop
-    given = {what: {j: values.pop(f"{what}_{j}") for j in joints if f"{what}_{j}" in values} for what in OF_EACH_JOINT}
+    given = {
+        what: {j: values.pop(f"{what}_{j}") for j in joints if f"{what}_{j}" in values}
+        for what in OF_EACH_JOINT
+    }
     sides = given["approach"]
     origin = BY_COLUMNS if sides else ""
-    time, in_order = values.get("time"), schema.options.rows_in_order
+    time = values.get("time")
+    in_order = schema.options.rows_in_order
     if joints and (in_order or gives_order(time, arrays["q"])):
         moves = moves_of_table(arrays["q"], time=time, station=values.get("station"))
         arrays["move"] = agreeing(moves, sides, joints)
         if in_order:
-            given["approach"], origin = completed(sides, joints, moves, by_time=time is not None, source=path.name)
+            given["approach"], origin = completed(
+                sides, joints, moves, by_time=time is not None, source=path.name
+            )
     unknown = np.zeros(len(rows))
-    arrays |= {what: np.column_stack([own.get(j, unknown) for j in joints]) for what, own in given.items() if own}
+    arrays |= {
+        what: np.column_stack([own.get(j, unknown) for j in joints])
+        for what, own in given.items()
+        if own
+    }
     for of in schema.fields:
         if any(name in values for name in of.columns):
             arrays[of.name] = _whole(of, values, source=path.name)
@@ -171,27 +223,40 @@ def cells_of(sheet: Sheet, schema: Schema, *, is_part: bool = False, was_joined:
     return Cells(arrays, rows, units, origin, sheet, header.columns, header.orientation)
 
 
-def _followers(schema: Schema, values: Mapping[str, np.ndarray], missing: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the columns of dependent joints: positions, and directions of approach where those of others are given."""
-    joints, nothing = schema.joint_names, np.zeros(len(values[schema.own_joints[0]]))
+def _followers(
+    schema: Schema, values: Mapping[str, np.ndarray], missing: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """Return the columns of dependent joints: positions, and directions of approach where those of
+    others are given.
+    """
+    joints = schema.joint_names
+    nothing = np.zeros(len(values[schema.own_joints[0]]))
     q = np.column_stack([values.get(name, nothing) for name in joints])
     found = schema.following(q)
     columns = {name: found[:, joints.index(name)] for name in missing}
     if any(f"approach_{name}" in values for name in joints):
         step = np.column_stack([values.get(f"approach_{name}", nothing) for name in joints])
         moved = schema.following(q + _SMALL * step) - found
-        columns |= {f"approach_{name}": np.sign(np.round(moved[:, joints.index(name)] / _SMALL, 3)) for name in missing}
+        columns |= {
+            f"approach_{name}": np.sign(np.round(moved[:, joints.index(name)] / _SMALL, 3))
+            for name in missing
+        }
     return columns
 
 
 def _part(sheet: Sheet, part: range) -> Sheet:
     if not isinstance(sheet, FrameSheet) or sheet.rows is not None:
-        raise MeasurementError(f"{sheet.path.name}: only a Parquet file is read in parts; write the table as .parquet")
+        raise MeasurementError(
+            f"{sheet.path.name}: only a Parquet file is read in parts; write the table as .parquet"
+        )
     return sheet.part(part)
 
 
-def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str) -> np.ndarray | None:
-    """Remove second positions of joints from the values; return commanded minus read back, shape (N, n), if any.
+def _droop(
+    values: dict[str, np.ndarray], joints: Sequence[str], *, source: str
+) -> np.ndarray | None:
+    """Remove second positions of joints from the values; return commanded minus read back, shape
+    (N, n), if any.
 
     Raises:
         MeasurementError: if both are given in addition to the joints' own columns.
@@ -202,17 +267,22 @@ def _droop(values: dict[str, np.ndarray], joints: Sequence[str], *, source: str)
         return None
     if len(kinds) > 1:
         raise MeasurementError(
-            f"{source}: columns commanded_<joint> and read_<joint> in addition to those of the joints; expected two "
+            f"{source}: columns commanded_<joint> and read_<joint> in addition to those "
+            "of the joints; expected two "
             "records: name the one to fit as the joints, as with --columns read_joint_1=joint_1"
         )
     (kind,) = kinds
     fitted = {"commanded": "read back", "read": "commanded"}[kind]
     warn(
-        f"{source}: the joints' own columns are fitted, as positions that were {fitted}; {kind}_{given[kind][0]} ... show "
+        f"{source}: the joints' own columns are fitted, as positions that were {fitted}; "
+        f"{kind}_{given[kind][0]} ... show "
         "the steady-state position error"
     )
     nothing = np.zeros(len(values[joints[0]]))
-    found = [OTHERS[kind] * (values.pop(f"{kind}_{j}") - values[j]) if j in given[kind] else nothing for j in joints]
+    found = [
+        OTHERS[kind] * (values.pop(f"{kind}_{j}") - values[j]) if j in given[kind] else nothing
+        for j in joints
+    ]
     return np.column_stack(found)
 
 
@@ -220,14 +290,17 @@ def _whole(part: Field, values: Mapping[str, np.ndarray], *, source: str) -> np.
     """Return the array of a field; refuse a table with only some of its columns."""
     given = [name for name in part.columns if name in values]
     if missing := [name for name in part.columns if name not in values]:
-        raise MeasurementError(f"{source}: {' '.join(given)} without {' '.join(missing)}; add what is missing")
+        raise MeasurementError(
+            f"{source}: {' '.join(given)} without {' '.join(missing)}; add what is missing"
+        )
     return np.column_stack([values[name] for name in given]) if len(given) > 1 else values[given[0]]
 
 
 def read_columns(
     path: str | os.PathLike[str], quantities: Mapping[str, str], *, optional: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
-    """Return the columns in SI units, shape (N,) each, of a small table whose columns are all known.
+    """Return the columns in SI units, shape (N,) each, of a small table whose columns are all
+    known.
 
     Args:
         path: the file; formats and units as in a table of measurements.
@@ -241,20 +314,28 @@ def read_columns(
     found = read_table(path, schema).arrays
     required = [name for name in quantities if name not in optional]
     if missing := [name for name in required if name not in found]:
-        raise MeasurementError(f"{Path(path).name}: no column {missing[0]!r}; expected columns {' '.join(required)}")
+        raise MeasurementError(
+            f"{Path(path).name}: no column {missing[0]!r}; expected columns {' '.join(required)}"
+        )
     return found
 
 
 def joint_columns(
-    path: str | os.PathLike[str], names: Iterable[str], options: TableOptions, *, by_words: bool = True
+    path: str | os.PathLike[str],
+    names: Iterable[str],
+    options: TableOptions,
+    *,
+    by_words: bool = True,
 ) -> tuple[str, ...]:
-    """Return which joints have a column in a table, in the order of the columns, without reading its rows.
+    """Return which joints have a column in a table, in the order of the columns, without reading
+    its rows.
 
     Args:
         path: the table.
         names: of the joints.
         options: how to read the table.
-        by_words: whether names may be among other words if no column has exactly such a name, as in logs of motion.
+        by_words: whether names may be among other words if no column has exactly such a name, as in
+            logs of motion.
 
     Raises:
         MeasurementError: for a file that can't be read.
@@ -267,10 +348,14 @@ def joint_columns(
             open_sheet(Path(path), ignore=options.ignore, joints=known, sheet=options.sheet)
     place = Path(path if options.joints is None else options.joints)
     with typed_errors(place):
-        sheet = open_sheet(place, ignore=options.ignore, only_joints=True, joints=known, sheet=options.sheet)
+        sheet = open_sheet(
+            place, ignore=options.ignore, only_joints=True, joints=known, sheet=options.sheet
+        )
         # Other names are refused, or belong to another file, when rows are read.
         here = {
-            name: meaning for name, meaning in options.columns.items() if any(is_named(text, name) for text in sheet.labels)
+            name: meaning
+            for name, meaning in options.columns.items()
+            if any(is_named(text, name) for text in sheet.labels)
         }
         labels = renamed(sheet.labels, here, source=place.name)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
@@ -279,8 +364,11 @@ def joint_columns(
     return tuple(dict.fromkeys(name for name, _ in filter(None, found)))
 
 
-def of_path(path: str | os.PathLike[str], names: Collection[str], options: TableOptions) -> TableOptions:
-    """Return how to read a table of joints, whose columns may lack the common prefix of the joints' names.
+def of_path(
+    path: str | os.PathLike[str], names: Collection[str], options: TableOptions
+) -> TableOptions:
+    """Return how to read a table of joints, whose columns may lack the common prefix of the joints'
+    names.
 
     The controllers of two identical robots use the same names.
     """
@@ -289,13 +377,18 @@ def of_path(path: str | os.PathLike[str], names: Collection[str], options: Table
         return options
     for end in (i + 1 for i, letter in enumerate(first) if letter == "_"):
         own = {name[end:]: name for name in names if name.startswith(first[:end])}
-        if len(own) == len(names) and own.keys() <= set(joint_columns(path, own, options, by_words=False)):
+        if len(own) == len(names) and own.keys() <= set(
+            joint_columns(path, own, options, by_words=False)
+        ):
             return replace(options, columns={**options.columns, **own})
     return options
 
 
-def links_of_rows(path: str | os.PathLike[str], options: TableOptions) -> list[tuple[str | None, str | None]]:
-    """Return the pairs of links between which the rows of a table are, None for links that it does not name.
+def links_of_rows(
+    path: str | os.PathLike[str], options: TableOptions
+) -> list[tuple[str | None, str | None]]:
+    """Return the pairs of links between which the rows of a table are, None for links that it does
+    not name.
 
     Raises:
         MeasurementError: for a file that can't be read, or a point that is not LINK:NAME.
@@ -306,41 +399,70 @@ def links_of_rows(path: str | os.PathLike[str], options: TableOptions) -> list[t
         sheet = open_sheet(path, ignore=options.ignore, sheet=options.sheet)
         labels = renamed(sheet.labels, options.columns, source=path.name, others=sheet.labels)
     names = {name for part in fields for name in part.columns}
-    if not any((spelled(label, dict.fromkeys(names, "name")) or ("",))[0] in names for label in labels):
+    if not any(
+        (spelled(label, dict.fromkeys(names, "name")) or ("",))[0] in names for label in labels
+    ):
         return [(None, None)]
-    schema = Schema(tuple(fields), options=replace(options, ignore=("*", *options.ignore), joints=None))
+    schema = Schema(
+        tuple(fields), options=replace(options, ignore=("*", *options.ignore), joints=None)
+    )
     cells = read_table(path, schema)
     ends: list[list[str | None]]
     if FIRST.name in cells.arrays and SECOND.name in cells.arrays:
-        ends = [[link_of(str(point), where=path.name) for point in cells.arrays[end.name]] for end in (FIRST, SECOND)]
+        ends = [
+            [link_of(str(point), where=path.name) for point in cells.arrays[end.name]]
+            for end in (FIRST, SECOND)
+        ]
     else:
         columns = (cells.arrays.get(f"{end}_link") for end in ("from", "to"))
-        ends = [[None] * len(cells.rows) if column is None else list(map(str, column)) for column in columns]
+        ends = [
+            [None] * len(cells.rows) if column is None else list(map(str, column))
+            for column in columns
+        ]
     return list(dict.fromkeys(zip(*ends, strict=True))) or [(None, None)]
 
 
 def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
     """Return a table joined with the log named by the user, and the schema for reading it."""
-    options, source = schema.options, sheet.path.name
+    options = schema.options
+    source = sheet.path.name
     path = Path(options.joints or "")
     quantities = schema.quantities(source=path.name)
-    readings = {name for part in schema.fields if part.name not in CONDITIONS for name in part.columns}
+    readings = {
+        name for part in schema.fields if part.name not in CONDITIONS for name in part.columns
+    }
     others = {name: quantity for name, quantity in quantities.items() if name not in readings}
     with typed_errors(path):
         log = open_sheet(path, ignore=options.ignore, only_joints=True, joints=schema.joint_names)
-        labels = unignored(renamed(log.labels, options.columns, source=path.name, others=sheet.labels), options.ignore)
+        labels = unignored(
+            renamed(log.labels, options.columns, source=path.name, others=sheet.labels),
+            options.ignore,
+        )
         labels = with_joints(labels, schema, quantities, sheet=log)
         columns, unknown = matched(labels, others, {}, source=path.name)
         check_joints([name for name in schema.needed_joints if name not in columns], unknown, log)
         values, _ = read_cells(log, tuple(columns.values()))
-    mine = unignored(renamed(sheet.labels, options.columns, source=source, others=log.labels), options.ignore)
+    mine = unignored(
+        renamed(sheet.labels, options.columns, source=source, others=log.labels), options.ignore
+    )
     found, _ = matched(mine, quantities, {}, source=source)
     if twice := [name for name in schema.joint_names if name in found]:
         raise MeasurementError(
-            f'{source}: joint "{twice[0]}" is in {path.name} as well; omit --joints, or ignore the column'
+            f'{source}: joint "{twice[0]}" is in {path.name} as well; omit --joints, or '
+            "ignore the column"
         )
     time = read_cells(sheet, (found["time"],))[0]["time"] if "time" in found else None
     known = {*quantities, *options.ignore}
-    whole = join(sheet, Log(log, values, schema.own_joints, is_shared=options.shares_log), time, known=known, has=found)
-    here = {name: meaning for name, meaning in options.columns.items() if any(is_named(text, name) for text in whole.labels)}
+    whole = join(
+        sheet,
+        Log(log, values, schema.own_joints, is_shared=options.shares_log),
+        time,
+        known=known,
+        has=found,
+    )
+    here = {
+        name: meaning
+        for name, meaning in options.columns.items()
+        if any(is_named(text, name) for text in whole.labels)
+    }
     return whole, replace(schema, options=replace(options, joints=None, columns=here))

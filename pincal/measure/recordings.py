@@ -1,12 +1,13 @@
 """Parquet files, data sets of LeRobot and recordings of ROS as sheets.
 
-In Parquet each number of a list is a column. A data set is a folder with ``data/*/*.parquet`` and ``meta/info.json``, which
-names the numbers of each feature.
+In Parquet each number of a list is a column. A data set is a folder with ``data/*/*.parquet`` and
+``meta/info.json``, which names the numbers of each feature.
 
-A recording of ROS (rosbag2 folders, .mcap, .db3, and .bag of ROS 1) gives one row per pose that was held still. Joints are
-from a topic of JointState, readings from one of PoseStamped, PointStamped or TransformStamped, or else from the one
-transform of /tf that moves freely, as no joint of a robot does. Times are the recorder's, so that clocks of several
-computers don't matter. Joints and readings are means over the pose.
+A recording of ROS (rosbag2 folders, .mcap, .db3, and .bag of ROS 1) gives one row per pose that was
+held still. Joints are from a topic of JointState, readings from one of PoseStamped, PointStamped or
+TransformStamped, or else from the one transform of /tf that moves freely, as no joint of a robot
+does. Times are the recorder's, so that clocks of several computers don't matter. Joints and
+readings are means over the pose.
 """
 
 from __future__ import annotations
@@ -63,39 +64,61 @@ def open_dataset(path: Path) -> FrameSheet:
 
     files = sorted((path / "data").rglob("*.parquet"))
     if not files:
-        raise MeasurementError(f"{path.name}: no Parquet file in data/; expected a data set of LeRobot")
+        raise MeasurementError(
+            f"{path.name}: no Parquet file in data/; expected a data set of LeRobot"
+        )
     sheets = [_scanned(file) for file in files]
     if len({sheet.labels for sheet in sheets}) > 1:
-        raise MeasurementError(f"{path.name}: files in data/ differ in their columns; expected one data set")
+        raise MeasurementError(
+            f"{path.name}: files in data/ differ in their columns; expected one data set"
+        )
     whole = replace(sheets[0], path=path, frame=pl.concat([sheet.frame for sheet in sheets]))
     return _with_vectors(whole)
 
 
 def _with_vectors(sheet: FrameSheet) -> FrameSheet:
-    """Return a sheet with a column for each number of short lists of one length; other lists are unchanged."""
+    """Return a sheet with a column for each number of short lists of one length; other lists are
+    unchanged.
+    """
     import polars as pl
 
     kinds = sheet.frame.collect_schema()
-    lists = [name for name, kind in kinds.items() if isinstance(kind, pl.List | pl.Array) and kind.inner.is_numeric()]
+    lists = [
+        name
+        for name, kind in kinds.items()
+        if isinstance(kind, pl.List | pl.Array) and kind.inner.is_numeric()
+    ]
     if not lists:
         return sheet
     place = sheet.path.resolve()
     names = next((_names(folder) for folder in (place, *place.parents) if is_dataset(folder)), {})
     count = [pl.col(name).cast(pl.List(pl.Float64)).list.len() for name in lists]
-    low, high = (sheet.frame.select(ends).collect().row(0) for ends in ([n.min() for n in count], [n.max() for n in count]))
-    sizes = {name: b for name, a, b in zip(lists, low, high, strict=True) if a == b and 0 < (b or 0) <= _MOST}
-    asked, labels = list[Any](), list[str]()
+    low, high = (
+        sheet.frame.select(ends).collect().row(0)
+        for ends in ([n.min() for n in count], [n.max() for n in count])
+    )
+    sizes = {
+        name: b
+        for name, a, b in zip(lists, low, high, strict=True)
+        if a == b and 0 < (b or 0) <= _MOST
+    }
+    asked = list[Any]()
+    labels = list[str]()
     for name in kinds.names():
         found, _, note = vector_labels(name, np.zeros((1, sizes.get(name, 1))))
         given = names.get(name, [])
         is_named = len(given) == sizes.get(name) and name != "action"
         if name not in sizes or (found[0].startswith(name) and not is_named):
-            asked, labels = [*asked, pl.col(name)], [*labels, name]
+            asked = [*asked, pl.col(name)]
+            labels = [*labels, name]
             continue
         if is_named:
             found = tuple(n.removesuffix(".pos") + " [deg]" * n.endswith(".pos") for n in given)
             if any(n.endswith(".pos") for n in given):
-                warn(f"{sheet.path.name}: positions in {name} are interpreted as degrees, not as fractions of the range")
+                warn(
+                    f"{sheet.path.name}: positions in {name} are interpreted as degrees, "
+                    "not as fractions of the range"
+                )
         if note:
             warn(f"{sheet.path.name}: {note}")
         values = pl.col(name).cast(pl.List(pl.Float64))
@@ -112,18 +135,31 @@ def _names(folder: Path) -> dict[str, list[str]]:
         found = msgspec.json.decode((folder / "meta" / "info.json").read_bytes())["features"]
         listed = {name: feature.get("names") for name, feature in found.items()}
     except (OSError, msgspec.DecodeError, KeyError, TypeError, AttributeError) as error:
-        raise MeasurementError(f"{folder.name}: meta/info.json can't be read; expected one as LeRobot writes it") from error
-    flat = {n: next(iter(v.values()), None) if isinstance(v, Mapping) else v for n, v in listed.items()}
-    return {name: [str(each) for each in value] for name, value in flat.items() if isinstance(value, list)}
+        raise MeasurementError(
+            f"{folder.name}: meta/info.json can't be read; expected one as LeRobot writes it"
+        ) from error
+    flat = {
+        n: next(iter(v.values()), None) if isinstance(v, Mapping) else v for n, v in listed.items()
+    }
+    return {
+        name: [str(each) for each in value]
+        for name, value in flat.items()
+        if isinstance(value, list)
+    }
 
 
 _ENDINGS = (".mcap", ".db3", ".bag")
 # Topics that a message lists.
 _LISTED = 20
-_JOINTS, _IMU = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu"
-_READINGS = tuple(f"geometry_msgs/msg/{kind}Stamped" for kind in ("Pose", "Point", "Transform", "PoseWithCovariance"))
+_JOINTS = "sensor_msgs/msg/JointState"
+_IMU = "sensor_msgs/msg/Imu"
+_READINGS = tuple(
+    f"geometry_msgs/msg/{kind}Stamped"
+    for kind in ("Pose", "Point", "Transform", "PoseWithCovariance")
+)
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-# A frame moves if its position or quaternion changes by more, and freely if its position does in two directions [m].
+# A frame moves if its position or quaternion changes by more, and freely if its position does in
+# two directions [m].
 _MOVES = 1e-3
 _LABELS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _OF_IMU = ("ax", "ay", "az", "wx", "wy", "wz")
@@ -161,12 +197,21 @@ class _Topic:
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is a recording of ROS, by its name, or by its contents if it is a folder."""
+    """Return whether a path is a recording of ROS, by its name, or by its contents if it is a
+    folder.
+    """
     return path.suffix.lower() in _ENDINGS or (path / "metadata.yaml").is_file()
 
 
-def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = False, joints: Collection[str] = ()) -> Sheet:
-    """Read the poses that were held still and have readings, or all samples of the joints if there are no readings.
+def open_bag(
+    path: Path,
+    *,
+    ignore: Collection[str] = (),
+    only_joints: bool = False,
+    joints: Collection[str] = (),
+) -> Sheet:
+    """Read the poses that were held still and have readings, or all samples of the joints if there
+    are no readings.
 
     Args:
         path: the recording.
@@ -175,8 +220,8 @@ def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = Fa
         joints: those that have to stand still; default: all of the topic.
 
     Raises:
-        MeasurementError: without the library rosbags, for a recording that can't be read, or one with joints or readings in
-            several topics, or without a pose that was held still.
+        MeasurementError: without the library rosbags, for a recording that can't be read, or one
+            with joints or readings in several topics, or without a pose that was held still.
     """
     found, listed = _topics(path, ignore)
     arm = _arm([topic for topic in found if topic.labels[:3] != _LABELS[:3]], path, listed)
@@ -185,23 +230,30 @@ def open_bag(path: Path, *, ignore: Collection[str] = (), only_joints: bool = Fa
     if not only_joints:
         readings = readings or _free(frames, path)
     if not only_joints and not readings:
-        warn(f"{path.name}: no topic of readings ({', '.join(_READINGS)}), no freely moving frame in /tf; topics: {listed}")
+        warn(
+            f"{path.name}: no topic of readings ({', '.join(_READINGS)}), no freely "
+            f"moving frame in /tf; topics: {listed}"
+        )
     if only_joints or not readings:
         return _sheet(path, {"time": arm.time} | dict(zip(arm.labels, arm.values.T, strict=True)))
     if len(readings) > 1:
         raise _several("readings", readings, path)
     (reading,) = readings
-    watched = [i for i, name in enumerate(arm.labels) if name in joints] or [*range(len(arm.labels))]
+    watched = [i for i, name in enumerate(arm.labels) if name in joints] or [
+        *range(len(arm.labels))
+    ]
     poses = held_poses(arm.time, arm.values[:, watched])
     middle = _middle(poses, arm.time, reading.time)
     seen = np.flatnonzero(middle[:, 1] > middle[:, 0])
     if not len(seen):
         raise MeasurementError(
-            f"{path.name}: {len(poses)} poses of {arm.name} are held still, none with readings of {reading.name}; expected "
+            f"{path.name}: {len(poses)} poses of {arm.name} are held still, none with "
+            f"readings of {reading.name}; expected "
             "poses held for some tenths of a second while the instrument reads"
         )
     warn(
-        f"{path.name}: {len(seen)} poses held still, joints from {arm.name}, readings from {reading.name}; poses without a "
+        f"{path.name}: {len(seen)} poses held still, joints from {arm.name}, readings "
+        f"from {reading.name}; poses without a "
         f"reading: {len(poses) - len(seen)}"
     )
     values = np.array([_mean(reading.values[first:last]) for first, last in middle[seen]])
@@ -225,7 +277,11 @@ def open_streams(path: Path, *, ignore: Collection[str] = ()) -> dict[str, Sheet
         if len(topics) > 1:
             raise _several(what, topics, path)
     return {
-        what: _sheet(path, {"time": topics[0].stamps} | dict(zip(topics[0].labels, topics[0].values.T, strict=True)))
+        what: _sheet(
+            path,
+            {"time": topics[0].stamps}
+            | dict(zip(topics[0].labels, topics[0].values.T, strict=True)),
+        )
         for what, topics in chosen.items()
         if topics
     }
@@ -238,37 +294,56 @@ def _sheet(path: Path, columns: dict[str, np.ndarray]) -> Sheet:
 
 
 def _middle(poses: HeldPoses, time: np.ndarray, asked: np.ndarray) -> np.ndarray:
-    """Return the index range of the times ``asked`` in the middle half of each pose, shape (K, 2)."""
-    begin, end = time[poses.begin], time[poses.end]
+    """Return the index range of the times ``asked`` in the middle half of each pose,
+    shape (K, 2).
+    """
+    begin = time[poses.begin]
+    end = time[poses.end]
     quarter = 0.25 * (end - begin)
-    return np.column_stack([np.searchsorted(asked, begin + quarter), np.searchsorted(asked, end - quarter, side="right")])
+    return np.column_stack(
+        [
+            np.searchsorted(asked, begin + quarter),
+            np.searchsorted(asked, end - quarter, side="right"),
+        ]
+    )
 
 
 def _mean(values: np.ndarray) -> np.ndarray:
     """Return the mean of positions, or of poses with quaternions, shape (k,)."""
-    position, quaternions = values[:, :3].mean(axis=0), values[:, 3:]
+    position = values[:, :3].mean(axis=0)
+    quaternions = values[:, 3:]
     return np.append(position, mean_turn(quaternions)) if quaternions.size else np.asarray(position)
 
 
 def _free(frames: list[_Topic], path: Path) -> list[_Topic]:
-    """Return the transforms that move freely, inverted if the parent frame is on the hand, as a camera may be.
+    """Return the transforms that move freely, inverted if the parent frame is on the hand, as a
+    camera may be.
 
     Joints of a robot rotate about a fixed point, or slide along a line.
     """
     found = list[_Topic]()
     by_child = {topic.frames[1]: topic for topic in frames}
     for topic in frames:
-        spread = np.linalg.svd(topic.values[:, :3] - topic.values[:, :3].mean(axis=0), compute_uv=False)
+        spread = np.linalg.svd(
+            topic.values[:, :3] - topic.values[:, :3].mean(axis=0), compute_uv=False
+        )
         if len(topic.time) < 3 or spread[1] < _MOVES * np.sqrt(len(topic.time)):
             continue
-        above, steps = by_child.get(topic.frames[0]), 0
+        above = by_child.get(topic.frames[0])
+        steps = 0
         while above is not None and not above.moves and steps < len(frames):
-            above, steps = by_child.get(above.frames[0]), steps + 1
+            above = by_child.get(above.frames[0])
+            steps = steps + 1
         if above is not None and above.moves:
             parent, child = topic.frames
-            warn(f"{path.name}: {parent} is on the moving {above.frames[1]}: its pose in {child} is the reading")
+            warn(
+                f"{path.name}: {parent} is on the moving {above.frames[1]}: its pose in "
+                f"{child} is the reading"
+            )
             back = Rotation.from_quat(topic.values[:, 3:]).inv()
-            topic = replace(topic, values=np.column_stack([-back.apply(topic.values[:, :3]), back.as_quat()]))
+            topic = replace(
+                topic, values=np.column_stack([-back.apply(topic.values[:, :3]), back.as_quat()])
+            )
         found.append(topic)
     return found
 
@@ -276,7 +351,9 @@ def _free(frames: list[_Topic], path: Path) -> list[_Topic]:
 def _arm(topics: list[_Topic], path: Path, listed: str) -> _Topic:
     """Return the topic with the most joints; refuse joints in two topics."""
     if not topics:
-        raise MeasurementError(f"{path.name}: no joints; expected a topic of {_JOINTS}; topics: {listed}")
+        raise MeasurementError(
+            f"{path.name}: no joints; expected a topic of {_JOINTS}; topics: {listed}"
+        )
     arm = max(topics, key=lambda topic: len(topic.labels))
     rivals = [topic for topic in topics if topic is not arm and set(topic.labels) & set(arm.labels)]
     if rivals:
@@ -286,23 +363,38 @@ def _arm(topics: list[_Topic], path: Path, listed: str) -> _Topic:
 
 def _several(what: str, topics: list[_Topic], path: Path) -> MeasurementError:
     names = ", ".join(topic.name for topic in topics)
-    return MeasurementError(f"{path.name}: {what} in several topics: {names}; expected one: --ignore the others")
+    return MeasurementError(
+        f"{path.name}: {what} in several topics: {names}; expected one: --ignore the others"
+    )
 
 
 def _topics(path: Path, ignore: Collection[str], *, imu: bool = False) -> tuple[list[_Topic], str]:
-    """Return all topics of joints, of readings and of IMUs or transforms, and a list of all topics in words.
+    """Return all topics of joints, of readings and of IMUs or transforms, and a list of all topics
+    in words.
 
     Messages with different joints count as separate topics, and so does each frame of /tf.
     """
-    with needed("rosbags", f"{path.name}: recordings of ROS", install="'pincal[ros]'", error=MeasurementError):
+    with needed(
+        "rosbags",
+        f"{path.name}: recordings of ROS",
+        install="'pincal[ros]'",
+        error=MeasurementError,
+    ):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     found: dict[tuple[str, tuple[str, ...], tuple[str, ...]], list[tuple[float, float, Any]]] = {}
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             kinds = (_JOINTS, *_READINGS, *((_IMU,) if imu else _TRANSFORMS))
-            wanted = [each for each in reader.connections if each.msgtype in kinds and each.topic not in ignore]
-            listed = ", ".join(f"{each.topic} ({each.msgtype.split('/')[-1]})" for each in reader.connections[:_LISTED])
+            wanted = [
+                each
+                for each in reader.connections
+                if each.msgtype in kinds and each.topic not in ignore
+            ]
+            listed = ", ".join(
+                f"{each.topic} ({each.msgtype.split('/')[-1]})"
+                for each in reader.connections[:_LISTED]
+            )
             for connection, stamp, raw in reader.messages(connections=wanted) if wanted else ():
                 message = reader.deserialize(raw, connection.msgtype)
                 for frames, labels, values in _values(message, connection.msgtype):
@@ -310,7 +402,9 @@ def _topics(path: Path, ignore: Collection[str], *, imu: bool = False) -> tuple[
                         sample = (1e-9 * stamp, _stamp(message), values)
                         found.setdefault((connection.topic, frames, labels), []).append(sample)
     except Exception as error:  # Broken recordings raise all kinds of errors in these libraries.
-        raise MeasurementError(f"{path.name}: can't be read ({error}); expected a recording of ROS") from error
+        raise MeasurementError(
+            f"{path.name}: can't be read ({error}); expected a recording of ROS"
+        ) from error
     return [_topic(*place, samples) for place, samples in found.items()], listed
 
 
@@ -328,7 +422,8 @@ def _values(message: Any, kind: str) -> Iterator[tuple[tuple[str, ...], tuple[st
             yield (each.header.frame_id.strip("/"), each.child_frame_id.strip("/")), labels, values
         return
     if kind == _IMU:
-        force, rate = message.linear_acceleration, message.angular_velocity
+        force = message.linear_acceleration
+        rate = message.angular_velocity
         yield (), _OF_IMU, (force.x, force.y, force.z, rate.x, rate.y, rate.z)
         return
     if kind == _JOINTS:
@@ -336,18 +431,28 @@ def _values(message: Any, kind: str) -> Iterator[tuple[tuple[str, ...], tuple[st
             yield (), tuple(message.name), message.position
         return
     if (transform := getattr(message, "transform", None)) is not None:
-        at, turn = transform.translation, transform.rotation
+        at = transform.translation
+        turn = transform.rotation
         yield (), _LABELS, (at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)
         return
     pose = getattr(message, "pose", None)
     pose = getattr(pose, "pose", pose)
     at = message.point if pose is None else pose.position
-    turned = () if pose is None else (pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w)
+    turned = (
+        ()
+        if pose is None
+        else (pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w)
+    )
     values = (at.x, at.y, at.z, *turned)
     yield (), _LABELS[: len(values)], values
 
 
-def _topic(name: str, frames: tuple[str, ...], labels: tuple[str, ...], samples: list[tuple[float, float, Any]]) -> _Topic:
+def _topic(
+    name: str,
+    frames: tuple[str, ...],
+    labels: tuple[str, ...],
+    samples: list[tuple[float, float, Any]],
+) -> _Topic:
     time, first = np.unique(np.array([stamp for stamp, *_ in samples]), return_index=True)
     own, values = (np.array([sample[k] for sample in samples], float)[first] for k in (1, 2))
     name += " " * bool(frames) + " > ".join(frames)

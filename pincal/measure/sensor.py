@@ -1,8 +1,10 @@
 """Sensors: models of readings as functions of a pose, with derivatives.
 
-A sensor predicts readings from the target's pose in the instrument's frame, independently of robots. :class:`Sensor` is its
-only interface, so that a sensor is defined in one file. Properties of only some sensors are mix-in classes:
-:class:`OwnParameters`, :class:`KnownParameters`, :class:`Grouped`, :class:`Divided`, :class:`Simulatable`,
+A sensor predicts readings from the target's pose in the instrument's frame, independently of
+robots. :class:`Sensor` is its only interface, so that a sensor is defined in one file. Properties
+of only some sensors are mix-in classes:
+:class:`OwnParameters`, :class:`KnownParameters`, :class:`Grouped`, :class:`Divided`,
+  :class:`Simulatable`,
 :class:`Plausible`.
 """
 
@@ -31,8 +33,8 @@ class Block:
         unit: "m", "rad" or "px"; of an IMU "m/s^2" and "rad/s".
         size: number of components.
         rounding: rounding error of a prediction, the least noise.
-        noise: standard deviation of one component for good instruments, used where it is neither declared nor can be
-            estimated.
+        noise: standard deviation of one component for good instruments, used where it is neither
+            declared nor can be estimated.
         axes: one letter per component; x, y, z or numbers by default.
     """
 
@@ -92,19 +94,26 @@ class Sensor(ABC):
         fields: the required fields, beginning with the one that identifies the kind of measurement.
         blocks: the components of a reading.
         tool_symbols: coordinates of the target on the tool on which readings depend.
-        twist_rows: 3 if readings depend only on the target's position, 6 if on its orientation as well.
+        twist_rows: 3 if readings depend only on the target's position, 6 if on its orientation as
+            well.
         per_row: names of the attributes with one entry per row.
         names_points: field with the name of a fixed point for each row.
         default_target: name of the target in a table without one.
-        reads_pose: whether the first three components are the target's position in the instrument's axes and further ones
-            its orientation, so that replicates have an accuracy and a repeatability as in ISO 9283.
-        pose_limit: completes "3 poses ..." where many rows of one pose determine no more than six coordinates.
+        reads_pose: whether the first three components are the target's position in the instrument's
+            axes and further ones its orientation, so that replicates have an accuracy and a
+            repeatability as in ISO 9283.
+        pose_limit: completes "3 poses ..." where many rows of one pose determine no more than six
+            coordinates.
         has_camera: whether a known camera can be given.
-        is_of_joints: whether a row reads only the joints, at a contact (:func:`pincal.identify.believed.slope_of_contacts`).
+        is_of_joints: whether a row reads only the joints, at a contact
+            (:func:`pincal.identify.believed.slope_of_contacts`).
         is_on_tool: whether the sensor itself is on the tool, so that its mount can be given.
-        reads_place: whether readings determine positions, and so lengths; else these are held and errors have no size in mm.
-        follows: how readings depend on the moving tip: "linearly", "squared" or "as ratios", see ``motion/reading_starts``.
-        deviation_end: end of the arrow from the predicted position that represents the deviation of the reading.
+        reads_place: whether readings determine positions, and so lengths; else these are held and
+            errors have no size in mm.
+        follows: how readings depend on the moving tip: "linearly", "squared" or "as ratios", see
+            ``motion/reading_starts``.
+        deviation_end: end of the arrow from the predicted position that represents the deviation of
+            the reading.
     """
 
     kind: ClassVar[str]
@@ -127,7 +136,8 @@ class Sensor(ABC):
     @classmethod
     @abstractmethod
     def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the readings of a table that has all of ``fields``, with the known points and camera of the setup.
+        """Return the readings of a table that has all of ``fields``, with the known points and
+        camera of the setup.
 
         Raises:
             MeasurementError: for a point that the setup does not have and that can't be judged.
@@ -143,8 +153,8 @@ class Sensor(ABC):
         """Return reading minus prediction.
 
         Args:
-            poses: shape (N, 3, 4), the target in the instrument's frame; with K moments about each row shape (N K, 3, 4),
-                here and in the other methods.
+            poses: shape (N, 3, 4), the target in the instrument's frame; with K moments about each
+                row shape (N K, 3, 4), here and in the other methods.
             own: values of the sensor's parameters.
 
         Returns:
@@ -157,20 +167,25 @@ class Sensor(ABC):
 
         Args:
             poses: shape (N, 3, 4).
-            motion: shape (P, ``twist_rows``, N), motion of the target per parameter, in the instrument's axes.
+            motion: shape (P, ``twist_rows``, N), motion of the target per parameter, in the
+                instrument's axes.
             own: values of the sensor's parameters.
 
         Returns:
-            Shape (P + number of own parameters, m, N); may be the motion itself, which is not changed.
+            Shape (P + number of own parameters, m, N); may be the motion itself, which is not
+            changed.
         """
 
     @abstractmethod
     def shifted(self, change: np.ndarray) -> Self:
-        """Return readings that differ by ``change``, shape (m, N), in the components of the residuals."""
+        """Return readings that differ by ``change``, shape (m, N), in the components of the
+        residuals.
+        """
 
     @abstractmethod
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the deviation of the target from its prediction, as far as the reading determines it.
+        """Return the deviation of the target from its prediction, as far as the reading determines
+        it.
 
         Use :meth:`least_displacement` where there is no better formula.
 
@@ -185,7 +200,8 @@ class Sensor(ABC):
 
     @abstractmethod
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield candidates for the poses of instrument and tools and for own parameters; some may be far off.
+        """Yield candidates for the poses of instrument and tools and for own parameters; some may
+        be far off.
 
         Args:
             tips: shape (N, 3, 4), nominal tips in the robot's base frame.
@@ -205,19 +221,27 @@ class Sensor(ABC):
     def select(self, rows: slice | np.ndarray) -> Self:
         """Return the readings of some rows."""
         arrays = {name: getattr(self, name) for name in self.per_row}
-        chosen: dict[str, Any] = {name: array[rows] for name, array in arrays.items() if array is not None}
+        chosen: dict[str, Any] = {
+            name: array[rows] for name, array in arrays.items() if array is not None
+        }
         return replace(self, **chosen)  # type: ignore[type-var]
 
     @final
     def joined(self, others: Sequence[Self]) -> Self:
         """Return these readings concatenated with others of the same instrument."""
         names = [name for name in self.per_row if getattr(self, name) is not None]
-        chosen: dict[str, Any] = {n: np.concatenate([getattr(each, n) for each in (self, *others)]) for n in names}
+        chosen: dict[str, Any] = {
+            n: np.concatenate([getattr(each, n) for each in (self, *others)]) for n in names
+        }
         return replace(self, **chosen)  # type: ignore[type-var]
 
     @final
-    def least_displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the shortest displacement of the target that explains the first block of readings, shape (N, 3) [m]."""
+    def least_displacement(
+        self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray
+    ) -> np.ndarray:
+        """Return the shortest displacement of the target that explains the first block of readings,
+        shape (N, 3) [m].
+        """
         size = self.blocks[0].size
         motion = np.zeros((3, self.twist_rows, len(poses)))
         motion[[0, 1, 2], [0, 1, 2]] = 1.0
@@ -240,7 +264,11 @@ class Sensor(ABC):
     @final
     def fixed(self) -> np.ndarray:
         """Which of its own parameters are known and held fixed, shape (own,)."""
-        return self.known_parameters if isinstance(self, KnownParameters) else np.zeros(len(self.parameters), bool)
+        return (
+            self.known_parameters
+            if isinstance(self, KnownParameters)
+            else np.zeros(len(self.parameters), bool)
+        )
 
     @final
     def constraints(self, own: np.ndarray) -> Constraints | None:
@@ -261,12 +289,16 @@ class Sensor(ABC):
 
 
 class Additive(Sensor):
-    """A sensor whose readings are the attribute named like its first field, with additive errors."""
+    """A sensor whose readings are the attribute named like its first field, with
+    additive errors.
+    """
 
     @final
     def shifted(self, change: np.ndarray) -> Self:
         name = self.fields[0].name
-        shifted: dict[str, Any] = {name: getattr(self, name) + (change[0] if len(change) == 1 else change.T)}
+        shifted: dict[str, Any] = {
+            name: getattr(self, name) + (change[0] if len(change) == 1 else change.T)
+        }
         return replace(self, **shifted)  # type: ignore[type-var]
 
 
@@ -284,7 +316,9 @@ class OwnParameters(ABC):
     @property
     @abstractmethod
     def own_words(self) -> str:
-        """Description of the unconstrained ones, such as "the unknown points"; empty if there are none."""
+        """Description of the unconstrained ones, such as "the unknown points"; empty if there are
+        none.
+        """
 
 
 class KnownParameters(ABC):
@@ -307,7 +341,9 @@ class KnownParameters(ABC):
 
 
 class Grouped(ABC):
-    """A sensor whose rows are in groups, such as one for each socket; own parameters describe the unknown ones."""
+    """A sensor whose rows are in groups, such as one for each socket; own parameters describe the
+    unknown ones.
+    """
 
     @property
     @abstractmethod
@@ -321,7 +357,9 @@ class Grouped(ABC):
 
     @abstractmethod
     def facts(self, own: np.ndarray) -> Constraints | None:
-        """Return prior knowledge of the own parameters, such as the distance of two sockets, or None."""
+        """Return prior knowledge of the own parameters, such as the distance of two sockets, or
+        None.
+        """
 
     @abstractmethod
     def unusable_rows(self) -> Iterator[Excluded]:
@@ -334,7 +372,9 @@ class Grouped(ABC):
 
 
 class Divided(ABC):
-    """A sensor whose rows may belong to several stations, between different links or of different kinds."""
+    """A sensor whose rows may belong to several stations, between different links or of different
+    kinds.
+    """
 
     @classmethod
     @abstractmethod
@@ -347,11 +387,13 @@ class Divided(ABC):
 
 
 class Simulatable(ABC):
-    """A sensor whose readings follow from the target's pose, so that measurements can be designed in advance.
+    """A sensor whose readings follow from the target's pose, so that measurements can be designed
+    in advance.
 
     Attributes:
         needs_instrument: whether the information in readings depends on the pose of the instrument.
-        needs_places: whether the target is held at fixed places, whose positions are the sensor's own parameters.
+        needs_places: whether the target is held at fixed places, whose positions are the sensor's
+            own parameters.
     """
 
     blocks: ClassVar[tuple[Block, ...]]
@@ -365,8 +407,8 @@ class Simulatable(ABC):
 
         Args:
             poses: shape (N, 3, 4), in the instrument's frame.
-            places: shape (K, 3), places in that frame where the target is held, if needed [m]; each pose is assigned to the
-                nearest.
+            places: shape (K, 3), places in that frame where the target is held, if needed [m]; each
+                pose is assigned to the nearest.
         """
 
 
@@ -376,7 +418,8 @@ class Plausible(ABC):
     @classmethod
     @abstractmethod
     def check_plausible(cls, table: TableRows, reach_m: float) -> None:
-        """Refuse a table, of at least two rows, whose readings are impossible for the reach of the flange [m].
+        """Refuse a table, of at least two rows, whose readings are impossible for the reach of the
+        flange [m].
 
         Raises:
             MeasurementError: naming the unit that seems to be meant.
@@ -393,6 +436,8 @@ class _Foreseeable(Simulatable):
 
 def __getattr__(name: str) -> Any:
     if name == "Foreseeable":
-        warnings.warn("Foreseeable.foreseen is now Simulatable.simulated", DeprecationWarning, stacklevel=2)
+        warnings.warn(
+            "Foreseeable.foreseen is now Simulatable.simulated", DeprecationWarning, stacklevel=2
+        )
         return _Foreseeable
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

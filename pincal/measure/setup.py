@@ -1,4 +1,6 @@
-"""Prior knowledge of a measurement set-up in addition to the table: named points, distances between them, the camera."""
+"""Prior knowledge of a measurement set-up in addition to the table: named points, distances between
+them, the camera.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,9 @@ class KnownDistance:
     def __post_init__(self) -> None:
         for what, value in (("distance", self.length), ("sigma", self.sigma)):
             if not 0.0 < value < np.inf:
-                raise MeasurementError(f"{what} of {self.first} and {self.second} is {value:g} m; expected more than 0")
+                raise MeasurementError(
+                    f"{what} of {self.first} and {self.second} is {value:g} m; expected more than 0"
+                )
         if self.first == self.second:
             raise MeasurementError(f"distance from {self.first} to itself; expected two points")
 
@@ -78,7 +82,9 @@ class NamedPoints:
     @cached_property
     def given(self) -> np.ndarray:
         """Positions of the points [m], zero where unknown, shape (K, 3)."""
-        return np.array([place or (0.0, 0.0, 0.0) for place in self.places.values()], float).reshape(-1, 3)
+        return np.array(
+            [place or (0.0, 0.0, 0.0) for place in self.places.values()], float
+        ).reshape(-1, 3)
 
     @cached_property
     def slot(self) -> np.ndarray:
@@ -89,7 +95,11 @@ class NamedPoints:
     def parameters(self) -> tuple[Parameter, ...]:
         """Coordinates of the unknown points."""
         unknown = [name for name, place in self.places.items() if place is None]
-        return tuple(Parameter(f"{name}.{axis}", "m", "named_point", 0.0, ANYWHERE) for name in unknown for axis in "xyz")
+        return tuple(
+            Parameter(f"{name}.{axis}", "m", "named_point", 0.0, ANYWHERE)
+            for name in unknown
+            for axis in "xyz"
+        )
 
     def positions(self, own: np.ndarray) -> np.ndarray:
         """Return the positions of all points [m], shape (K, 3), for values of the parameters."""
@@ -101,7 +111,11 @@ class NamedPoints:
     def are_in_line(self) -> bool:
         """Whether the known points do not determine a rotation: fewer than three, or collinear."""
         places = self.given[self.known]
-        spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False) if len(places) > 2 else np.zeros(2)
+        spread = (
+            np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
+            if len(places) > 2
+            else np.zeros(2)
+        )
         return bool(spread[1] <= _LINE * max(spread[0], 1e-300))
 
 
@@ -116,11 +130,12 @@ class Setup:
     """Known parts of a measurement set-up.
 
     Attributes:
-        points: positions of named points (sockets, anchors, points of a calibration object) in the instrument's frame [m],
-            where they are known.
+        points: positions of named points (sockets, anchors, points of a calibration object) in the
+            instrument's frame [m], where they are known.
         distances: known distances between such points.
         lens: the camera, where it is known.
-        fit_lens: whether to re-estimate the parameters of a known camera, as is always done for an unknown one.
+        fit_lens: whether to re-estimate the parameters of a known camera, as is always done for an
+            unknown one.
     """
 
     points: Mapping[str, PointPlace | None] = field(default_factory=dict)
@@ -134,7 +149,9 @@ class Setup:
         return self if names is None else replace(self, points=self.named(np.unique(names)).places)
 
     def named(self, names: Sequence[str] | np.ndarray = ()) -> NamedPoints:
-        """Return the named points with the distances between them; further ``names`` are unknown points."""
+        """Return the named points with the distances between them; further ``names`` are unknown
+        points.
+        """
         places = {**self.points, **{str(name): None for name in names if name not in self.points}}
         inside = tuple(d for d in self.distances if {d.first, d.second} <= places.keys())
         return NamedPoints(places, inside)
@@ -149,7 +166,11 @@ class Setup:
         found = []
         for name, value in zip((*PINHOLE, *DISTORTION), self.lens_values.tolist(), strict=True):
             unit, effect = ("px", "lens") if name in PINHOLE else ("1", "lens_distortion")
-            found.append(Parameter(f"camera.{name}", unit, effect, value, _DISTORTION_SIZE.get(name, ANYWHERE)))
+            found.append(
+                Parameter(
+                    f"camera.{name}", unit, effect, value, _DISTORTION_SIZE.get(name, ANYWHERE)
+                )
+            )
         return tuple(found)
 
     def lens_fixed(self) -> np.ndarray:
@@ -159,7 +180,8 @@ class Setup:
 
 
 def read_points(path: str | os.PathLike[str]) -> dict[str, PointPlace]:
-    """Read positions of named points from a table with columns ``point x y z`` and units in the header.
+    """Read positions of named points from a table with columns ``point x y z`` and units in the
+    header.
 
     Raises:
         MeasurementError: if the file can't be read, or a name occurs twice.
@@ -169,13 +191,16 @@ def read_points(path: str | os.PathLike[str]) -> dict[str, PointPlace]:
     found: dict[str, PointPlace] = {}
     for name, (x, y, z) in zip(columns["point"], places, strict=True):
         if str(name) in found:
-            raise MeasurementError(f"{path}: point {str(name)!r} occurs twice; expected each name once")
+            raise MeasurementError(
+                f"{path}: point {str(name)!r} occurs twice; expected each name once"
+            )
         found[str(name)] = (x, y, z)
     return found
 
 
 def read_distances(path: str | os.PathLike[str]) -> tuple[KnownDistance, ...]:
-    """Read known distances from a table with columns ``first second distance`` and optionally ``sigma``.
+    """Read known distances from a table with columns ``first second distance`` and optionally
+    ``sigma``.
 
     Raises:
         MeasurementError: if the file can't be read, or a value is invalid.
@@ -185,5 +210,7 @@ def read_distances(path: str | os.PathLike[str]) -> tuple[KnownDistance, ...]:
     sigma = columns.get("sigma", np.full(len(columns["first"]), GAP_SIGMA))
     return tuple(
         KnownDistance(str(a), str(b), float(length), float(s))
-        for a, b, length, s in zip(columns["first"], columns["second"], columns["distance"], sigma, strict=True)
+        for a, b, length, s in zip(
+            columns["first"], columns["second"], columns["distance"], sigma, strict=True
+        )
     )

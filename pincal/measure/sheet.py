@@ -1,4 +1,6 @@
-"""Sheets: tables with a known header whose cells are read on demand; :mod:`pincal.measure.reader` opens files as sheets."""
+"""Sheets: tables with a known header whose cells are read on demand; :mod:`pincal.measure.reader`
+opens files as sheets.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ _DATE = r"^\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}:\d{2}"
 # Offset of a time zone from UTC.
 _ZONE = r" ?([+-])(\d{2}):?(\d{2})$"
 # A time of day alone, assigned to an arbitrary day.
-_CLOCK, _DAY = r"^\d{1,2}:\d{2}:\d{2}(\.\d+)?$", "2000-01-01"
+_CLOCK = r"^\d{1,2}:\d{2}:\d{2}(\.\d+)?$"
+_DAY = "2000-01-01"
 # Longest name [bytes], as for files on most systems.
 _LONGEST = 255
 # Cells by which columns of numbers and of words are distinguished.
@@ -46,7 +49,11 @@ class SheetColumn:
 
     def values(self, cells: pl.Series) -> np.ndarray:
         """Return names, or numbers in SI units, shape (N,)."""
-        return np.array(cells.to_list(), dtype=str) if self.is_name else in_si(cells.to_numpy(), self.unit, self.quantity)
+        return (
+            np.array(cells.to_list(), dtype=str)
+            if self.is_name
+            else in_si(cells.to_numpy(), self.unit, self.quantity)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +74,9 @@ class Sheet(ABC):
 
     @abstractmethod
     def read(self, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
-        """Return the cells of some columns by name, as numbers or as text, and the line of each row."""
+        """Return the cells of some columns by name, as numbers or as text, and the line of each
+        row.
+        """
 
     @abstractmethod
     def first_cells(self, index: int, count: int) -> list[str]:
@@ -75,14 +84,20 @@ class Sheet(ABC):
 
     @final
     def has_words(self, index: int) -> bool:
-        """Return whether a column holds text: its first cells contain no number and are not all empty."""
+        """Return whether a column holds text: its first cells contain no number and are not all
+        empty.
+        """
         cells = list(filter(None, map(str.strip, self.first_cells(index, _SHOWN))))
-        return bool(cells) and not any(plain_numbers([c.replace(",", ".") if self.decimal_comma else c]) for c in cells)
+        return bool(cells) and not any(
+            plain_numbers([c.replace(",", ".") if self.decimal_comma else c]) for c in cells
+        )
 
     @final
     def is_blank(self, index: int) -> bool:
         """Return whether a column has neither a label nor anything in its first cells."""
-        return not self.labels[index] and not any(text.strip() for text in self.first_cells(index, _SHOWN))
+        return not self.labels[index] and not any(
+            text.strip() for text in self.first_cells(index, _SHOWN)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +128,16 @@ class FrameSheet(Sheet):
 
         kinds = self.frame.collect_schema().dtypes()
         if wrong := [column.label for column in columns if kinds[column.index].is_nested()]:
-            raise MeasurementError(f'{self.path.name}, column "{wrong[0]}": lists; expected one number or name per cell')
-        frame = self.frame.select(pl.nth(column.index).alias(column.name) for column in columns).collect()
-        return frame, np.arange(self.start + 2, self.start + frame.height + 2) if self.rows is None else self.rows
+            raise MeasurementError(
+                f'{self.path.name}, column "{wrong[0]}": lists; expected one number or '
+                "name per cell"
+            )
+        frame = self.frame.select(
+            pl.nth(column.index).alias(column.name) for column in columns
+        ).collect()
+        return frame, np.arange(
+            self.start + 2, self.start + frame.height + 2
+        ) if self.rows is None else self.rows
 
     def first_cells(self, index: int, count: int) -> list[str]:
         import polars as pl
@@ -127,15 +149,21 @@ class FrameSheet(Sheet):
 
 
 def read_cells(
-    sheet: Sheet, columns: Sequence[SheetColumn], *, readings: Collection[str] = (), flag: SheetColumn | None = None
+    sheet: Sheet,
+    columns: Sequence[SheetColumn],
+    *,
+    readings: Collection[str] = (),
+    flag: SheetColumn | None = None,
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the values by column, names or numbers in SI units, and the line of each row.
 
     Args:
         sheet: the table.
         columns: the needed ones.
-        readings: columns of measured values: rows with an empty one are left out with a `PincalWarning`.
-        flag: a column that states whether the reading of a row is valid: rows with an invalid one are left out likewise.
+        readings: columns of measured values: rows with an empty one are left out with a
+            `PincalWarning`.
+        flag: a column that states whether the reading of a row is valid: rows with an invalid one
+            are left out likewise.
 
     Raises:
         MeasurementError: for a table without rows, or an invalid cell.
@@ -143,18 +171,31 @@ def read_cells(
     asked = [*columns, *([] if flag is None else [flag])]
     frame, rows = sheet.read(asked)
     if frame.height == 0:
-        raise MeasurementError(f"{sheet.path.name}: has a header and no rows; expected one line per pose")
+        raise MeasurementError(
+            f"{sheet.path.name}: has a header and no rows; expected one line per pose"
+        )
     for column in asked:
         _check_lengths(frame[column.name], rows, column, source=sheet.path.name)
-    frame, rows = _with_readings(frame, rows, [column for column in columns if column.name in readings], flag, sheet)
-    cells = {column.name: _clean(frame[column.name], column, decimal_comma=sheet.decimal_comma) for column in columns}
+    frame, rows = _with_readings(
+        frame, rows, [column for column in columns if column.name in readings], flag, sheet
+    )
+    cells = {
+        column.name: _clean(frame[column.name], column, decimal_comma=sheet.decimal_comma)
+        for column in columns
+    }
     _check_cells(cells, frame, rows, columns=columns, source=sheet.path.name)
     return {column.name: column.values(cells.pop(column.name)) for column in columns}, rows
 
 
 # Cells of missing readings, and values of a flag that mark a reading as invalid, in lower case.
-_NOTHING = r'^(""|n/?a|n\.a\.|nan|null|none|invalid|lost|no data|-+|[*]+|[?]+|#+|#n/a|#value!|#num!|#div/0!)?$'
-_INVALID = r"^(false|no|n|nok|bad|lost|.*(invalid|not ok|fail|error|broken|block|reject|outlier|no (signal|target|beam)).*)$"
+_NOTHING = (
+    r'^(""|n/?a|n\.a\.|nan|null|none|invalid|lost|no '
+    r"data|-+|[*]+|[?]+|#+|#n/a|#value!|#num!|#div/0!)?$"
+)
+_INVALID = (
+    r"^(false|no|n|nok|bad|lost|.*(invalid|not ok|fail|error|broken|block|reject|outlier|no "
+    r"(signal|target|beam)).*)$"
+)
 # Flags whose 0 marks a reading as invalid.
 _ZERO_IS_INVALID = ("valid", "is_valid", "isvalid", "ok", "visible", "tracked")
 # Lines that a note lists.
@@ -162,7 +203,11 @@ _NAMED = 5
 
 
 def _with_readings(
-    frame: pl.DataFrame, rows: np.ndarray, readings: Sequence[SheetColumn], flag: SheetColumn | None, sheet: Sheet
+    frame: pl.DataFrame,
+    rows: np.ndarray,
+    readings: Sequence[SheetColumn],
+    flag: SheetColumn | None,
+    sheet: Sheet,
 ) -> tuple[pl.DataFrame, np.ndarray]:
     """Return the rows with valid readings, at least one; warn of the others."""
     import polars as pl
@@ -177,23 +222,34 @@ def _with_readings(
     if flag is not None:
         pattern = _INVALID + (r"|^0(\.0*)?$" if flag.label.casefold() in _ZERO_IS_INVALID else "")
         text = frame[flag.name].cast(pl.String).str.strip_chars().str.to_lowercase()
-        lost[f'are flagged in the column "{flag.label}"'] = text.str.contains(pattern).fill_null(False).to_numpy()
+        lost[f'are flagged in the column "{flag.label}"'] = (
+            text.str.contains(pattern).fill_null(False).to_numpy()
+        )
     gone = np.zeros(len(rows), bool)
     for reason, which in lost.items():
         if (which & ~gone).any():
             lines = rows[which & ~gone]
-            warn(f"{sheet.path.name}: {len(lines)} of {len(rows)} rows {reason} and are left out: line {few(lines, _NAMED)}")
+            warn(
+                f"{sheet.path.name}: {len(lines)} of {len(rows)} rows {reason} and are "
+                f"left out: line {few(lines, _NAMED)}"
+            )
         gone |= which
     if gone.all():
         raise MeasurementError(
-            f"{sheet.path.name}, line {rows[0]}: none of {len(rows)} rows has a reading; all are empty or flagged in "
-            f"{' '.join(column.label for column in readings) or 'the table'}; expected a finite number in each row"
+            f"{sheet.path.name}, line {rows[0]}: none of {len(rows)} rows has a reading; "
+            "all are empty or flagged in "
+            f"{' '.join(column.label for column in readings) or 'the table'}; expected a "
+            "finite number in each row"
         )
     return (frame.filter(~gone), rows[~gone]) if gone.any() else (frame, rows)
 
 
-def _check_lengths(series: pl.Series, rows: np.ndarray, column: SheetColumn, *, source: str) -> None:
-    """Refuse cells too long for a name or a number: in an array, all names take the space of the longest."""
+def _check_lengths(
+    series: pl.Series, rows: np.ndarray, column: SheetColumn, *, source: str
+) -> None:
+    """Refuse cells too long for a name or a number: in an array, all names take the space of the
+    longest.
+    """
     import polars as pl
 
     if series.dtype == pl.String:
@@ -202,7 +258,8 @@ def _check_lengths(series: pl.Series, rows: np.ndarray, column: SheetColumn, *, 
         if lengths.max(initial=0) > _LONGEST:
             row = int(lengths.argmax())
             raise MeasurementError(
-                f'{source}, line {rows[row]}, column "{column.label}": a cell of {lengths[row]} bytes; '
+                f'{source}, line {rows[row]}, column "{column.label}": a cell of '
+                f"{lengths[row]} bytes; "
                 f"expected {'a name' if column.is_name else 'a number'} of at most {_LONGEST}"
             )
 
@@ -233,19 +290,34 @@ def _seconds(text: pl.Series) -> pl.Series:
     shape = "%Y-%m-%dT%H:%M:%S%.f"
     plain = text.str.replace(" ", "T", literal=True).str.strip_suffix("Z").str.replace(_ZONE, "")
     zone = [text.str.extract(_ZONE, k).cast(pl.Float64).fill_null(0.0) for k in (2, 3)]
-    sign = text.str.extract(_ZONE, 1).replace_strict({"-": -1.0, "+": 1.0}, default=0.0, return_dtype=pl.Float64)
-    local = plain.str.to_datetime(shape, time_unit="us", strict=False).dt.epoch("us").cast(pl.Float64) * 1e-6
+    sign = text.str.extract(_ZONE, 1).replace_strict(
+        {"-": -1.0, "+": 1.0}, default=0.0, return_dtype=pl.Float64
+    )
+    local = (
+        plain.str.to_datetime(shape, time_unit="us", strict=False).dt.epoch("us").cast(pl.Float64)
+        * 1e-6
+    )
     return local - sign * (3600.0 * zone[0] + 60.0 * zone[1])
 
 
 def _check_cells(
-    cells: Mapping[str, pl.Series], raw: pl.DataFrame, rows: np.ndarray, *, columns: Sequence[SheetColumn], source: str
+    cells: Mapping[str, pl.Series],
+    raw: pl.DataFrame,
+    rows: np.ndarray,
+    *,
+    columns: Sequence[SheetColumn],
+    source: str,
 ) -> None:
-    total, faults = 0, list[tuple[int, SheetColumn]]()
+    total = 0
+    faults = list[tuple[int, SheetColumn]]()
     for column in columns:
         series = cells[column.name]
         # An empty cell is null, or NaN as a number.
-        right = series.is_not_null().to_numpy() if column.is_name else is_possible(column.values(series), column.quantity)
+        right = (
+            series.is_not_null().to_numpy()
+            if column.is_name
+            else is_possible(column.values(series), column.quantity)
+        )
         if not right.all():
             wrong = np.flatnonzero(~right)
             total += wrong.size
@@ -253,9 +325,15 @@ def _check_cells(
     if faults:
         row, column = min(faults, key=lambda found: found[0])
         value = raw[column.name][row]
-        found = "an empty cell" if value is None or str(value).strip() in ("", '""') else f'"{value}"'
+        found = (
+            "an empty cell" if value is None or str(value).strip() in ("", '""') else f'"{value}"'
+        )
         expected = "a name" if column.is_name else expected_number(column.quantity)
-        expected += ", or a date and time such as 2026-01-31T12:00:00.5" if column.quantity == "time" else ""
+        expected += (
+            ", or a date and time such as 2026-01-31T12:00:00.5"
+            if column.quantity == "time"
+            else ""
+        )
         raise MeasurementError(
             f'{source}, line {rows[row]}, column "{column.label}": {found}; expected {expected}; '
             f"cells affected: {total}; correct them, delete their rows, or leave the "
@@ -263,18 +341,22 @@ def _check_cells(
         )
 
 
-# Largest ratio of unpacked to packed size. Measured numbers compress to a fifth in Excel, one number in all cells to an
-# eighth; 60 poses with 1000 readings each compress to a ninth in Parquet.
+# Largest ratio of unpacked to packed size. Measured numbers compress to a fifth in Excel, one
+# number in all cells to an eighth; 60 poses with 1000 readings each compress to a ninth in Parquet.
 _MOST_TIMES = 50
 # Unpacked size that any file may have [bytes]: small ones are little but headers.
 _ALWAYS = 1_000_000
 
 
 def check_unpacked(path: Path, held: int) -> None:
-    """Refuse a file whose contents, of ``held`` bytes, are far larger than itself, before they are unpacked."""
+    """Refuse a file whose contents, of ``held`` bytes, are far larger than itself, before they are
+    unpacked.
+    """
     size = path.stat().st_size
     if held > max(_ALWAYS, _MOST_TIMES * size):
         raise MeasurementError(
-            f"{path.name}: holds {held / 1e6:.0f} MB in {size / 1e6:.2g} MB, more than {_MOST_TIMES} times its size; "
-            "measured numbers do not compress like that: look for blank or copied rows and columns, or save the table as CSV"
+            f"{path.name}: holds {held / 1e6:.0f} MB in {size / 1e6:.2g} MB, more than "
+            f"{_MOST_TIMES} times its size; "
+            "measured numbers do not compress like that: look for blank or copied rows "
+            "and columns, or save the table as CSV"
         )

@@ -1,10 +1,10 @@
 r"""How the rows of a table came about: readings within a stop, stops at a pose, poses in a pass.
 
 A *reading* is a row: one target, or one point of an image. A *stop* is the arm standing still once:
-all its readings, repeats and targets alike, share the arrival of the drives. A *pose* is a set of joint
-positions, with its payload and direction of approach, visited by one stop or more. A *pass* is one run
-through poses, and a *session* a stretch of time without a long pause. With e of each reading, a of each
-stop and d of each pass,
+all its readings, repeats and targets alike, share the arrival of the drives. A *pose* is a set of
+joint positions, with its payload and direction of approach, visited by one stop or more. A *pass*
+is one run through poses, and a *session* a stretch of time without a long pause. With e of each
+reading, a of each stop and d of each pass,
 
 .. math:: y_{psr} = f(q_p) + m(q_p) + J_p a_{ps} + d_{pass} + e_{psr} .
 
@@ -22,12 +22,13 @@ import numpy as np
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, mean_rows, pose_groups, replicate_groups, without_copies
 
-# Consecutive rows of one pose are of two stops if the time between them is at least this part of the
-# usual time from one pose to the next: the arm had time to leave and come back.
+# Consecutive rows of one pose are of two stops if the time between them is at least this part of
+# the usual time from one pose to the next: the arm had time to leave and come back.
 _AWAY = 0.5
-# A pause that is this many times the usual time between stops, and at least as many seconds, divides
-# two sessions.
-_PAUSE, _LEAST_PAUSE = 20.0, 600.0
+# A pause that is this many times the usual time between stops, and at least as many seconds,
+# divides two sessions.
+_PAUSE = 20.0
+_LEAST_PAUSE = 600.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,8 @@ class Plan:
         pose: number of each row's pose, whatever target was read.
         thing: number of each row's pose and target, or point: equal for repeated readings.
         stop: number of the stop of the robot, in the order of measurement.
-        passes: number of the run through the poses; a pass ends where a pose of it is visited again.
+        passes: number of the run through the poses; a pass ends where a pose of it is visited
+            again.
         session: number of the session; 0 without times.
     """
 
@@ -107,10 +109,11 @@ class Plan:
 
 
 def plan_of(table: Measurements) -> Plan:
-    """Return the plan by which a table was measured, from its joints, order, times and column ``stop``.
+    """Return the plan by which a table was measured, from its joints, order, times and column
+    ``stop``.
 
-    Consecutive rows of one pose are one stop, unless the column ``stop`` or a pause in ``time`` that is
-    long enough to leave the pose and come back divides them.
+    Consecutive rows of one pose are one stop, unless the column ``stop`` or a pause in ``time``
+    that is long enough to leave the pose and come back divides them.
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
@@ -139,7 +142,8 @@ def plan_of(table: Measurements) -> Plan:
 
 @dataclass(frozen=True, eq=False)
 class StopRows:
-    """A table with one row for each target, or point, read in each stop, and the single readings behind it.
+    """A table with one row for each target, or point, read in each stop, and the single readings
+    behind it.
 
     Attributes:
         table: the M rows: means of repeats within a stop.
@@ -157,7 +161,9 @@ class StopRows:
 
     @classmethod
     def of(cls, table: Measurements) -> StopRows:
-        """Return the rows of a table by stops; a table of means, or of an arm in motion, stands for itself."""
+        """Return the rows of a table by stops; a table of means, or of an arm in motion, stands for
+        itself.
+        """
         plan = plan_of(table)
         if table.readings_per_row is not None or table.moving is not None or not plan.is_repeated:
             return cls(table, plan, table, plan, np.arange(len(table)))
@@ -168,7 +174,9 @@ class StopRows:
         _, first, number = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
         in_order = np.argsort(first)
         row_of = np.argsort(in_order)[number.ravel()]
-        return cls(mean_rows(readings, row_of), plan.select(first[in_order]), readings, plan, row_of)
+        return cls(
+            mean_rows(readings, row_of), plan.select(first[in_order]), readings, plan, row_of
+        )
 
     def select(self, rows: np.ndarray) -> StopRows:
         """Return some of the rows, by index, with their readings."""
@@ -185,10 +193,11 @@ class StopRows:
 
 
 def by_stop(table: Measurements) -> Measurements:
-    """Return a table with one row for each target, or point, read in each stop: the mean of its repeats.
+    """Return a table with one row for each target, or point, read in each stop: the mean of its
+    repeats.
 
-    ``readings_per_row`` counts these; a table without repeats in a stop is returned unchanged, and so is
-    one of means.
+    ``readings_per_row`` counts these; a table without repeats in a stop is returned unchanged, and
+    so is one of means.
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
@@ -206,7 +215,9 @@ def by_stop(table: Measurements) -> Measurements:
 
 
 def with_stops_counted(means: Measurements, table: Measurements) -> Measurements:
-    """Return means of poses with the number of stops behind each, from the table of single readings."""
+    """Return means of poses with the number of stops behind each, from the table of single
+    readings.
+    """
     if means is table or means.stops_per_row is not None or table.moving is not None:
         return means
     plan = plan_of(table)

@@ -1,7 +1,8 @@
-"""Measured poses in one table: arrays in SI units, read from CSV, Excel or Parquet and written to CSV or Parquet.
+"""Measured poses in one table: arrays in SI units, read from CSV, Excel or Parquet and written to
+CSV or Parquet.
 
-One row per measured pose. Joints have their names in the URDF; units are given in square brackets (``x [mm]``,
-``joint_1 [deg]``). Invalid values are refused with their line and column.
+One row per measured pose. Joints have their names in the URDF; units are given in square brackets
+(``x [mm]``, ``joint_1 [deg]``). Invalid values are refused with their line and column.
 """
 
 from __future__ import annotations
@@ -19,21 +20,33 @@ import numpy as np
 from pincal.atomic import replacing
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.measure.fields import CONDITIONS, TABLE_ENDINGS, Schema, TableOptions
-from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays, validated
+from pincal.measure.measurements import (
+    Measurements,
+    concatenate,
+    measurements_from_arrays,
+    validated,
+)
 from pincal.measure.reader import joint_columns, read_columns, read_table, typed_errors
 from pincal.measure.registry import expected_columns, known_fields
 from pincal.measure.sensor import Divided
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Mimic, mimicked
 
-__all__ = ["Measurements", "concatenate", "joint_columns", "measurements_from_arrays", "read_columns"]
+__all__ = [
+    "Measurements",
+    "concatenate",
+    "joint_columns",
+    "measurements_from_arrays",
+    "read_columns",
+]
 __all__ += ["read_measurements", "row_parts", "write_table"]
 
 # Name of a set-up without one.
 _UNNAMED = "setup"
 # Ends of the path between the two links of a reading.
 LINK_ENDS = ("from", "to")
-# Rows processed at once where not all fit into memory: some hundred MB, including all that a fit derives from them.
+# Rows processed at once where not all fit into memory: some hundred MB, including all that a fit
+# derives from them.
 MOST_ROWS = 200_000
 
 
@@ -51,26 +64,29 @@ def read_measurements(
     """Read a table of measured poses from CSV or other text, Excel or Parquet.
 
     Args:
-        path: the file; the ending of its name gives the format, text by default, whose separator, decimal comma and
-            encoding are detected.
+        path: the file; the ending of its name gives the format, text by default, whose separator,
+            decimal comma and encoding are detected.
         robot: the robot, or the names of its n joints; dependent joints of a robot need no column.
-        require: "joints" needs no measurement and leaves out all columns that are neither a joint nor a condition (target,
-            point, payload, temperature, time, station, approach).
-        joint_types: "revolute" or "prismatic" for each named joint, which determines its possible units; default: all
-            revolute.
+        require: "joints" needs no measurement and leaves out all columns that are neither a joint
+            nor a condition (target, point, payload, temperature, time, station, approach).
+        joint_types: "revolute" or "prismatic" for each named joint, which determines its possible
+            units; default: all revolute.
         mimics: named joints that mimic others and may have no column (``robot.mimics``).
         resting: joints that may have no column, with their rest positions [rad or m].
-        part: rows of a Parquet file to read, by index, as :func:`row_parts` yields them; default: all.
+        part: rows of a Parquet file to read, by index, as :func:`row_parts` yields them; default:
+            all.
         options: ignore, columns, orientation, joints, sheet, rows_in_order and shares_log, as in
             :class:`pincal.measure.fields.TableOptions`.
 
     Returns:
-        The rows in SI units, each with its line in the file (in Parquet: counted as if there were a header).
+        The rows in SI units, each with its line in the file (in Parquet: counted as if there were a
+        header).
 
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or value that is invalid.
     """
-    source, only_joints = Path(path).name, require == "joints"
+    source = Path(path).name
+    only_joints = require == "joints"
     given = TableOptions(**{name: value for name, value in options.items() if value is not None})
     schema = Schema(
         fields=tuple((CONDITIONS if only_joints else known_fields()).values()),
@@ -80,17 +96,26 @@ def read_measurements(
     if isinstance(robot, Robot):
         schema = schema.of_robot(robot)
     else:
-        names, driven = tuple(robot), {mimic.joint for mimic in mimics}
+        names = tuple(robot)
+        driven = {mimic.joint for mimic in mimics}
         own = tuple(name for name in names if name not in driven)
         following = partial(mimicked, names=names, mimics=mimics)
         schema = replace(
-            schema, joint_names=names, joint_types=tuple(joint_types or ()), own_joints=own, following=following
+            schema,
+            joint_names=names,
+            joint_types=tuple(joint_types or ()),
+            own_joints=own,
+            following=following,
         )
     cells = read_table(path, schema, part=part)
-    measurements = validated(schema.joint_names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units)
+    measurements = validated(
+        schema.joint_names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units
+    )
     measurements = replace(measurements, approach_from=cells.approach_from)
     if not only_joints and measurements.sensor is None:
-        raise MeasurementError(f"{source}: no measurement in the table; expected columns {expected_columns()}")
+        raise MeasurementError(
+            f"{source}: no measurement in the table; expected columns {expected_columns()}"
+        )
     return measurements
 
 
@@ -110,8 +135,11 @@ def row_parts(path: str | os.PathLike[str], most: int = MOST_ROWS) -> Iterator[r
     yield from (range(a, b) for a, b in pairwise(ends))
 
 
-def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray], *, to_fill: Sequence[str] = ()) -> None:
-    """Write columns as CSV, tab-separated text or Parquet, by the ending of the name, in full precision.
+def write_table(
+    path: str | os.PathLike[str], columns: Mapping[str, np.ndarray], *, to_fill: Sequence[str] = ()
+) -> None:
+    """Write columns as CSV, tab-separated text or Parquet, by the ending of the name, in full
+    precision.
 
     Args:
         path: the file to write; an existing one is replaced only when the new one is complete.
@@ -119,7 +147,8 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray],
         to_fill: headers of further, empty columns.
 
     Raises:
-        OutputError: for columns of unequal length, another ending, or a place that can't be written to.
+        OutputError: for columns of unequal length, another ending, or a place that can't be written
+            to.
     """
     import polars as pl
 
@@ -127,14 +156,23 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray],
     ending = path.suffix.lower()
     if ending not in TABLE_ENDINGS:
         raise OutputError(
-            f"{path}: a table can't be written as {ending or 'a file without an ending'}; end the name in .csv or .parquet"
+            f"{path}: a table can't be written as {ending or 'a file without an ending'}; "
+            "end the name in .csv or .parquet"
         )
     arrays = {name: np.asarray(values) for name, values in columns.items()}
-    if not arrays or len({values.shape for values in arrays.values()}) > 1 or next(iter(arrays.values())).ndim != 1:
+    if (
+        not arrays
+        or len({values.shape for values in arrays.values()}) > 1
+        or next(iter(arrays.values())).ndim != 1
+    ):
         shapes = ", ".join(f"{name} {np.shape(values)}" for name, values in columns.items())
-        raise OutputError(f"{path}: columns of shape {shapes or 'nothing'}; expected all of one shape (N,)")
+        raise OutputError(
+            f"{path}: columns of shape {shapes or 'nothing'}; expected all of one shape (N,)"
+        )
     frame = pl.DataFrame({name: np.ascontiguousarray(values) for name, values in arrays.items()})
-    frame = frame.with_columns(pl.lit(None, pl.Float64).alias(name) for name in to_fill if name not in arrays)
+    frame = frame.with_columns(
+        pl.lit(None, pl.Float64).alias(name) for name in to_fill if name not in arrays
+    )
     with replacing(path) as draft:
         try:
             if ending == ".parquet":
@@ -142,20 +180,24 @@ def write_table(path: str | os.PathLike[str], columns: Mapping[str, np.ndarray],
             else:
                 frame.write_csv(draft, separator="\t" if ending == ".tsv" else ",")
         except pl.exceptions.PolarsError as error:
-            raise OutputError(f"{path}: can't be written ({error}); choose a folder that exists and is writable") from error
+            raise OutputError(
+                f"{path}: can't be written ({error}); choose a folder that exists and is writable"
+            ) from error
 
 
 def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measurements]:
     """Return the rows of each station, in the order in which stations appear.
 
-    A table is a station unless it has a column ``station``; rows of one name may then come from several tables. Rows between
-    other links form a separate station, named after the set-up and these links.
+    A table is a station unless it has a column ``station``; rows of one name may then come from
+    several tables. Rows between other links form a separate station, named after the set-up and
+    these links.
 
     Args:
         tables: tables with their names as stations if they have no such column.
 
     Raises:
-        BadInputError: if two stations have the same name, or rows of one station were read by different sensors.
+        BadInputError: if two stations have the same name, or rows of one station were read by
+            different sensors.
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
@@ -187,7 +229,11 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
 def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurements]]:
     """Yield the rows of a table between each pair of links, with their names as stations."""
     sensor = table.sensor
-    parts = list(sensor.parts(table)) if sensor is not None and issubclass(sensor, Divided) else [("", table)]
+    parts = (
+        list(sensor.parts(table))
+        if sensor is not None and issubclass(sensor, Divided)
+        else [("", table)]
+    )
     found: list[tuple[list[str], Measurements]] = []
     for kind, part in parts:
         columns = [of for end in LINK_ENDS if (of := getattr(part, f"{end}_link")) is not None]
@@ -195,16 +241,26 @@ def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurement
             found.append(([*(str(of[0]) for of in columns), kind], part))
             continue
         links, inverse = np.unique(np.array(columns), axis=1, return_inverse=True)
-        found += [([*links[:, k], kind], part.select(inverse == k)) for k in dict.fromkeys(inverse.tolist())]
+        found += [
+            ([*links[:, k], kind], part.select(inverse == k))
+            for k in dict.fromkeys(inverse.tolist())
+        ]
     # Readings from different links are by different instruments.
-    starts = ["" if rows.from_link is None or not len(rows) else str(rows.from_link[0]) for _, rows in found]
+    starts = [
+        "" if rows.from_link is None or not len(rows) else str(rows.from_link[0])
+        for _, rows in found
+    ]
     for (own, rows), start in zip(found, starts, strict=True):
         shared = (name or _UNNAMED) if len(set(starts)) == 1 else f"{name or _UNNAMED}:{start}"
         # Only marks that differ between the stations.
         several = zip(own, zip(*(marks for marks, _ in found), strict=True), strict=True)
         ending = "".join(f":{mark}" for mark, all_marks in several if len(set(all_marks)) > 1)
         ending = ending.removeprefix("" if name else ":")
-        station = None if rows.station is None else np.array([f"{each}{ending}" for each in rows.station.tolist()])
+        station = (
+            None
+            if rows.station is None
+            else np.array([f"{each}{ending}" for each in rows.station.tolist()])
+        )
         setup = shared if ending and starts.count(start) > 1 else rows.setup
         yield f"{name}{ending}", replace(rows, station=station, setup=setup)
 
@@ -213,7 +269,10 @@ def _rows_of(table: Measurements, station: str) -> Measurements:
     assert table.station is not None
     mine = table.station == station
     if not station.strip():
-        raise BadInputError(f'{table.source}, line {table.rows[mine][0]}, "station": no name; expected one in each row')
+        raise BadInputError(
+            f'{table.source}, line {table.rows[mine][0]}, "station": no name; expected '
+            "one in each row"
+        )
     return replace(table if mine.all() else table.select(mine), station=None)
 
 
@@ -224,7 +283,8 @@ def _joined(name: str, parts: list[Measurements]) -> Measurements:
     if len(kinds) > 1:
         (kind, source), (other, second) = list(kinds.items())[:2]
         raise BadInputError(
-            f"station {name!r} is read as {kind} in {source} and as {other} in {second}; expected one sensor at a station: "
+            f"station {name!r} is read as {kind} in {source} and as {other} in {second}; "
+            "expected one sensor at a station: "
             "give each its own name in the column station"
         )
     return concatenate(parts)
@@ -233,6 +293,7 @@ def _joined(name: str, parts: list[Measurements]) -> Measurements:
 def _same_name(name: str, one: Measurements, other: Measurements) -> BadInputError:
     kinds = f" of different kinds ({one.kind} and {other.kind})" if one.kind != other.kind else ""
     return BadInputError(
-        f"two stations{kinds} are called {name!r}, from {one.source} and {other.source}; expected a different name for "
+        f"two stations{kinds} are called {name!r}, from {one.source} and {other.source}; "
+        "expected a different name for "
         "each: rename a file, or name the stations in a column station"
     )

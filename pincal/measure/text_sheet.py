@@ -1,6 +1,7 @@
 """CSV and whitespace-separated text as sheets.
 
-Text is UTF-8; UTF-16 with a byte-order mark, as spreadsheets write it, and Windows-1252 (Latin-1 and more) are read, too.
+Text is UTF-8; UTF-16 with a byte-order mark, as spreadsheets write it, and Windows-1252 (Latin-1
+and more) are read, too.
 """
 
 from __future__ import annotations
@@ -58,8 +59,12 @@ class TextSheet(Sheet):
     def _first_rows(self) -> list[list[str]]:
         with self.open() as file:
             head = file.read(_HEAD_BYTES)
-        lines = [line for line in head.splitlines()[self.header_line :] if _has_cells(line)][:_FIRST_ROWS]
-        return _split([line.decode("utf-8", "replace") for line in lines], self.separator, self.path.name)
+        lines = [line for line in head.splitlines()[self.header_line :] if _has_cells(line)][
+            :_FIRST_ROWS
+        ]
+        return _split(
+            [line.decode("utf-8", "replace") for line in lines], self.separator, self.path.name
+        )
 
     def open(self) -> BinaryIO:
         """Return the text as a file."""
@@ -67,7 +72,8 @@ class TextSheet(Sheet):
 
 
 def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
-    """Read the header of a text file, recognised by names of joints; other lines are left out with a `PincalWarning`.
+    """Read the header of a text file, recognised by names of joints; other lines are left out with
+    a `PincalWarning`.
 
     Raises:
         MeasurementError: for a binary or an empty file, or one without names of columns.
@@ -78,7 +84,9 @@ def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         head = content = path.read_bytes().decode("utf-16").encode()
     elif b"\0" in head or head.startswith(b"PAR1"):
-        raise MeasurementError(f"{path.name}: a binary file; expected CSV text in UTF-8, or a name ending in .parquet")
+        raise MeasurementError(
+            f"{path.name}: a binary file; expected CSV text in UTF-8, or a name ending in .parquet"
+        )
     if (found := _heading(head.removeprefix(codecs.BOM_UTF8), joints)) is not None:
         return _below(path, content, *found)
     for number, line in enumerate(head.removeprefix(codecs.BOM_UTF8).splitlines(), start=1):
@@ -93,25 +101,37 @@ _LOOKED_AT = 200
 
 def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]] | None:
     """Return a heading that is more than the first line, and the numbers of the non-blank lines."""
-    numbers, texts = list[int](), list[str]()
+    numbers = list[int]()
+    texts = list[str]()
     for number, line in enumerate(head.splitlines()[:_LOOKED_AT], start=1):
         # The last comment before the numbers may contain the names.
         are_comments = len(texts) <= 1 and all(text.startswith("#") for text in texts)
         if _has_cells(line) or (are_comments and line.startswith(b"#")):
             start = 0 if line.startswith(b"#") else len(texts)
-            numbers[start:], texts[start:] = [number], [line.decode("utf-8", "replace")]
+            numbers[start:] = [number]
+            texts[start:] = [line.decode("utf-8", "replace")]
     for separator in ("\t", ";", ",", " "):
         try:
-            rows = [t.split() for t in texts] if separator == " " else [*csv.reader(texts, delimiter=separator)]
+            rows = (
+                [t.split() for t in texts]
+                if separator == " "
+                else [*csv.reader(texts, delimiter=separator)]
+            )
         except csv.Error:
             continue
         if texts and texts[0].startswith("#"):
             # The first column itself may be named #.
             is_name = len(rows) > 1 and len(rows[0]) == len(rows[1]) and rows[0][0].strip() == "#"
-            named = [cell.strip() for cell in [rows[0][0].lstrip("# "), *rows[0][1:]] if cell.strip(" #")]
+            named = [
+                cell.strip() for cell in [rows[0][0].lstrip("# "), *rows[0][1:]] if cell.strip(" #")
+            ]
             named = ["#", *named] if is_name else named
             numbers_below = sum(map(is_number, rows[1])) if len(rows) > 1 else 0
-            is_header = len(rows) > 1 and len(named) == len(rows[1]) and numbers_below > len(named) - 1 - is_name
+            is_header = (
+                len(rows) > 1
+                and len(named) == len(rows[1])
+                and numbers_below > len(named) - 1 - is_name
+            )
             rows, first = ([named, *rows[1:]], 0) if is_header else (rows[1:], 1)
         else:
             first = 0
@@ -121,9 +141,15 @@ def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]
     return None
 
 
-def _below(path: Path, content: bytes | None, found: TableHead, numbers: Sequence[int]) -> TextSheet:
-    """Return the table below its preamble, whose lines become comments so that line numbers are preserved."""
-    lines = _utf8(path.read_bytes().removeprefix(codecs.BOM_UTF8) if content is None else content, path).splitlines()
+def _below(
+    path: Path, content: bytes | None, found: TableHead, numbers: Sequence[int]
+) -> TextSheet:
+    """Return the table below its preamble, whose lines become comments so that line numbers are
+    preserved.
+    """
+    lines = _utf8(
+        path.read_bytes().removeprefix(codecs.BOM_UTF8) if content is None else content, path
+    ).splitlines()
     header = numbers[found.header]
     for number in numbers[: found.body]:
         if number != header:
@@ -135,7 +161,9 @@ def _below(path: Path, content: bytes | None, found: TableHead, numbers: Sequenc
 
 
 def _split(lines: list[str], separator: str, name: str) -> list[list[str]]:
-    """Return the cells of lines; refuse what no table contains, such as a cell of a hundred thousand characters."""
+    """Return the cells of lines; refuse what no table contains, such as a cell of a hundred
+    thousand characters.
+    """
     try:
         return list(csv.reader(lines, delimiter=separator))
     except csv.Error as error:
@@ -154,10 +182,13 @@ def _sheet_of_header(path: Path, line: bytes, number: int, *, content: bytes | N
     if separator not in header and len(header.split()) > 1:
         lines = (path.read_bytes() if content is None else content).splitlines()
         content = b"\n".join(_BLANKS.sub(b"\t", line.strip(b" \t")) for line in lines)
-        header, separator = re.sub(r"\s+", "\t", re.sub(r"\s+(?=[\[(])", "", header.strip())), "\t"
+        header = re.sub(r"\s+", "\t", re.sub(r"\s+(?=[\[(])", "", header.strip()))
+        separator = "\t"
     labels = tuple(cell.strip() for cell in _split([header], separator, path.name)[0])
     if all(re.fullmatch(r"[-+.,\deE]+", label) for label in labels):
-        raise MeasurementError(f"{path.name}, line {number}: numbers; expected the names of the columns, without a #")
+        raise MeasurementError(
+            f"{path.name}, line {number}: numbers; expected the names of the columns, without a #"
+        )
     return TextSheet(path, labels, separator != ",", separator, number, content)
 
 
@@ -170,7 +201,9 @@ def _utf8(text: bytes, path: Path) -> bytes:
         decoded = text.decode("cp1252")
     except UnicodeDecodeError as error:
         line = text[: error.start].count(b"\n") + 1
-        raise MeasurementError(f"{path.name}, line {line}: not UTF-8 text; save the table as CSV UTF-8") from error
+        raise MeasurementError(
+            f"{path.name}, line {line}: not UTF-8 text; save the table as CSV UTF-8"
+        ) from error
     warn(f"{path.name}: not UTF-8; read as Windows-1252 (Latin-1)")
     return decoded.encode("utf-8")
 
@@ -179,13 +212,17 @@ def _has_cells(line: bytes) -> bool:
     return bool(line.strip(b" \t,;")) and not line.lstrip().startswith(b"#")
 
 
-def _schema(sheet: TextSheet, columns: Sequence[SheetColumn], number: Any, text: Any) -> dict[str, Any]:
+def _schema(
+    sheet: TextSheet, columns: Sequence[SheetColumn], number: Any, text: Any
+) -> dict[str, Any]:
     numeric = {column.index: number for column in columns if not column.is_name}
     names = {column.index: column.name for column in columns}
     return {names.get(i, f"column {i + 1}"): numeric.get(i, text) for i in range(len(sheet.labels))}
 
 
-def _read_regular(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray] | None:
+def _read_regular(
+    sheet: TextSheet, columns: Sequence[SheetColumn]
+) -> tuple[pl.DataFrame, np.ndarray] | None:
     """Return the cells of a regular table in one pass, None if any line needs a closer look."""
     import polars as pl
 
@@ -213,16 +250,19 @@ def _read_regular(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.
 
 def _count_lines(sheet: TextSheet) -> int:
     """Return the number of lines, not counting blank ones at the end of the file."""
-    lines, tail = 1, b""
+    lines = 1
+    tail = b""
     with sheet.open() as file:
         while chunk := file.read(_CHUNK_BYTES):
-            lines, tail = lines + chunk.count(b"\n"), chunk
+            lines = lines + chunk.count(b"\n")
+            tail = chunk
     return lines - tail[len(tail.rstrip(b" \t\r\n,;")) :].count(b"\n")
 
 
 def _are_equal(sheet: TextSheet, expected: int) -> bool:
     """Return whether so many lines after the header have as many separators as the header."""
-    counts, carried = list[np.ndarray](), 0
+    counts = list[np.ndarray]()
+    carried = 0
     with sheet.open() as file:
         while chunk := file.read(_CHUNK_BYTES):
             marks = np.frombuffer(chunk, np.uint8)
@@ -235,16 +275,23 @@ def _are_equal(sheet: TextSheet, expected: int) -> bool:
     return bool((body == len(sheet.labels) - 1).all())
 
 
-def _read_lines(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
+def _read_lines(
+    sheet: TextSheet, columns: Sequence[SheetColumn]
+) -> tuple[pl.DataFrame, np.ndarray]:
     """Return the cells as text, skipping blank lines and comments."""
     import polars as pl
 
     with sheet.open() as file:
         lines = _utf8(file.read(), sheet.path).splitlines()
-    rows = np.array([i for i, line in enumerate(lines, start=1) if i > sheet.header_line and _has_cells(line)], int)
+    rows = np.array(
+        [i for i, line in enumerate(lines, start=1) if i > sheet.header_line and _has_cells(line)],
+        int,
+    )
     kept = [lines[row - 1] for row in rows]
     if not kept:
-        return pl.DataFrame(schema=dict.fromkeys((column.name for column in columns), pl.String)), rows
+        return pl.DataFrame(
+            schema=dict.fromkeys((column.name for column in columns), pl.String)
+        ), rows
     try:
         frame = pl.read_csv(
             io.BytesIO(b"\n".join(kept) + b"\n"),
@@ -260,19 +307,27 @@ def _read_lines(sheet: TextSheet, columns: Sequence[SheetColumn]) -> tuple[pl.Da
         _check_lines(sheet, kept, rows)
     if frame.height != len(rows):
         reason = "a quotation mark is not closed, or a cell holds a line break"
-        raise MeasurementError(f"{sheet.path.name}: {len(rows)} lines, but {frame.height} rows: {reason}")
+        raise MeasurementError(
+            f"{sheet.path.name}: {len(rows)} lines, but {frame.height} rows: {reason}"
+        )
     return frame, rows
 
 
 def _check_lines(sheet: TextSheet, kept: list[bytes], rows: np.ndarray) -> None:
     """Refuse the first line whose number of cells differs from the header's."""
-    separator, expected = sheet.separator.encode(), len(sheet.labels)
+    separator = sheet.separator.encode()
+    expected = len(sheet.labels)
     for line, row in zip(kept, rows, strict=True):
         count = line.count(separator) + 1
         if count != expected and b'"' in line:
-            count = len(_split([line.decode("utf-8", "replace")], sheet.separator, sheet.path.name)[0])
+            count = len(
+                _split([line.decode("utf-8", "replace")], sheet.separator, sheet.path.name)[0]
+            )
         if count != expected:
-            hint = "; decimal commas need ; or tab between the cells" if sheet.separator == "," else ""
+            hint = (
+                "; decimal commas need ; or tab between the cells" if sheet.separator == "," else ""
+            )
             raise MeasurementError(
-                f"{sheet.path.name}, line {row}: {count} cells; expected {expected} as in the header{hint}"
+                f"{sheet.path.name}, line {row}: {count} cells; expected {expected} as in "
+                f"the header{hint}"
             )

@@ -14,7 +14,8 @@ FEWEST_SPLINES = _DEGREE + 1
 
 
 def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.ndarray:
-    """Return the values at x, shape (N,), of ``size`` (at least 4) uniform cubic B-splines, shape (size, N).
+    """Return the values at x, shape (N,), of ``size`` (at least 4) uniform cubic B-splines, shape
+    (size, N).
 
     Their knots lie in [lower, upper]; beyond it they are constant. They add up to 1.
 
@@ -25,7 +26,9 @@ def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.nda
     from scipy.interpolate import BSpline
 
     if are_symbols(x):
-        return np.array([[cubic(curve, at) for at in x] for curve in _splines(lower, upper, size)], object)
+        return np.array(
+            [[cubic(curve, at) for at in x] for curve in _splines(lower, upper, size)], object
+        )
     dense = np.zeros((size, len(x)))
     if not len(x):
         # SciPy has no design matrix of no positions.
@@ -37,13 +40,18 @@ def spline_basis(x: np.ndarray, lower: float, upper: float, size: int) -> np.nda
 
 @lru_cache(maxsize=32)
 def spline_roughness(lower: float, upper: float, size: int) -> np.ndarray:
-    """Return the integrals of products of second derivatives of these splines, shape (size, size), read-only."""
+    """Return the integrals of products of second derivatives of these splines, shape (size, size),
+    read-only.
+    """
     from scipy.interpolate import BSpline
 
     knots = _knots(lower, upper, size)
-    places, step = knots[_DEGREE : size + 1], (upper - lower) / (size - _DEGREE)
-    # Second derivatives are linear between knots, so two-point Gauss quadrature of their products is exact.
-    middle, aside = 0.5 * (places[:-1] + places[1:]), 0.5 * step / np.sqrt(3.0)
+    places = knots[_DEGREE : size + 1]
+    step = (upper - lower) / (size - _DEGREE)
+    # Second derivatives are linear between knots, so two-point Gauss quadrature of their products
+    # is exact.
+    middle = 0.5 * (places[:-1] + places[1:])
+    aside = 0.5 * step / np.sqrt(3.0)
     x = np.concatenate([middle - aside, middle + aside])
     bend = BSpline(knots, np.eye(size), _DEGREE).derivative(2)(x)
     found = np.asarray(0.5 * step * bend.T @ bend)
@@ -63,5 +71,8 @@ def _splines(lower: float, upper: float, size: int) -> tuple[Cubic, ...]:
     knots = _knots(lower, upper, size)
     places = knots[_DEGREE : size + 1]
     powers = np.diff(places) ** np.arange(_DEGREE + 1)[:, None]
-    local = [PPoly.from_spline(BSpline(knots, row, _DEGREE)).c[::-1, _DEGREE:size] * powers for row in np.eye(size)]
+    local = [
+        PPoly.from_spline(BSpline(knots, row, _DEGREE)).c[::-1, _DEGREE:size] * powers
+        for row in np.eye(size)
+    ]
     return tuple(Cubic.of(float(places[0]), float(places[-1]), pieces.T) for pieces in local)

@@ -1,4 +1,6 @@
-"""Conditions of poses, known before anything is measured, and the variables that effects depend on."""
+"""Conditions of poses, known before anything is measured, and the variables that
+effects depend on.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +24,16 @@ from pincal.recorded import RECORDABLE, RECORDED, Recorded
 TURN = 2.0 * np.pi
 # The variable of effects that depend on the static moment on a joint.
 MOMENT = "moment"
-# Positions closer than this fraction of their range count as equal, so that encoder readings on a grid remain a grid.
+# Positions closer than this fraction of their range count as equal, so that encoder readings on a
+# grid remain a grid.
 _CLOSE = 1e-3
-# A joint whose positions range over less than this, and less than this fraction of the range of the joint that moves most,
-# stands still: an encoder reads a resting joint to about 1e-5 rad, and drives settle to 9e-5 (Slamani 2012) [rad, m].
-_STILL, _STILL_BESIDE = 1e-4, 1e-3
-# A moment below this fraction of the largest on the arm is there only because the base is not quite level.
+# A joint whose positions range over less than this, and less than this fraction of the range of the
+# joint that moves most, stands still: an encoder reads a resting joint to about 1e-5 rad, and
+# drives settle to 9e-5 (Slamani 2012) [rad, m].
+_STILL = 1e-4
+_STILL_BESIDE = 1e-3
+# A moment below this fraction of the largest on the arm is there only because the base is not quite
+# level.
 UNFELT = 1e-3
 
 
@@ -40,11 +46,15 @@ class Conditions(Recorded):
         target: shape (N,), index into the chain's targets.
         payload: shape (N,), mass at the tip [kg].
         payload_centre: shape (3,), its centre of mass in the tip frame [m].
-        setup: shape (N,), index of the set-up of instrument and targets if there are several, else None.
-        sighted: shape (N, 3), position of the target in the instrument's frame [m]; None before it was read.
-        inertial: shape (N, n, 6), inertial force [N] and moment [N m] of everything that a moving joint carries on this
-            joint, in the axes after its motion and about the origin of the preceding frame; None at rest.
-        around: the K instants about each pose on which a sensor's reading depends; None for sensors that read single poses.
+        setup: shape (N,), index of the set-up of instrument and targets if there are several, else
+            None.
+        sighted: shape (N, 3), position of the target in the instrument's frame [m]; None before it
+            was read.
+        inertial: shape (N, n, 6), inertial force [N] and moment [N m] of everything that a moving
+            joint carries on this joint, in the axes after its motion and about the origin of the
+            preceding frame; None at rest.
+        around: the K instants about each pose on which a sensor's reading depends; None for sensors
+            that read single poses.
     """
 
     q: np.ndarray
@@ -58,16 +68,28 @@ class Conditions(Recorded):
     around: Any = None
 
     @classmethod
-    def at(cls, q: np.ndarray, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)) -> Conditions:
-        """Return the conditions of bare joint positions, shape (N, n), with one payload [kg] and the first target."""
+    def at(
+        cls,
+        q: np.ndarray,
+        *,
+        payload: float = 0.0,
+        payload_centre: Iterable[float] = (0.0, 0.0, 0.0),
+    ) -> Conditions:
+        """Return the conditions of bare joint positions, shape (N, n), with one payload [kg] and
+        the first target.
+        """
         q = np.atleast_2d(np.asarray(q, float))
         n = len(q)
-        return cls(q, np.zeros(n, int), np.full(n, float(payload)), np.array(list(payload_centre), float))
+        return cls(
+            q, np.zeros(n, int), np.full(n, float(payload)), np.array(list(payload_centre), float)
+        )
 
     @classmethod
     def of_everything(cls, n_joints: int) -> Conditions:
         """Return the conditions of one pose in which every recordable column is zero."""
-        recorded = {name: np.zeros((1, n_joints) if of.of_joints else 1) for name, of in RECORDED.items()}
+        recorded = {
+            name: np.zeros((1, n_joints) if of.of_joints else 1) for name, of in RECORDED.items()
+        }
         return replace(cls.at(np.zeros((1, n_joints))), **recorded, sighted=np.ones((1, 3)))
 
     def __len__(self) -> int:
@@ -75,8 +97,14 @@ class Conditions(Recorded):
 
     def select(self, rows: slice | np.ndarray) -> Conditions:
         """Return the conditions of some rows."""
-        columns = {each.name: getattr(self, each.name) for each in fields(self) if each.name != "payload_centre"}
-        chosen: dict[str, Any] = {name: column[rows] for name, column in columns.items() if column is not None}
+        columns = {
+            each.name: getattr(self, each.name)
+            for each in fields(self)
+            if each.name != "payload_centre"
+        }
+        chosen: dict[str, Any] = {
+            name: column[rows] for name, column in columns.items() if column is not None
+        }
         return replace(self, **chosen)
 
     @cached_property
@@ -86,11 +114,14 @@ class Conditions(Recorded):
 
     @cached_property
     def at_moments(self) -> Conditions:
-        """The poses that readings depend on: these, or the N K poses at the instants about them, row by row."""
+        """The poses that readings depend on: these, or the N K poses at the instants about them,
+        row by row.
+        """
         if self.around is None or self.around.q is None:
             return self
         n, K, joints = self.around.q.shape
-        rows, moving = np.repeat(np.arange(n), K), self.around
+        rows = np.repeat(np.arange(n), K)
+        moving = self.around
         return replace(
             replace(self, around=None).select(rows),
             q=np.ascontiguousarray(moving.q.reshape(-1, joints)),
@@ -108,7 +139,9 @@ _PARTS = Latest["Conditions"](16)
 
 
 def part_of(whole: Conditions, rows: slice | np.ndarray, key: Hashable) -> Conditions:
-    """Return the conditions of some rows, identified by a key: the same object each time, so that caches of it apply."""
+    """Return the conditions of some rows, identified by a key: the same object each time, so that
+    caches of it apply.
+    """
     known = _PARTS.of(whole)
     if key not in known:
         known[key] = whole.select(rows)
@@ -118,23 +151,33 @@ def part_of(whole: Conditions, rows: slice | np.ndarray, key: Hashable) -> Condi
 def joined_conditions(parts: Sequence[Conditions]) -> Conditions:
     """Return the poses of several set-ups, one after the other.
 
-    Every target becomes the first one, as each set-up has its own. Times, whose origin differs between set-ups, are left
-    out; so are temperatures, droops and sighted positions if some set-up lacks them. Directions of approach and moves are
-    unknown where they were not recorded, and poses without a velocity were held.
+    Every target becomes the first one, as each set-up has its own. Times, whose origin differs
+    between set-ups, are left out; so are temperatures, droops and sighted positions if some set-up
+    lacks them. Directions of approach and moves are unknown where they were not recorded, and poses
+    without a velocity were held.
     """
     if len(parts) == 1:
         return parts[0]
-    q, payload = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "payload"))
-    kept = {name: variable.unknown for name, variable in RECORDED.items() if not variable.has_own_zero}
+    q, payload = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "payload")
+    )
+    kept = {
+        name: variable.unknown for name, variable in RECORDED.items() if not variable.has_own_zero
+    }
     kept |= {"sighted": None, "inertial": 0.0}
-    columns = {name: _one_column([getattr(part, name) for part in parts], parts, unknown) for name, unknown in kept.items()}
+    columns = {
+        name: _one_column([getattr(part, name) for part in parts], parts, unknown)
+        for name, unknown in kept.items()
+    }
     return Conditions(q, np.zeros(len(q), int), payload, parts[0].payload_centre, **columns)
 
 
 def _one_column(
     columns: Sequence[np.ndarray | None], parts: Sequence[Conditions], unknown: float | None
 ) -> np.ndarray | None:
-    """Return a column of several set-ups, filled with ``unknown`` where some lack it; None if there is no such value."""
+    """Return a column of several set-ups, filled with ``unknown`` where some lack it; None if there
+    is no such value.
+    """
     known = [column for column in columns if column is not None]
     if len(known) == len(parts):
         return np.concatenate(known)
@@ -142,7 +185,9 @@ def _one_column(
         return None
     shapes = [(len(part), *known[0].shape[1:]) for part in parts]
     pairs = zip(columns, shapes, strict=True)
-    return np.concatenate([np.full(shape, unknown, known[0].dtype) if c is None else c for c, shape in pairs])
+    return np.concatenate(
+        [np.full(shape, unknown, known[0].dtype) if c is None else c for c, shape in pairs]
+    )
 
 
 def varies(column: np.ndarray | None) -> bool:
@@ -153,7 +198,8 @@ def varies(column: np.ndarray | None) -> bool:
 def moves(q: np.ndarray) -> np.ndarray:
     """Return which joints move, shape (n,), at positions of shape (N, n) [rad or m].
 
-    Positions of a joint that stands still differ by what its encoder reads, which is not where the arm is.
+    Positions of a joint that stands still differ by what its encoder reads, which is not where the
+    arm is.
 
     Example:
         >>> moves(np.array([[0.0, 0.5], [1.0, 0.5], [2.0, 0.5 + 2e-5]])).tolist()
@@ -166,7 +212,9 @@ def moves(q: np.ndarray) -> np.ndarray:
 
 
 def spread_of_moving(q: np.ndarray) -> np.ndarray:
-    """Return the positions of the joints that move about their means and in units of their spread, shape (N, moving)."""
+    """Return the positions of the joints that move about their means and in units of their spread,
+    shape (N, moving).
+    """
     moving = q[:, moves(q)]
     if not moving.size:
         return moving
@@ -192,13 +240,15 @@ def distinct_values(x: np.ndarray) -> int:
 
 
 def into_range(angles: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.ndarray:
-    """Return angles shifted by whole turns into a range [rad], to be broadcast with them, where that is possible.
+    """Return angles shifted by whole turns into a range [rad], to be broadcast with them, where
+    that is possible.
 
     Example:
         >>> into_range(np.array([0.5, 7.0, -6.0, 4.0]), -1.0, 1.0).round(2).tolist()
         [0.5, 0.72, 0.28, 4.0]
     """
-    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    low = np.asarray(lower, float)
+    high = np.asarray(upper, float)
     if not np.any((angles < low) | (angles > high)):
         return angles
     turned = angles - TURN * np.round((angles - 0.5 * (low + high)) / TURN)
@@ -207,7 +257,12 @@ def into_range(angles: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.nda
 
 
 def recorded_variable(
-    chain: Chain, conditions: Conditions, name: str, *, joint: str | None = None, span: tuple[float, float] | None = None
+    chain: Chain,
+    conditions: Conditions,
+    name: str,
+    *,
+    joint: str | None = None,
+    span: tuple[float, float] | None = None,
 ) -> np.ndarray:
     """Return a variable that an effect may depend on, shape (N,).
 
@@ -216,7 +271,8 @@ def recorded_variable(
         conditions: the N poses.
         name: a joint, for its position [rad or m], or a column of the conditions.
         joint: the joint to select from a column of joints, such as the directions of approach.
-        span: range of the variable, into which positions of revolute joints are shifted by whole turns.
+        span: range of the variable, into which positions of revolute joints are shifted by whole
+            turns.
 
     Raises:
         BadInputError: if these poses lack the column.
@@ -225,23 +281,35 @@ def recorded_variable(
     if name in names:
         i = names.index(name)
         q = np.asarray(conditions.q[:, i])
-        return q if span is None or chain.robot.joint_types[i] == "prismatic" else into_range(q, *span)
+        return (
+            q if span is None or chain.robot.joint_types[i] == "prismatic" else into_range(q, *span)
+        )
     column = conditions.column(name) if name in RECORDABLE else None
     if column is None:
         missing = RECORDABLE[name].column if name in RECORDABLE else name
-        raise BadInputError(f"an effect depends on {name}, which these poses lack; add the column {missing}")
+        raise BadInputError(
+            f"an effect depends on {name}, which these poses lack; add the column {missing}"
+        )
     return np.asarray(column if joint is None or column.ndim < 2 else column[:, names.index(joint)])
 
 
-def nominal_moments(chain: Chain, conditions: Conditions, *, payload_only: bool = False) -> np.ndarray:
-    """Return the moments on the nominal arm, shape (N, 3 n) [N m], of all bodies or of the payload's weight alone."""
-    constant, n = chain.nominal, chain.robot.n_joints
+def nominal_moments(
+    chain: Chain, conditions: Conditions, *, payload_only: bool = False
+) -> np.ndarray:
+    """Return the moments on the nominal arm, shape (N, 3 n) [N m], of all bodies or of the
+    payload's weight alone.
+    """
+    constant = chain.nominal
+    n = chain.robot.n_joints
     layout = chain.layout._replace(masses=np.zeros(n)) if payload_only else chain.layout
     if are_symbols(conditions.q):
         at = list(constant)
         for i, k in enumerate(chain.drives):
             at[k] = at[k] + conditions.q[0, i]
-        return np.array([walk.symbolic_moments(layout, at, conditions.payload[0], conditions.payload_centre)], object)
+        return np.array(
+            [walk.symbolic_moments(layout, at, conditions.payload[0], conditions.payload_centre)],
+            object,
+        )
     slot = np.full(chain.size, -1)
     slot[chain.drives] = np.arange(n)
     varying = np.array(constant[chain.drives, None] + conditions.q.T, order="C")
@@ -260,15 +328,18 @@ def inertial_moments(chain: Chain, conditions: Conditions) -> np.ndarray | float
     """
     if conditions.inertial is None:
         return 0.0
-    force, moment = conditions.inertial[..., :3], conditions.inertial[..., 3:]
+    force = conditions.inertial[..., :3]
+    moment = conditions.inertial[..., 3:]
     slides = np.array([kind == "prismatic" for kind in chain.robot.joint_types])
     # About a point at height h, to which a carriage has moved: M - h z x F.
     height = chain.bearing_heights + np.where(slides, conditions.q, 0.0)
-    x, y = moment[..., 0] + height * force[..., 1], moment[..., 1] - height * force[..., 0]
+    x = moment[..., 0] + height * force[..., 1]
+    y = moment[..., 1] - height * force[..., 0]
     if chain.moment_frame != "after":
         theta = chain.nominal[[chain.joint(i, "theta") for i in range(chain.robot.n_joints)]]
         angle = theta + np.where(slides, 0.0, conditions.q)
-        sine, cosine = np.sin(angle), np.cos(angle)
+        sine = np.sin(angle)
+        cosine = np.cos(angle)
         x, y = cosine * x - sine * y, sine * x + cosine * y
     return np.stack([x, y, moment[..., 2]], axis=2).reshape(len(x), -1)
 
@@ -280,7 +351,8 @@ class PoseSet:
     Attributes:
         chain: the chain.
         conditions: the N poses.
-        compliances: shape (3 n,), known compliances of each joint about x, y, z [rad/(N m)]; default: zero.
+        compliances: shape (3 n,), known compliances of each joint about x, y, z [rad/(N m)];
+            default: zero.
     """
 
     chain: Chain
@@ -294,7 +366,9 @@ class PoseSet:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints that readings depend on, from the base, without the passive ones of loops."""
+        """Names of the joints that readings depend on, from the base, without the passive ones of
+        loops.
+        """
         robot = self.chain.robot
         return tuple(name for name in robot.measured_joints if name not in robot.passive)
 

@@ -9,11 +9,12 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Cubic:
-    """A piecewise cubic over intervals of equal length from ``lower`` to ``upper``, constant beyond.
+    """A piecewise cubic over intervals of equal length from ``lower`` to ``upper``, constant
+    beyond.
 
     Attributes:
-        packed: for each interval the coefficients of 1, t, t^2, t^3, with t from 0 to 1 along it; as bytes, so that sums of
-            hundreds of splines are hashed fast.
+        packed: for each interval the coefficients of 1, t, t^2, t^3, with t from 0 to 1 along it;
+            as bytes, so that sums of hundreds of splines are hashed fast.
     """
 
     lower: float
@@ -37,9 +38,12 @@ class Cubic:
     def __call__(self, x: float) -> float:
         """Return the value at x."""
         count = len(self._coefficients)
-        place = (min(max(x, self.lower), self.upper) - self.lower) / (self.upper - self.lower) * count
+        place = (
+            (min(max(x, self.lower), self.upper) - self.lower) / (self.upper - self.lower) * count
+        )
         i = min(int(place), count - 1)
-        c, t = self._coefficients[i].tolist(), place - i
+        c = self._coefficients[i].tolist()
+        t = place - i
         return float(((c[3] * t + c[2]) * t + c[1]) * t + c[0])
 
     def scaled(self, by: float) -> Cubic:
@@ -52,4 +56,8 @@ class Cubic:
 
     def fits(self, other: Cubic) -> bool:
         """Return whether another cubic has the same intervals."""
-        return (self.lower, self.upper, len(self.packed)) == (other.lower, other.upper, len(other.packed))
+        return (self.lower, self.upper, len(self.packed)) == (
+            other.lower,
+            other.upper,
+            len(other.packed),
+        )

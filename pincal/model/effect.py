@@ -1,11 +1,14 @@
-"""The interface of effects: physical causes with named parameters and their contributions to a chain's coordinates.
+"""The interface of effects: physical causes with named parameters and their contributions to a
+chain's coordinates.
 
-An effect addresses a chain by the names of its coordinates only, and a chain is independent of effects. With
+An effect addresses a chain by the names of its coordinates only, and a chain is independent of
+effects. With
 
     x_k(pose) = nominal_k + sum over terms of  basis(pose) * parameter,
 
-the order of effects does not matter, and a new effect is one small class: its parameters, terms and description.
-Discovery, reports, the viewer and the design of measurements use effects through this interface alone.
+the order of effects does not matter, and a new effect is one small class: its parameters, terms and
+description. Discovery, reports, the viewer and the design of measurements use effects through this
+interface alone.
 """
 
 from __future__ import annotations
@@ -77,11 +80,14 @@ class Locus:
     """Where an effect acts, what it depends on, and what identifies it.
 
     Attributes:
-        joint: the joint it acts on; None for several joints, the whole arm, its base or the instrument.
-        acts_on: what it moves: "drive" (about or along the joint's own axis), a coordinate of the joint such as "gamma_x",
-            "tilt" (both directions across its axis), "link", "lengths", "base" or "tool".
-        follows: its independent variable: the name of a joint, for its position, "approach", "moment", "payload",
-            "temperature" or "time"; None for a constant, or if there is no single variable.
+        joint: the joint it acts on; None for several joints, the whole arm, its base or the
+            instrument.
+        acts_on: what it moves: "drive" (about or along the joint's own axis), a coordinate of the
+            joint such as "gamma_x", "tilt" (both directions across its axis), "link", "lengths",
+            "base" or "tool".
+        follows: its independent variable: the name of a joint, for its position, "approach",
+            "moment", "payload", "temperature" or "time"; None for a constant, or if there is no
+            single variable.
         order: cycles per revolution.
         frame: the side of a joint in whose frame it is constant: "before" or "after".
         shape: the form of an unnamed dependence.
@@ -105,7 +111,9 @@ class Locus:
     @property
     def source(self) -> str | None:
         """The joint whose position it depends on, if not the joint it acts on."""
-        is_joint = self.follows is not None and self.follows != MOMENT and self.follows not in RECORDABLE
+        is_joint = (
+            self.follows is not None and self.follows != MOMENT and self.follows not in RECORDABLE
+        )
         return self.follows if is_joint and self.follows != self.joint else None
 
 
@@ -116,11 +124,13 @@ class Effect(ABC):
         name: its name in reports and files.
         meaning: how a machine with this effect behaves, in plain words.
         family: kind of cause.
-        scope: owner of its parameters: the robot, or a station, the set-up of an instrument and its targets.
-        is_constant: whether it is constant after a calibration, so that a diagnosis tests no change of it.
+        scope: owner of its parameters: the robot, or a station, the set-up of an instrument and its
+            targets.
+        is_constant: whether it is constant after a calibration, so that a diagnosis tests no change
+            of it.
         uses_moments: whether its terms need the static moments.
-        shares_scale: whether its basis functions are translates of one function, as those of a curve, and share one scale,
-            even those that the poses hardly excite.
+        shares_scale: whether its basis functions are translates of one function, as those of a
+            curve, and share one scale, even those that the poses hardly excite.
     """
 
     name: ClassVar[str]
@@ -146,12 +156,16 @@ class Effect(ABC):
 
     @property
     def is_sighted(self) -> bool:
-        """Whether its terms need the target's position in the instrument's frame: ``Conditions.sighted``."""
+        """Whether its terms need the target's position in the instrument's frame:
+        ``Conditions.sighted``.
+        """
         return False
 
     @property
     def least_moment(self) -> float:
-        """Lower bound of the moment that scales its prior, as a fraction of the largest moment on the arm."""
+        """Lower bound of the moment that scales its prior, as a fraction of the largest moment on
+        the arm.
+        """
         return 0.1
 
     @abstractmethod
@@ -159,21 +173,28 @@ class Effect(ABC):
         """Return the effect's parameters for this chain."""
 
     @abstractmethod
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         """Return the contributions of its parameters to the coordinates.
 
         Args:
             chain: the chain.
             conditions: the N poses.
-            moments: shape (N, 3 n), static moments [N m]; None for an effect that does not use them.
+            moments: shape (N, 3 n), static moments [N m]; None for an effect that does not use
+                them.
         """
 
     def bodies(self, chain: Chain) -> tuple[Body, ...]:
-        """Return the contributions of its parameters to the masses that cause the static moments; none of most effects."""
+        """Return the contributions of its parameters to the masses that cause the static moments;
+        none of most effects.
+        """
         return ()
 
     def smoothness(self) -> np.ndarray | None:
-        """Return the joint prior information on its K parameters beyond their sizes, shape (K, K); None if independent."""
+        """Return the joint prior information on its K parameters beyond their sizes, shape (K, K);
+        None if independent.
+        """
         return None
 
     def belief(self, members: Sequence[Parameter]) -> np.ndarray | None:
@@ -193,7 +214,9 @@ class Effect(ABC):
         return (follows,) if follows in RECORDABLE else ()
 
     def missing(self, conditions: Conditions) -> tuple[str, ...]:
-        """Return the columns that the effect needs and that these poses lack or have the same value of in all rows."""
+        """Return the columns that the effect needs and that these poses lack or have the same value
+        of in all rows.
+        """
         return tuple(column for column in self.needs if not varies(conditions.column(column)))
 
     @cached_property
@@ -203,7 +226,9 @@ class Effect(ABC):
 
     @property
     def trials(self) -> float:
-        """Number of trials among which its place or frequency was selected, for which its p-value is corrected."""
+        """Number of trials among which its place or frequency was selected, for which its p-value
+        is corrected.
+        """
         return 1.0
 
     @property
@@ -214,12 +239,20 @@ class Effect(ABC):
     @property
     def is_of_loads(self) -> bool:
         """Whether it is a load effect other than the linear compliance of every arm."""
-        return self.family is Family.LOAD or (self.uses_moments and self.family is not Family.ELASTICITY)
+        return self.family is Family.LOAD or (
+            self.uses_moments and self.family is not Family.ELASTICITY
+        )
 
     @property
     def heading(self) -> tuple[str, str | None, str | None]:
-        """Name, joint, and for a named effect the source joint: effects with the same ones share a line of a summary."""
-        return self.locus.cause or self.name, self.locus.joint, None if self.is_nameless else self.locus.source
+        """Name, joint, and for a named effect the source joint: effects with the same ones share a
+        line of a summary.
+        """
+        return (
+            self.locus.cause or self.name,
+            self.locus.joint,
+            None if self.is_nameless else self.locus.source,
+        )
 
 
 @dataclass(frozen=True)
@@ -228,8 +261,8 @@ class Candidate:
 
     Attributes:
         effect: the effect.
-        variants: the forms worth distinguishing, from few parameters to many; default: the effect itself. Empty if it can't
-            be tried yet.
+        variants: the forms worth distinguishing, from few parameters to many; default: the effect
+            itself. Empty if it can't be tried yet.
         obstacle: why it can't be tested, if the effect itself gives a reason; empty otherwise.
     """
 
@@ -249,7 +282,9 @@ class Discoverable(Effect):
     @classmethod
     @abstractmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        """Yield the effect at every place of an arm where it could act, whether these poses excite it or not."""
+        """Yield the effect at every place of an arm where it could act, whether these poses excite
+        it or not.
+        """
 
 
 class Reducible(ABC):
@@ -257,7 +292,9 @@ class Reducible(ABC):
 
     @abstractmethod
     def reduced(self, situation: PoseSet) -> Effect:
-        """Return the effect in the fewest parameters, for which its detectable size is predicted."""
+        """Return the effect in the fewest parameters, for which its detectable size is
+        predicted.
+        """
 
 
 class Resolvable(Effect):
@@ -265,11 +302,15 @@ class Resolvable(Effect):
 
     @abstractmethod
     def resolutions(self, situation: PoseSet) -> Sequence[Effect]:
-        """Return the effect from coarse to fine, as far as the poses support it; empty if there is no choice."""
+        """Return the effect from coarse to fine, as far as the poses support it; empty if there is
+        no choice.
+        """
 
 
 class Curve(Discoverable, Reducible):
-    """A drive error that is a free curve of its joint's position (family ``CURVE``), with a resolution set by the data."""
+    """A drive error that is a free curve of its joint's position (family ``CURVE``), with a
+    resolution set by the data.
+    """
 
     family: ClassVar[Family] = Family.CURVE
     shares_scale: ClassVar[bool] = True
@@ -281,11 +322,17 @@ class Curve(Discoverable, Reducible):
 
     @abstractmethod
     def resized(self, situation: PoseSet, resolution: int) -> Curve:
-        """Return the curve with another number of basis functions, over the positions that the poses cover."""
+        """Return the curve with another number of basis functions, over the positions that the
+        poses cover.
+        """
 
     @abstractmethod
-    def smooth(self, situation: PoseSet, roughness: float | None, resolution: int | None = None) -> Curve:
-        """Return the curve with so many pieces, or with fine ones, and with a smoothness prior if a roughness is given."""
+    def smooth(
+        self, situation: PoseSet, roughness: float | None, resolution: int | None = None
+    ) -> Curve:
+        """Return the curve with so many pieces, or with fine ones, and with a smoothness prior if a
+        roughness is given.
+        """
 
     @abstractmethod
     def basis(self, q: np.ndarray) -> np.ndarray:
@@ -293,14 +340,20 @@ class Curve(Discoverable, Reducible):
 
 
 class Harmonic(Discoverable):
-    """A wave of a joint's own position, about its own axis, of any number of cycles per revolution."""
+    """A wave of a joint's own position, about its own axis, of any number of cycles per
+    revolution.
+    """
 
     band: ClassVar[tuple[float, float] | None] = None
-    """Range of cycles per revolution in which a discovery searches; None if it can't be searched for."""
+    """Range of cycles per revolution in which a discovery searches; None if it can't be searched
+    for.
+    """
 
     @abstractmethod
     def tuned(self, order: float, chosen_among: float = 1.0) -> Harmonic:
-        """Return the wave with another order (cycles per revolution), selected by the data among ``chosen_among``."""
+        """Return the wave with another order (cycles per revolution), selected by the data among
+        ``chosen_among``.
+        """
 
     @property
     def same(self) -> tuple[Harmonic, ...]:
@@ -313,16 +366,20 @@ class Harmonic(Discoverable):
         return () if self.locus.order is None else (self.locus.order,)
 
     def suggested(self, resolution: float) -> Harmonic:
-        """Return the cause that the order suggests, if known to ``resolution`` cycles per revolution; else itself."""
+        """Return the cause that the order suggests, if known to ``resolution`` cycles per
+        revolution; else itself.
+        """
         return self
 
     def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
-        """Return the origin that an order suggests, in words; empty if none, or if the match may be chance.
+        """Return the origin that an order suggests, in words; empty if none, or if the match may be
+        chance.
 
         Args:
             order: cycles per revolution.
             resolution: tolerance on the order, either way.
-            wheels: description of each rotating part by its revolutions per revolution of the joint.
+            wheels: description of each rotating part by its revolutions per revolution of the
+                joint.
         """
         return ""
 
@@ -332,4 +389,6 @@ class ExponentialDrift(Discoverable):
 
     @abstractmethod
     def about(self, values: np.ndarray) -> ExponentialDrift:
-        """Return the effect linearised about values of its parameters (less nominal); itself once they hardly change."""
+        """Return the effect linearised about values of its parameters (less nominal); itself once
+        they hardly change.
+        """

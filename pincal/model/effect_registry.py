@@ -13,13 +13,18 @@ def _check(cls: type[Effect]) -> None:
         text = getattr(cls, what, None)
         if not (isinstance(text, str) and text):
             raise TypeError(
-                f"effect {cls.__module__}.{cls.__qualname__} has no {what}; expected {what}: ClassVar[str] = ..."
+                f"effect {cls.__module__}.{cls.__qualname__} has no {what}; expected "
+                f"{what}: ClassVar[str] = ..."
             )
     if missing := getattr(cls, "__abstractmethods__", None):
-        raise TypeError(f"effect {cls.__module__}.{cls.__qualname__} lacks {', '.join(sorted(missing))}")
+        raise TypeError(
+            f"effect {cls.__module__}.{cls.__qualname__} lacks {', '.join(sorted(missing))}"
+        )
 
 
-EFFECTS: Registry[Effect] = Registry("effect", group="pincal.effects", name_of=lambda cls: cls.name, check=_check)
+EFFECTS: Registry[Effect] = Registry(
+    "effect", group="pincal.effects", name_of=lambda cls: cls.name, check=_check
+)
 
 
 register_effect = EFFECTS.register

@@ -1,6 +1,7 @@
 """The effects of every model: geometry, linear elasticity, and the base and tool frames.
 
-The catalogue (:mod:`pincal.model.catalogue`) holds the further effects that a discovery searches for.
+The catalogue (:mod:`pincal.model.catalogue`) holds the further effects that a discovery searches
+for.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from pincal.model.effect import Candidate, Discoverable, Effect, Family, Locus, 
 from pincal.model.loops import inert_coordinates
 from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 
-# Sizes of real errors [rad, m], used as priors. The paper (IV.C) reports deviations of up to 1 cm at the tip; makers'
-# tolerances are some tenths of a mm and of a mrad, those of cobots several times that.
+# Sizes of real errors [rad, m], used as priors. The paper (IV.C) reports deviations of up to 1 cm
+# at the tip; makers' tolerances are some tenths of a mm and of a mrad, those of cobots several
+# times that.
 ANGLE_SIZE = 3e-3
 LENGTH_SIZE = 3e-3
 # Size of real elastic rotations [rad], likewise.
@@ -39,7 +41,8 @@ class _Geometry(Effect):
     """Constants that are added to coordinates of every joint."""
 
     family: ClassVar[Family] = Family.GEOMETRY
-    # Coordinates of a revolute joint, of a prismatic one, and further ones of a joint that begins a branch.
+    # Coordinates of a revolute joint, of a prismatic one, and further ones of a joint that begins a
+    # branch.
     turning: ClassVar[tuple[str, ...]]
     sliding: ClassVar[tuple[str, ...]]
     branching: ClassVar[tuple[str, ...]] = ()
@@ -59,12 +62,15 @@ class _Geometry(Effect):
         )
 
     @final
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         return tuple(Term(p, k) for p, (_, _, k) in enumerate(self._places(chain)))
 
     def _places(self, chain: Chain) -> Iterator[tuple[str, str, int]]:
         """Yield element, symbol and coordinate of each parameter that readings can depend on."""
-        robot, inert = chain.robot, inert_coordinates(chain)
+        robot = chain.robot
+        inert = inert_coordinates(chain)
         for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
             if name in robot.unmeasured:
                 continue
@@ -72,7 +78,11 @@ class _Geometry(Effect):
             mount = self.branching if i in robot.frames.branches else ()
             places = ((name, symbol, chain.joint(i, symbol)) for symbol in (*mount, *symbols))
             yield from (place for place in places if place[2] not in inert)
-        pins = ((pin.name, symbol, chain.pin(i, symbol)) for i, pin in enumerate(chain.pins) for symbol in self.branching)
+        pins = (
+            (pin.name, symbol, chain.pin(i, symbol))
+            for i, pin in enumerate(chain.pins)
+            for symbol in self.branching
+        )
         yield from (place for place in pins if place[2] not in inert)
 
 
@@ -81,8 +91,9 @@ class JointOffset(_Geometry):
     """The zero of each joint is off by a constant (paper: theta_i; d_i of a prismatic joint).
 
     Distinguished by:
-        large joint motions, targets off the last axis. The offset of the first joint is equivalent to a rotation of the
-        base, and the offset of the last to a rotation of the tool, unless these are known.
+        large joint motions, targets off the last axis. The offset of the first joint is equivalent
+        to a rotation of the base, and the offset of the last to a rotation of the tool, unless
+        these are known.
 
     Source:
         Radkhah et al., Eq. (1): theta_i.
@@ -99,12 +110,14 @@ class JointOffset(_Geometry):
 class LinkGeometry(_Geometry):
     """Link offset d, link length a and link twist alpha deviate (paper, Eq. (1)).
 
-    A prismatic joint has theta instead of d, which is its joint offset. The first joint of a branch also has x and y, the
-    position of its axis on the link that carries it; so has a pin that closes a loop.
+    A prismatic joint has theta instead of d, which is its joint offset. The first joint of a branch
+    also has x and y, the position of its axis on the link that carries it; so has a pin that closes
+    a loop.
 
     Distinguished by:
-        poses over the whole range of every joint. For parallel axes only the sum of the link offsets is observable; offset
-        and length of the first and the last link are equivalent to displacements of base and tool.
+        poses over the whole range of every joint. For parallel axes only the sum of the link
+        offsets is observable; offset and length of the first and the last link are equivalent to
+        displacements of base and tool.
 
     Source:
         Denavit and Hartenberg (1955); Radkhah et al., Eq. (1).
@@ -123,8 +136,8 @@ class AxisDistortion(_Geometry):
     """The axis of motion is tilted by s_x, s_y before the joint turns (paper, Eq. (2)).
 
     Distinguished by:
-        poses over the whole range of the joint and of its neighbours. Between axes that are not parallel one of the two
-        tilts is a link twist.
+        poses over the whole range of the joint and of its neighbours. Between axes that are not
+        parallel one of the two tilts is a link twist.
 
     Source:
         Radkhah et al., Eq. (2); about y for parallel axes Hayati (1983).
@@ -142,13 +155,15 @@ class BaseFrame(Effect):
     """Pose of the robot in the instrument's frame.
 
     Distinguished by:
-        three or more non-collinear targets, in poses that do not move joint 1 alone. It is identified for every set-up.
+        three or more non-collinear targets, in poses that do not move joint 1 alone. It is
+        identified for every set-up.
 
     Source:
         Radkhah et al.
 
     Attributes:
-        symbols: the released coordinates; a distance has no orientation, a contact neither position nor orientation.
+        symbols: the released coordinates; a distance has no orientation, a contact neither position
+            nor orientation.
     """
 
     symbols: tuple[str, ...] = FRAME_SYMBOLS
@@ -162,7 +177,9 @@ class BaseFrame(Effect):
         """x, y, z [m] and small angles rx, ry, rz [rad] about the chain's reference orientation."""
         return tuple(_frame_parameter("base", self.name, symbol) for symbol in self.symbols)
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         return tuple(Term(p, chain.base(symbol)) for p, symbol in enumerate(self.symbols))
 
 
@@ -171,8 +188,8 @@ class ToolFrame(Effect):
     """Pose of each target in the tip frame; a point target has no orientation.
 
     Distinguished by:
-        rotations of the hand. A displacement of a target along the last axis is equivalent to that joint's link offset; a
-        second target off the axis decides.
+        rotations of the hand. A displacement of a target along the last axis is equivalent to that
+        joint's link offset; a second target off the axis decides.
 
     Source:
         Radkhah et al.
@@ -187,9 +204,13 @@ class ToolFrame(Effect):
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """x, y, z [m], and for poses rx, ry, rz [rad], of every target."""
-        return tuple(_frame_parameter(t, self.name, symbol) for t in chain.targets for symbol in self.symbols)
+        return tuple(
+            _frame_parameter(t, self.name, symbol) for t in chain.targets for symbol in self.symbols
+        )
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         terms = []
         for t in range(len(chain.targets)):
             here = None if len(chain.targets) == 1 else (conditions.target == t).astype(float)
@@ -199,7 +220,9 @@ class ToolFrame(Effect):
 
 
 def _frame_parameter(element: str, effect: str, symbol: str) -> Parameter:
-    return Parameter(f"{element}.{symbol}", "m" if symbol in "xyz" else "rad", effect, 0.0, float("inf"))
+    return Parameter(
+        f"{element}.{symbol}", "m" if symbol in "xyz" else "rad", effect, 0.0, float("inf")
+    )
 
 
 @dataclass(frozen=True)
@@ -235,18 +258,24 @@ class Compliance(Discoverable):
     @final
     def parts(self, chain: Chain) -> tuple[Self, ...]:
         """Return the compliance of each joint by itself."""
-        return tuple(replace(self, joints=(joint,)) for joint in self.joints or chain.robot.measured_joints)
+        return tuple(
+            replace(self, joints=(joint,)) for joint in self.joints or chain.robot.measured_joints
+        )
 
     @final
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """The compliances of each joint [rad/(N m)]."""
         return tuple(
-            Parameter(f"{chain.robot.joint_names[i]}.k_{axis}", "rad/(N m)", self.name, 0.0, BENDING_SIZE)
+            Parameter(
+                f"{chain.robot.joint_names[i]}.k_{axis}", "rad/(N m)", self.name, 0.0, BENDING_SIZE
+            )
             for i, axis, _ in self._places(chain)
         )
 
     @final
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         assert moments is not None
         return tuple(
             Term(p, k, moments[:, moment], moment)
@@ -255,9 +284,15 @@ class Compliance(Discoverable):
         )
 
     def _places(self, chain: Chain) -> list[tuple[int, str, int]]:
-        """Return joint, axis and coordinate, except where a loop makes the compliance meaningless."""
-        names, inert = chain.robot.joint_names, inert_coordinates(chain)
-        joints = [names.index(name) for name in (chain.robot.measured_joints if self.joints is None else self.joints)]
+        """Return joint, axis and coordinate, except where a loop makes the compliance
+        meaningless.
+        """
+        names = chain.robot.joint_names
+        inert = inert_coordinates(chain)
+        joints = [
+            names.index(name)
+            for name in (chain.robot.measured_joints if self.joints is None else self.joints)
+        ]
         places = [(i, axis, chain.joint(i, f"gamma_{axis}")) for i in joints for axis in self.axes]
         return [place for place in places if place[2] not in inert]
 
@@ -267,8 +302,8 @@ class JointElasticity(Compliance):
     """Each drive is compliant about its own axis: gamma_z = k_z n_z.
 
     Distinguished by:
-        two payloads in the same poses: deflection grows with the load. With one load it resembles a gravity compensator, a
-        gear eccentricity of order 1 or an error of the masses.
+        two payloads in the same poses: deflection grows with the load. With one load it resembles a
+        gravity compensator, a gear eccentricity of order 1 or an error of the masses.
 
     Source:
         Radkhah et al., Eq. (3); Whitney, Lozinski and Rourke (1986).
@@ -283,12 +318,15 @@ class JointElasticity(Compliance):
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield the elasticity of all drives that these poses load.
 
-        About a vertical axis gravity has a moment only if the base is not level. The base frame absorbs any tilt, so that
-        such a compliance could imitate a true effect of that joint's position.
+        About a vertical axis gravity has a moment only if the base is not level. The base frame
+        absorbs any tilt, so that such a compliance could imitate a true effect of that joint's
+        position.
         """
         heaviest = UNFELT * np.abs(situation.moments).max(initial=0.0)
         joints = situation.joints
-        felt = tuple(joint for joint in joints if np.abs(situation.moment(joint)).max(initial=0.0) > heaviest)
+        felt = tuple(
+            joint for joint in joints if np.abs(situation.moment(joint)).max(initial=0.0) > heaviest
+        )
         yield Candidate(cls() if len(felt) == len(joints) else cls(felt))
 
 
@@ -296,12 +334,13 @@ class JointElasticity(Compliance):
 class BearingElasticity(Compliance):
     r"""Each bearing is compliant across its axis: gamma_x = k_x n_x, gamma_y = k_y n_y.
 
-    With the paper's moment frame it acts exactly as there: about the origin of the Denavit-Hartenberg frame, whose position
-    is a convention. With "before" and "after" the moment is taken and the link rotates at the bearing, at the height h along
-    its axis.
+    With the paper's moment frame it acts exactly as there: about the origin of the
+    Denavit-Hartenberg frame, whose position is a convention. With "before" and "after" the moment
+    is taken and the link rotates at the bearing, at the height h along its axis.
 
     Distinguished by:
-        payloads, and poses in which the load acts across the axis. Compliance of joint 1 resembles a compliant foundation.
+        payloads, and poses in which the load acts across the axis. Compliance of joint 1 resembles
+        a compliant foundation.
 
     Source:
         Radkhah et al., Eq. (3); Nubiola and Bonev (2013) for joints alone.

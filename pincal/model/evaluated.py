@@ -1,7 +1,8 @@
-"""Cached contributions of effects that use no moments, and the coordinates and masses at values of the parameters.
+"""Cached contributions of effects that use no moments, and the coordinates and masses at values of
+the parameters.
 
-A fit needs the same terms at every step, and a discovery the terms of the same candidates after every fit. Curves of many
-pieces are kept sparse.
+A fit needs the same terms at every step, and a discovery the terms of the same candidates after
+every fit. Curves of many pieces are kept sparse.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ WORTH_SHARING = 6
 # Non-zero fraction of a curve's basis functions below which it is kept sparse.
 _THIN = 0.25
 # Most numbers that are kept (48 MB), and tables that they belong to.
-_MOST_NUMBERS, _TABLES = 6_000_000, 16
+_MOST_NUMBERS = 6_000_000
+_TABLES = 16
 # Least mass of a link [kg], as its centre is its first moment over its mass.
 _LIGHTEST = 1e-9
 
@@ -50,7 +52,9 @@ class Thin(NamedTuple):
 
 
 class Plain(NamedTuple):
-    """Contributions of effects to coordinates: terms with the indices of their parameters, and curves."""
+    """Contributions of effects to coordinates: terms with the indices of their parameters, and
+    curves.
+    """
 
     terms: list[tuple[int, Term]]
     curves: list[Thin]
@@ -74,13 +78,19 @@ class _Table(NamedTuple):
 
 
 def parameters_of_each(effects: Sequence[Effect], chain: Chain) -> list[tuple[Parameter, ...]]:
-    """Return the parameters of effects; equal ones are one object, so that many stations share the robot's."""
+    """Return the parameters of effects; equal ones are one object, so that many stations share the
+    robot's.
+    """
     # The pose of base and tool does not matter: the chains of many stations share these.
-    known, found = chain.kept.about("parameters", chain.robot, chain.gravity, chain.bearing_heights), []
+    known = chain.kept.about("parameters", chain.robot, chain.gravity, chain.bearing_heights)
+    found = []
     for effect in effects:
         key = chain.moment_frame, chain.targets, key_of(effect)
         if key not in known:
-            known[key] = effect, tuple(_interned(p, copysign(1.0, p.nominal)) for p in effect.parameters(chain))
+            known[key] = (
+                effect,
+                tuple(_interned(p, copysign(1.0, p.nominal)) for p in effect.parameters(chain)),
+            )
         found.append(known[key][1])
     return found
 
@@ -91,9 +101,14 @@ def _interned(parameter: Parameter, sign: float) -> Parameter:
     return parameter
 
 
-def plain_terms(effects: Sequence[Effect], starts: Sequence[int], chain: Chain, conditions: Conditions) -> Plain:
-    """Return the contributions of effects that use no moments, the parameters of each from ``starts`` on."""
-    found, plain = _evaluated(effects, chain, conditions), Plain([], [])
+def plain_terms(
+    effects: Sequence[Effect], starts: Sequence[int], chain: Chain, conditions: Conditions
+) -> Plain:
+    """Return the contributions of effects that use no moments, the parameters of each from
+    ``starts`` on.
+    """
+    found = _evaluated(effects, chain, conditions)
+    plain = Plain([], [])
     for start, (_, terms, curve, _) in zip(starts, found, strict=True):
         plain.terms.extend([(start + term.parameter, term) for term in terms])
         if curve is not None:
@@ -103,16 +118,29 @@ def plain_terms(effects: Sequence[Effect], starts: Sequence[int], chain: Chain, 
 
 def _evaluated(effects: Sequence[Effect], chain: Chain, conditions: Conditions) -> list[_OfEffect]:
     tables: tuple[_Table, ...] = chain.kept.tables
-    past = next((table for table in tables if table.conditions is conditions and table.chain is chain.token), None)
+    past = next(
+        (
+            table
+            for table in tables
+            if table.conditions is conditions and table.chain is chain.token
+        ),
+        None,
+    )
     known = {} if past is None else past.of_effect
     keys = [key_of(effect) for effect in effects]
-    found = [known.get(key) or _of_effect(effect, chain, conditions) for key, effect in zip(keys, effects, strict=True)]
+    found = [
+        known.get(key) or _of_effect(effect, chain, conditions)
+        for key, effect in zip(keys, effects, strict=True)
+    ]
     asked = dict(zip(keys, found, strict=True))
     # Rows of several set-ups are joined afresh each time, so a cache of them would never be used.
     if conditions.setup is None and (past is None or not asked.keys() <= known.keys()):
         # Current requests take precedence over earlier ones.
-        of_effect = next((kept for kept in (known | asked, asked) if _numbers(kept) <= _MOST_NUMBERS), {})
-        kept, room = [_Table(conditions, chain.token, of_effect)], _MOST_NUMBERS - _numbers(of_effect)
+        of_effect = next(
+            (kept for kept in (known | asked, asked) if _numbers(kept) <= _MOST_NUMBERS), {}
+        )
+        kept = [_Table(conditions, chain.token, of_effect)]
+        room = _MOST_NUMBERS - _numbers(of_effect)
         for table in reversed([table for table in tables if table is not past]):
             room -= _numbers(table.of_effect)
             if room < 0 or len(kept) == _TABLES:
@@ -137,9 +165,13 @@ def _numbers(of_effect: dict[object, _OfEffect]) -> int:
 
 def _of_effect(effect: Effect, chain: Chain, conditions: Conditions) -> _OfEffect:
     terms = effect.terms(chain, conditions, None)
-    bases, places = [term.basis for term in terms if term.basis is not None], {term.parameter for term in terms}
+    bases = [term.basis for term in terms if term.basis is not None]
+    places = {term.parameter for term in terms}
     dense = _OfEffect(effect, terms, None, sum(map(len, bases)))
-    is_curve = len(bases) == len(terms) == len(places) >= WORTH_SHARING and len({term.coordinate for term in terms}) == 1
+    is_curve = (
+        len(bases) == len(terms) == len(places) >= WORTH_SHARING
+        and len({term.coordinate for term in terms}) == 1
+    )
     if not is_curve or np.count_nonzero(basis := np.array(bases)) >= _THIN * basis.size:
         return dense
     thin = sparse_rows(basis)
@@ -160,42 +192,67 @@ class RowValues(NamedTuple):
 
     @classmethod
     def of(cls, values: np.ndarray, setup: np.ndarray) -> RowValues:
-        """Return the values in all rows from those of each set-up, shape (P,) or (P, S), and the set-up of each row."""
+        """Return the values in all rows from those of each set-up, shape (P,) or (P, S), and the
+        set-up of each row.
+        """
         if values.ndim == 1:
             return cls(values.tolist())
         varied = np.any(values != values[:, :1], axis=1)
-        by_row = [value[setup] if varies else value[0] for value, varies in zip(values, varied, strict=True)]
+        by_row = [
+            value[setup] if varies else value[0]
+            for value, varies in zip(values, varied, strict=True)
+        ]
         return cls(by_row, frozenset(np.flatnonzero(varied).tolist()))
 
 
 def coordinates_of(
-    chain: Chain, by_row: RowValues, conditions: Conditions, terms: list[tuple[int, Term]], curves: list[Thin]
+    chain: Chain,
+    by_row: RowValues,
+    conditions: Conditions,
+    terms: list[tuple[int, Term]],
+    curves: list[Thin],
 ) -> Values:
-    """Return the coordinates at some poses; terms come with the indices of their parameters among all."""
+    """Return the coordinates at some poses; terms come with the indices of their parameters among
+    all.
+    """
     slot = np.full(chain.size, -1)
     slot[chain.drives] = np.arange(len(chain.drives))
-    return moved_by(Values(np.zeros(chain.size), slot, conditions.q.T), by_row, terms, curves, by=chain.nominal)
+    return moved_by(
+        Values(np.zeros(chain.size), slot, conditions.q.T), by_row, terms, curves, by=chain.nominal
+    )
 
 
 def moved_by(
-    at: Values, by_row: RowValues, terms: list[tuple[int, Term]], curves: Sequence[Thin] = (), by: np.ndarray | None = None
+    at: Values,
+    by_row: RowValues,
+    terms: list[tuple[int, Term]],
+    curves: Sequence[Thin] = (),
+    by: np.ndarray | None = None,
 ) -> Values:
-    """Return coordinates changed by terms, with the indices of their parameters among all, by curves and by constants."""
+    """Return coordinates changed by terms, with the indices of their parameters among all, by
+    curves and by constants.
+    """
     values, varied = by_row
-    # Python adds its own floats faster than elements of an array; hundreds of candidates of a discovery are at zero.
+    # Python adds its own floats faster than elements of an array; hundreds of candidates of a
+    # discovery are at zero.
     added: list[Any] = [0.0] * len(at.constant) if by is None else by.tolist()
     by_pose = list[tuple[int, float | np.ndarray]]()
     for p, term in terms:
         if term.basis is None and p not in varied:
             added[term.coordinate] += values[p]
         elif p in varied or values[p]:
-            by_pose.append((term.coordinate, values[p] if term.basis is None else values[p] * term.basis))
+            by_pose.append(
+                (term.coordinate, values[p] if term.basis is None else values[p] * term.basis)
+            )
     for places, k, basis in curves:
         heights = np.array([values[p] for p in places.tolist()])
         if heights.any():
             by_pose.append((k, sparse_across(basis, heights[:, None])[:, 0]))
-    shift, slot, (before, n) = np.array(added), at.slot.copy(), at.varying.shape
-    constant, in_row = at.constant + shift, np.empty((before, 1))
+    shift = np.array(added)
+    slot = at.slot.copy()
+    (before, n) = at.varying.shape
+    constant = at.constant + shift
+    in_row = np.empty((before, 1))
     (those,) = np.nonzero(slot >= 0)
     in_row[slot[those], 0] = shift[those]
     new = list(dict.fromkeys(k for k, _ in by_pose if slot[k] < 0))
@@ -210,11 +267,14 @@ def moved_by(
 
 
 def laden(chain: Chain, bodies: Sequence[Body], by_row: RowValues) -> Layout:
-    """Return the chain's layout with the link masses at these values; bodies refer to parameters by index among all."""
+    """Return the chain's layout with the link masses at these values; bodies refer to parameters by
+    index among all.
+    """
     layout = chain.layout
     if not bodies:
         return layout
-    masses, moments = layout.masses.copy(), layout.masses[:, None] * layout.centres
+    masses = layout.masses.copy()
+    moments = layout.masses[:, None] * layout.centres
     for body in bodies:
         value = by_row.of_parameter[body.parameter]
         assert body.parameter not in by_row.varied, "masses are the robot's, not a station's"

@@ -1,4 +1,6 @@
-"""Inputs of the compiled loops: the constant part of a chain, values of its coordinates, their derivatives by parameters."""
+"""Inputs of the compiled loops: the constant part of a chain, values of its coordinates, their
+derivatives by parameters.
+"""
 
 from __future__ import annotations
 
@@ -30,21 +32,26 @@ class Layout(NamedTuple):
     """The constant part of a chain as arrays.
 
     Attributes:
-        kind: shape (K,), 0, 1, 2 for rotations about x, y, z and 3, 4, 5 for translations along them.
+        kind: shape (K,), 0, 1, 2 for rotations about x, y, z and 3, 4, 5 for translations along
+            them.
         less: shape (K,), another coordinate whose translation coordinate k takes back, -1 for none.
-        starts: shape (n + 1,), the first coordinate of each joint, and the first one after the last joint.
+        starts: shape (n + 1,), the first coordinate of each joint, and the first one after the last
+            joint.
         parents: shape (n,), the joint that carries each joint, an earlier one, -1 for the base.
         tree: the walk over the joints' coordinates, each joint's after the link that carries it.
         path: the walk from the instrument to the target.
         bears: shape (n,), joints whose moments bend the path.
-        acting: shape (A,), joints that move or turn the loads of these: they themselves, and those above and below them.
+        acting: shape (A,), joints that move or turn the loads of these: they themselves, and those
+            above and below them.
         fixed: shape (F, 3, 4), the fixed transforms.
-        tip: index of the fixed transform to the tip, from the link frame of the joint that carries it.
+        tip: index of the fixed transform to the tip, from the link frame of the joint that carries
+            it.
         tip_joint: that joint, -1 for the base.
-        base_rotation: shape (set-ups, 3, 3), reference orientation of the base in each instrument's frame.
+        base_rotation: shape (set-ups, 3, 3), reference orientation of the base in each instrument's
+            frame.
         tool_rotation: shape (tools, 3, 3), reference orientation of each tool frame.
-        moment_y, moment_z: shape (n,), coordinates whose axes are y and z of the frame that joint i's moment is
-            expressed in; it is taken about the origin of the later one.
+        moment_y, moment_z: shape (n,), coordinates whose axes are y and z of the frame that joint
+            i's moment is expressed in; it is taken about the origin of the later one.
         moment_cut: shape (n,), the last coordinate that turns or moves this frame.
         masses, centres: shape (n,), (n, 3), the bodies in the link frames.
         gravity: shape (3,), in the robot's base frame.
@@ -131,14 +138,18 @@ class MassTerms(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Index of the reference orientation of the base, and of the tool, at each pose; both of shape (N,)."""
+    """Index of the reference orientation of the base, and of the tool, at each pose; both of shape
+    (N,).
+    """
 
     base: np.ndarray
     tool: np.ndarray
 
 
 class Payload(NamedTuple):
-    """Mass [kg], shape (N,), and centre of mass in the tip frame [m], shape (3,), beyond the last link."""
+    """Mass [kg], shape (N,), and centre of mass in the tip frame [m], shape (3,), beyond the last
+    link.
+    """
 
     mass: np.ndarray
     centre: np.ndarray
@@ -152,9 +163,10 @@ class Wanted(NamedTuple):
         compliances: derivatives of coordinates by moments; may be empty.
         masses: contributions of parameters to masses; may be empty.
         n_columns: number P of columns.
-        rows: 3 for the velocity of the target, 6 for velocity and angular velocity, in the instrument's axes; 0 for the
-            moments themselves instead of columns.
-        sweeps: 0 for moments on the undeformed arm; else the number of iterations for the effect of deformation on moments.
+        rows: 3 for the velocity of the target, 6 for velocity and angular velocity, in the
+            instrument's axes; 0 for the moments themselves instead of columns.
+        sweeps: 0 for moments on the undeformed arm; else the number of iterations for the effect of
+            deformation on moments.
     """
 
     terms: Terms

@@ -1,7 +1,8 @@
 """Parts of the compiled loops: forward kinematics and carried masses of a group of poses.
 
-Poses are processed in groups of LANES: the last axis of every working array runs over the poses of a group, so that the
-compiler vectorises each inner loop (measured: 5 times faster than pose by pose).
+Poses are processed in groups of LANES: the last axis of every working array runs over the poses of
+a group, so that the compiler vectorises each inner loop (measured: 5 times faster than pose by
+pose).
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-# Poses processed together: fewer cost more in calls, more exceed a second-level cache of 512 KiB (6R arm).
+# Poses processed together: fewer cost more in calls, more exceed a second-level cache of 512 KiB
+# (6R arm).
 LANES = 64
 
 COMPILE = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
@@ -47,7 +49,8 @@ class Loads(NamedTuple):
     Attributes:
         M: shape (n, lanes), the mass beyond each joint.
         B: shape (n, 3, lanes), its sum of mass times centre.
-        F: shape (4 n, 3, lanes), the link frames: the three rows of the rotation, then the origin; or empty.
+        F: shape (4 n, 3, lanes), the link frames: the three rows of the rotation, then the origin;
+            or empty.
         A, H: shape (3 n, 3, lanes), axis w_l of moment l and h_l = w_l x D_l.
         mass: shape (lanes,), of one body.
     """
@@ -62,7 +65,9 @@ class Loads(NamedTuple):
 
 @njit(**INNER)
 def room(a, b):
-    """Allocate a x b rows of lanes. Each number of axes that is allocated takes half a second to compile."""
+    """Allocate a x b rows of lanes. Each number of axes that is allocated takes half a second to
+    compile.
+    """
     return np.empty((a, b, LANES))
 
 
@@ -70,7 +75,15 @@ def room(a, b):
 def room_for_arms(K):
     """Allocate the arrays for arms of K coordinates."""
     coordinates = np.zeros((3, K, LANES))
-    return Arms(coordinates[0], coordinates[1], coordinates[2], room(3, 3), room(1, 3)[0], room(K, 3), room(K, 3))
+    return Arms(
+        coordinates[0],
+        coordinates[1],
+        coordinates[2],
+        room(3, 3),
+        room(1, 3)[0],
+        room(K, 3),
+        room(K, 3),
+    )
 
 
 @njit(**INNER)
@@ -82,7 +95,9 @@ def fill(out, value):
 
 @njit(**INNER)
 def copy_lanes(values, out):
-    """Out = values, each of one axis. An assignment would check shapes, which takes seconds to compile."""
+    """Out = values, each of one axis. An assignment would check shapes, which takes seconds to
+    compile.
+    """
     for i in range(LANES):
         out[i] = values[i]
 
@@ -103,7 +118,8 @@ def add_lanes(values, out):
 
 @njit(**INNER)
 def load_coordinates(kind, values, walked, span, whole, arms):
-    """Load coordinates of a span of poses (start, number) into x, their cosines and sines into c and s.
+    """Load coordinates of a span of poses (start, number) into x, their cosines and sines into c
+    and s.
 
     Constant coordinates, the same in every group, are loaded only if ``whole``.
     """
@@ -136,7 +152,9 @@ def _apply(R, p, F):
     """Multiply the frames (R, p) by a fixed transform from the right."""
     for r in range(3):
         for i in range(LANES):
-            a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+            a = R[r, 0, i]
+            b = R[r, 1, i]
+            d = R[r, 2, i]
             p[r, i] += a * F[0, 3] + b * F[1, 3] + d * F[2, 3]
             R[r, 0, i] = a * F[0, 0] + b * F[1, 0] + d * F[2, 0]
             R[r, 1, i] = a * F[0, 1] + b * F[1, 1] + d * F[2, 1]
@@ -151,7 +169,9 @@ def _turn(rotations, index, span, R):
         A = rotations[0]
         for r in range(3):
             for i in range(LANES):
-                a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+                a = R[r, 0, i]
+                b = R[r, 1, i]
+                d = R[r, 2, i]
                 R[r, 0, i] = a * A[0, 0] + b * A[1, 0] + d * A[2, 0]
                 R[r, 1, i] = a * A[0, 1] + b * A[1, 1] + d * A[2, 1]
                 R[r, 2, i] = a * A[0, 2] + b * A[1, 2] + d * A[2, 2]
@@ -159,25 +179,30 @@ def _turn(rotations, index, span, R):
     for i in range(m):
         A = rotations[index[start + i]]
         for r in range(3):
-            a, b, d = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+            a = R[r, 0, i]
+            b = R[r, 1, i]
+            d = R[r, 2, i]
             for j in range(3):
                 R[r, j, i] = a * A[0, j] + b * A[1, j] + d * A[2, j]
 
 
 @njit(**INNER)
 def _walk(layout, route, first, last, arms):
-    """Move the frames (R, p) over the steps first .. last - 1 of a route; store each coordinate's axis and origin in W, O.
+    """Move the frames (R, p) over the steps first .. last - 1 of a route; store each coordinate's
+    axis and origin in W, O.
 
     The axis of a coordinate traversed backwards is stored reversed.
     """
     x, c, s, R, p, W, O = arms
     for t in range(first, last):
-        k, sign = route.coordinate[t], route.sign[t]
+        k = route.coordinate[t]
+        sign = route.sign[t]
         if route.fixed_before[t] >= 0:
             _apply(R, p, layout.fixed[route.fixed_before[t]])
         kind = layout.kind[k]
         axis = kind if kind < 3 else kind - 3
-        j, l = (axis + 1) % 3, (axis + 2) % 3
+        j = (axis + 1) % 3
+        l = (axis + 2) % 3
         for r in range(3):
             for i in range(LANES):
                 W[k, r, i] = sign * R[r, axis, i]
@@ -190,14 +215,18 @@ def _walk(layout, route, first, last, arms):
                         p[r, i] -= W[k, r, i] * x[layout.less[k], i]
             else:
                 for i in range(LANES):
-                    a, b, sine = R[r, j, i], R[r, l, i], sign * s[k, i]
+                    a = R[r, j, i]
+                    b = R[r, l, i]
+                    sine = sign * s[k, i]
                     R[r, j, i] = c[k, i] * a + sine * b
                     R[r, l, i] = c[k, i] * b - sine * a
 
 
 @njit(**PART)
 def walk_arms(layout, places, span, arms):
-    """Walk the path from instrument to target, with reference orientations before the angles of base and tool."""
+    """Walk the path from instrument to target, with reference orientations before the angles of
+    base and tool.
+    """
     S = len(layout.path.coordinate)
     _identity(arms.R, arms.p)
     # A single call of _walk, with one type of bounds, as each call is inlined.
@@ -216,7 +245,9 @@ def _add_body(R, p, mass, centre, B):
     """Add mass times the position of its centre to B."""
     for r in range(3):
         for i in range(LANES):
-            place = p[r, i] + R[r, 0, i] * centre[0] + R[r, 1, i] * centre[1] + R[r, 2, i] * centre[2]
+            place = (
+                p[r, i] + R[r, 0, i] * centre[0] + R[r, 1, i] * centre[1] + R[r, 2, i] * centre[2]
+            )
             B[r, i] += mass[i] * place
 
 
@@ -243,9 +274,16 @@ def _return_to(F, j, R, p):
 
 @njit(**PART)
 def walk_bodies(layout, acting, payload, span, arms, loads):
-    """Walk the tree from its base and sum the masses that each joint carries: M, B and, unless empty, F."""
+    """Walk the tree from its base and sum the masses that each joint carries: M, B and, unless
+    empty, F.
+    """
     start, m = span
-    R, p, M, B, F, mass = arms.R, arms.p, loads.M, loads.B, loads.F, loads.mass
+    R = arms.R
+    p = arms.p
+    M = loads.M
+    B = loads.B
+    F = loads.F
+    mass = loads.mass
     here = -2
     for j in acting:
         if layout.parents[j] != here:
@@ -304,8 +342,12 @@ def moment_point(layout, j, O):
 
 @njit(**PART)
 def moment_levers(layout, bears, arms, loads, D):
-    """Set A[l], H[l] of bearing joints: axis w_l of moment l and h_l = w_l x D_l; the moment itself is h_l . g."""
-    W, A, H = arms.W, loads.A, loads.H
+    """Set A[l], H[l] of bearing joints: axis w_l of moment l and h_l = w_l x D_l; the moment itself
+    is h_l . g.
+    """
+    W = arms.W
+    A = loads.A
+    H = loads.H
     for j in np.flatnonzero(bears):
         lever(loads.B[j], loads.M[j], moment_point(layout, j, arms.O), D)
         copy_rows(W[layout.moment_y[j]], A[3 * j + 1])

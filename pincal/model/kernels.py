@@ -1,18 +1,22 @@
-r"""The compiled loops: tip poses, static moments and their exact derivatives, pose by pose in one pass.
+r"""The compiled loops: tip poses, static moments and their exact derivatives, pose by pose in one
+pass.
 
-A chain is a sequence of elementary transforms, each with one scalar coordinate. With w_k and o_k the axis and a point of
-coordinate k in the world, a rotation moves the tip p by w_k x (p - o_k) and turns it by w_k; a translation moves it by w_k.
+A chain is a sequence of elementary transforms, each with one scalar coordinate. With w_k and o_k
+the axis and a point of coordinate k in the world, a rotation moves the tip p by w_k x (p - o_k) and
+turns it by w_k; a translation moves it by w_k.
 
-Moments: for the axis w_l and a point o_l on the joint's axis, with D_l the sum of m_b (c_b - o_l) over the bodies b beyond,
-h_l = w_l x D_l and g the gravity, n_l = h_l . g (paper, Eq. (3)). With u_k = g x w_k and M_k the mass beyond k,
+Moments: for the axis w_l and a point o_l on the joint's axis, with D_l the sum of m_b (c_b - o_l)
+over the bodies b beyond, h_l = w_l x D_l and g the gravity, n_l = h_l . g (paper, Eq. (3)). With
+u_k = g x w_k and M_k the mass beyond k,
 
     d n_l / d x_k = h_l . u_k           k a rotation before the frame of l
                   = h_k . u_l           k a rotation after it
                   = 0, M_k w_k . u_l    k a translation before, after it.
 
-The Jacobian needs only sum_l a_l d n_l / d x_k, so two sums per joint suffice for all its k: of a_l h_l over the moments of
-the joints that it carries, and of a_l u_l over those of the joints that carry it. A moment of another branch does not depend
-on k. Checked against finite differences and Pinocchio in ``tests/test_model.py``.
+The Jacobian needs only sum_l a_l d n_l / d x_k, so two sums per joint suffice for all its k: of a_l
+h_l over the moments of the joints that it carries, and of a_l u_l over those of the joints that
+carry it. A moment of another branch does not depend on k. Checked against finite differences and
+Pinocchio in ``tests/test_model.py``.
 """
 
 from __future__ import annotations
@@ -23,7 +27,16 @@ import numpy as np
 from numba import njit
 
 from pincal.compiled import announce, compiled
-from pincal.model.kernel_inputs import Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
+from pincal.model.kernel_inputs import (
+    Compliances,
+    Layout,
+    MassTerms,
+    Payload,
+    Places,
+    Terms,
+    Values,
+    Wanted,
+)
 from pincal.model.kernel_walk import (
     INNER,
     LANES,
@@ -91,7 +104,9 @@ def _add_scaled(a, v, out):
 
 @njit(**INNER)
 def _take_back(less, k, of_coordinates):
-    """Subtract coordinate k from the one that it takes back, in an array over all coordinates in which both are set."""
+    """Subtract coordinate k from the one that it takes back, in an array over all coordinates in
+    which both are set.
+    """
     other = less[k]
     if other >= 0:
         for i in range(of_coordinates.shape[1]):
@@ -113,10 +128,23 @@ def _asked(layout, wanted):
 
 @njit(**PART)
 def _through_moments(layout, acting, bears, asked, arms, loads, motions):
-    """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two sums per joint (module docstring); a is 0 unless bearing."""
-    W, O, M, B, H, A = arms.W, arms.O, loads.M, loads.B, loads.H, loads.A
-    a, aheads, behinds, h, u, V = motions.a, motions.ahead, motions.behind, motions.h, motions.u, motions.V
-    rows, parents = len(a), layout.parents
+    """V[r, k] = sum over l of a[r, l] d n_l / d x_k, by two sums per joint (module docstring); a is
+    0 unless bearing.
+    """
+    W = arms.W
+    O = arms.O
+    M = loads.M
+    B = loads.B
+    H = loads.H
+    A = loads.A
+    a = motions.a
+    aheads = motions.ahead
+    behinds = motions.behind
+    h = motions.h
+    u = motions.u
+    V = motions.V
+    rows = len(a)
+    parents = layout.parents
     for r in range(rows):
         for j in acting:
             for l in range(3 * j, 3 * j + 3):
@@ -130,7 +158,8 @@ def _through_moments(layout, acting, bears, asked, arms, loads, motions):
                 for q in range(3):
                     add_lanes(ahead[q], aheads[r, 3 * parents[j] + q])
     for j in acting:
-        ahead, behind = aheads[:, 3 * j : 3 * j + 3], behinds[:, 3 * j : 3 * j + 3]
+        ahead = aheads[:, 3 * j : 3 * j + 3]
+        behind = behinds[:, 3 * j : 3 * j + 3]
         for r in range(rows):
             for q in range(3):
                 if parents[j] >= 0:
@@ -146,8 +175,16 @@ def _through_moments(layout, acting, bears, asked, arms, loads, motions):
                 _turned_gravity(layout.gravity, W[k], u)
                 for r in range(rows):
                     for i in range(LANES):
-                        before = ahead[r, 0, i] * u[0, i] + ahead[r, 1, i] * u[1, i] + ahead[r, 2, i] * u[2, i]
-                        after = behind[r, 0, i] * h[0, i] + behind[r, 1, i] * h[1, i] + behind[r, 2, i] * h[2, i]
+                        before = (
+                            ahead[r, 0, i] * u[0, i]
+                            + ahead[r, 1, i] * u[1, i]
+                            + ahead[r, 2, i] * u[2, i]
+                        )
+                        after = (
+                            behind[r, 0, i] * h[0, i]
+                            + behind[r, 1, i] * h[1, i]
+                            + behind[r, 2, i] * h[2, i]
+                        )
                         V[r, k, i] = before + after
             else:
                 for r in range(rows):
@@ -173,7 +210,8 @@ def _pull_back(compliances, span, J, a):
     """a[r, l] += sum over the coordinates k that depend on moment l of J[r, k] d x_k / d n_l."""
     (start, m), constant = span, compliances.rate.shape[1] == 1
     for e in range(len(compliances.coordinate)):
-        k, l = compliances.coordinate[e], compliances.moment[e]
+        k = compliances.coordinate[e]
+        l = compliances.moment[e]
         for r in range(len(a)):
             if constant:
                 for i in range(LANES):
@@ -185,8 +223,11 @@ def _pull_back(compliances, span, J, a):
 
 @njit(**PART)
 def _follow_moments(layout, acting, bears, asked, wanted, span, arms, loads, motions):
-    """Set derivatives of the tip: V[:, k] by coordinate k through the moments, a[r, l] by moment l."""
-    a0, a = motions.a0, motions.a
+    """Set derivatives of the tip: V[:, k] by coordinate k through the moments, a[r, l]
+    by moment l.
+    """
+    a0 = motions.a0
+    a = motions.a
     for r in range(len(a)):
         for l in range(a.shape[1]):
             fill(a0[r, l], 0.0)
@@ -204,8 +245,13 @@ def _follow_moments(layout, acting, bears, asked, wanted, span, arms, loads, mot
 
 @njit(**PART)
 def _kinematic_columns(layout, arms, J):
-    """Set J[:, k], translation (and rotation, with six rows) of the tip by coordinate k of the path."""
-    W, O, p, rows = arms.W, arms.O, arms.p, len(J)
+    """Set J[:, k], translation (and rotation, with six rows) of the tip by coordinate k of the
+    path.
+    """
+    W = arms.W
+    O = arms.O
+    p = arms.p
+    rows = len(J)
     for k in layout.path.coordinate:
         if layout.kind[k] >= 3:
             for r in range(3):
@@ -214,7 +260,9 @@ def _kinematic_columns(layout, arms, J):
                 fill(J[r, k], 0.0)
             continue
         for i in range(LANES):
-            dx, dy, dz = p[0, i] - O[k, 0, i], p[1, i] - O[k, 1, i], p[2, i] - O[k, 2, i]
+            dx = p[0, i] - O[k, 0, i]
+            dy = p[1, i] - O[k, 1, i]
+            dz = p[2, i] - O[k, 2, i]
             J[0, k, i] = W[k, 1, i] * dz - W[k, 2, i] * dy
             J[1, k, i] = W[k, 2, i] * dx - W[k, 0, i] * dz
             J[2, k, i] = W[k, 0, i] * dy - W[k, 1, i] * dx
@@ -230,8 +278,12 @@ def _parameter_columns(wanted, span, motions, out):
     """Add each term's share to its parameter's column; rigid terms also act through the moments."""
     (start, m), terms, J, V = span, wanted.terms, motions.J, motions.V
     for e in range(len(terms.coordinate)):
-        k, q, j = terms.coordinate[e], terms.parameter[e], terms.slot[e]
-        with_moments = len(wanted.compliances.coordinate) > 0 and (wanted.sweeps > 0 or not terms.elastic[e])
+        k = terms.coordinate[e]
+        q = terms.parameter[e]
+        j = terms.slot[e]
+        with_moments = len(wanted.compliances.coordinate) > 0 and (
+            wanted.sweeps > 0 or not terms.elastic[e]
+        )
         for r in range(len(J)):
             if j < 0:
                 for i in range(m):
@@ -251,13 +303,16 @@ def _parameter_columns(wanted, span, motions, out):
 def _mass_columns(layout, acting, bears, masses, span, arms, loads, motions, out):
     """Set the columns of mass parameters, which act through the moments alone.
 
-    A body of mass M and first moment H beyond joint j adds (M (p_j - o_l) + R_j H) . (g x w_l) to the moments n_l of joint j
-    and of the joints that carry it; weighted with a_l these are sums over l of g x w_l, in U, and of o_l . (g x w_l), in S.
+    A body of mass M and first moment H beyond joint j adds (M (p_j - o_l) + R_j H) . (g x w_l) to
+    the moments n_l of joint j and of the joints that carry it; weighted with a_l these are sums
+    over l of g x w_l, in U, and of o_l . (g x w_l), in S.
     """
     (start, m), F, a, u = span, loads.F, motions.a, motions.u
     for r in range(len(a)):
         for j in acting:
-            U, S, parent = motions.U[3 * j : 3 * j + 3], motions.S[j], layout.parents[j]
+            U = motions.U[3 * j : 3 * j + 3]
+            S = motions.S[j]
+            parent = layout.parents[j]
             for q in range(3):
                 if parent >= 0:
                     copy_lanes(motions.U[3 * parent + q], U[q])
@@ -276,10 +331,16 @@ def _mass_columns(layout, acting, bears, masses, span, arms, loads, motions, out
             for e in range(len(masses.joint)):
                 if masses.joint[e] != j:
                     continue
-                column, mass, H = out[masses.parameter[e], r], masses.mass[e], masses.moment[e]
+                column = out[masses.parameter[e], r]
+                mass = masses.mass[e]
+                H = masses.moment[e]
                 for q in range(3):
                     for i in range(m):
-                        turned = F[4 * j + q, 0, i] * H[0] + F[4 * j + q, 1, i] * H[1] + F[4 * j + q, 2, i] * H[2]
+                        turned = (
+                            F[4 * j + q, 0, i] * H[0]
+                            + F[4 * j + q, 1, i] * H[1]
+                            + F[4 * j + q, 2, i] * H[2]
+                        )
                         column[start + i] += U[q, i] * (mass * F[4 * j + 3, q, i] + turned)
                 for i in range(m):
                     column[start + i] -= mass * S[i]
@@ -291,7 +352,11 @@ def _note_poses(R, p, span, out):
     start, m = span
     for r in range(3):
         for i in range(m):
-            out[r, 0, start + i], out[r, 1, start + i], out[r, 2, start + i] = R[r, 0, i], R[r, 1, i], R[r, 2, i]
+            out[r, 0, start + i], out[r, 1, start + i], out[r, 2, start + i] = (
+                R[r, 0, i],
+                R[r, 1, i],
+                R[r, 2, i],
+            )
             out[r, 3, start + i] = p[r, i]
 
 
@@ -306,7 +371,8 @@ def _note_moments(g, H, span, out):
 
 @compiled(**WHOLE)
 def evaluate(layout, values, rigid, places, payload, wanted):
-    """Return poses, static moments and columns as requested, in one loop, as each takes seconds to compile.
+    """Return poses, static moments and columns as requested, in one loop, as each takes seconds to
+    compile.
 
     Args:
         layout: the chain.
@@ -317,27 +383,48 @@ def evaluate(layout, values, rigid, places, payload, wanted):
         wanted: the columns.
 
     Returns:
-        Poses, shape (3, 4, N), moments, shape (3 n, N), and columns, shape (P, rows, N); empty if not requested.
+        Poses, shape (3, 4, N), moments, shape (3 n, N), and columns, shape (P, rows, N); empty if
+        not requested.
     """
-    N, K, n, rows = values.varying.shape[1], len(values.constant), len(layout.masses), wanted.rows
-    through, weighs = len(wanted.compliances.coordinate) > 0, len(wanted.masses.joint) > 0
-    posed, laden = len(places.tool) > 0, len(payload.mass) > 0 and (through or rows == 0)
-    acting, bears, tree = layout.acting, layout.bears, np.empty(K, np.int64)
-    if wanted.sweeps > 0:  # On the deformed arm all moments deflect the path, as they affect each other.
-        acting, bears = np.arange(n), np.ones(n, np.bool_)
-    asked, walked = _asked(layout, wanted), 0
+    N = values.varying.shape[1]
+    K = len(values.constant)
+    n = len(layout.masses)
+    rows = wanted.rows
+    through = len(wanted.compliances.coordinate) > 0
+    weighs = len(wanted.masses.joint) > 0
+    posed = len(places.tool) > 0
+    laden = len(payload.mass) > 0 and (through or rows == 0)
+    acting = layout.acting
+    bears = layout.bears
+    tree = np.empty(K, np.int64)
+    if (
+        wanted.sweeps > 0
+    ):  # On the deformed arm all moments deflect the path, as they affect each other.
+        acting = np.arange(n)
+        bears = np.ones(n, np.bool_)
+    asked = _asked(layout, wanted)
+    walked = 0
     for j in acting:
         for k in range(layout.starts[j], layout.starts[j + 1]):
             tree[walked] = k
             walked += 1
-    arms, bare = room_for_arms(K if posed else 0), room_for_arms(K if laden else 0)
+    arms = room_for_arms(K if posed else 0)
+    bare = room_for_arms(K if laden else 0)
     frames = room(4 * n if weighs or is_branched(layout) else 0, 3)
-    loads = Loads(room(1, n)[0], room(n, 3), frames, room(3 * n, 3), np.zeros((3 * n, 3, LANES)), room(1, 1)[0, 0])
+    loads = Loads(
+        room(1, n)[0],
+        room(n, 3),
+        frames,
+        room(3 * n, 3),
+        np.zeros((3 * n, 3, LANES)),
+        room(1, 1)[0, 0],
+    )
     motions = _Motions(
         np.zeros((rows, K, LANES)), np.zeros((rows, K, LANES)), room(rows, 3 * n), room(rows, 3 * n), room(rows, 3 * n),
         room(rows, 3 * n), room(1, 3)[0], room(1, 3)[0], room(1, 3 * n)[0], room(1, n)[0],
     )  # fmt: skip
-    poses, columns = np.empty((3, 4, N if posed else 0)), np.zeros((wanted.n_columns, rows, N))
+    poses = np.empty((3, 4, N if posed else 0))
+    columns = np.zeros((wanted.n_columns, rows, N))
     moments = np.empty((1, 3 * n, N if laden and rows == 0 else 0))[0]
     for start in range(0, N, LANES):
         span = start, min(LANES, N - start)
@@ -357,13 +444,16 @@ def evaluate(layout, values, rigid, places, payload, wanted):
         if through:
             _follow_moments(layout, acting, bears, asked, wanted, span, bare, loads, motions)
             if weighs:
-                _mass_columns(layout, acting, bears, wanted.masses, span, bare, loads, motions, columns)
+                _mass_columns(
+                    layout, acting, bears, wanted.masses, span, bare, loads, motions, columns
+                )
         _parameter_columns(wanted, span, motions, columns)
     return poses, moments, columns
 
 
 _NONE = np.empty(0, np.int64)
-_NOWHERE, NO_LOAD = Places(_NONE, _NONE), Payload(np.empty(0), np.zeros(3))
+_NOWHERE = Places(_NONE, _NONE)
+NO_LOAD = Payload(np.empty(0), np.zeros(3))
 NOTHING = Wanted(
     Terms(_NONE, _NONE, _NONE, np.empty(0, bool), np.empty((0, 0))),
     Compliances(_NONE, _NONE, np.empty((0, 1))),
@@ -374,16 +464,22 @@ NOTHING = Wanted(
 )
 
 
-def static_moments(layout: Layout, values: Values, payload: Payload, *, bending: bool = False) -> np.ndarray:
+def static_moments(
+    layout: Layout, values: Values, payload: Payload, *, bending: bool = False
+) -> np.ndarray:
     """Return the static moments, shape (3 n, N), components x, y, z of each joint [N m].
 
     For speed, with ``bending`` only the moments that deflect the path are valid.
     """
     if not bending:
-        layout = layout._replace(acting=np.arange(len(layout.masses)), bears=np.ones(len(layout.masses), bool))
+        layout = layout._replace(
+            acting=np.arange(len(layout.masses)), bears=np.ones(len(layout.masses), bool)
+        )
     return evaluate(layout, values, values, _NOWHERE, payload, NOTHING)[1]  # type: ignore[no-any-return]
 
 
 def tip_poses(layout: Layout, values: Values, places: Places) -> np.ndarray:
-    """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and translation."""
+    """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and
+    translation.
+    """
     return evaluate(layout, values, values, places, NO_LOAD, NOTHING)[0]  # type: ignore[no-any-return]

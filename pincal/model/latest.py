@@ -26,7 +26,9 @@ class Latest(Generic[V]):
     def of(self, *objects: object) -> dict[object, V]:
         """Return the results about objects, to be added to; the objects are kept alive."""
         for held, known in tuple(self._kept):
-            if len(held) == len(objects) and all(a is b for a, b in zip(held, objects, strict=True)):
+            if len(held) == len(objects) and all(
+                a is b for a, b in zip(held, objects, strict=True)
+            ):
                 return known
         found: dict[object, V] = {}
         self._kept.append((objects, found))
@@ -37,7 +39,8 @@ class Evaluations:
     """Results shared by the chains of an arm; a copy in another process begins empty.
 
     Attributes:
-        tables: contributions of effects over tables, the latest last (see :mod:`pincal.model.evaluated`).
+        tables: contributions of effects over tables, the latest last (see
+            :mod:`pincal.model.evaluated`).
     """
 
     def __init__(self) -> None:
@@ -45,7 +48,9 @@ class Evaluations:
         self._latest: dict[str, Latest[Any]] = {}
 
     def about(self, what: str, *objects: object, most: int = 4) -> dict[Any, Any]:
-        """Return the results of one kind about objects, to be added to; only the latest of each kind are kept."""
+        """Return the results of one kind about objects, to be added to; only the latest of each
+        kind are kept.
+        """
         return self._latest.setdefault(what, Latest(most)).of(*objects)
 
     def __reduce__(self) -> tuple[type[Evaluations], tuple[()]]:

@@ -1,16 +1,19 @@
-r"""Closed loops of the calibrated arm: positions of passive joints, their derivatives, and the loads that they transmit.
+r"""Closed loops of the calibrated arm: positions of passive joints, their derivatives, and the
+loads that they transmit.
 
-The closure equations C that passive joints P satisfy hold for the chain's coordinates x, including deformed ones:
+The closure equations C that passive joints P satisfy hold for the chain's coordinates x, including
+deformed ones:
 
 .. math:: C(x) = 0, \qquad \frac{d x_P}{d x_k} = D_k = -C_P^{-1} C_k
 
-A passive joint supports no moment about its own axis. The moment n_P of its subtree acts on the joints that move it: by
-virtual work a drive i of a loop supports n_i + D_i . n_P. With the pin forces lambda = C_P^{-T} n_P, its derivative is
+A passive joint supports no moment about its own axis. The moment n_P of its subtree acts on the
+joints that move it: by virtual work a drive i of a loop supports n_i + D_i . n_P. With the pin
+forces lambda = C_P^{-T} n_P, its derivative is
 
 .. math:: d n_i + D_i \cdot d n_P - \lambda \cdot (d C_i + dC_P D_i)
 
-All of this is linear in the coordinates, so it yields further terms: a parameter that moves a coordinate of a loop also
-moves the coordinates of the passive joints.
+All of this is linear in the coordinates, so it yields further terms: a parameter that moves a
+coordinate of a loop also moves the coordinates of the passive joints.
 """
 
 from __future__ import annotations
@@ -26,8 +29,10 @@ from pincal.model.chain import Chain
 from pincal.model.kernel_inputs import FRAME, Compliances, Layout, Payload, Places, Terms, Values
 from pincal.robot.closure import CLOSED, Closure, least_step
 
-# Newton steps, and the gap [m, rad] from which one more suffices; from the nominal arm, errors of millimetres need three.
-_STEPS, _LAST = 12, 1e-8
+# Newton steps, and the gap [m, rad] from which one more suffices; from the nominal arm, errors of
+# millimetres need three.
+_STEPS = 12
+_LAST = 1e-8
 # Steps are limited while the gap is larger than this [m, rad].
 _NEAR = 0.1
 # A coordinate that moves passive joints by less than this per unit counts as inert.
@@ -74,10 +79,14 @@ class Loops:
             return None
         known = chain.kept.about("loops", chain.robot, chain.bearing_heights)
         if chain.moment_frame not in known:
-            walks = tuple(_Walk(closure, chain.loop_layout(closure)) for closure in chain.robot.closures)
+            walks = tuple(
+                _Walk(closure, chain.loop_layout(closure)) for closure in chain.robot.closures
+            )
             turning = [int(i) for i in linkage.drivers if chain.robot.joint_types[i] != "prismatic"]
             drives = {i: int(chain.drives[i]) for i in turning}
-            known[chain.moment_frame] = cls(walks, linkage.passive, chain.drives[linkage.passive], drives, chain.size)
+            known[chain.moment_frame] = cls(
+                walks, linkage.passive, chain.drives[linkage.passive], drives, chain.size
+            )
         found: Loops = known[chain.moment_frame]
         return found
 
@@ -88,14 +97,20 @@ class Loops:
         return on_walks & frozenset(range(FRAME, self.size - FRAME))
 
     def closed(self, values: Values) -> Values:
-        """Return coordinates at N poses with the passive joints where the loops close, or as nearly as possible."""
+        """Return coordinates at N poses with the passive joints where the loops close, or as nearly
+        as possible.
+        """
         values = values._replace(varying=values.varying.copy())
         for _ in range(_STEPS):
             missing, C, _ = self._motion(values, self.follow)
             open_by = float(np.abs(missing).max(initial=0.0))
             if open_by <= CLOSED:
                 break
-            step = _solved(C, missing[..., None])[..., 0] if open_by < _NEAR else least_step(C, missing)
+            step = (
+                _solved(C, missing[..., None])[..., 0]
+                if open_by < _NEAR
+                else least_step(C, missing)
+            )
             values.varying[values.slot[self.follow]] -= step.T
             if open_by < _LAST:
                 break
@@ -104,36 +119,57 @@ class Loops:
     def _motion(
         self, values: Values, coordinates: Sequence[int] | np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, list[tuple[np.ndarray, np.ndarray]]]:
-        """Return the gaps of the loops, shape (N, p), their derivatives by M coordinates, shape (N, p, M), and the ends.
+        """Return the gaps of the loops, shape (N, p), their derivatives by M coordinates, shape (N,
+        p, M), and the ends.
 
-        The ends are the last frame of each walk, shape (N, 3, 4), and its velocities, shape (M, 6, N).
+        The ends are the last frame of each walk, shape (N, 3, 4), and its velocities, shape (M, 6,
+        N).
         """
-        N, M = values.varying.shape[1], len(coordinates)
-        constant, slot = values.constant.copy(), values.slot.copy()
+        N = values.varying.shape[1]
+        M = len(coordinates)
+        constant = values.constant.copy()
+        slot = values.slot.copy()
         for outside in (slice(FRAME), slice(self.size - FRAME, None)):
-            constant[outside], slot[outside] = 0.0, -1
+            constant[outside] = 0.0
+            slot[outside] = -1
         values = Values(constant, slot, values.varying)
-        terms = Terms(np.array(coordinates, np.int64), np.arange(M), np.full(M, -1), np.zeros(M, bool), np.empty((0, N)))
+        terms = Terms(
+            np.array(coordinates, np.int64),
+            np.arange(M),
+            np.full(M, -1),
+            np.zeros(M, bool),
+            np.empty((0, N)),
+        )
         wanted = kernels.NOTHING._replace(terms=terms, n_columns=M, rows=6)
         here = np.zeros(N, np.int64)
-        missing, derivatives, ends = [], [], []
+        missing = []
+        derivatives = []
+        ends = []
         for walk in self.walks:
-            T, _, J = kernels.evaluate(walk.layout, values, values, Places(here, here), kernels.NO_LOAD, wanted)
-            T, rows = np.moveaxis(T, -1, 0), list(walk.closure.rows)
+            T, _, J = kernels.evaluate(
+                walk.layout, values, values, Places(here, here), kernels.NO_LOAD, wanted
+            )
+            T = np.moveaxis(T, -1, 0)
+            rows = list(walk.closure.rows)
             missing.append(walk.closure.residuals(T)[:, rows])
             derivatives.append(walk.closure.derivatives(T, J.transpose(2, 1, 0))[:, rows])
             ends.append((T, J))
         return np.concatenate(missing, axis=1), np.concatenate(derivatives, axis=1), ends
 
     def rates(self, values: Values, coordinates: Sequence[int]) -> np.ndarray:
-        """Return the derivatives of passive joints by coordinates at closed positions, shape (M, p, N)."""
+        """Return the derivatives of passive joints by coordinates at closed positions, shape (M, p,
+        N).
+        """
         p = len(self.follow)
         _, C, _ = self._motion(values, [*self.follow, *coordinates])
         return _solved(C[..., :p], -C[..., p:]).transpose(2, 1, 0)
 
     def borne(self, values: Values, moments: np.ndarray) -> np.ndarray:
-        """Return the moments that joints support, shape (3 n, N), from those of the open tree [N m]."""
-        out, z = moments.copy(), 3 * self.passive + 2
+        """Return the moments that joints support, shape (3 n, N), from those of the open tree [N
+        m].
+        """
+        out = moments.copy()
+        z = 3 * self.passive + 2
         for i, D in zip(self.drives, self.rates(values, list(self.drives.values())), strict=True):
             out[3 * i + 2] += (D * moments[z]).sum(axis=0)
         out[z] = 0.0
@@ -152,21 +188,30 @@ class Loops:
     ) -> tuple[Terms, Compliances]:
         """Return terms and compliances extended by their effect through the passive joints.
 
-        Moments are computed on the ``rigid`` coordinates; with ``equilibrium`` elastic motion changes them.
+        Moments are computed on the ``rigid`` coordinates; with ``equilibrium`` elastic motion
+        changes them.
         """
-        p, drives = len(self.follow), list(self.drives.values())
-        own = self.coordinates.intersection([*terms.coordinate.tolist(), *compliances.coordinate.tolist()])
+        p = len(self.follow)
+        drives = list(self.drives.values())
+        own = self.coordinates.intersection(
+            [*terms.coordinate.tolist(), *compliances.coordinate.tolist()]
+        )
         ks = [*self.follow.tolist(), *sorted(own.union(drives).difference(self.follow.tolist()))]
         at = {k: m for m, k in enumerate(ks)}
         on_rigid = self._motion(rigid, ks)
         D = _solved(on_rigid[1][..., :p], -on_rigid[1]).transpose(2, 1, 0)
         bent = D if rigid is deformed else self.rates(deformed, ks)
         felt = any(n % 3 == 2 and n // 3 in self.drives for n in compliances.moment.tolist())
-        loads = kernels.static_moments(layout, rigid, payload)[3 * self.passive + 2] if felt else np.empty((0, 0))
+        loads = (
+            kernels.static_moments(layout, rigid, payload)[3 * self.passive + 2]
+            if felt
+            else np.empty((0, 0))
+        )
         direct = self._direct(at, on_rigid, D, loads, compliances) if felt else {}
         found: list[tuple[int, int, bool, np.ndarray]] = []
         for e in range(len(terms.coordinate)):
-            k, column = int(terms.coordinate[e]), int(terms.parameter[e])
+            k = int(terms.coordinate[e])
+            column = int(terms.parameter[e])
             if k not in at:
                 continue
             basis = 1.0 if terms.slot[e] < 0 else terms.basis[terms.slot[e]]
@@ -191,9 +236,14 @@ class Loops:
         loads: np.ndarray,
         compliances: Compliances,
     ) -> dict[int, np.ndarray]:
-        """Return derivatives of elastic coordinates by others, (M, N), due to changed load transmission, by coordinate."""
-        p, found = len(self.follow), dict[int, np.ndarray]()
-        entries = [e for e, n in enumerate(compliances.moment) if n % 3 == 2 and int(n) // 3 in self.drives]
+        """Return derivatives of elastic coordinates by others, (M, N), due to changed load
+        transmission, by coordinate.
+        """
+        p = len(self.follow)
+        found = dict[int, np.ndarray]()
+        entries = [
+            e for e, n in enumerate(compliances.moment) if n % 3 == 2 and int(n) // 3 in self.drives
+        ]
         forces = _solved(on_rigid[1][..., :p].swapaxes(1, 2), loads.T[..., None])[..., 0]
         of_passive = [self._turned(at, on_rigid[2], forces, k) for k in self.follow.tolist()]
         for e in entries:
@@ -207,18 +257,29 @@ class Loops:
         return found
 
     def _turned(
-        self, at: dict[int, int], ends: list[tuple[np.ndarray, np.ndarray]], forces: np.ndarray, k: int
+        self,
+        at: dict[int, int],
+        ends: list[tuple[np.ndarray, np.ndarray]],
+        forces: np.ndarray,
+        k: int,
     ) -> np.ndarray:
-        """Return pin forces, shape (N, p), times the second derivatives of the equations by k and others, shape (M, N)."""
-        total, first = np.zeros((len(at), len(forces))), 0
+        """Return pin forces, shape (N, p), times the second derivatives of the equations by k and
+        others, shape (M, N).
+        """
+        total = np.zeros((len(at), len(forces)))
+        first = 0
         for walk, (T, J) in zip(self.walks, ends, strict=True):
             force = np.zeros((6, len(forces)))
             force[walk.closure.rows, :] = forces[:, first : first + len(walk.closure.rows)].T
             first += len(walk.closure.rows)
             if k not in walk.order:
                 continue
-            place, turn, v, w = force[:3], force[3:], J[:, :3], J[:, 3:]
-            v_k, w_k = v[at[k]], w[at[k]]
+            place = force[:3]
+            turn = force[3:]
+            v = J[:, :3]
+            w = J[:, 3:]
+            v_k = v[at[k]]
+            w_k = w[at[k]]
             # The earlier of two coordinates turns the motion of the later one.
             behind = (v * np.cross(place, w_k, axis=0)).sum(axis=1)
             before = (w * np.cross(v_k, place, axis=0)).sum(axis=1)
@@ -228,7 +289,8 @@ class Loops:
                 before += (w * np.cross(np.cross(w_k, z, axis=0), turn, axis=0)).sum(axis=1)
             elif walk.closure.kind == "pose":
                 half = 0.5 * (w * np.cross(turn, w_k, axis=0)).sum(axis=1)
-                behind, before = behind + half, before - half
+                behind = behind + half
+                before = before - half
             for other, m in at.items():
                 if other in walk.order:
                     total[m] += behind[m] if walk.order[other] >= walk.order[k] else before[m]
@@ -237,17 +299,27 @@ class Loops:
     def _with_compliances(
         self, compliances: Compliances, at: dict[int, int], D: np.ndarray, bent: np.ndarray
     ) -> Compliances:
-        """Return compliances with moments of passive joints acting on the drives, and with the passive joints' motion."""
+        """Return compliances with moments of passive joints acting on the drives, and with the
+        passive joints' motion.
+        """
         found = []
         z = (3 * self.passive + 2).tolist()
-        for k, n, rate in zip(compliances.coordinate.tolist(), compliances.moment.tolist(), compliances.rate, strict=True):
+        for k, n, rate in zip(
+            compliances.coordinate.tolist(),
+            compliances.moment.tolist(),
+            compliances.rate,
+            strict=True,
+        ):
             drive = self.drives.get(n // 3) if n % 3 == 2 else None
             felt = [] if n in z else [(n, rate)]
             felt += [] if drive is None else [(z[q], rate * D[at[drive], q]) for q in range(len(z))]
             for moment, by in felt:
                 found.append((k, moment, by))
                 if k in at:
-                    found += [(int(joint), moment, by * bent[at[k], q]) for q, joint in enumerate(self.follow)]
+                    found += [
+                        (int(joint), moment, by * bent[at[k], q])
+                        for q, joint in enumerate(self.follow)
+                    ]
         N = D.shape[2]
         return Compliances(
             np.array([k for k, _, _ in found], np.int64),
@@ -263,14 +335,17 @@ def closed_loops(chain: Chain, values: Values) -> Values:
 
 
 def borne_moments(chain: Chain, values: Values, moments: np.ndarray) -> np.ndarray:
-    """Return the moments that joints support, shape (3 n, N), from those of the tree with its loops, if any, open [N m]."""
+    """Return the moments that joints support, shape (3 n, N), from those of the tree with its
+    loops, if any, open [N m].
+    """
     loops = Loops.of(chain)
     return moments if loops is None else loops.borne(values, moments)
 
 
 def moves_tip(chain: Chain) -> np.ndarray:
     """Return which coordinates move the tip kinematically, not only through loads, shape (K,)."""
-    found, loops = np.zeros(chain.size, bool), Loops.of(chain)
+    found = np.zeros(chain.size, bool)
+    loops = Loops.of(chain)
     found[[*chain.layout.path.coordinate, *(loops.coordinates if loops else ())]] = True
     return found
 
@@ -278,9 +353,11 @@ def moves_tip(chain: Chain) -> np.ndarray:
 def inert_coordinates(chain: Chain) -> frozenset[int]:
     """Return the coordinates of joints and pins that have no effect because of loops.
 
-    They are the positions of passive joints, and motions of a rod or a crank that the loops don't transmit.
+    They are the positions of passive joints, and motions of a rod or a crank that the loops don't
+    transmit.
     """
-    loops, robot = Loops.of(chain), chain.robot
+    loops = Loops.of(chain)
+    robot = chain.robot
     if loops is None:
         return frozenset()
     known = chain.kept.about("inert", robot, chain.bearing_heights)
@@ -288,7 +365,9 @@ def inert_coordinates(chain: Chain) -> frozenset[int]:
         q = robot.random_configurations(_SAMPLES, np.random.default_rng(0))
         slot = np.full(chain.size, -1)
         slot[chain.drives] = np.arange(robot.n_joints)
-        values = Values(chain.nominal.copy(), slot, np.array(chain.nominal[chain.drives, None] + q.T, order="C"))
+        values = Values(
+            chain.nominal.copy(), slot, np.array(chain.nominal[chain.drives, None] + q.T, order="C")
+        )
         ks = sorted(loops.coordinates)
         moved = np.abs(loops.rates(values, ks)).max(axis=(1, 2))
         rods = loops.coordinates.difference(chain.layout.path.coordinate.tolist())
@@ -314,7 +393,9 @@ def _with_terms(terms: Terms, more: list[tuple[int, int, bool, np.ndarray]]) -> 
 
 
 def _solved(A: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return the solutions of A X = B, or least-squares solutions if loops are at a dead centre in some pose."""
+    """Return the solutions of A X = B, or least-squares solutions if loops are at a dead centre in
+    some pose.
+    """
     try:
         return np.asarray(np.linalg.solve(A, B))
     except np.linalg.LinAlgError:

@@ -1,4 +1,6 @@
-"""The extended model: a chain and the effects on its coordinates, evaluated for all poses at once with exact Jacobians."""
+"""The extended model: a chain and the effects on its coordinates, evaluated for all poses at once
+with exact Jacobians.
+"""
 
 from __future__ import annotations
 
@@ -25,15 +27,25 @@ from pincal.model.evaluated import (
     plain_terms,
     stacked,
 )
-from pincal.model.kernel_inputs import Compliances, Layout, MassTerms, Payload, Places, Terms, Values, Wanted
+from pincal.model.kernel_inputs import (
+    Compliances,
+    Layout,
+    MassTerms,
+    Payload,
+    Places,
+    Terms,
+    Values,
+    Wanted,
+)
 from pincal.model.loops import Loops, borne_moments, closed_loops, moves_tip
 from pincal.model.sparse_basis import Basis, joined_rows
 from pincal.parameters import Parameter
 from pincal.robot.link_path import above
 
-# Moments of a deflected arm differ from those of a rigid one by about 1e-3, so each round gains three digits; a soft arm
-# needs more rounds, and its Jacobian more sweeps.
-_EQUILIBRIUM_ROUNDS, _SWEEPS = 20, 12
+# Moments of a deflected arm differ from those of a rigid one by about 1e-3, so each round gains
+# three digits; a soft arm needs more rounds, and its Jacobian more sweeps.
+_EQUILIBRIUM_ROUNDS = 20
+_SWEEPS = 12
 _EQUILIBRIUM_TOLERANCE = 1e-15
 
 
@@ -43,7 +55,8 @@ class Shared:
 
     Attributes:
         coordinate: index in the chain.
-        families: indices of some of the parameters, shape (S,), and their basis, dense of shape (S, N) or sparse.
+        families: indices of some of the parameters, shape (S,), and their basis, dense of shape (S,
+            N) or sparse.
     """
 
     coordinate: int
@@ -57,8 +70,8 @@ class Model:
     Attributes:
         chain: the coordinates.
         effects: the physical causes, in any order.
-        equilibrium: whether the static moments are taken on the deflected arm (at equilibrium) instead of the undeflected
-            one, as in the paper.
+        equilibrium: whether the static moments are taken on the deflected arm (at equilibrium)
+            instead of the undeflected one, as in the paper.
 
     Example:
         >>> import numpy as np
@@ -74,7 +87,10 @@ class Model:
     equilibrium: bool = False
 
     def __repr__(self) -> str:
-        return f"Model({self.chain.robot.name!r}: {len(self.effects)} effects, {self.n_parameters} parameters)"
+        return (
+            f"Model({self.chain.robot.name!r}: {len(self.effects)} effects, "
+            f"{self.n_parameters} parameters)"
+        )
 
     @cached_property
     def spans(self) -> tuple[slice, ...]:
@@ -95,13 +111,23 @@ class Model:
     def bodies(self) -> tuple[Body, ...]:
         """Contributions of parameters, by index among all of them, to the masses of the links."""
         pairs = zip(self.spans, self.effects, strict=True)
-        return tuple(b._replace(parameter=of.start + b.parameter) for of, e in pairs for b in e.bodies(self.chain))
+        return tuple(
+            b._replace(parameter=of.start + b.parameter)
+            for of, e in pairs
+            for b in e.bodies(self.chain)
+        )
 
     @property
     def has_tool_orientation(self) -> bool:
-        """Whether the model has the orientation of the target on the tool, not only its position."""
+        """Whether the model has the orientation of the target on the tool, not only its
+        position.
+        """
         tools = [effect for effect in self.effects if effect.locus.acts_on == "tool"]
-        return any(parameter.unit == "rad" for effect in tools for parameter in effect.parameters(self.chain))
+        return any(
+            parameter.unit == "rad"
+            for effect in tools
+            for parameter in effect.parameters(self.chain)
+        )
 
     @property
     def n_parameters(self) -> int:
@@ -111,21 +137,33 @@ class Model:
     @cached_property
     def of_station(self) -> np.ndarray:
         """Which parameters belong to a station and not to the robot, shape (P,)."""
-        scopes = [(effect.scope, of.stop - of.start) for effect, of in zip(self.effects, self.spans, strict=True)]
+        scopes = [
+            (effect.scope, of.stop - of.start)
+            for effect, of in zip(self.effects, self.spans, strict=True)
+        ]
         return np.array([scope == "station" for scope, count in scopes for _ in range(count)], bool)
 
     @cached_property
     def affects_tip(self) -> np.ndarray:
-        """Which parameters move the tip not only by moving joints off the path that load the path, shape (P,)."""
+        """Which parameters move the tip not only by moving joints off the path that load the path,
+        shape (P,).
+        """
         if self.chain.on_path.all():
             return np.ones(self.n_parameters, bool)
-        robot, moves, found = self.chain.robot, moves_tip(self.chain), np.zeros(self.n_parameters, bool)
-        anywhere, moments = Conditions.of_everything(robot.n_joints), np.zeros((1, 3 * robot.n_joints))
+        robot = self.chain.robot
+        moves = moves_tip(self.chain)
+        found = np.zeros(self.n_parameters, bool)
+        anywhere = Conditions.of_everything(robot.n_joints)
+        moments = np.zeros((1, 3 * robot.n_joints))
         for of, effect in zip(self.spans, self.effects, strict=True):
-            for term in effect.terms(self.chain, anywhere, moments if effect.uses_moments else None):
+            for term in effect.terms(
+                self.chain, anywhere, moments if effect.uses_moments else None
+            ):
                 found[of.start + term.parameter] |= moves[term.coordinate]
         for body in self.bodies:
-            found[body.parameter] |= bool(self.chain.on_path[above(body.joint, robot.parents)].any())
+            found[body.parameter] |= bool(
+                self.chain.on_path[above(body.joint, robot.parents)].any()
+            )
         return found
 
     @cached_property
@@ -134,7 +172,9 @@ class Model:
         return tuple(parameter.name for parameter in self.parameters)
 
     def own(self, vector: np.ndarray) -> np.ndarray:
-        """Return the model's part of a vector over its parameters followed by a sensor's; a view."""
+        """Return the model's part of a vector over its parameters followed by a
+        sensor's; a view.
+        """
         return vector[: self.n_parameters]
 
     def index(self, name: str) -> int:
@@ -160,10 +200,17 @@ class Model:
             Shape (N, 3, 4): rotation and translation [m].
         """
         state = Evaluation.at(self, values, conditions)
-        return np.moveaxis(kernels.tip_poses(self.chain.layout, state.deformed, state.places), -1, 0)
+        return np.moveaxis(
+            kernels.tip_poses(self.chain.layout, state.deformed, state.places), -1, 0
+        )
 
     def linearise(
-        self, values: np.ndarray, conditions: Conditions, *, free: np.ndarray | None = None, rows: int = 3
+        self,
+        values: np.ndarray,
+        conditions: Conditions,
+        *,
+        free: np.ndarray | None = None,
+        rows: int = 3,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the target's poses and their exact derivative by the parameters.
 
@@ -171,24 +218,31 @@ class Model:
             values: shape (P,); of S set-ups shape (P, S).
             conditions: N poses.
             free: shape (P,), which parameters get a column; default: all.
-            rows: 3 for the translation of the target, 6 for translation and rotation, in the instrument's axes.
+            rows: 3 for the translation of the target, 6 for translation and rotation, in the
+                instrument's axes.
 
         Returns:
             Poses, shape (N, 3, 4), and Jacobian, shape (N, rows, number of free parameters).
         """
         state = Evaluation.at(self, values, conditions)
-        columns = np.arange(self.n_parameters) if free is None else np.where(free, np.cumsum(free) - 1, -1)
+        columns = (
+            np.arange(self.n_parameters)
+            if free is None
+            else np.where(free, np.cumsum(free) - 1, -1)
+        )
         poses, jacobian = self._linearise(state, columns, [], rows)
         return np.moveaxis(poses, -1, 0), np.moveaxis(jacobian, -1, 0).swapaxes(1, 2)
 
     def linearise_shared(
         self, values: np.ndarray, conditions: Conditions, *, free: np.ndarray, rows: int = 3
     ) -> tuple[np.ndarray, np.ndarray, list[Shared]]:
-        """Linearise as :meth:`linearise`, with the columns of curves on one coordinate factored into coordinate and basis.
+        """Linearise as :meth:`linearise`, with the columns of curves on one coordinate factored
+        into coordinate and basis.
 
         Returns:
-            Poses, shape (N, 3, 4); Jacobian, shape (D + L, rows, N), of the D free parameters that share no coordinate, in
-            order, and of the coordinates on which the L groups of the others act; these groups.
+            Poses, shape (N, 3, 4); Jacobian, shape (D + L, rows, N), of the D free parameters that
+            share no coordinate, in order, and of the coordinates on which the L groups of the
+            others act; these groups.
         """
         state = Evaluation.at(self, values, conditions)
         shared = state.shared(free)
@@ -197,18 +251,25 @@ class Model:
             for parameters, _ in group.families:
                 apart[parameters] = False
         columns = np.where(apart, np.cumsum(apart) - 1, -1)
-        poses, jacobian = self._linearise(state, columns, [group.coordinate for group in shared], rows)
+        poses, jacobian = self._linearise(
+            state, columns, [group.coordinate for group in shared], rows
+        )
         return poses.transpose(2, 0, 1), jacobian, shared
 
     def _linearise(
         self, state: Evaluation, columns: np.ndarray, coordinates: list[int], rows: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return poses, shape (3, 4, N), and the Jacobian by parameters and then by coordinates, shape (F, rows, N)."""
+        """Return poses, shape (3, 4, N), and the Jacobian by parameters and then by coordinates,
+        shape (F, rows, N).
+        """
         n_columns = int(columns.max(initial=-1)) + 1
-        terms, compliances = state.kernel_terms(columns, coordinates, n_columns), state.compliances()
+        terms = state.kernel_terms(columns, coordinates, n_columns)
+        compliances = state.compliances()
         if (loops := Loops.of(self.chain)) is not None:
             at = state.layout, state.rigid, state.deformed, state.payload
-            terms, compliances = loops.followed(*at, terms, compliances, equilibrium=self.equilibrium)
+            terms, compliances = loops.followed(
+                *at, terms, compliances, equilibrium=self.equilibrium
+            )
         wanted = Wanted(
             terms,
             compliances,
@@ -217,14 +278,20 @@ class Model:
             rows,
             _SWEEPS if self.equilibrium else 0,
         )
-        poses, _, jacobian = kernels.evaluate(state.layout, state.deformed, state.rigid, state.places, state.payload, wanted)
+        poses, _, jacobian = kernels.evaluate(
+            state.layout, state.deformed, state.rigid, state.places, state.payload, wanted
+        )
         return poses, jacobian
 
     def static_moments(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
-        """Return static moments n_x, n_y, n_z of each joint (paper, Eq. (3)) plus inertial ones, shape (N, 3 n) [N m]."""
+        """Return static moments n_x, n_y, n_z of each joint (paper, Eq. (3)) plus inertial ones,
+        shape (N, 3 n) [N m].
+        """
         state = Evaluation.at(self, values, conditions)
         static = kernels.static_moments(state.layout, state.rigid, state.payload)
-        return borne_moments(self.chain, state.rigid, static + np.transpose(inertial_moments(self.chain, conditions))).T
+        return borne_moments(
+            self.chain, state.rigid, static + np.transpose(inertial_moments(self.chain, conditions))
+        ).T
 
     def coordinates(self, values: np.ndarray, conditions: Conditions) -> np.ndarray:
         """Return the coordinates of the chain on the deflected arm, shape (N, K) [rad or m]."""
@@ -239,7 +306,9 @@ class Model:
         return laden(self.chain, self.bodies, RowValues(values))
 
     def rigid_coordinates(self, values: np.ndarray) -> np.ndarray:
-        """Return the coordinates at q = 0, shape (K,), from the constant terms: the geometry alone."""
+        """Return the coordinates at q = 0, shape (K,), from the constant terms: the
+        geometry alone.
+        """
         at_zero = Conditions.at(np.zeros((1, self.chain.robot.n_joints)))
         constant = self.chain.nominal.copy()
         for span, effect in zip(self.spans, self.effects, strict=True):
@@ -267,41 +336,86 @@ class Evaluation:
 
     @classmethod
     def at(cls, model: Model, values: np.ndarray, conditions: Conditions) -> Evaluation:
-        """Return the state of a model at values of its parameters, shape (P,) or (P, S), at some poses."""
+        """Return the state of a model at values of its parameters, shape (P,) or (P, S), at some
+        poses.
+        """
         conditions = _sighted(model, values, conditions)
         target = np.require(conditions.target, np.int64, ["C", "W"])
         if target.max(initial=0) >= len(model.chain.targets):
-            raise ValueError(f"target {target.max()} of a chain with {len(model.chain.targets)} targets")
+            raise ValueError(
+                f"target {target.max()} of a chain with {len(model.chain.targets)} targets"
+            )
         setup = conditions.setup
-        base = np.zeros(len(target), np.int64) if setup is None else np.require(setup, np.int64, ["C", "W"])
+        base = (
+            np.zeros(len(target), np.int64)
+            if setup is None
+            else np.require(setup, np.int64, ["C", "W"])
+        )
         places = Places(base, target if setup is None else target + len(model.chain.targets) * base)
         by_row = RowValues.of(values, base)
         mass = np.require(conditions.payload, np.float64, ["C", "W"])
         payload = Payload(mass, np.array(conditions.payload_centre, float))
         plain, curves = _plain(model, conditions)
         if by_row.varied:
-            plain, curves = [*plain, *(term for curve in curves for term in curve.terms())], []
+            plain = [*plain, *(term for curve in curves for term in curve.terms())]
+            curves = []
         unloaded = coordinates_of(model.chain, by_row, conditions, plain, curves)
         rigid = closed_loops(model.chain, unloaded)
         layout = laden(model.chain, model.bodies, by_row)
         if not any(effect.uses_moments for effect in model.effects):
-            return cls(model, layout, plain, curves, by_row, rigid, rigid, np.empty((0, len(mass))), places, payload)
-        deformed, inertial = rigid, np.transpose(inertial_moments(model.chain, conditions))
+            return cls(
+                model,
+                layout,
+                plain,
+                curves,
+                by_row,
+                rigid,
+                rigid,
+                np.empty((0, len(mass))),
+                places,
+                payload,
+            )
+        deformed = rigid
+        inertial = np.transpose(inertial_moments(model.chain, conditions))
         for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
             before = deformed
-            static = kernels.static_moments(layout, deformed, payload, bending=not model.equilibrium)
+            static = kernels.static_moments(
+                layout, deformed, payload, bending=not model.equilibrium
+            )
             moments = borne_moments(model.chain, deformed, static + inertial)
             elastic = _elastic(model, conditions, moments.T)
             deformed = closed_loops(model.chain, moved_by(unloaded, by_row, elastic))
-            change = np.abs(deformed.varying - before.varying) if deformed.varying.shape == before.varying.shape else 1.0
+            change = (
+                np.abs(deformed.varying - before.varying)
+                if deformed.varying.shape == before.varying.shape
+                else 1.0
+            )
             if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
                 break
         loaded = deformed if model.equilibrium else rigid
-        return cls(model, layout, plain + elastic, curves, by_row, loaded, deformed, moments, places, payload)
+        return cls(
+            model,
+            layout,
+            plain + elastic,
+            curves,
+            by_row,
+            loaded,
+            deformed,
+            moments,
+            places,
+            payload,
+        )
 
     def kernel_terms(self, columns: np.ndarray, coordinates: list[int], first: int) -> Terms:
-        """Return the terms of the parameters that have a column, and of ``coordinates``, from column ``first`` on."""
-        curves = (term for curve in self.curves if np.any(columns[curve.parameters] >= 0) for term in curve.terms())
+        """Return the terms of the parameters that have a column, and of ``coordinates``, from
+        column ``first`` on.
+        """
+        curves = (
+            term
+            for curve in self.curves
+            if np.any(columns[curve.parameters] >= 0)
+            for term in curve.terms()
+        )
         used = [(int(columns[p]), term) for p, term in (*self.terms, *curves) if columns[p] >= 0]
         used += [(first + i, Term(0, k)) for i, k in enumerate(coordinates)]
         bases = [term.basis for _, term in used if term.basis is not None]
@@ -316,7 +430,11 @@ class Evaluation:
 
     def mass_terms(self, columns: np.ndarray) -> MassTerms:
         """Return the contributions to masses of the parameters that have a column."""
-        used = [(int(columns[body.parameter]), body) for body in self.model.bodies if columns[body.parameter] >= 0]
+        used = [
+            (int(columns[body.parameter]), body)
+            for body in self.model.bodies
+            if columns[body.parameter] >= 0
+        ]
         return MassTerms(
             joint=np.array([body.joint for _, body in used], np.int64),
             parameter=np.array([column for column, _ in used], np.int64),
@@ -325,14 +443,22 @@ class Evaluation:
         )
 
     def shared(self, free: np.ndarray) -> list[Shared]:
-        """Return the free parameters that have a single basis function on one coordinate, by coordinate."""
-        n, count = len(self.places.tool), np.bincount([p for p, _ in self.terms], minlength=len(free))
+        """Return the free parameters that have a single basis function on one coordinate, by
+        coordinate.
+        """
+        n = len(self.places.tool)
+        count = np.bincount([p for p, _ in self.terms], minlength=len(free))
         loose: dict[int, list[tuple[int, np.ndarray]]] = {}
         thin: dict[int, list[Thin]] = {}
         for curve in self.curves:
             if free[curve.parameters].all():
                 thin.setdefault(curve.coordinate, []).append(curve)
-        half_free = (term for curve in self.curves if not free[curve.parameters].all() for term in curve.terms())
+        half_free = (
+            term
+            for curve in self.curves
+            if not free[curve.parameters].all()
+            for term in curve.terms()
+        )
         for p, term in (*self.terms, *half_free):
             if free[p] and count[p] <= 1 and term.basis is not None and term.moment is None:
                 loose.setdefault(term.coordinate, []).append((p, term.basis))
@@ -340,22 +466,36 @@ class Evaluation:
         for k in dict.fromkeys((*loose, *thin)):
             families: list[tuple[np.ndarray, Basis]] = []
             if curves := thin.get(k):
-                families.append((np.concatenate([c.parameters for c in curves]), joined_rows([c.basis for c in curves])))
+                families.append(
+                    (
+                        np.concatenate([c.parameters for c in curves]),
+                        joined_rows([c.basis for c in curves]),
+                    )
+                )
             if len(group := loose.get(k, [])) >= WORTH_SHARING:
-                families.append((np.array([p for p, _ in group]), stacked([basis for _, basis in group], n)))
+                families.append(
+                    (np.array([p for p, _ in group]), stacked([basis for _, basis in group], n))
+                )
             if families:
                 found.append(Shared(k, tuple(families)))
         return found
 
     def compliances(self) -> Compliances:
         """Return the derivatives of the coordinates by the moments at these values."""
-        values, varied = self.values.of_parameter, self.values.varied
-        elastic = [(p, term) for p, term in self.terms if term.moment is not None and (p in varied or values[p] != 0.0)]
+        values = self.values.of_parameter
+        varied = self.values.varied
+        elastic = [
+            (p, term)
+            for p, term in self.terms
+            if term.moment is not None and (p in varied or values[p] != 0.0)
+        ]
         if all(term.slope is None and p not in varied for p, term in elastic):
             rate = np.array([values[p] for p, _ in elastic], float).reshape(-1, 1)
         else:
             n = len(self.places.tool)
-            rate = stacked([values[p] * (np.ones(n) if t.slope is None else t.slope) for p, t in elastic], n)
+            rate = stacked(
+                [values[p] * (np.ones(n) if t.slope is None else t.slope) for p, t in elastic], n
+            )
         return Compliances(
             coordinate=np.array([term.coordinate for _, term in elastic], np.int64),
             moment=np.array([term.moment for _, term in elastic], np.int64),
@@ -364,26 +504,44 @@ class Evaluation:
 
 
 def _sighted(model: Model, values: np.ndarray, conditions: Conditions) -> Conditions:
-    """Return poses with the target's position seen by the instrument: as read, or as predicted if the model needs it."""
+    """Return poses with the target's position seen by the instrument: as read, or as predicted if
+    the model needs it.
+    """
     if conditions.sighted is not None or not any(effect.is_sighted for effect in model.effects):
         return conditions
     pairs = zip(model.effects, model.spans, strict=True)
-    sighted = np.array([effect.is_sighted for effect, of in pairs for _ in range(of.start, of.stop)], bool)
+    sighted = np.array(
+        [effect.is_sighted for effect, of in pairs for _ in range(of.start, of.stop)], bool
+    )
     without = model.with_effects([effect for effect in model.effects if not effect.is_sighted])
     return replace(conditions, sighted=without.predict(values[~sighted], conditions)[:, :, 3])
 
 
 def _plain(model: Model, conditions: Conditions) -> Plain:
-    pairs = [(of.start, e) for of, e in zip(model.spans, model.effects, strict=True) if not e.uses_moments]
-    return plain_terms([effect for _, effect in pairs], [start for start, _ in pairs], model.chain, conditions)
+    pairs = [
+        (of.start, e)
+        for of, e in zip(model.spans, model.effects, strict=True)
+        if not e.uses_moments
+    ]
+    return plain_terms(
+        [effect for _, effect in pairs], [start for start, _ in pairs], model.chain, conditions
+    )
 
 
 def _elastic(model: Model, conditions: Conditions, moments: np.ndarray) -> list[tuple[int, Term]]:
-    """Return the terms, with their indices in the vector of values, of the effects that use moments, shape (N, 3 n).
+    """Return the terms, with their indices in the vector of values, of the effects that use
+    moments, shape (N, 3 n).
 
-    Deflections off the path have no effect, and are left out, if loads are taken on the undeflected arm.
+    Deflections off the path have no effect, and are left out, if loads are taken on the undeflected
+    arm.
     """
-    pairs = [(of.start, e) for of, e in zip(model.spans, model.effects, strict=True) if e.uses_moments]
-    found = [(at + t.parameter, t) for at, effect in pairs for t in effect.terms(model.chain, conditions, moments)]
+    pairs = [
+        (of.start, e) for of, e in zip(model.spans, model.effects, strict=True) if e.uses_moments
+    ]
+    found = [
+        (at + t.parameter, t)
+        for at, effect in pairs
+        for t in effect.terms(model.chain, conditions, moments)
+    ]
     moves = moves_tip(model.chain)
     return [(p, t) for p, t in found if model.equilibrium or moves[t.coordinate]]

@@ -1,4 +1,6 @@
-"""Unit motions of coordinates of a chain, whose Jacobian columns are the levers of these coordinates."""
+"""Unit motions of coordinates of a chain, whose Jacobian columns are the levers of these
+coordinates.
+"""
 
 from __future__ import annotations
 
@@ -26,6 +28,8 @@ class Motions(Effect):
         """One per coordinate."""
         return tuple(Parameter(f"chain.{k}", "rad", self.name, 0.0, 1.0) for k in self.coordinates)
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         """Add constants."""
         return tuple(Term(p, k) for p, k in enumerate(self.coordinates))

@@ -1,4 +1,6 @@
-"""Largest motion of a coordinate per unit of each parameter, which scales priors to millimetres and milliradians."""
+"""Largest motion of a coordinate per unit of each parameter, which scales priors to millimetres and
+milliradians.
+"""
 
 from __future__ import annotations
 
@@ -11,26 +13,37 @@ from pincal.model.sparse_basis import dense_rows
 
 
 def largest_basis(model: Model, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest motion of its coordinate per unit of each parameter, and whether it is excited, both shape (P,).
+    """Return the largest motion of its coordinate per unit of each parameter, and whether it is
+    excited, both shape (P,).
 
-    Moments are bounded below by a fraction of the largest on the arm: otherwise an unloaded wrist, or one with a moment of
-    rounding only, would get a prior as soft as rubber. A moment that is zero on the nominal arm, such as about a vertical
-    axis, does not excite its parameter, although a base that is not quite level would. All splines of a curve get the same
-    size, however few of the poses are near each.
+    Moments are bounded below by a fraction of the largest on the arm: otherwise an unloaded wrist,
+    or one with a moment of rounding only, would get a prior as soft as rubber. A moment that is
+    zero on the nominal arm, such as about a vertical axis, does not excite its parameter, although
+    a base that is not quite level would. All splines of a curve get the same size, however few of
+    the poses are near each.
     """
     largest, excited = largest_bases(model, conditions, np.zeros(1, int))
     return largest[0], excited[0]
 
 
-def largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return :func:`largest_basis` of each of S parts of the rows, which begin at ``starts``, shape (S, P)."""
+def largest_bases(
+    model: Model, conditions: Conditions, starts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return :func:`largest_basis` of each of S parts of the rows, which begin at ``starts``, shape
+    (S, P).
+    """
     if model.bodies or not model.effects or conditions.setup is not None:
-        # Masses act through other effects that depend on moments; rows of several set-ups are joined afresh each time.
+        # Masses act through other effects that depend on moments; rows of several set-ups are
+        # joined afresh each time.
         return _largest_bases(model, conditions, starts)
-    # A discovery tries the same candidates at every step; the effects are kept alive with the results.
-    known, parts = model.chain.known("largest", conditions), starts.tobytes()
+    # A discovery tries the same candidates at every step; the effects are kept alive with the
+    # results.
+    known = model.chain.known("largest", conditions)
+    parts = starts.tobytes()
     keys = [(key_of(effect), parts) for effect in model.effects]
-    new = model.with_effects([e for key, e in zip(keys, model.effects, strict=True) if key not in known])
+    new = model.with_effects(
+        [e for key, e in zip(keys, model.effects, strict=True) if key not in known]
+    )
     if new.effects:
         largest, excited = _largest_bases(new, conditions, starts)
         for of, effect in zip(new.spans, new.effects, strict=True):
@@ -39,11 +52,15 @@ def largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> t
     return np.hstack([size for _, size, _ in found]), np.hstack([acts for *_, acts in found])
 
 
-def _largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _largest_bases(
+    model: Model, conditions: Conditions, starts: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     state = Evaluation.at(model, np.zeros(model.n_parameters), conditions)
 
     def most(of_rows: np.ndarray) -> np.ndarray:
-        return np.maximum.reduceat(np.abs(of_rows), starts) if len(of_rows) else np.zeros(len(starts))
+        return (
+            np.maximum.reduceat(np.abs(of_rows), starts) if len(of_rows) else np.zeros(len(starts))
+        )
 
     moments = np.array([most(moment) for moment in state.moments]).reshape(-1, len(starts))
     heaviest = moments.max(axis=0, initial=0.0)
@@ -56,7 +73,11 @@ def _largest_bases(model: Model, conditions: Conditions, starts: np.ndarray) -> 
         size = np.ones(len(starts)) if term.basis is None else most(term.basis)
         if term.moment is not None:
             excited[:, p] |= moments[term.moment] > UNFELT * heaviest
-            size = size if term.slope is not None else np.maximum(size, max(least[p], UNFELT) * heaviest)
+            size = (
+                size
+                if term.slope is not None
+                else np.maximum(size, max(least[p], UNFELT) * heaviest)
+            )
         else:
             excited[:, p] |= size > 0.0
         largest[:, p] = np.maximum(largest[:, p], size)

@@ -14,7 +14,8 @@ _TILE = 128
 
 
 class SparseBasis(NamedTuple):
-    """S basis functions at n poses, mostly zero: entries of pose i run from ``starts[i]`` to ``starts[i + 1]``.
+    """S basis functions at n poses, mostly zero: entries of pose i run from ``starts[i]`` to
+    ``starts[i + 1]``.
 
     Attributes:
         starts: shape (n + 1,).
@@ -61,7 +62,9 @@ def joined_rows(bases: Sequence[SparseBasis]) -> SparseBasis:
     pose = np.concatenate([_poses(basis) for basis in bases])
     first = np.cumsum([0, *(basis.size for basis in bases)])
     order = np.argsort(pose, kind="stable")
-    place = np.concatenate([basis.place + start for basis, start in zip(bases, first, strict=False)])[order]
+    place = np.concatenate(
+        [basis.place + start for basis, start in zip(bases, first, strict=False)]
+    )[order]
     value = np.concatenate([basis.value for basis in bases])[order]
     starts = np.sum([basis.starts for basis in bases], axis=0)
     return SparseBasis(starts, place, value, int(first[-1]))
@@ -81,11 +84,14 @@ def _without_zeros(basis):
         for i in range(n):
             starts[i + 1] += basis[p, i] != 0.0
     starts[:] = np.cumsum(starts)
-    place, value, end = np.empty(starts[n], np.int64), np.empty(starts[n]), starts[:n].copy()
+    place = np.empty(starts[n], np.int64)
+    value = np.empty(starts[n])
+    end = starts[:n].copy()
     for p in range(size):
         for i in range(n):
             if basis[p, i] != 0.0:
-                place[end[i]], value[end[i]] = p, basis[p, i]
+                place[end[i]] = p
+                value[end[i]] = basis[p, i]
                 end[i] += 1
     return starts, place, value
 
@@ -97,7 +103,8 @@ def sparse_across(basis, matrix):
     for i in range(len(out)):
         sums = out[i]
         for a in range(basis.starts[i], basis.starts[i + 1]):
-            value, row = basis.value[a], matrix[basis.place[a]]
+            value = basis.value[a]
+            row = matrix[basis.place[a]]
             for d in range(len(row)):
                 sums[d] += value * row[d]
     return out
@@ -110,7 +117,8 @@ def sparse_times(basis, matrix):
     out = np.zeros((basis.size, n_columns))
     for i in range(n):
         for a in range(basis.starts[i], basis.starts[i + 1]):
-            value, p = basis.value[a], basis.place[a]
+            value = basis.value[a]
+            p = basis.place[a]
             for d in range(n_columns):
                 out[p, d] += value * matrix[i, d]
     return out
@@ -118,9 +126,13 @@ def sparse_times(basis, matrix):
 
 @compiled(nogil=True)
 def sparse_times_dense(basis, column, dense):
-    """Return a sparse basis, times a column of shape (m, n), times dense columns of shape (D, m, n): shape (S, D)."""
+    """Return a sparse basis, times a column of shape (m, n), times dense columns of shape (D, m,
+    n): shape (S, D).
+    """
     n_dense, m, n = dense.shape
-    out, along, total = np.zeros((basis.size, n_dense)), np.empty((_TILE, _TILE)), np.empty(_TILE)
+    out = np.zeros((basis.size, n_dense))
+    along = np.empty((_TILE, _TILE))
+    total = np.empty(_TILE)
     for first in range(0, n, _TILE):
         size = min(_TILE, n - first)
         for start in range(0, n_dense, _TILE):
@@ -130,7 +142,8 @@ def sparse_times_dense(basis, column, dense):
                 sums[:] = 0.0
                 for j in range(m):
                     # Slices, as loops over these are vectorised.
-                    left, right = column[j, first : first + size], dense[start + d, j, first : first + size]
+                    left = column[j, first : first + size]
+                    right = dense[start + d, j, first : first + size]
                     for i in range(size):
                         sums[i] += left[i] * right[i]
                 for i in range(size):
@@ -138,7 +151,8 @@ def sparse_times_dense(basis, column, dense):
             for i in range(size):
                 row = along[i, :width]
                 for a in range(basis.starts[first + i], basis.starts[first + i + 1]):
-                    value, to = basis.value[a], out[basis.place[a], start : start + width]
+                    value = basis.value[a]
+                    to = out[basis.place[a], start : start + width]
                     for d in range(width):
                         to[d] += value * row[d]
     return out
@@ -146,12 +160,16 @@ def sparse_times_dense(basis, column, dense):
 
 @compiled(nogil=True)
 def add_product(G, rows, left, weights, columns, right, below):
-    """Add left diag(weights) right^T of two sparse bases at rows and columns of G; with ``below``, to its lower triangle."""
+    """Add left diag(weights) right^T of two sparse bases at rows and columns of G; with ``below``,
+    to its lower triangle.
+    """
     is_same = below and rows[0] == columns[0]
     for i in range(len(weights)):
-        first, end = right.starts[i], right.starts[i + 1]
+        first = right.starts[i]
+        end = right.starts[i + 1]
         for a in range(left.starts[i], left.starts[i + 1]):
-            scaled, row = left.value[a] * weights[i], rows[left.place[a]]
+            scaled = left.value[a] * weights[i]
+            row = rows[left.place[a]]
             for b in range(first, a + 1 if is_same else end):
                 column = columns[right.place[b]]
                 if column <= row or not below:

@@ -1,8 +1,9 @@
 """Symbolic numbers, by which the code of an effect yields its formula.
 
-NumPy calculates with arrays of symbols (dtype ``object``) as with numbers, so the code of an effect, run once on symbols,
-yields its formula: predictions and exports share one implementation. Equal expressions are one object; constants are folded.
-Code that branches on a comparison is run for both outcomes, see :func:`either_way`.
+NumPy calculates with arrays of symbols (dtype ``object``) as with numbers, so the code of an
+effect, run once on symbols, yields its formula: predictions and exports share one implementation.
+Equal expressions are one object; constants are folded. Code that branches on a comparison is run
+for both outcomes, see :func:`either_way`.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ class Symbol:
     """A number that depends on the pose: an operation on others, or an input.
 
     Attributes:
-        operation: "input", "add", "multiply", "divide", "less", "equal", "select", "cubic", "hypot", "arctan2" or one of
-            ``FUNCTIONS``.
+        operation: "input", "add", "multiply", "divide", "less", "equal", "select", "cubic",
+            "hypot", "arctan2" or one of ``FUNCTIONS``.
         operands: symbols and numbers.
         about: the name of an input; the curve of a cubic.
     """
@@ -47,11 +48,17 @@ class Symbol:
 
     def __new__(cls, operation: str, *operands: Expression, about: Any = None) -> Symbol:
         """Return the one symbol of an operation on operands."""
-        key = (operation, about, *(id(a) if isinstance(a, Symbol) else float(a).hex() for a in operands))
+        key = (
+            operation,
+            about,
+            *(id(a) if isinstance(a, Symbol) else float(a).hex() for a in operands),
+        )
         found = _NODES.get(key)
         if found is None:
             found = object.__new__(cls)
-            found.operation, found.operands, found.about = operation, operands, about
+            found.operation = operation
+            found.operands = operands
+            found.about = about
             _NODES[key] = found
         return found
 
@@ -152,7 +159,9 @@ class _UndecidedError(Exception):
 
 
 def _outcome(comparison: Symbol) -> bool | None:
-    """Return whether a comparison holds, if the settled ones imply it; what equals one number equals no other."""
+    """Return whether a comparison holds, if the settled ones imply it; what equals one number
+    equals no other.
+    """
     for settled, holds in _SETTLED.get():
         if settled is comparison:
             return holds
@@ -185,7 +194,11 @@ def add(a: Expression, b: Expression) -> Expression:
         a, b = b, a
     if not isinstance(b, Symbol):
         return a if b == 0.0 else Symbol("add", a, b)
-    if a.operation == b.operation == "cubic" and a.operands[0] is b.operands[0] and a.about.fits(b.about):
+    if (
+        a.operation == b.operation == "cubic"
+        and a.operands[0] is b.operands[0]
+        and a.about.fits(b.about)
+    ):
         return Symbol("cubic", a.operands[0], about=a.about.plus(b.about))
     return Symbol("add", a, b)
 
@@ -253,7 +266,8 @@ def are_symbols(values: np.ndarray) -> bool:
 
 
 def either_way(code: Callable[[], dict[int, Any]]) -> dict[int, Any]:
-    """Return the results by index of code, run for both outcomes of each comparison that it branches on.
+    """Return the results by index of code, run for both outcomes of each comparison that it
+    branches on.
 
     An index that is missing stands for zero.
     """
@@ -266,7 +280,9 @@ def either_way(code: Callable[[], dict[int, Any]]) -> dict[int, Any]:
     return {place: select(asked, yes.get(place, 0.0), no.get(place, 0.0)) for place in places}
 
 
-def _with_outcome(code: Callable[[], dict[int, Any]], comparison: Symbol, answer: bool) -> dict[int, Any]:
+def _with_outcome(
+    code: Callable[[], dict[int, Any]], comparison: Symbol, answer: bool
+) -> dict[int, Any]:
     token = _SETTLED.set((*_SETTLED.get(), (comparison, answer)))
     try:
         return either_way(code)

@@ -1,4 +1,6 @@
-"""Kinematics and static moments of a chain for numbers or symbols, one pose at a time; cf. :mod:`pincal.model.kernels`."""
+"""Kinematics and static moments of a chain for numbers or symbols, one pose at a time; cf.
+:mod:`pincal.model.kernels`.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ from pincal.model.symbols import Expression, Symbol, apply
 
 
 class _Frame:
-    """A frame that moves along the chain: rotation ``R``, shape (3, 3), and origin ``p``, shape (3,)."""
+    """A frame that moves along the chain: rotation ``R``, shape (3, 3), and origin ``p``, shape
+    (3,).
+    """
 
     def __init__(self) -> None:
         self.R = np.eye(3).astype(object)
@@ -30,9 +34,15 @@ class _Frame:
         if kind >= 3:
             self.p = self.p + self.R[:, axis] * x
         elif isinstance(x, Symbol) or x:
-            j, k = (axis + 1) % 3, (axis + 2) % 3
-            c, s, R = apply("cos", x), apply("sin", x), self.R.copy()
-            R[:, j], R[:, k] = self.R[:, j] * c + self.R[:, k] * s, self.R[:, k] * c - self.R[:, j] * s
+            j = (axis + 1) % 3
+            k = (axis + 2) % 3
+            c = apply("cos", x)
+            s = apply("sin", x)
+            R = self.R.copy()
+            R[:, j], R[:, k] = (
+                self.R[:, j] * c + self.R[:, k] * s,
+                self.R[:, k] * c - self.R[:, j] * s,
+            )
             self.R = R
 
 
@@ -40,15 +50,18 @@ Axes = dict[int, tuple[np.ndarray, np.ndarray]]
 
 
 def _walk(layout: Layout, x: Sequence[Expression], frame: _Frame, *, first: int, last: int) -> Axes:
-    """Move a frame over the steps first .. last - 1 of the path; return axis and origin of each coordinate.
+    """Move a frame over the steps first .. last - 1 of the path; return axis and origin of each
+    coordinate.
 
-    Consecutive coordinates about one axis are a single step, as neither moves the axis of the other.
+    Consecutive coordinates about one axis are a single step, as neither moves the axis of the
+    other.
     """
     seen: Axes = {}
     step: Expression = 0.0
     route = layout.path
     for t in range(first, last):
-        k, sign = int(route.coordinate[t]), float(route.sign[t])
+        k = int(route.coordinate[t])
+        sign = float(route.sign[t])
         kind = int(layout.kind[k])
         if route.fixed_before[t] >= 0:
             fixed = layout.fixed[route.fixed_before[t]]
@@ -56,7 +69,11 @@ def _walk(layout: Layout, x: Sequence[Expression], frame: _Frame, *, first: int,
         seen[k] = sign * frame.R[:, kind % 3], frame.p
         step = step + (_step(layout, x, k) if sign > 0.0 else -1.0 * _step(layout, x, k))
         following = t + 1
-        if following == last or layout.kind[route.coordinate[following]] != kind or route.fixed_before[following] >= 0:
+        if (
+            following == last
+            or layout.kind[route.coordinate[following]] != kind
+            or route.fixed_before[following] >= 0
+        ):
             frame.step(kind, step)
             step = 0.0
     return seen
@@ -69,12 +86,14 @@ def _step(layout: Layout, x: Sequence[Expression], k: int) -> Expression:
 def tip_pose(
     layout: Layout, x: Sequence[Expression], tool_rotation: np.ndarray, drives: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the target's pose in the instrument's frame, shape (3, 4), and its velocities by the joints, shape (6, n).
+    """Return the target's pose in the instrument's frame, shape (3, 4), and its velocities by the
+    joints, shape (6, n).
 
-    ``x`` are the chain's K coordinates, ``drives`` those to which the joint positions are added, and ``tool_rotation``,
-    shape (3, 3), is the reference orientation of the target.
+    ``x`` are the chain's K coordinates, ``drives`` those to which the joint positions are added,
+    and ``tool_rotation``, shape (3, 3), is the reference orientation of the target.
     """
-    S, frame = len(layout.path.coordinate), _Frame()
+    S = len(layout.path.coordinate)
+    frame = _Frame()
     _walk(layout, x, frame, first=0, last=3)
     frame.apply(layout.base_rotation[0])
     seen = _walk(layout, x, frame, first=3, last=S - 3)
@@ -87,18 +106,24 @@ def tip_pose(
             continue
         axis, origin = seen[k]
         slides = layout.kind[k] >= 3
-        columns.append(np.concatenate([axis, 0.0 * axis] if slides else [_cross(axis, frame.p - origin), axis]))
+        columns.append(
+            np.concatenate([axis, 0.0 * axis] if slides else [_cross(axis, frame.p - origin), axis])
+        )
     return np.column_stack([frame.R, frame.p]), np.column_stack(columns)
 
 
-def symbolic_moments(layout: Layout, x: Sequence[Expression], payload: Expression, payload_centre: np.ndarray) -> list[Any]:
+def symbolic_moments(
+    layout: Layout, x: Sequence[Expression], payload: Expression, payload_centre: np.ndarray
+) -> list[Any]:
     """Return the static moments, components x, y, z of each joint in turn [N m].
 
-    Gravity is propagated outwards from frame to frame, mass and first moment of mass inwards, each in the axes and about the
-    origin of the current frame. ``x`` are the chain's K coordinates; the payload [kg] has its centre of mass, shape (3,), in
-    the tip frame [m].
+    Gravity is propagated outwards from frame to frame, mass and first moment of mass inwards, each
+    in the axes and about the origin of the current frame. ``x`` are the chain's K coordinates; the
+    payload [kg] has its centre of mass, shape (3,), in the tip frame [m].
     """
-    n, gravity, route = len(layout.masses), {}, layout.tree
+    n = len(layout.masses)
+    gravity = {}
+    route = layout.tree
     behind = {-1: layout.gravity.astype(object)}
     for j in range(n):
         g = behind[int(layout.parents[j])]
@@ -110,7 +135,10 @@ def symbolic_moments(layout: Layout, x: Sequence[Expression], payload: Expressio
         behind[j] = g
     flange = layout.fixed[layout.tip].astype(object)
     carried: dict[int, tuple[Any, Any]] = {
-        layout.tip_joint: (payload, (flange[:, :3] @ payload_centre.astype(object) + flange[:, 3]) * payload)
+        layout.tip_joint: (
+            payload,
+            (flange[:, :3] @ payload_centre.astype(object) + flange[:, 3]) * payload,
+        )
     }
     # The later of the two coordinates about whose axes a moment is taken.
     at = np.maximum(layout.moment_y, layout.moment_z)
@@ -118,9 +146,12 @@ def symbolic_moments(layout: Layout, x: Sequence[Expression], payload: Expressio
     for j in reversed(range(n)):
         own = float(layout.masses[j])
         mass, first_moment = carried.pop(j, (0.0, np.zeros(3, object)))
-        mass, first_moment = mass + own, first_moment + layout.centres[j].astype(object) * own
+        mass = mass + own
+        first_moment = first_moment + layout.centres[j].astype(object) * own
         for k in reversed(range(layout.starts[j], layout.starts[j + 1])):
-            first_moment = _turned(first_moment, int(layout.kind[k]), _step(layout, x, k), mass=mass)
+            first_moment = _turned(
+                first_moment, int(layout.kind[k]), _step(layout, x, k), mass=mass
+            )
             if k == at[j]:
                 moments = [*_cross(first_moment, gravity[k]), *moments]
             if route.fixed_before[k] >= 0 and layout.parents[j] >= 0:
@@ -132,17 +163,23 @@ def symbolic_moments(layout: Layout, x: Sequence[Expression], payload: Expressio
     return moments
 
 
-def _turned(vector: np.ndarray, kind: int, x: Expression, *, mass: Expression = 0.0, back: bool = False) -> np.ndarray:
+def _turned(
+    vector: np.ndarray, kind: int, x: Expression, *, mass: Expression = 0.0, back: bool = False
+) -> np.ndarray:
     """Return a vector in the axes before a coordinate from those after it, or ``back``.
 
-    A first moment of mass, if its ``mass`` is given, is then about the origin before the coordinate.
+    A first moment of mass, if its ``mass`` is given, is then about the origin before the
+    coordinate.
     """
-    i, j, k = kind % 3, (kind + 1) % 3, (kind + 2) % 3
+    i = kind % 3
+    j = (kind + 1) % 3
+    k = (kind + 2) % 3
     out = vector.copy()
     if kind >= 3:
         out[i] = vector[i] + mass * x
     elif isinstance(x, Symbol) or x:
-        c, s = apply("cos", x), apply("sin", x)
+        c = apply("cos", x)
+        s = apply("sin", x)
         j, k = (k, j) if back else (j, k)
         out[j], out[k] = vector[j] * c - vector[k] * s, vector[j] * s + vector[k] * c
     return out
@@ -150,4 +187,6 @@ def _turned(vector: np.ndarray, kind: int, x: Expression, *, mass: Expression = 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the cross product as an object array, which NumPy's would convert to numbers."""
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]], object)
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]], object
+    )

@@ -1,10 +1,12 @@
 r"""Offset and drift of instruments' clocks relative to the joints' clock, from a common motion.
 
-First speeds are correlated over all offsets. Then the reading y at each stamp t is linear in features of the nominal arm at
-:math:`t + \tau_0 + \tau_1 (t - t_m)`, for any pose of the instrument: an IMU's rates in the flange's rates, a tracker's
-positions in the flange's pose. Offset and drift follow by Gauss-Newton with the linear part projected out (Kaufman 1975),
-over growing intervals, so that any drift is found. A fit of the arm refines them
-(:class:`pincal.model.catalogue.InstrumentClock`).
+First speeds are correlated over all offsets. Then the reading y at each stamp t is linear in
+features of the nominal arm at
+:math:`t + \tau_0 + \tau_1 (t - t_m)`, for any pose of the instrument: an IMU's rates in the
+  flange's rates, a tracker's
+positions in the flange's pose. Offset and drift follow by Gauss-Newton with the linear part
+projected out (Kaufman 1975), over growing intervals, so that any drift is found. A fit of the arm
+refines them (:class:`pincal.model.catalogue.InstrumentClock`).
 """
 
 from __future__ import annotations
@@ -14,27 +16,40 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-# Sampling rate at which speeds are compared [Hz], and the fraction of the shorter log that has to overlap.
-_RATE, _OVERLAP = 50.0, 0.3
-# Correlation of speeds below which motions are different; and its least margin over offsets that differ by more than this
-# [s].
-_SAME_MOTION, _CLEAR, _APART = 0.6, 0.03, 1.0
-# First interval that is aligned [s], most rows of intervals and of the whole, most steps, and the change that counts as
-# convergence [s].
-_FIRST, _SOME, _ROWS, _STEPS, _SETTLED = 60.0, 1_500, 6_000, 20, 1e-6
+# Sampling rate at which speeds are compared [Hz], and the fraction of the shorter log that has to
+# overlap.
+_RATE = 50.0
+_OVERLAP = 0.3
+# Correlation of speeds below which motions are different; and its least margin over offsets that
+# differ by more than this [s].
+_SAME_MOTION = 0.6
+_CLEAR = 0.03
+_APART = 1.0
+# First interval that is aligned [s], most rows of intervals and of the whole, most steps, and the
+# change that counts as convergence [s].
+_FIRST = 60.0
+_SOME = 1_500
+_ROWS = 6_000
+_STEPS = 20
+_SETTLED = 1e-6
 CLEARLY = 6.0
 """Significance, in standard deviations, at which an effect is accepted."""
 # Information of a block on the clock, relative to the best one, from which it is used.
 _MOVES = 0.05
-# Rows per block, most blocks, fewest blocks on either side of a jump, and iterations to find its row.
-_BLOCK, _BLOCKS, _EITHER_SIDE, _TURNS = 40, 40, 3, 5
+# Rows per block, most blocks, fewest blocks on either side of a jump, and iterations to find its
+# row.
+_BLOCK = 40
+_BLOCKS = 40
+_EITHER_SIDE = 3
+_TURNS = 5
 # Step of the numerical differentiation of features [s].
 _STEP = 1e-3
 
 
 @dataclass(frozen=True)
 class Clock:
-    """A clock relative to the joints' clock: its stamp t is their time t + offset + drift (t - middle).
+    """A clock relative to the joints' clock: its stamp t is their time t + offset + drift (t -
+    middle).
 
     Attributes:
         offset: [s].
@@ -86,8 +101,11 @@ class SpeedMatch:
         return self.rival < self.likeness - _CLEAR
 
 
-def correlate(time: np.ndarray, speed: np.ndarray, other_time: np.ndarray, other: np.ndarray) -> SpeedMatch:
-    """Return the offset between the clocks of two logs of speeds, in any units, by their correlation.
+def correlate(
+    time: np.ndarray, speed: np.ndarray, other_time: np.ndarray, other: np.ndarray
+) -> SpeedMatch:
+    """Return the offset between the clocks of two logs of speeds, in any units, by their
+    correlation.
 
     Times [s] are increasing; those and speeds have the shape (N,) in one log and (M,) in the other.
     """
@@ -95,11 +113,15 @@ def correlate(time: np.ndarray, speed: np.ndarray, other_time: np.ndarray, other
 
     a, b = (_resampled(t, v) for t, v in ((time, speed), (other_time, other)))
     masks = np.ones(len(a)), np.ones(len(b))[::-1]
-    a, b = a - a.mean(), (b - b.mean())[::-1]
+    a = a - a.mean()
+    b = (b - b.mean())[::-1]
     count = np.maximum(np.round(fftconvolve(*masks)), 1.0)
     sums = fftconvolve(a, masks[1]), fftconvolve(masks[0], b)
     squares = fftconvolve(a**2, masks[1]), fftconvolve(masks[0], b**2)
-    spread = [np.maximum(s - own**2 / count, 1e-12 * s.max(initial=1e-300)) for s, own in zip(squares, sums, strict=True)]
+    spread = [
+        np.maximum(s - own**2 / count, 1e-12 * s.max(initial=1e-300))
+        for s, own in zip(squares, sums, strict=True)
+    ]
     like = (fftconvolve(a, b) - sums[0] * sums[1] / count) / np.sqrt(spread[0] * spread[1])
     like[count < _OVERLAP * min(len(a), len(b))] = -1.0
     best = int(np.argmax(like))
@@ -134,8 +156,10 @@ class Jump:
 
     def __str__(self) -> str:
         return (
-            f"its clock, or that of the joints, jumps by about {1e3 * abs(self.size):.2g} ms at {self.time:.6g} s of its "
-            "stamps, as when a counted frame is lost, or a sample is missed by polling at nearly the rate of the device; "
+            f"its clock, or that of the joints, jumps by about {1e3 * abs(self.size):.2g} "
+            f"ms at {self.time:.6g} s of its "
+            "stamps, as when a counted frame is lost, or a sample is missed by polling at "
+            "nearly the rate of the device; "
             "give the parts before and after as separate sessions, or log the device's own stamps"
         )
 
@@ -175,18 +199,29 @@ def aligned(
     Args:
         time: stamps of the readings, shape (N,) [s].
         readings: shape (N, m).
-        features: returns features, shape (M, k), for times of the joints' clock, shape (M,) [s], and indices of readings.
+        features: returns features, shape (M, k), for times of the joints' clock, shape (M,) [s],
+            and indices of readings.
         covers: returns at which of such times they are known.
-        start: the clock, to some tenths of a second; if its drift is known, the whole is aligned at once.
+        start: the clock, to some tenths of a second; if its drift is known, the whole is aligned at
+            once.
     """
-    clock, known = start, covers(start.to_joints(time))
-    begin, end = time[known].min(), time[known].max()
-    middle, first = 0.5 * (begin + end), _FIRST if np.isinf(start.sigma[1]) else np.inf
-    clock, half = Clock(float(clock.to_joints(np.array(middle)) - middle), clock.drift, float(middle)), 0.5 * first
+    clock = start
+    known = covers(start.to_joints(time))
+    begin = time[known].min()
+    end = time[known].max()
+    middle = 0.5 * (begin + end)
+    first = _FIRST if np.isinf(start.sigma[1]) else np.inf
+    clock = Clock(float(clock.to_joints(np.array(middle)) - middle), clock.drift, float(middle))
+    half = 0.5 * first
     while True:
-        is_whole, half = half >= 0.5 * (end - begin), min(half, 0.5 * (end - begin))
+        is_whole = half >= 0.5 * (end - begin)
+        half = min(half, 0.5 * (end - begin))
         inside = np.flatnonzero(np.abs(time - middle) <= half + 1e-9)
-        rows = inside[np.linspace(0, len(inside) - 1, min(_ROWS if is_whole else _SOME, len(inside))).astype(int)]
+        rows = inside[
+            np.linspace(0, len(inside) - 1, min(_ROWS if is_whole else _SOME, len(inside))).astype(
+                int
+            )
+        ]
         found = _aligned(time, readings, rows, features, covers, clock)
         clock = found.clock
         if is_whole:
@@ -204,8 +239,13 @@ def _aligned(
 ) -> Alignment:
     for _ in range(_STEPS):
         seen = rows[covers(clock.to_joints(time[rows]))]
-        at, y, since = clock.to_joints(time[seen]), readings[seen], time[seen] - clock.middle
-        A, ahead, behind = (np.column_stack([features(at + s, seen), np.ones(len(at))]) for s in (0.0, _STEP, -_STEP))
+        at = clock.to_joints(time[seen])
+        y = readings[seen]
+        since = time[seen] - clock.middle
+        A, ahead, behind = (
+            np.column_stack([features(at + s, seen), np.ones(len(at))])
+            for s in (0.0, _STEP, -_STEP)
+        )
         Q = np.linalg.qr(A)[0]
         solution = np.linalg.lstsq(A, y, rcond=1e-12)[0]
         rest = y - A @ solution
@@ -223,7 +263,9 @@ def _aligned(
     clocks = np.linalg.qr(J)[0]
 
     def unexplained(steps: np.ndarray) -> np.ndarray:
-        flat = (steps - np.tensordot(Q, np.tensordot(Q.T, steps, axes=1), axes=1)).reshape(J.shape[0], -1)
+        flat = (steps - np.tensordot(Q, np.tensordot(Q.T, steps, axes=1), axes=1)).reshape(
+            J.shape[0], -1
+        )
         return np.asarray((flat - clocks @ (clocks.T @ flat)).reshape(steps.shape))
 
     jump = likeliest_jump(since + clock.middle, rest * weights, rate * weights, unexplained)
@@ -231,24 +273,36 @@ def _aligned(
 
 
 def likeliest_jump(
-    time: np.ndarray, residuals: np.ndarray, rate: np.ndarray, unexplained: Callable[[np.ndarray], np.ndarray]
+    time: np.ndarray,
+    residuals: np.ndarray,
+    rate: np.ndarray,
+    unexplained: Callable[[np.ndarray], np.ndarray],
 ) -> Jump:
-    """Return the jump of a clock that best explains residuals, conditional on all other fitted parameters.
+    """Return the jump of a clock that best explains residuals, conditional on all other fitted
+    parameters.
 
     Args:
         time: stamps, shape (N,) [s].
         residuals: of the readings, shape (N, m), in units of their noise.
         rate: derivatives of the readings by time, shape (N, m), in the same units [1/s].
-        unexplained: projects columns, shape (N, m, K), onto the complement of the fitted parameters with offset and drift.
+        unexplained: projects columns, shape (N, m, K), onto the complement of the fitted parameters
+            with offset and drift.
     """
-    parts = np.array_split(np.argsort(time, kind="stable"), min(max(len(time) // _BLOCK, 1), _BLOCKS))
+    parts = np.array_split(
+        np.argsort(time, kind="stable"), min(max(len(time) // _BLOCK, 1), _BLOCKS)
+    )
     # An arm at rest carries no information on a clock.
     squares = [float(np.sum(rate[part] ** 2)) for part in parts]
-    parts = [part for part, size in zip(parts, squares, strict=True) if size > _MOVES * max(squares)]
+    parts = [
+        part for part, size in zip(parts, squares, strict=True) if size > _MOVES * max(squares)
+    ]
     if len(parts) < 2 * _EITHER_SIDE:
         return Jump(0.0, np.inf, float(time.min()))
-    residuals, reach = unexplained(residuals[:, :, None])[:, :, 0], float(np.ptp(time)) / len(parts)
-    tried = np.array([time[part[0]] for part in parts[_EITHER_SIDE : len(parts) - _EITHER_SIDE + 1]])
+    residuals = unexplained(residuals[:, :, None])[:, :, 0]
+    reach = float(np.ptp(time)) / len(parts)
+    tried = np.array(
+        [time[part[0]] for part in parts[_EITHER_SIDE : len(parts) - _EITHER_SIDE + 1]]
+    )
     for _ in range(_TURNS):
         steps = unexplained(rate[:, :, None] * (time[:, None] >= tried)[:, None])
         known = np.maximum(np.sum(steps**2, axis=(0, 1)), 1e-9 * sum(squares))
@@ -260,9 +314,12 @@ def likeliest_jump(
         near = near[np.argsort(time[near], kind="stable")]
         after = rest[near] - size * rate[near] * (time[near] < tried[k])[:, None]
         gained = np.cumsum(np.sum((after + size * rate[near]) ** 2 - after**2, axis=1)[::-1])[::-1]
-        begins, tried = float(tried[k]), time[near[[int(np.argmax(gained))]]]
+        begins = float(tried[k])
+        tried = time[near[[int(np.argmax(gained))]]]
         if tried[0] == begins:
             break
     # Residuals are independent between parts, not between readings.
-    scatter = sum(float(np.sum(rate[part] * rest[part]) ** 2 / np.sum(rate[part] ** 2)) for part in parts)
+    scatter = sum(
+        float(np.sum(rate[part] * rest[part]) ** 2 / np.sum(rate[part] ** 2)) for part in parts
+    )
     return Jump(size, float(np.sqrt(scatter / (len(parts) - 3) / known[k])), begins)

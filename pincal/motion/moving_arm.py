@@ -1,4 +1,6 @@
-"""An arm in motion: the conditions of its poses at any time of the joints' log, with inertial loads."""
+"""An arm in motion: the conditions of its poses at any time of the joints' log, with inertial
+loads.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from pincal.robot.se3 import rotation, shortest_turn, translation
 # Interpolation points of inertial loads per knot of the joints.
 _PER_KNOT = 4
 # Columns of DhFrames.parameters.
-_D, _A, _ALPHA = 3, 4, 5
+_D = 3
+_A = 4
+_ALPHA = 5
 
 
 @dataclass(frozen=True, repr=False)
@@ -41,7 +45,12 @@ class MovingArm:
 
     @classmethod
     def of(
-        cls, robot: Robot, path: JointPath, *, payload: float = 0.0, payload_centre: Iterable[float] = (0.0, 0.0, 0.0)
+        cls,
+        robot: Robot,
+        path: JointPath,
+        *,
+        payload: float = 0.0,
+        payload_centre: Iterable[float] = (0.0, 0.0, 0.0),
     ) -> MovingArm:
         """Return the arm with its inertial loads."""
         from scipy.interpolate import make_interp_spline
@@ -64,11 +73,16 @@ class MovingArm:
         return cls(robot, path, payload, (x, y, z), loads)
 
     def conditions(self, time: np.ndarray, offsets: np.ndarray | None = None) -> Conditions:
-        """Return the conditions at times by the joints' clock, shape (N,) [s], or at offsets from each, shape (O,) [s].
+        """Return the conditions at times by the joints' clock, shape (N,) [s], or at offsets from
+        each, shape (O,) [s].
 
         Rows of one time are consecutive and all have this time.
         """
-        at = np.asarray(time, float) if offsets is None else np.repeat(np.asarray(time, float), len(offsets))
+        at = (
+            np.asarray(time, float)
+            if offsets is None
+            else np.repeat(np.asarray(time, float), len(offsets))
+        )
         return Conditions(
             self.path.at(time, offsets=offsets),
             np.zeros(len(at), int),
@@ -76,18 +90,26 @@ class MovingArm:
             np.array(self.payload_centre),
             time=at,
             velocity=self.path.at(time, 1, offsets=offsets),
-            inertial=None if self.loads is None else self.loads.at(time, offsets=offsets).reshape(len(at), -1, 6),
+            inertial=None
+            if self.loads is None
+            else self.loads.at(time, offsets=offsets).reshape(len(at), -1, 6),
         )
 
     def tips(self, time: np.ndarray) -> np.ndarray:
         """Return the poses of the nominal tip at times, shape (N, 3, 4), in the base frame."""
-        return Model(Chain.of(self.robot), ()).predict(np.zeros(0), Conditions.at(self.path.at(time)))
+        return Model(Chain.of(self.robot), ()).predict(
+            np.zeros(0), Conditions.at(self.path.at(time))
+        )
 
     def ideal(self, time: np.ndarray, window: Window | None = None) -> Inertial:
-        """Return the readings of an ideal IMU at the nominal tip at times, or in windows about them."""
+        """Return the readings of an ideal IMU at the nominal tip at times, or in windows about
+        them.
+        """
         window = Window(0.0) if window is None else window
         chain = level_chain(Chain.of(self.robot))
-        poses = Model(chain, ()).predict(np.zeros(0), Conditions.at(self.path.at(time, offsets=window.offsets)))
+        poses = Model(chain, ()).predict(
+            np.zeros(0), Conditions.at(self.path.at(time, offsets=window.offsets))
+        )
         return Inertial.of(poses, window, float(np.linalg.norm(chain.gravity)))
 
 
@@ -107,7 +129,8 @@ def inertial_loads(
     payload: np.ndarray | None = None,
     payload_centre: np.ndarray | None = None,
 ) -> np.ndarray | None:
-    """Return the inertial loads on the nominal arm, as for ``Conditions.inertial`` (Luh, Walker, Paul 1980).
+    """Return the inertial loads on the nominal arm, as for ``Conditions.inertial`` (Luh, Walker,
+    Paul 1980).
 
     Args:
         robot: the arm, with masses and moments of inertia from its URDF.
@@ -118,8 +141,8 @@ def inertial_loads(
         payload_centre: its centre of mass in the tip frame [m], shape (3,); default: the tip.
 
     Returns:
-        Force [N] and moment [N m] on each joint, in the axes behind its motion and about the origin of the frame before,
-        shape (N, n, 6); None if the URDF lacks masses of links.
+        Force [N] and moment [N m] on each joint, in the axes behind its motion and about the origin
+        of the frame before, shape (N, n, 6); None if the URDF lacks masses of links.
     """
     import pinocchio as pin
 
@@ -133,16 +156,23 @@ def inertial_loads(
         model.gravity.setZero()
         tip = robot.path.tip_joint
         if kilograms and tip >= 0:
-            place = (np.linalg.inv(robot.T_link_joint[tip]) @ robot.path.T_joint_tip @ np.append(centre, 1.0))[:3]
+            place = (
+                np.linalg.inv(robot.T_link_joint[tip])
+                @ robot.path.T_joint_tip
+                @ np.append(centre, 1.0)
+            )[:3]
             model.appendBodyToJoint(
-                model.getJointId(robot.joint_names[tip]), pin.Inertia(kilograms, place, np.zeros((3, 3))), pin.SE3.Identity()
+                model.getJointId(robot.joint_names[tip]),
+                pin.Inertia(kilograms, place, np.zeros((3, 3))),
+                pin.SE3.Identity(),
             )
         data = model.createData()
         ids = [model.getJointId(name) for name in robot.joint_names]
         order = np.array([model.joints[i].idx_v for i in ids])
         v, a = np.zeros((2, model.nv))
         for row in np.flatnonzero(mass == kilograms):
-            v[order], a[order] = velocity[row], acceleration[row]
+            v[order] = velocity[row]
+            a[order] = acceleration[row]
             pin.rnea(model, data, robot.configuration(model, q[row]), v, a)
             for k, i in enumerate(ids):
                 loads[row, k] = data.f[i].vector
@@ -150,11 +180,14 @@ def inertial_loads(
 
 
 def _about_frames_before(robot: Robot, q: np.ndarray, wrenches: np.ndarray) -> np.ndarray:
-    """Return wrenches in the URDF's joint frames, shape (N, n, 6), about and along the frames behind the joints' motion."""
+    """Return wrenches in the URDF's joint frames, shape (N, n, 6), about and along the frames
+    behind the joints' motion.
+    """
     out = np.empty_like(wrenches)
     for k, row in enumerate(robot.frames.parameters):
         T = translation(row[_A], 0.0, row[_D]) @ rotation("x", row[_ALPHA]) @ robot.T_link_joint[k]
-        force, moment = wrenches[:, k, :3] @ T[:3, :3].T, wrenches[:, k, 3:] @ T[:3, :3].T
+        force = wrenches[:, k, :3] @ T[:3, :3].T
+        moment = wrenches[:, k, 3:] @ T[:3, :3].T
         lever = np.tile(T[:3, 3], (len(q), 1))
         if robot.joint_types[k] == "prismatic":
             lever[:, 2] += q[:, k]

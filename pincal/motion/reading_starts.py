@@ -1,9 +1,12 @@
-r"""Clocks of instruments that observe a moving tool, by the nominal arm, for unknown poses of instrument and target.
+r"""Clocks of instruments that observe a moving tool, by the nominal arm, for unknown poses of
+instrument and target.
 
-Readings of a target t on a tip at (R, p) depend on :math:`R t + p`, those of a point P seen from the tool on
-:math:`R^T (P - p)`. Both, and so coordinates, are linear in p, R and :math:`R^T p` with constant coefficients. The square
-of a distance is linear in these and :math:`|p|^2`, and an image is the ratio of two linear functions. So the residuals of
-this fit are small only at the right offset of the clocks.
+Readings of a target t on a tip at (R, p) depend on :math:`R t + p`, those of a point P seen from
+the tool on
+:math:`R^T (P - p)`. Both, and so coordinates, are linear in p, R and :math:`R^T p` with constant
+  coefficients. The square
+of a distance is linear in these and :math:`|p|^2`, and an image is the ratio of two linear
+functions. So the residuals of this fit are small only at the right offset of the clocks.
 """
 
 from __future__ import annotations
@@ -22,14 +25,20 @@ from pincal.motion.moving_arm import MovingArm
 from pincal.motion.starts import SHORTEST, OtherMotionError, check_clock, start_positions, steady
 from pincal.motion.stream import Stream
 
-# Step of the search over offsets [s], rows of each target or point in it, their number, and the fewest rows of the others
-# relative to the first.
-_SEARCHED, _SAMPLED, _THINGS, _MANY = 0.1, 400, 3, 0.3
+# Step of the search over offsets [s], rows of each target or point in it, their number, and the
+# fewest rows of the others relative to the first.
+_SEARCHED = 0.1
+_SAMPLED = 400
+_THINGS = 3
+_MANY = 0.3
 # Fraction of the shorter log that has to overlap.
 _LEAST = 0.3
-# Largest fraction of unexplained variance at the best offset, usually 1e-5 to 1e-3, and its floor; fraction of the
-# log-likelihood there that offsets farther away than this [s] may have.
-_EXPLAINED, _FLOOR, _RIVALS, _APART = 1e-2, 1e-5, 0.75, 1.0
+# Largest fraction of unexplained variance at the best offset, usually 1e-5 to 1e-3, and its floor;
+# fraction of the log-likelihood there that offsets farther away than this [s] may have.
+_EXPLAINED = 1e-2
+_FLOOR = 1e-5
+_RIVALS = 0.75
+_APART = 1.0
 # Handedness of axes, 1 or -1 except for errors of the nominal arm, below which they are mirrored.
 _MIRRORED = -0.5
 
@@ -44,34 +53,46 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
     if sensor.reads_pose:
         return _start_poses(arm, parts[0], parts[0].readings[sensor.fields[0].name])
     things = [_Thing.of(part, sensor) for part in parts]
-    what, (begin, end) = f"{sensor.blocks[0].name}s", arm.path.span
-    first, last = min(thing.time[0] for thing in things), max(thing.time[-1] for thing in things)
+    what = f"{sensor.blocks[0].name}s"
+    (begin, end) = arm.path.span
+    first = min(thing.time[0] for thing in things)
+    last = max(thing.time[-1] for thing in things)
     lasts = min(end - begin, last - first)
     if lasts < SHORTEST:
         raise MeasurementError(
-            f"{tracker.name}: {what} over {lasts:.3g} s of motion do not determine the offset of the clocks; expected "
+            f"{tracker.name}: {what} over {lasts:.3g} s of motion do not determine the "
+            "offset of the clocks; expected "
             f"{SHORTEST:g} s or more"
         )
     grid = arm.path.grid(_SEARCHED)
-    known, longest = _functions(arm.tips(grid)), max(_LEAST * lasts, 0.5 * SHORTEST)
+    known = _functions(arm.tips(grid))
+    longest = max(_LEAST * lasts, 0.5 * SHORTEST)
     offsets = np.arange(begin + longest - last, end - longest - first, _SEARCHED)
-    found = np.array([[thing.unexplained(offset, grid, known) for offset in offsets] for thing in things])
+    found = np.array(
+        [[thing.unexplained(offset, grid, known) for offset in offsets] for thing in things]
+    )
     # Weighted by the number of rows.
     score = np.mean(found[:, :, 1] * np.log(np.maximum(found[:, :, 0], _FLOOR)), axis=0)
     best = int(np.argmin(score))
-    rest, others = float(np.mean(found[:, best, 0])), score[np.abs(offsets - offsets[best]) > _APART]
+    rest = float(np.mean(found[:, best, 0]))
+    others = score[np.abs(offsets - offsets[best]) > _APART]
     if rest > _EXPLAINED or others.min(initial=0.0) < _RIVALS * score[best]:
         raise OtherMotionError(
-            f"{tracker.name}: its {what} do not follow these joints, or follow them equally well at several offsets of the "
-            f"clocks ({100 * np.sqrt(rest):.1f} % unexplained at best); expected a target on the tool of this arm, or "
-            "points seen from it, with times of a clock and not a count of frames, over some minutes of non-repeating motion"
+            f"{tracker.name}: its {what} do not follow these joints, or follow them "
+            "equally well at several offsets of the "
+            f"clocks ({100 * np.sqrt(rest):.1f} % unexplained at best); expected a target "
+            "on the tool of this arm, or "
+            "points seen from it, with times of a clock and not a count of frames, over "
+            "some minutes of non-repeating motion"
         )
     alignment = _aligned(things, arm, Clock(float(offsets[best])))
     if sensor.follows != "squared" and things[0].handedness(alignment.matrix[0]) < _MIRRORED:
         columns = " ".join(sensor.fields[0].columns)
         raise MeasurementError(
-            f"{tracker.name}: {what} are mirrored relative to the arm; expected a right-handed frame, for images u to the "
-            f"right and v down as the camera sees them: swap two of {columns}, or change the sign of one"
+            f"{tracker.name}: {what} are mirrored relative to the arm; expected a "
+            "right-handed frame, for images u to the "
+            f"right and v down as the camera sees them: swap two of {columns}, or change "
+            "the sign of one"
         )
     check_clock(tracker, alignment)
     return alignment.clock
@@ -92,7 +113,8 @@ def _start_poses(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Clock
                 inverted = {**tracker.readings, "quaternion": back.as_quat()}
                 start_positions(arm, replace(tracker, readings=inverted), -back.apply(position))
                 turned = MeasurementError(
-                    f"{tracker.name}: poses are of the instrument in the target's frame; expected the target in the "
+                    f"{tracker.name}: poses are of the instrument in the target's frame; "
+                    "expected the target in the "
                     "instrument's frame: invert them"
                 )
         if turned is not None:
@@ -101,9 +123,12 @@ def _start_poses(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Clock
 
 
 def _most_seen(tracker: Stream) -> Iterator[Stream]:
-    """Yield the rows of some targets or points, each the one seen most often when those before are not."""
+    """Yield the rows of some targets or points, each the one seen most often when those before are
+    not.
+    """
     index = tracker.things
-    new, most = np.ones(len(index), bool), 0
+    new = np.ones(len(index), bool)
+    most = 0
     for _ in range(_THINGS):
         rows = index == np.argmax(np.bincount(index[new])) if new.any() else new
         if rows.sum() <= _MANY * most:
@@ -133,15 +158,25 @@ class _Thing:
 
     @classmethod
     def of(cls, seen: Stream, sensor: type[Sensor]) -> _Thing:
-        values, is_square = seen.readings[sensor.fields[0].name].reshape(len(seen), -1), sensor.follows == "squared"
+        values = seen.readings[sensor.fields[0].name].reshape(len(seen), -1)
+        is_square = sensor.follows == "squared"
         values = values**2 if is_square else values
         kept = steady(values)
-        seen, values = seen.select(kept), values[kept]
+        seen = seen.select(kept)
+        values = values[kept]
         values = (values - values.mean(axis=0)) / np.maximum(values.std(axis=0), 1e-300)
-        functions = slice(0, 16) if is_square else slice(3, 15) if sensor.is_on_tool else slice(0, 12)
+        functions = (
+            slice(0, 16) if is_square else slice(3, 15) if sensor.is_on_tool else slice(0, 12)
+        )
         m = values.shape[1]
         component = np.repeat(np.arange(m), len(seen))
-        return cls(np.tile(seen.time, m), values.T.ravel(), component, functions, sensor.follows == "as ratios")
+        return cls(
+            np.tile(seen.time, m),
+            values.T.ravel(),
+            component,
+            functions,
+            sensor.follows == "as ratios",
+        )
 
     def columns(self, known: np.ndarray, rows: np.ndarray, middle: np.ndarray) -> np.ndarray:
         """Return the regressors of some values, shape (M, k).
@@ -151,15 +186,20 @@ class _Thing:
             rows: indices of the values, shape (M,).
             middle: mean of the functions, at which depths are not zero, shape (16,).
         """
-        F, component = (known - middle)[:, self.functions], self.component[rows, None]
+        F = (known - middle)[:, self.functions]
+        component = self.component[rows, None]
         A = np.column_stack([F, np.ones(len(F))])
         own = [A * (component == c) for c in range(int(self.component[-1]) + 1)]
         return np.hstack([*own, -self.values[rows, None] * F] if self.is_ratio else own)
 
-    def unexplained(self, offset: float, grid: np.ndarray, known: np.ndarray) -> tuple[float, float]:
-        """Return the fraction of unexplained variance at an offset [s], and the fraction of rows on which it is based.
+    def unexplained(
+        self, offset: float, grid: np.ndarray, known: np.ndarray
+    ) -> tuple[float, float]:
+        """Return the fraction of unexplained variance at an offset [s], and the fraction of rows on
+        which it is based.
 
-        ``known`` are functions of the tip, shape (K, 16), at times ``grid`` of the joints, shape (K,) [s].
+        ``known`` are functions of the tip, shape (K, 16), at times ``grid`` of the joints, shape
+        (K,) [s].
         """
         rows = np.linspace(0, len(self.time) - 1, _SAMPLED).astype(int)
         at = self.time[rows] + offset
@@ -171,32 +211,45 @@ class _Thing:
             return 1.0, 0.0
         rows, near, share = rows[kept], near[kept], ((at - grid[near]) / step)[kept, None]
         here = known[near] + share * (known[near + 1] - known[near])
-        A, y = self.columns(here, rows, here.mean(axis=0)), self.values[rows]
-        H, b = A.T @ A, A.T @ y
+        A = self.columns(here, rows, here.mean(axis=0))
+        y = self.values[rows]
+        H = A.T @ A
+        b = A.T @ y
         H[np.diag_indices_from(H)] += 1e-9 * H.max()
-        return float(y @ y - b @ np.linalg.solve(H, b)) / max(len(y) * float(y.var()), 1e-300), len(y) / _SAMPLED
+        return float(y @ y - b @ np.linalg.solve(H, b)) / max(len(y) * float(y.var()), 1e-300), len(
+            y
+        ) / _SAMPLED
 
     def handedness(self, solution: np.ndarray) -> float:
-        """Return the handedness of axes, from 1 to -1 if mirrored, by a solution that begins with this thing's."""
+        """Return the handedness of axes, from 1 to -1 if mirrored, by a solution that begins with
+        this thing's.
+        """
         k = self.functions.stop - self.functions.start
         rows = np.array([solution[i * (k + 1) : i * (k + 1) + k] for i in range(3)])
         # Coefficients of the tip's position, negative for points seen from the tool.
         rows = -rows[:, -3:] if self.functions.start else rows[:, :3]
-        return float(np.linalg.det(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)))
+        return float(
+            np.linalg.det(rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300))
+        )
 
 
 def _aligned(things: list[_Thing], arm: MovingArm, start: Clock) -> Alignment:
     """Return the clock by which all things follow the arm."""
     middles = [
-        _functions(arm.tips(start.to_joints(thing.time[:: len(thing.time) // _SAMPLED + 1]))).mean(axis=0)
+        _functions(arm.tips(start.to_joints(thing.time[:: len(thing.time) // _SAMPLED + 1]))).mean(
+            axis=0
+        )
         for thing in things
     ]
-    time, values = (np.concatenate([getattr(thing, name) for thing in things]) for name in ("time", "values"))
+    time, values = (
+        np.concatenate([getattr(thing, name) for thing in things]) for name in ("time", "values")
+    )
     owner = np.repeat(np.arange(len(things)), [len(thing.time) for thing in things])
     number = np.concatenate([np.arange(len(thing.time)) for thing in things])
 
     def features(at: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        known, found = _functions(arm.tips(at)), []
+        known = _functions(arm.tips(at))
+        found = []
         for k, (thing, middle) in enumerate(zip(things, middles, strict=True)):
             here = owner[rows] == k
             own = thing.columns(known[here], number[rows[here]], middle)
@@ -208,6 +261,11 @@ def _aligned(things: list[_Thing], arm: MovingArm, start: Clock) -> Alignment:
 
 
 def _functions(tips: np.ndarray) -> np.ndarray:
-    """Return the functions in which readings are linear, shape (N, 16): p, R, R^T p and the square of p."""
-    p, R = tips[:, :, 3], tips[:, :, :3]
-    return np.column_stack([p, R.reshape(-1, 9), np.einsum("nji,nj->ni", R, p), np.sum(p**2, axis=1)])
+    """Return the functions in which readings are linear, shape (N, 16): p, R, R^T p and the square
+    of p.
+    """
+    p = tips[:, :, 3]
+    R = tips[:, :, :3]
+    return np.column_stack(
+        [p, R.reshape(-1, 9), np.einsum("nji,nj->ni", R, p), np.sum(p**2, axis=1)]
+    )

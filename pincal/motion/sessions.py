@@ -1,7 +1,9 @@
-"""Sessions: streams of joints, an IMU and an instrument in motion, each with the stamps of its own clock.
+"""Sessions: streams of joints, an IMU and an instrument in motion, each with the stamps of its own
+clock.
 
-Impossible values are refused on reading. Faults that only show relative to the arm, such as rates in other units or a
-mirrored IMU, are found when a stream is aligned with the motion (:mod:`pincal.motion.starts`).
+Impossible values are refused on reading. Faults that only show relative to the arm, such as rates
+in other units or a mirrored IMU, are found when a stream is aligned with the motion
+(:mod:`pincal.motion.starts`).
 """
 
 from __future__ import annotations
@@ -51,11 +53,15 @@ class Session:
     @property
     def payload(self) -> float:
         """Mass carried at the tip [kg]."""
-        return float(self.joints.readings["payload"][0]) if "payload" in self.joints.readings else 0.0
+        return (
+            float(self.joints.readings["payload"][0]) if "payload" in self.joints.readings else 0.0
+        )
 
 
 def joints_of_session(path: str | os.PathLike[str]) -> Path | None:
-    """Return the log of the joints of a session, a folder or a recording of ROS with an IMU; None for other paths."""
+    """Return the log of the joints of a session, a folder or a recording of ROS with an IMU; None
+    for other paths.
+    """
     path = Path(path)
     if is_bag(path):
         return path if path.exists() and "imu" in open_streams(path) else None
@@ -63,7 +69,8 @@ def joints_of_session(path: str | os.PathLike[str]) -> Path | None:
 
 
 def read_session(robot: Robot, folder: str | os.PathLike[str], **options: Any) -> Session:
-    """Read a folder with ``joints``, and ``imu`` or ``tracker`` or both, as tables of any format; or a recording of ROS.
+    """Read a folder with ``joints``, and ``imu`` or ``tracker`` or both, as tables of any format;
+    or a recording of ROS.
 
     Args:
         robot: the robot.
@@ -81,11 +88,15 @@ def read_session(robot: Robot, folder: str | os.PathLike[str], **options: Any) -
         files = _files(folder, what)
         if len(files) > 1:
             names = ", ".join(path.name for path in files)
-            raise MeasurementError(f"{folder}: {names}; expected one file of {what}: move the others elsewhere")
+            raise MeasurementError(
+                f"{folder}: {names}; expected one file of {what}: move the others elsewhere"
+            )
         found |= {what: files[0]} if files else {}
     if "joints" not in found or len(found) < 2:
         raise MeasurementError(
-            f"{folder}: has {', '.join(path.name for path in found.values()) or 'no stream'}; expected joints.csv, and "
+            f"{folder}: has "
+            f"{', '.join(path.name for path in found.values()) or 'no stream'}; expected "
+            "joints.csv, and "
             "imu.csv or tracker.csv or both (or .parquet)"
         )
     return read_streams(robot, name=folder.name, **found, **options)
@@ -104,7 +115,8 @@ def read_streams(
     name: str = "",
     **options: Any,
 ) -> Session:
-    """Read the streams of a session, each a table with a column ``time``, or a recording of ROS with its topic.
+    """Read the streams of a session, each a table with a column ``time``, or a recording of ROS
+    with its topic.
 
     Args:
         robot: the robot.
@@ -119,13 +131,21 @@ def read_streams(
     """
     given = TableOptions(**options)
     places = {
-        what: Path(path) for what, path in (("joints", joints), ("imu", imu), ("tracker", tracker)) if path is not None
+        what: Path(path)
+        for what, path in (("joints", joints), ("imu", imu), ("tracker", tracker))
+        if path is not None
     }
-    recorded = {path: open_streams(path, ignore=given.ignore) for path in set(places.values()) if is_bag(path)}
+    recorded = {
+        path: open_streams(path, ignore=given.ignore)
+        for path in set(places.values())
+        if is_bag(path)
+    }
     for what in STREAMS[1:]:
         if what not in places and what in recorded.get(places["joints"], {}):
             places[what] = places["joints"]
-    sheets = {what: _sheet(what, path, recorded.get(path), robot, given) for what, path in places.items()}
+    sheets = {
+        what: _sheet(what, path, recorded.get(path), robot, given) for what, path in places.items()
+    }
     every = [label for sheet in sheets.values() for label in sheet.labels]
     found = {}
     for what, sheet in sheets.items():
@@ -133,31 +153,45 @@ def read_streams(
         own = {
             name: meaning
             for name, meaning in given.columns.items()
-            if any(is_named(label, name) for label in sheet.labels) or not any(is_named(label, name) for label in every)
+            if any(is_named(label, name) for label in sheet.labels)
+            or not any(is_named(label, name) for label in every)
         }
         cells = cells_of(sheet, _schema(robot, what, replace(given, columns=own)), is_part=True)
         path = places[what]
-        found[what] = _checked(what, f"{name}/{path.name}" if name and path.stem != name else path.name, cells)
+        found[what] = _checked(
+            what, f"{name}/{path.name}" if name and path.stem != name else path.name, cells
+        )
     found["joints"] = _checked_joints(robot, found["joints"])
     q = found["joints"].readings["q"]
     if robot.couplings:
-        found["joints"] = replace(found["joints"], readings={**found["joints"].readings, "q": robot.from_reported(q)})
+        found["joints"] = replace(
+            found["joints"], readings={**found["joints"].readings, "q": robot.from_reported(q)}
+        )
     return Session(name, **found)
 
 
-def _sheet(what: str, path: Path, recorded: Mapping[str, Sheet] | None, robot: Robot, options: TableOptions) -> Sheet:
+def _sheet(
+    what: str, path: Path, recorded: Mapping[str, Sheet] | None, robot: Robot, options: TableOptions
+) -> Sheet:
     """Return the sheet of a stream, by the topic of a recording or as a table."""
     if recorded is not None:
         if what not in recorded:
-            raise MeasurementError(f"{path.name}: no topic of {what}; give a table, or a recording that has it")
+            raise MeasurementError(
+                f"{path.name}: no topic of {what}; give a table, or a recording that has it"
+            )
         return recorded[what]
     with typed_errors(path):
-        return open_sheet(path, ignore=options.ignore, joints=robot.joint_names if what == "joints" else ())
+        return open_sheet(
+            path, ignore=options.ignore, joints=robot.joint_names if what == "joints" else ()
+        )
 
 
 def _schema(robot: Robot, what: str, options: TableOptions) -> Schema:
     """Return the possible contents of a stream; further columns are left out."""
-    fields = {"joints": (CONDITIONS["time"], CONDITIONS["payload"]), "imu": (FORCE, RATE, CONDITIONS["time"])}
+    fields = {
+        "joints": (CONDITIONS["time"], CONDITIONS["payload"]),
+        "imu": (FORCE, RATE, CONDITIONS["time"]),
+    }
     known = tuple(field for field in known_fields().values() if field not in (FORCE, RATE))
     schema = Schema(fields.get(what, known), options=options, is_stream=True)
     return schema.of_robot(robot) if what == "joints" else schema
@@ -165,12 +199,14 @@ def _schema(robot: Robot, what: str, options: TableOptions) -> Schema:
 
 def _checked(what: str, source: str, cells: Cells) -> Stream:
     """Return a valid stream, or raise an error."""
-    arrays, fields = dict(cells.arrays), tuple[Field, ...]()
+    arrays = dict(cells.arrays)
+    fields = tuple[Field, ...]()
     time = arrays.pop("time", None)
     listed = columns_listed(cells.sheet.labels)
     if time is None:
         raise MeasurementError(
-            f"{source}: no column time; expected the stamps of its own clock, in order; {listed}: is it one of them "
+            f"{source}: no column time; expected the stamps of its own clock, in order; "
+            f"{listed}: is it one of them "
             "(--columns 'NAME=time [s]')?"
         )
     if what == "imu":
@@ -185,7 +221,8 @@ def _checked(what: str, source: str, cells: Cells) -> Stream:
         load = arrays.get("payload", np.zeros(1))
         if np.ptp(load) > 0.0:
             raise MeasurementError(
-                f"{source}: payload from {load.min():g} to {load.max():g} kg; expected one load carried along a path: give "
+                f"{source}: payload from {load.min():g} to {load.max():g} kg; expected "
+                "one load carried along a path: give "
                 "the parts as separate sessions"
             )
     else:
@@ -193,7 +230,8 @@ def _checked(what: str, source: str, cells: Cells) -> Stream:
         sensor = sensor_class(arrays)
         if sensor is None:
             raise MeasurementError(
-                f"{source}: no readings; expected columns such as x y z, or x y z qx qy qz qw; {listed}: name them "
+                f"{source}: no readings; expected columns such as x y z, or x y z qx qy "
+                f"qz qw; {listed}: name them "
                 "(--columns 'NAME=x,...')"
             )
         fields = sensor.fields
@@ -202,17 +240,25 @@ def _checked(what: str, source: str, cells: Cells) -> Stream:
     stream = in_order(Stream(source, time, arrays, cells.units, cells.rows))
     if what == "tracker" and not fields[0].is_name:
         values = stream.readings[fields[0].name].reshape(len(stream), -1)
-        stream = stream.without(np.all(values == 0.0, axis=1), f"read exactly 0 in {fields[0]}: the target was lost")
+        stream = stream.without(
+            np.all(values == 0.0, axis=1), f"read exactly 0 in {fields[0]}: the target was lost"
+        )
         if not stream.things.any():
             lost = interpolated(stream.readings[fields[0].name].reshape(len(stream), -1))
             stream = stream.without(
-                lost, "are evenly spaced on straight lines: the target was lost, and they are interpolated"
+                lost,
+                "are evenly spaced on straight lines: the target was lost, and they are "
+                "interpolated",
             )
     return checked_imu(stream) if what == "imu" else stream
 
 
 def _checked_joints(robot: Robot, joints: Stream) -> Stream:
     """Return the joints, with plausible values and without jumps."""
-    table = measurements(robot, joints.readings["q"], rows=joints.lines, source=joints.name, units=joints.units)
+    table = measurements(
+        robot, joints.readings["q"], rows=joints.lines, source=joints.name, units=joints.units
+    )
     check_joint_values(table, robot.lower, robot.upper, robot.joint_types)
-    return checked_joints(joints, robot.joint_names, np.array([kind == "revolute" for kind in robot.joint_types]))
+    return checked_joints(
+        joints, robot.joint_names, np.array([kind == "revolute" for kind in robot.joint_types])
+    )

@@ -1,7 +1,9 @@
-"""Alignment of streams with the motion of the arm before any fit: clocks, the mount of an IMU, positions.
+"""Alignment of streams with the motion of the arm before any fit: clocks, the mount of an IMU,
+positions.
 
-It uses the nominal arm, and is accurate to a millisecond and some milliradians. Faults that only show relative to the arm
-are refused: rates in degrees, a mirrored frame, swapped axes, an IMU of another session, one that slipped.
+It uses the nominal arm, and is accurate to a millisecond and some milliradians. Faults that only
+show relative to the arm are refused: rates in degrees, a mirrored frame, swapped axes, an IMU of
+another session, one that slipped.
 """
 
 from __future__ import annotations
@@ -22,22 +24,33 @@ from pincal.robot.se3 import nearest_rotation, rotation_vectors
 from pincal.units import size_of
 
 # Sampling interval of the arm's speeds, and the window of the rates compared with them [s].
-_GRID, _WIDTH = 0.02, 0.03
-# Largest scale error of lengths and rates in the right unit, tolerance for recognising another unit, and the drift above
-# which a warning is given [1].
-_SCALE, _UNIT, _DRIFT = 0.2, 0.05, 2e-4
-# Angle between the frames of accelerometer and gyroscope above which columns are mixed up [rad], and of a mount that
-# slipped; rows per block for finding a mount; blocks on one side for which the limit doubles, as errors of the nominal arm
-# rotate the mount as well, differently in each move; least speed of a row relative to the usual one, and least rotation of a
-# block across its main axis relative to the largest.
-_TURNED, _SLIPPED, _BLOCK, _FEW, _LEAST = 0.2, 0.01, 40, 3, 0.1
+_GRID = 0.02
+_WIDTH = 0.03
+# Largest scale error of lengths and rates in the right unit, tolerance for recognising another
+# unit, and the drift above which a warning is given [1].
+_SCALE = 0.2
+_UNIT = 0.05
+_DRIFT = 2e-4
+# Angle between the frames of accelerometer and gyroscope above which columns are mixed up [rad],
+# and of a mount that slipped; rows per block for finding a mount; blocks on one side for which the
+# limit doubles, as errors of the nominal arm rotate the mount as well, differently in each move;
+# least speed of a row relative to the usual one, and least rotation of a block across its main axis
+# relative to the largest.
+_TURNED = 0.2
+_SLIPPED = 0.01
+_BLOCK = 40
+_FEW = 3
+_LEAST = 0.1
 # Poses whose orientations are compared.
 _SAMPLED = 400
-# Length of the median filter, and the deviation from it, relative to the standard deviation, that is an outlier.
-_NEIGHBOURS, _JUMP = 5, 0.2
+# Length of the median filter, and the deviation from it, relative to the standard deviation, that
+# is an outlier.
+_NEIGHBOURS = 5
+_JUMP = 0.2
 # Largest rms deviation of positions after alignment, relative to their motion, for the same arm.
 _OFF = 0.1
-# Jump of a clock that exceeds the effect of errors of a nominal arm [s]; smaller ones are detected in the calibration.
+# Jump of a clock that exceeds the effect of errors of a nominal arm [s]; smaller ones are detected
+# in the calibration.
 _JUMPS = 0.05
 # Readings over a shorter time can hardly be located in the motion [s].
 SHORTEST = 20.0
@@ -59,28 +72,41 @@ class ImuStart:
 
 
 class OtherMotionError(MeasurementError):
-    """Readings that do not follow the joints: one of the streams is of another motion, or misinterpreted."""
+    """Readings that do not follow the joints: one of the streams is of another motion, or
+    misinterpreted.
+    """
 
 
 def start_imu(
-    arm: MovingArm, imu: Stream, *, window: Window | None = None, others: Sequence[tuple[str, MovingArm]] = ()
+    arm: MovingArm,
+    imu: Stream,
+    *,
+    window: Window | None = None,
+    others: Sequence[tuple[str, MovingArm]] = (),
 ) -> ImuStart:
-    """Align the readings of an IMU with the motion of an arm, in rows by a window of 30 ms unless given.
+    """Align the readings of an IMU with the motion of an arm, in rows by a window of 30 ms unless
+    given.
 
     An error names the session among ``others`` to which the IMU belongs.
 
     Raises:
-        MeasurementError: if it is not of this motion, is mirrored, or has its rates in another unit.
+        MeasurementError: if it is not of this motion, is mirrored, or has its rates in another
+            unit.
     """
-    rows = ImuRows.of(imu.time, imu.readings[FORCE.name], imu.readings[RATE.name], window or Window(_WIDTH))
+    rows = ImuRows.of(
+        imu.time, imu.readings[FORCE.name], imu.readings[RATE.name], window or Window(_WIDTH)
+    )
     found = _turned(arm, imu, rows)
     if found is None:
         names = [name for name, other in others if _turned(other, imu, rows) is not None]
         whose = (
-            f"it is of {names[0]}: were two IMUs, or two files, swapped?" if names else "is it of another arm or session?"
+            f"it is of {names[0]}: were two IMUs, or two files, swapped?"
+            if names
+            else "is it of another arm or session?"
         )
         raise OtherMotionError(
-            f"{imu.name}: its rates do not follow these joints at any offset of the clocks; {whose} Expected an IMU on the "
+            f"{imu.name}: its rates do not follow these joints at any offset of the "
+            f"clocks; {whose} Expected an IMU on the "
             "tool, logged together with the joints"
         )
     _check_rates(imu, found)
@@ -122,14 +148,17 @@ def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:
     )
 
 
-def _match(arm: MovingArm, stream: Stream, time: np.ndarray, speed: np.ndarray, *, by_rate: bool) -> SpeedMatch:
+def _match(
+    arm: MovingArm, stream: Stream, time: np.ndarray, speed: np.ndarray, *, by_rate: bool
+) -> SpeedMatch:
     """Return the match of a stream's speeds with the rotation rate or speed of the arm's tip."""
     grid = arm.path.grid(_GRID)
     tips = arm.ideal(grid).rate if by_rate else np.gradient(arm.tips(grid)[:, :, 3], grid, axis=0)
     match = correlate(grid, np.linalg.norm(tips, axis=1), time, speed)
     if match.is_same and not match.is_clear:
         warn(
-            f"{stream.name}: the motion repeats, so that its clock may be off by a period; start the logs together, or "
+            f"{stream.name}: the motion repeats, so that its clock may be off by a "
+            "period; start the logs together, or "
             "begin with a motion that does not recur"
         )
     return match
@@ -140,50 +169,68 @@ def _check_rates(imu: Stream, found: Alignment) -> None:
     sizes = np.linalg.svd(found.matrix, compute_uv=False)
     if unit := _unit(sizes, _UNIT, "deg/s", "mdeg/s", "mrad/s"):
         raise MeasurementError(
-            f"{imu.name}: rates are {sizes.mean():.3g} times those of the arm; looks like [{unit}]: write `wx [{unit}]`, "
+            f"{imu.name}: rates are {sizes.mean():.3g} times those of the arm; looks like "
+            f"[{unit}]: write `wx [{unit}]`, "
             f"`wy [{unit}]`, `wz [{unit}]` in the header"
         )
     if np.any(np.abs(sizes - 1.0) > _SCALE):
         raise OtherMotionError(
-            f"{imu.name}: rates are {', '.join(f'{size:.3g}' for size in sizes)} times those of the arm along three axes; "
+            f"{imu.name}: rates are {', '.join(f'{size:.3g}' for size in sizes)} times "
+            "those of the arm along three axes; "
             "expected 1: check units, and whether two columns are the same"
         )
     if np.linalg.det(found.matrix) < 0.0:
         raise MeasurementError(
-            f"{imu.name}: rates are mirrored relative to the arm, in a left-handed frame; expected a right-handed one: "
+            f"{imu.name}: rates are mirrored relative to the arm, in a left-handed frame; "
+            "expected a right-handed one: "
             "change the sign of one axis of ax ay az and of wx wy wz, or swap two columns of both"
         )
 
 
 def _unit(sizes: np.ndarray, within: float, *units: str) -> str:
     """Return the unit that explains values ``sizes`` times too large; empty for none."""
-    return next((unit for unit in units if np.all(np.abs(sizes * size_of(unit) - 1.0) < within)), "")
+    return next(
+        (unit for unit in units if np.all(np.abs(sizes * size_of(unit) - 1.0) < within)), ""
+    )
 
 
-def _check_forces(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray) -> None:
+def _check_forces(
+    arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray
+) -> None:
     """Refuse specific forces in another frame than the rates."""
     ideal = arm.ideal(clock.to_joints(rows.time), rows.window).force
     features = np.column_stack([ideal @ mount, np.ones(len(ideal))])
     M = np.linalg.lstsq(features, rows.readings[:3].T, rcond=None)[0][:3].T
     sizes = np.linalg.svd(M, compute_uv=False)
     if np.any(np.abs(sizes - 1.0) > _SCALE):
-        warn(f"{imu.name}: specific forces hardly determine their axes; move so that the tool points in all directions")
+        warn(
+            f"{imu.name}: specific forces hardly determine their axes; move so that the "
+            "tool points in all directions"
+        )
         return
     if np.linalg.det(M) < 0.0:
         is_opposite = np.abs(nearest_rotation(-M) - np.eye(3)).max() < _TURNED
-        what = "have the wrong sign: an IMU at rest reads +9.8 upwards" if is_opposite else "are mirrored"
+        what = (
+            "have the wrong sign: an IMU at rest reads +9.8 upwards"
+            if is_opposite
+            else "are mirrored"
+        )
         raise MeasurementError(
-            f"{imu.name}: specific forces {what}; change the sign of {'ax, ay, az' if is_opposite else 'one of ax, ay, az'}"
+            f"{imu.name}: specific forces {what}; change the sign of "
+            f"{'ax, ay, az' if is_opposite else 'one of ax, ay, az'}"
         )
     turned = float(np.linalg.norm(rotation_vectors(nearest_rotation(M)[None])))
     if turned > _TURNED:
         raise MeasurementError(
-            f"{imu.name}: the frames of ax ay az and wx wy wz are {np.degrees(turned):.0f} deg apart; expected one frame: "
+            f"{imu.name}: the frames of ax ay az and wx wy wz are "
+            f"{np.degrees(turned):.0f} deg apart; expected one frame: "
             "check the order and the signs of the columns"
         )
 
 
-def _check_slip(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray) -> None:
+def _check_slip(
+    arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray
+) -> None:
     """Refuse an IMU whose mount rotated while it was logged."""
     ideal = arm.ideal(clock.to_joints(rows.time), rows.window).rate @ mount
     bias = np.median(rows.readings[3:].T - ideal, axis=0)
@@ -196,60 +243,89 @@ def _check_slip(arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount:
     count = len(blocks)
     if count < 4:
         return
-    turns = rotation_vectors(np.array([nearest_rotation((rows.readings[3:, b].T - bias).T @ ideal[b]) for b in blocks]))
-    middles = [[np.median(part, axis=0) for part in (turns[:k], turns[k:])] for k in range(1, count)]
+    turns = rotation_vectors(
+        np.array([nearest_rotation((rows.readings[3:, b].T - bias).T @ ideal[b]) for b in blocks])
+    )
+    middles = [
+        [np.median(part, axis=0) for part in (turns[:k], turns[k:])] for k in range(1, count)
+    ]
     residuals = [
-        np.linalg.norm(turns - np.repeat(pair, [k, count - k], axis=0), axis=1) for k, pair in enumerate(middles, 1)
+        np.linalg.norm(turns - np.repeat(pair, [k, count - k], axis=0), axis=1)
+        for k, pair in enumerate(middles, 1)
     ]
     at = int(np.argmin([own.sum() for own in residuals])) + 1
-    best, scatter = float(np.linalg.norm(np.diff(middles[at - 1], axis=0))), 1.4826 * float(np.median(residuals[at - 1]))
+    best = float(np.linalg.norm(np.diff(middles[at - 1], axis=0)))
+    scatter = 1.4826 * float(np.median(residuals[at - 1]))
     shorter = min(at, count - at)
     if best > max(_SLIPPED, CLEARLY * scatter / np.sqrt(shorter) * (1.0 + _FEW / shorter)):
         when = rows.time[blocks[at][0]]
         raise MeasurementError(
-            f"{imu.name}: the IMU turned on its mount by {1e3 * best:.0f} mrad at about {when:.5g} s of its clock; "
+            f"{imu.name}: the IMU turned on its mount by {1e3 * best:.0f} mrad at about "
+            f"{when:.5g} s of its clock; "
             "fasten it and repeat the motion, or give the parts before and after as two sessions"
         )
 
 
 def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Clock:
-    """Return the clock of an instrument by aligning positions of the tool, shape (T, 3) [m], with the motion of an arm.
+    """Return the clock of an instrument by aligning positions of the tool, shape (T, 3) [m], with
+    the motion of an arm.
 
     Raises:
-        MeasurementError: if they are not of this motion, in another unit, or in a left-handed frame.
+        MeasurementError: if they are not of this motion, in another unit, or in a left-handed
+            frame.
     """
     # Outliers are readings of something else.
     if not (kept := steady(position)).all():
-        tracker, position = tracker.select(kept), position[kept]
+        tracker = tracker.select(kept)
+        position = position[kept]
     smooth = max(round(0.02 * tracker.rate), 1)
     lasts = tracker.time[smooth:] - tracker.time[:-smooth]
     # Stamps with jitter may nearly coincide.
-    moved = (position[smooth:] - position[:-smooth]) / np.maximum(lasts, 0.5 * np.median(lasts))[:, None]
+    moved = (position[smooth:] - position[:-smooth]) / np.maximum(lasts, 0.5 * np.median(lasts))[
+        :, None
+    ]
     middles = 0.5 * (tracker.time[smooth:] + tracker.time[:-smooth])
     match = _match(arm, tracker, middles, np.linalg.norm(moved, axis=1), by_rate=False)
     if not match.is_same:
         raise OtherMotionError(
-            f"{tracker.name}: its positions do not move as these joints do at any offset of the clocks (correlation of "
-            f"speeds {match.likeness:.2f}); expected a target on the tool of this arm, read while the joints were logged"
+            f"{tracker.name}: its positions do not move as these joints do at any offset "
+            "of the clocks (correlation of "
+            f"speeds {match.likeness:.2f}); expected a target on the tool of this arm, "
+            "read while the joints were logged"
         )
-    found = aligned(tracker.time, position, lambda at, _: _features(arm.tips(at)), arm.path.covers, Clock(match.offset))
+    found = aligned(
+        tracker.time,
+        position,
+        lambda at, _: _features(arm.tips(at)),
+        arm.path.covers,
+        Clock(match.offset),
+    )
     sizes = np.linalg.svd(found.matrix[:, :3], compute_uv=False)
     if np.any(np.abs(sizes - 1.0) > _SCALE):
         unit = _unit(sizes, _SCALE, "mm", "cm", "in")
-        cure = f"looks like [{unit}]: write `x [{unit}]` in the header" if unit else "check its unit and the robot's size"
+        cure = (
+            f"looks like [{unit}]: write `x [{unit}]` in the header"
+            if unit
+            else "check its unit and the robot's size"
+        )
         text = f"{tracker.name}: positions move {sizes.mean():.3g} times as far as the arm; {cure}"
         if not unit and np.ptp(tracker.time) < SHORTEST:
-            text += f"; or are {np.ptp(tracker.time):.3g} s of it too short to be found in the motion? Log {SHORTEST:g} s"
+            text += (
+                f"; or are {np.ptp(tracker.time):.3g} s of it too short to be found in the "
+                f"motion? Log {SHORTEST:g} s"
+            )
         raise MeasurementError(text) if unit else OtherMotionError(text)
     if np.linalg.det(found.matrix[:, :3]) < 0.0:
         raise MeasurementError(
-            f"{tracker.name}: positions are mirrored relative to the arm; expected a right-handed frame: swap two of x, y, "
+            f"{tracker.name}: positions are mirrored relative to the arm; expected a "
+            "right-handed frame: swap two of x, y, "
             "z, or change the sign of one"
         )
     rms = float(np.linalg.norm(found.scatter))
     if rms > _OFF * float(np.linalg.norm(position.std(axis=0))):
         raise OtherMotionError(
-            f"{tracker.name}: after the best placement positions are off by {1e3 * rms:.3g} mm rms; expected a few mm: "
+            f"{tracker.name}: after the best placement positions are off by "
+            f"{1e3 * rms:.3g} mm rms; expected a few mm: "
             "is it this arm, and is the target fixed to the tool?"
         )
     check_clock(tracker, found)
@@ -259,7 +335,9 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
 
 
 def _check_turns(arm: MovingArm, tracker: Stream, found: Alignment) -> None:
-    """Refuse orientations that do not follow the arm, naming an order of their components that does."""
+    """Refuse orientations that do not follow the arm, naming an order of their components that
+    does.
+    """
     from scipy.spatial.transform import Rotation
 
     at = found.clock.to_joints(tracker.time)
@@ -277,41 +355,55 @@ def _check_turns(arm: MovingArm, tracker: Stream, found: Alignment) -> None:
     if off(quaternions) < _TURNED:
         return
     others = {
-        "in the order w x y z (--orientation wxyz, or names of columns)": quaternions[:, [1, 2, 3, 0]],
-        "in the order x y z w (--orientation xyzw, or names of columns)": quaternions[:, [3, 0, 1, 2]],
+        "in the order w x y z (--orientation wxyz, or names of columns)": quaternions[
+            :, [1, 2, 3, 0]
+        ],
+        "in the order x y z w (--orientation xyzw, or names of columns)": quaternions[
+            :, [3, 0, 1, 2]
+        ],
         "inverted": quaternions * np.array([-1.0, -1.0, -1.0, 1.0]),
     }
     cures = [f"they would {words}" for words, other in others.items() if off(other) < _TURNED]
     raise MeasurementError(
-        f"{tracker.name}: orientations do not follow the arm, they are off by {np.degrees(off(quaternions)):.0f} deg; "
-        f"{(*cures, 'check their convention (--orientation) and order')[0]}; or leave them out (--ignore, one by one): "
+        f"{tracker.name}: orientations do not follow the arm, they are off by "
+        f"{np.degrees(off(quaternions)):.0f} deg; "
+        f"{(*cures, 'check their convention (--orientation) and order')[0]}; or leave "
+        "them out (--ignore, one by one): "
         "positions are enough"
     )
 
 
 def steady(values: np.ndarray) -> np.ndarray:
-    """Return which readings, shape (T, k), are no outliers among their neighbours, shape (T,); all if most are."""
+    """Return which readings, shape (T, k), are no outliers among their neighbours, shape (T,); all
+    if most are.
+    """
     from scipy.signal import medfilt
 
-    jump = np.abs(values - medfilt(values, (_NEIGHBOURS, 1))) / np.maximum(values.std(axis=0), 1e-300)
+    jump = np.abs(values - medfilt(values, (_NEIGHBOURS, 1))) / np.maximum(
+        values.std(axis=0), 1e-300
+    )
     kept = np.asarray(np.all(jump < _JUMP, axis=1))
     return np.asarray(kept | (2 * kept.sum() < len(kept)))
 
 
 def _features(tips: np.ndarray) -> np.ndarray:
-    """Return the regressors of a target's positions, shape (N, 12): position and rotation of the tip."""
+    """Return the regressors of a target's positions, shape (N, 12): position and rotation of the
+    tip.
+    """
     return np.hstack([tips[:, :, 3], tips[:, :, :3].reshape(len(tips), 9)])
 
 
 def check_clock(stream: Stream, found: Alignment) -> None:
     """Refuse a clock that jumps, and warn of one with a drift larger than that of crystals."""
-    clock, jump = found.clock, found.jump
+    clock = found.clock
+    jump = found.jump
     if jump.is_sure(_JUMPS):
         line = stream.lines[np.searchsorted(stream.time, jump.time)]
         raise MeasurementError(f"{stream.name}, about line {line}: {jump}")
     if abs(clock.drift) > max(_DRIFT, 5.0 * clock.sigma[1]):
         runs = "slowly" if clock.drift > 0.0 else "fast"
         warn(
-            f"{stream.name}: its clock runs {1e6 * abs(clock.drift):.0f} ppm too {runs} relative to the joints', which "
+            f"{stream.name}: its clock runs {1e6 * abs(clock.drift):.0f} ppm too {runs} "
+            "relative to the joints', which "
             "is taken into account; do its stamps count frames at an assumed rate?"
         )

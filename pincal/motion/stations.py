@@ -1,7 +1,8 @@
 """Stations of sessions in motion: tables of readings with the joints interpolated on their path.
 
-The clock of each instrument is first aligned by the nominal arm, to some tenths of a millisecond; corrections of offset and
-drift are fitted together with all other parameters (:class:`pincal.model.catalogue.InstrumentClock`).
+The clock of each instrument is first aligned by the nominal arm, to some tenths of a millisecond;
+corrections of offset and drift are fitted together with all other parameters
+(:class:`pincal.model.catalogue.InstrumentClock`).
 """
 
 from __future__ import annotations
@@ -29,10 +30,14 @@ from pincal.motion.stream import Stream
 from pincal.recorded import Moving
 from pincal.robot.robot import Robot
 
-# Standard deviation of the windows of an IMU's rows [s]; 1 to 12 Hz made no difference on a real arm.
+# Standard deviation of the windows of an IMU's rows [s]; 1 to 12 Hz made no difference on a real
+# arm.
 WIDTH = 0.03
-# Range of a joint at rest [rad, m], that over a whole log, and the number of moving joints that is too small.
-_RESTS, _MOVED, _TOO_FEW = 3e-4, 1e-2, 2
+# Range of a joint at rest [rad, m], that over a whole log, and the number of moving joints that is
+# too small.
+_RESTS = 3e-4
+_MOVED = 1e-2
+_TOO_FEW = 2
 # Sampling rate above which the motion within two samples is never an outlier [Hz].
 _FAST = 20.0
 # Largest change of a reading of few digits, in its smallest steps.
@@ -45,28 +50,49 @@ def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measu
     A session with one instrument in addition to the joints gives a station of its name.
 
     Raises:
-        MeasurementError: for a stream that is not of its motion, or impossible; see :mod:`pincal.motion.starts`.
+        MeasurementError: for a stream that is not of its motion, or impossible; see
+            :mod:`pincal.motion.starts`.
     """
-    arms = {session.name: MovingArm.of(robot, _path(session), payload=session.payload) for session in sessions}
+    arms = {
+        session.name: MovingArm.of(robot, _path(session), payload=session.payload)
+        for session in sessions
+    }
     found = dict[str, Measurements]()
     for session in sessions:
-        arm, others = arms[session.name], [(name, arm) for name, arm in arms.items() if name != session.name]
+        arm, others = (
+            arms[session.name],
+            [(name, arm) for name, arm in arms.items() if name != session.name],
+        )
         parts = {"imu": session.imu, "tracker": session.tracker}
         there = [what for what, stream in parts.items() if stream is not None]
         wrong = list[MeasurementError]()
         for what in there:
-            name = session.name if session.name and len(there) == 1 else "/".join(filter(None, (session.name, what)))
+            name = (
+                session.name
+                if session.name and len(there) == 1
+                else "/".join(filter(None, (session.name, what)))
+            )
             stream = parts[what]
             assert stream is not None
             try:
-                found[name] = _imu_table(arm, stream, others) if what == "imu" else _tracker_table(arm, stream)
+                found[name] = (
+                    _imu_table(arm, stream, others)
+                    if what == "imu"
+                    else _tracker_table(arm, stream)
+                )
             except OtherMotionError as error:
                 wrong.append(error)
         moved = np.ptp(session.joints.readings["q"], axis=0) > _MOVED
         if wrong and moved.sum() <= min(_TOO_FEW, robot.n_joints - 1):
-            names = ", ".join(name for name, moves in zip(robot.joint_names, moved, strict=True) if moves) or "none"
+            names = (
+                ", ".join(
+                    name for name, moves in zip(robot.joint_names, moved, strict=True) if moves
+                )
+                or "none"
+            )
             raise MeasurementError(
-                f"{session.joints.name}: joints that moved: {names}; expected a path on which all do, to distinguish "
+                f"{session.joints.name}: joints that moved: {names}; expected a path on "
+                "which all do, to distinguish "
                 f"readings from those of another motion ({wrong[0]})"
             )
         if wrong:
@@ -75,8 +101,12 @@ def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measu
     return found
 
 
-def _at_fault(arm: MovingArm, session: Session, wrong: Sequence[MeasurementError]) -> MeasurementError:
-    """Return an error that names the file at fault: the joints' if all readings follow others, or none follows these."""
+def _at_fault(
+    arm: MovingArm, session: Session, wrong: Sequence[MeasurementError]
+) -> MeasurementError:
+    """Return an error that names the file at fault: the joints' if all readings follow others, or
+    none follows these.
+    """
     name = session.joints.name
     for words, path in _mistaken(arm):
         try:
@@ -89,21 +119,28 @@ def _at_fault(arm: MovingArm, session: Session, wrong: Sequence[MeasurementError
                     start_tracker(other, session.tracker)
         except MeasurementError:
             continue
-        return MeasurementError(f"{name}: the readings follow these joints {words}, but not otherwise ({wrong[0]})")
+        return MeasurementError(
+            f"{name}: the readings follow these joints {words}, but not otherwise ({wrong[0]})"
+        )
     if session.imu is None or session.tracker is None or len(wrong) < 2:
         return wrong[0]
     return MeasurementError(
-        f"{name}: neither {session.imu.name} nor {session.tracker.name} follows these joints; expected joints of the same "
+        f"{name}: neither {session.imu.name} nor {session.tracker.name} follows these "
+        "joints; expected joints of the same "
         f"motion: check their session, unit, order, signs and zeros ({'; '.join(map(str, wrong))})"
     )
 
 
 def _mistaken(arm: MovingArm) -> Iterator[tuple[str, JointPath]]:
     """Yield common mistakes in joints, in words, and the corrected path."""
-    names, n = arm.robot.joint_names, arm.robot.n_joints
+    names = arm.robot.joint_names
+    n = arm.robot.n_joints
     one = np.eye(n)
     for i in range(n):
-        yield f"with the sign of {names[i]} changed (--sign {names[i]})", arm.path.mapped(one - 2.0 * np.diag(one[i]))
+        yield (
+            f"with the sign of {names[i]} changed (--sign {names[i]})",
+            arm.path.mapped(one - 2.0 * np.diag(one[i])),
+        )
     for i, j in itertools.combinations(range(n), 2):
         order = np.arange(n)
         order[[i, j]] = j, i
@@ -112,7 +149,10 @@ def _mistaken(arm: MovingArm) -> Iterator[tuple[str, JointPath]]:
     yield "in revolutions: multiply them by 2 pi", arm.path.mapped(2.0 * np.pi * one)
     for i, quarter in itertools.product(range(1, n), (1, -1, 2)):
         if arm.robot.joint_types[i] == "revolute":
-            words = f"with {90 * quarter:+d} deg added to {names[i]}, whose zero differs from the URDF's"
+            words = (
+                f"with {90 * quarter:+d} deg added to {names[i]}, whose zero differs from the "
+                "URDF's"
+            )
             yield words, arm.path.mapped(one, 0.5 * np.pi * quarter * one[i])
 
 
@@ -123,15 +163,20 @@ def _path(session: Session) -> JointPath:
         raise MeasurementError(f"{session.joints.name}: {error}") from error
 
 
-def _imu_table(arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingArm]]) -> Measurements:
+def _imu_table(
+    arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingArm]]
+) -> Measurements:
     start = start_imu(arm, imu, window=Window(WIDTH), others=others)
     delay = aligned_forces(arm, start)
-    rows = ImuRows.of(imu.time, imu.readings[FORCE.name], imu.readings[RATE.name], Window(WIDTH), delay=delay)
+    rows = ImuRows.of(
+        imu.time, imu.readings[FORCE.name], imu.readings[RATE.name], Window(WIDTH), delay=delay
+    )
     # From the clock of the rates to that of the forces, which rows have.
     clock = start.clock.moved(-delay, 0.0)
     at = clock.to_joints(rows.time)
     inside = arm.path.covers(at, 4.0 * WIDTH)
-    rows, at = rows.select(inside), at[inside]
+    rows = rows.select(inside)
+    at = at[inside]
     # Noise of both by vibration, relative to its median.
     scatter = np.median(rows.sigma, axis=1)
     sigma = np.sqrt(np.prod(rows.sigma / scatter[:, None], axis=0))
@@ -139,18 +184,25 @@ def _imu_table(arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingAr
     lines = imu.lines[np.searchsorted(imu.time, rows.time)]
     table = _table(arm, imu, clock, rows.time, at, lines, readings, offsets=rows.window.offsets)
     assert table.moving is not None
-    return replace(table, moving=replace(table.moving, delay=delay, scatter=tuple(scatter.tolist())))
+    return replace(
+        table, moving=replace(table.moving, delay=delay, scatter=tuple(scatter.tolist()))
+    )
 
 
 def ideal_imu_table(arm: MovingArm) -> Measurements:
-    """Return the readings of an ideal IMU at the nominal tip over a whole motion, as rows of :func:`session_tables`."""
-    window, (begin, end) = Window(WIDTH), arm.path.span
+    """Return the readings of an ideal IMU at the nominal tip over a whole motion, as rows of
+    :func:`session_tables`.
+    """
+    window = Window(WIDTH)
+    (begin, end) = arm.path.span
     at = begin + np.arange(0.0, end - begin, APART * WIDTH)
     at = at[arm.path.covers(at, 4.0 * WIDTH)]
     ideal = arm.ideal(at, window)
     readings = {FORCE.name: ideal.force, RATE.name: ideal.rate}
     stream = Stream("imu", at, readings, {})
-    return _table(arm, stream, Clock(), at, at, np.arange(2, len(at) + 2), readings, offsets=window.offsets)
+    return _table(
+        arm, stream, Clock(), at, at, np.arange(2, len(at) + 2), readings, offsets=window.offsets
+    )
 
 
 def start_tracker(arm: MovingArm, tracker: Stream) -> Clock:
@@ -167,20 +219,25 @@ def _sensor(tracker: Stream) -> type[Sensor]:
     sensor = sensor_class(tracker.readings)
     if sensor is None or sensor.fields[0].is_name or not sensor.reads_place:
         raise MeasurementError(
-            f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected readings that change with it, such as x y z "
-            "or distance, or u v with point or target; held poses, such as a point in a socket, need a separate table"
+            f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected readings "
+            "that change with it, such as x y z "
+            "or distance, or u v with point or target; held poses, such as a point in a "
+            "socket, need a separate table"
         )
     return sensor
 
 
 def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
-    clock, name = start_tracker(arm, tracker), _sensor(tracker).fields[0].name
+    clock = start_tracker(arm, tracker)
+    name = _sensor(tracker).fields[0].name
     again = tracker.repeats
     if again.any():
         tracker = _without_stale(arm, tracker, clock, again, tracker.readings[name])
     values = tracker.readings[name]
     if tracker.rate > _FAST and not tracker.things.any():
-        tracker = tracker.without(~steady(values.reshape(len(values), -1)), "are outliers: readings of something else")
+        tracker = tracker.without(
+            ~steady(values.reshape(len(values), -1)), "are outliers: readings of something else"
+        )
     at = clock.to_joints(tracker.time)
     inside = arm.path.covers(at)
     readings = {name: values[inside] for name, values in tracker.readings.items()}
@@ -188,14 +245,19 @@ def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
     return _table(arm, tracker, clock, tracker.time[inside], at[inside], lines, readings)
 
 
-def _without_stale(arm: MovingArm, tracker: Stream, clock: Clock, again: np.ndarray, values: np.ndarray) -> Stream:
-    """Return a stream without rows that repeat the one before although the arm moves by more than the resolution.
+def _without_stale(
+    arm: MovingArm, tracker: Stream, clock: Clock, again: np.ndarray, values: np.ndarray
+) -> Stream:
+    """Return a stream without rows that repeat the one before although the arm moves by more than
+    the resolution.
 
-    ``again`` is which rows repeat the one before of the same thing, shape (T,), ``values`` the main readings, (T,) or (T,
-    k).
+    ``again`` is which rows repeat the one before of the same thing, shape (T,), ``values`` the main
+    readings, (T,) or (T, k).
     """
     order = np.argsort(tracker.things, kind="stable")
-    q, values, again = arm.path.at(clock.to_joints(tracker.time))[order], values.reshape(len(order), -1)[order], again[order]
+    q = arm.path.at(clock.to_joints(tracker.time))[order]
+    values = values.reshape(len(order), -1)[order]
+    again = again[order]
     starts = np.flatnonzero(~again)
     run = np.cumsum(~again) - 1
     moved = np.maximum.reduceat(np.abs(q - q[starts[run]]).max(axis=1), starts)
@@ -203,12 +265,16 @@ def _without_stale(arm: MovingArm, tracker: Stream, clock: Clock, again: np.ndar
     steps = np.abs(np.diff(values[starts], axis=0, append=np.inf))
     finest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
     is_stale = (moved > _RESTS) & np.any(steps > _STEPS * finest, axis=1)
-    # A lost target may be reported at another position; else the first row is the last real reading.
+    # A lost target may be reported at another position; else the first row is the last real
+    # reading.
     seen = np.append(starts[1:], len(q)) - starts == 1
     seen |= steady(values[starts])
     stale = np.zeros(len(q), bool)
     stale[order] = is_stale[run] & (again | ~seen[run])
-    return tracker.without(stale, "repeat the previous one while the arm moves: the target was lost, or the log is too fast")
+    return tracker.without(
+        stale,
+        "repeat the previous one while the arm moves: the target was lost, or the log is too fast",
+    )
 
 
 def _table(
@@ -222,15 +288,21 @@ def _table(
     *,
     offsets: np.ndarray | None = None,
 ) -> Measurements:
-    """Return the rows of a stream with the poses of the arm; ``time`` is by its clock, ``at`` by the joints'."""
-    n, robot, here = len(time), arm.robot, arm.conditions(at)
+    """Return the rows of a stream with the poses of the arm; ``time`` is by its clock, ``at`` by
+    the joints'.
+    """
+    n = len(time)
+    robot = arm.robot
+    here = arm.conditions(at)
     moving = Moving(clock=(clock.offset, clock.drift, clock.middle), inertial=here.inertial)
     if offsets is not None:
         there = arm.conditions(at, offsets)
         assert there.velocity is not None
         shape = (n, len(offsets), robot.n_joints)
         loads = None if there.inertial is None else there.inertial.reshape(*shape, 6)
-        moving = replace(moving, q=there.q.reshape(shape), velocity=there.velocity.reshape(shape), loads=loads)
+        moving = replace(
+            moving, q=there.q.reshape(shape), velocity=there.velocity.reshape(shape), loads=loads
+        )
     table = measurements(
         robot,
         robot.as_reported(here.q),

@@ -17,21 +17,32 @@ _GAP = 3.0
 LONG_GAP = 0.2
 """Length of a gap that is reported [s]."""
 # Largest fraction of rows lost by repetition or clipping, and by a target out of sight.
-_FEW, _MOST = 0.05, 0.5
+_FEW = 0.05
+_MOST = 0.5
 # Gravity in units of logs, and the factor by which it may deviate.
 _GRAVITIES = {"g": 1.0, "mg": 1e3, "mm/s^2": 1e3 * STANDARD_GRAVITY}
 _NEAR = 1.5
-# Consecutive samples at the same extreme value that are clipped, occurrences needed, and samples of which one occurrence is
-# enough.
-_FLAT, _OFTEN, _LONG = 3, 3, 20
-# Consecutive rows on a straight line that are interpolated; largest rounding relative to usual deviations; most decimals;
-# and rounding of single precision.
-_STRAIGHT, _EVEN, _DECIMALS, _SINGLE = 8, 0.1, 12, 2e-7
-# Largest deviation of a jump from a revolution [rad]; speed that no arm reaches, relative to the usual one and in rad/s or
-# m/s; fraction of repeated rows above which a log is faster than its controller.
-_TURN, _SUDDEN, _OFTEN_SAME = 0.3, 5.0, 0.3
-# Longest time for which an axis may be constant [s], while others move by this multiple of their standard deviation.
-_FROZEN, _MOVES = 1.0, 0.5
+# Consecutive samples at the same extreme value that are clipped, occurrences needed, and samples of
+# which one occurrence is enough.
+_FLAT = 3
+_OFTEN = 3
+_LONG = 20
+# Consecutive rows on a straight line that are interpolated; largest rounding relative to usual
+# deviations; most decimals; and rounding of single precision.
+_STRAIGHT = 8
+_EVEN = 0.1
+_DECIMALS = 12
+_SINGLE = 2e-7
+# Largest deviation of a jump from a revolution [rad]; speed that no arm reaches, relative to the
+# usual one and in rad/s or m/s; fraction of repeated rows above which a log is faster than its
+# controller.
+_TURN = 0.3
+_SUDDEN = 5.0
+_OFTEN_SAME = 0.3
+# Longest time for which an axis may be constant [s], while others move by this multiple of their
+# standard deviation.
+_FROZEN = 1.0
+_MOVES = 0.5
 # Change between samples after standing still, in smallest steps of a sensor, that is a jump.
 _JUMPS = 8.0
 
@@ -43,8 +54,8 @@ class Stream:
     Attributes:
         name: of its file, for messages.
         time: by its own clock, shape (T,), increasing [s].
-        readings: values in SI units, shape (T,) or (T, k) each: "q" of joints, "specific_force" and "angular_rate" of an
-            IMU, of an instrument the fields of its sensor.
+        readings: values in SI units, shape (T,) or (T, k) each: "q" of joints, "specific_force" and
+            "angular_rate" of an IMU, of an instrument the fields of its sensor.
         units: the units in the header, by column.
         lines: of the file, shape (T,); default: consecutive below a header.
     """
@@ -63,7 +74,10 @@ class Stream:
         return len(self.time)
 
     def __repr__(self) -> str:
-        return f"Stream({self.name!r}: {', '.join(self.readings)}, {len(self)} rows at {self.rate:.4g} Hz)"
+        return (
+            f"Stream({self.name!r}: {', '.join(self.readings)}, {len(self)} rows at "
+            f"{self.rate:.4g} Hz)"
+        )
 
     @property
     def rate(self) -> float:
@@ -78,7 +92,9 @@ class Stream:
 
     @property
     def things(self) -> np.ndarray:
-        """Number of the target or named point of each row, from 0, shape (T,); several may have the same stamp."""
+        """Number of the target or named point of each row, from 0, shape (T,); several may have the
+        same stamp.
+        """
         found = np.zeros(len(self), int)
         for values in self.readings.values():
             if values.dtype.kind not in "fi":
@@ -93,7 +109,9 @@ class Stream:
         order = np.argsort(things, kind="stable")
         values = np.column_stack([v[order] for v in self.readings.values() if v.dtype.kind == "f"])
         found = np.zeros(len(self), bool)
-        found[order[1:]] = np.all(np.diff(values, axis=0) == 0.0, axis=1) & (np.diff(things[order]) == 0)
+        found[order[1:]] = np.all(np.diff(values, axis=0) == 0.0, axis=1) & (
+            np.diff(things[order]) == 0
+        )
         return found
 
     def select(self, rows: np.ndarray) -> Stream:
@@ -109,7 +127,10 @@ class Stream:
         """
         if not lost.any():
             return self
-        text = f"{self.name}: {int(lost.sum())} of {len(lost)} rows, the first in line {self.lines[lost][0]}, {why}"
+        text = (
+            f"{self.name}: {int(lost.sum())} of {len(lost)} rows, the first in line "
+            f"{self.lines[lost][0]}, {why}"
+        )
         kept = self.select(~lost)
         if kept.covered < (1.0 - _MOST) * self.covered:
             raise MeasurementError(f"{text}; expected readings for most of the time: log again")
@@ -129,7 +150,8 @@ class Stream:
 
 
 def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) -> Stream:
-    """Return the stream of joints without impossible rows: repeated by the logger, or faster than any arm.
+    """Return the stream of joints without impossible rows: repeated by the logger, or faster than
+    any arm.
 
     Joints that are ``turning``, shape (n,), may jump by a revolution.
 
@@ -137,12 +159,17 @@ def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) ->
         MeasurementError: for joints that jump without returning.
     """
     stream = _unwrapped(_at_own_rate(stream), names, turning)
-    q, usual = stream.readings["q"], np.maximum(np.diff(stream.time), float(np.median(stream.steps)))[:, None]
-    steps, lost = np.abs(np.diff(q, axis=0)), np.zeros(len(q), bool)
+    q = stream.readings["q"]
+    usual = np.maximum(np.diff(stream.time), float(np.median(stream.steps)))[:, None]
+    steps = np.abs(np.diff(q, axis=0))
+    lost = np.zeros(len(q), bool)
     speed = steps / usual
-    jumps = np.flatnonzero(np.any(speed > _SUDDEN * np.maximum(np.quantile(speed, 0.99, axis=0), 1.0), axis=1))
+    jumps = np.flatnonzero(
+        np.any(speed > _SUDDEN * np.maximum(np.quantile(speed, 0.99, axis=0), 1.0), axis=1)
+    )
     starts, ends, run = _still(q)
-    # A real motion starts with its smallest steps, not with one that is larger than those that follow.
+    # A real motion starts with its smallest steps, not with one that is larger than those that
+    # follow.
     finest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
     for begin, end in zip(starts[ends - starts > _FLAT], ends[ends - starts > _FLAT], strict=True):
         after = steps[end : end + _FLAT].max(axis=0, initial=0.0)
@@ -156,22 +183,40 @@ def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) ->
     for first, last in pairwise(jumps):
         if stream.time[last] - stream.time[first + 1] < LONG_GAP:
             lost[first + 1 : last + 1] = True
-    if stays := [k for k in jumps if not lost[max(k - 1, 0) : k + 3].any() and usual[k, 0] < LONG_GAP]:
-        k, j = stays[0], int(np.argmax(speed[stays[0]]))
+    if stays := [
+        k for k in jumps if not lost[max(k - 1, 0) : k + 3].any() and usual[k, 0] < LONG_GAP
+    ]:
+        k = stays[0]
+        j = int(np.argmax(speed[stays[0]]))
         raise MeasurementError(
-            f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by {q[k + 1, j] - q[k, j]:.3g} within "
-            f"{usual[k, 0]:.2g} s and stays there; expected one motion: give logs that were appended to each other as "
+            f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by "
+            f"{q[k + 1, j] - q[k, j]:.3g} within "
+            f"{usual[k, 0]:.2g} s and stays there; expected one motion: give logs that "
+            "were appended to each other as "
             "separate sessions"
         )
-    return stream.without(lost, "repeat the previous one, or are off the motion, and end in a jump: the log was interrupted")
+    return stream.without(
+        lost,
+        "repeat the previous one, or are off the motion, and end in a jump: the log was "
+        "interrupted",
+    )
 
 
 def interpolated(values: np.ndarray) -> np.ndarray:
-    """Return which readings, shape (T, k), are on straight lines between others, to the rounding of their digits."""
+    """Return which readings, shape (T, k), are on straight lines between others, to the rounding of
+    their digits.
+    """
     off = np.zeros(values.shape)
     off[1:-1] = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     moves = np.any(np.diff(values, axis=0, prepend=values[:1]) != 0.0, axis=1)
-    decimals = next((k for k in range(_DECIMALS) if np.abs(values - np.round(values, k)).max() < 1e-3 * 10.0**-k), _DECIMALS)
+    decimals = next(
+        (
+            k
+            for k in range(_DECIMALS)
+            if np.abs(values - np.round(values, k)).max() < 1e-3 * 10.0**-k
+        ),
+        _DECIMALS,
+    )
     rounding = np.maximum(_SINGLE * np.abs(values).max(axis=0), 1.5 * 10.0**-decimals)
     if not moves.any() or np.any(rounding > _EVEN * np.median(off[moves], axis=0)):
         return np.zeros(len(values), bool)
@@ -181,20 +226,29 @@ def interpolated(values: np.ndarray) -> np.ndarray:
 
 
 def _still(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return begin and end of each stretch of constant rows, and the index of each row's stretch."""
+    """Return begin and end of each stretch of constant rows, and the index of each
+    row's stretch.
+    """
     new = np.append(True, np.any(np.diff(values, axis=0) != 0.0, axis=1))
     starts = np.flatnonzero(new)
     return starts, np.append(starts[1:], len(values)), np.cumsum(new) - 1
 
 
 def _at_own_rate(stream: Stream) -> Stream:
-    """Return a log of joints without rows that repeat the one before, if it is faster than their controller."""
+    """Return a log of joints without rows that repeat the one before, if it is faster than their
+    controller.
+    """
     starts, ends, run = _still(stream.readings["q"])
-    again = (np.arange(len(stream)) > starts[run]) & (stream.time[ends - 1] - stream.time[starts] < 0.5 * LONG_GAP)[run]
+    again = (np.arange(len(stream)) > starts[run]) & (
+        stream.time[ends - 1] - stream.time[starts] < 0.5 * LONG_GAP
+    )[run]
     if again.mean() < _OFTEN_SAME:
         return stream
     share = f"{100 * again.mean():.0f} %"
-    warn(f"{stream.name}: {share} of the rows repeat the previous one and are left out; log joints at their own rate")
+    warn(
+        f"{stream.name}: {share} of the rows repeat the previous one and are left out; "
+        "log joints at their own rate"
+    )
     return stream.select(~again)
 
 
@@ -206,38 +260,53 @@ def _unwrapped(stream: Stream, names: Sequence[str], turning: np.ndarray) -> Str
     if not turns.any():
         return stream
     k, j = np.argwhere(turns)[0].tolist()
-    warn(f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by a revolution; it is assumed to continue")
+    warn(
+        f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by a revolution; it "
+        "is assumed to continue"
+    )
     q = stream.readings["q"].copy()
     q[1:] -= 2.0 * np.pi * np.cumsum(turns, axis=0)
     return replace(stream, readings={**stream.readings, "q": q})
 
 
 def checked_imu(stream: Stream) -> Stream:
-    """Return the plausible stream of an IMU, without clipped samples and repetitions in a log faster than the device.
+    """Return the plausible stream of an IMU, without clipped samples and repetitions in a log
+    faster than the device.
 
     Raises:
-        MeasurementError: for accelerations in other units or without gravity, and for axes that are frozen or clipped.
+        MeasurementError: for accelerations in other units or without gravity, and for axes that are
+            frozen or clipped.
     """
-    force, rate = stream.readings[FORCE.name], stream.readings[RATE.name]
+    force = stream.readings[FORCE.name]
+    rate = stream.readings[RATE.name]
     _check_gravity(stream, float(np.median(np.linalg.norm(force, axis=1))))
-    columns = dict(zip((*FORCE.columns, *RATE.columns), np.column_stack([force, rate]).T, strict=True))
+    columns = dict(
+        zip((*FORCE.columns, *RATE.columns), np.column_stack([force, rate]).T, strict=True)
+    )
     repeats = stream.repeats
     held = _held(force) | _held(rate) if repeats.mean() < _MOST else np.zeros(len(stream), bool)
     if (repeats & ~held).mean() > _FEW:
         share = f"{100 * repeats.mean():.0f} %"
-        warn(f"{stream.name}: {share} of the rows repeat the previous one and are left out; log the IMU at its own rate")
+        warn(
+            f"{stream.name}: {share} of the rows repeat the previous one and are left "
+            "out; log the IMU at its own rate"
+        )
     elif again := int((repeats & ~held).sum()):
         warn(
-            f"{stream.name}: {again} rows, the first in line {stream.lines[repeats & ~held][0]}, repeat the previous one "
-            "and are left out: was it polled at nearly its own rate? Then stamps are up to a sample late, which adds noise; "
+            f"{stream.name}: {again} rows, the first in line "
+            f"{stream.lines[repeats & ~held][0]}, repeat the previous one "
+            "and are left out: was it polled at nearly its own rate? Then stamps are up "
+            "to a sample late, which adds noise; "
             "log its own stamps"
         )
-    cut, ends = np.zeros(len(stream), bool), {column: _cut_off(values) for column, values in columns.items()}
+    cut = np.zeros(len(stream), bool)
+    ends = {column: _cut_off(values) for column, values in columns.items()}
     for column, values in columns.items():
         flat = ends[column]
         if flat.mean() > _FEW:
             raise MeasurementError(
-                f"{stream.name}: column {column!r} is clipped at {np.abs(values).max():.4g} in {100 * flat.mean():.0f} "
+                f"{stream.name}: column {column!r} is clipped at "
+                f"{np.abs(values).max():.4g} in {100 * flat.mean():.0f} "
                 "% of the rows; choose a larger range of the IMU, or drive more slowly"
             )
         cut |= flat
@@ -245,17 +314,25 @@ def checked_imu(stream: Stream) -> Stream:
         others = np.delete(force if k < 3 else rate, k % 3, axis=1)
         if stuck := _longest_stuck(stream.time, np.where(ends[column], np.nan, values), others):
             raise MeasurementError(
-                f"{stream.name}: column {column!r} is constant for {stuck:.3g} s while others change; the axis is "
+                f"{stream.name}: column {column!r} is constant for {stuck:.3g} s while "
+                "others change; the axis is "
                 "broken or not logged: repair the log, or leave that part out"
             )
     if cut.any():
-        warn(f"{stream.name}: {int(cut.sum())} rows are clipped at the limit of the IMU's range and are left out")
-    kept = stream.without(held, "have constant forces or rates, which jump before or after: they were not updated")
+        warn(
+            f"{stream.name}: {int(cut.sum())} rows are clipped at the limit of the IMU's "
+            "range and are left out"
+        )
+    kept = stream.without(
+        held, "have constant forces or rates, which jump before or after: they were not updated"
+    )
     return kept.select(~(cut | repeats)[~held]) if np.any(cut | repeats) else kept
 
 
 def _held(values: np.ndarray) -> np.ndarray:
-    """Return which rows, shape (T,), are constant over several samples, with a jump of many steps before or after."""
+    """Return which rows, shape (T,), are constant over several samples, with a jump of many steps
+    before or after.
+    """
     steps = np.abs(np.diff(values, axis=0))
     smallest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
     far = np.append(np.any(steps > _JUMPS * smallest, axis=1), False)
@@ -271,23 +348,33 @@ def _check_gravity(stream: Stream, size: float) -> None:
     for unit, gravity in _GRAVITIES.items():
         if gravity / _NEAR < size < _NEAR * gravity and "ax" not in stream.units:
             raise MeasurementError(
-                f"{text}; looks like [{unit}]: write `ax [{unit}]`, `ay [{unit}]`, `az [{unit}]` in the header"
+                f"{text}; looks like [{unit}]: write `ax [{unit}]`, `ay [{unit}]`, `az "
+                f"[{unit}]` in the header"
             )
     if "ax" in stream.units:
         raise MeasurementError(f"{text}; values in another unit under [{stream.units['ax']}]?")
     if size < STANDARD_GRAVITY / 3.0:
         raise MeasurementError(f"{text}: gravity was removed; log raw accelerations")
     is_raw = np.all(stream.readings[FORCE.name] == np.round(stream.readings[FORCE.name]))
-    raise MeasurementError(f"{text}; {'raw counts? Multiply all by their scales' if is_raw else 'check its unit'}")
+    raise MeasurementError(
+        f"{text}; {'raw counts? Multiply all by their scales' if is_raw else 'check its unit'}"
+    )
 
 
 def _longest_stuck(time: np.ndarray, values: np.ndarray, others: np.ndarray) -> float:
-    """Return how long a value is constant while the other axes, shape (T, 2), move [s]; 0 for short times."""
+    """Return how long a value is constant while the other axes, shape (T, 2), move [s]; 0 for short
+    times.
+    """
     starts, ends, _ = _still(values[:, None])
-    spread, longest, steps = others.std(axis=0), 0.0, np.abs(np.diff(values))
+    spread = others.std(axis=0)
+    longest = 0.0
+    steps = np.abs(np.diff(values))
     most = _JUMPS * float(np.min(steps[steps > 0.0], initial=np.inf))
     for begin, end in zip(starts[ends - starts > 1], ends[ends - starts > 1], strict=True):
-        if steps[max(begin - 1, 0)] <= most and steps[min(end - 1, len(steps) - 1)] <= most < np.inf:
+        if (
+            steps[max(begin - 1, 0)] <= most
+            and steps[min(end - 1, len(steps) - 1)] <= most < np.inf
+        ):
             continue  # A sensor of few digits.
         lasts = float(time[end - 1] - time[begin])
         if lasts > _FROZEN and np.any(np.ptp(others[begin:end], axis=0) > _MOVES * spread):
@@ -296,8 +383,11 @@ def _longest_stuck(time: np.ndarray, values: np.ndarray, others: np.ndarray) -> 
 
 
 def _cut_off(values: np.ndarray) -> np.ndarray:
-    """Return which samples are clipped, shape (T,): at an extreme, consecutive, repeatedly, with few just below it."""
-    found, near = np.zeros(len(values), bool), 0.01 * float(np.ptp(values))
+    """Return which samples are clipped, shape (T,): at an extreme, consecutive, repeatedly, with
+    few just below it.
+    """
+    found = np.zeros(len(values), bool)
+    near = 0.01 * float(np.ptp(values))
     for end in (values.max(), values.min()):
         at = values == end
         starts = np.flatnonzero(at & ~np.append(False, at[:-1]))

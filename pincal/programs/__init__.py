@@ -1,6 +1,8 @@
-"""Programs of robot controllers: read, corrected and written so that nothing but their numbers changes.
+"""Programs of robot controllers: read, corrected and written so that nothing but their numbers
+changes.
 
-Each controller's language is one module that registers a :class:`pincal.programs.language.ControllerLanguage`.
+Each controller's language is one module that registers a
+:class:`pincal.programs.language.ControllerLanguage`.
 """
 
 import pkgutil

@@ -1,7 +1,9 @@
-"""The arm configuration in which a controller reaches a pose: the posture that the program specifies, else the nearest one.
+"""The arm configuration in which a controller reaches a pose: the posture that the program
+specifies, else the nearest one.
 
-The flags of a program describe the shape of the arm, whatever each manufacturer calls them: on which side of axis 1 the
-wrist is, whether the elbow is up or down, to which side the wrist is bent. They change only at singularities.
+The flags of a program describe the shape of the arm, whatever each manufacturer calls them: on
+which side of axis 1 the wrist is, whether the elbow is up or down, to which side the wrist is bent.
+They change only at singularities.
 """
 
 from __future__ import annotations
@@ -21,8 +23,11 @@ from pincal.programs.program import Posture, Turn
 from pincal.robot.robot import Robot
 from pincal.units import plain_number
 
-# Random configurations among which starts of the search are chosen; starts where the posture is known, and where it is not.
-_POOL, _STARTS, _MORE_STARTS = 30_000, 12, 64
+# Random configurations among which starts of the search are chosen; starts where the posture is
+# known, and where it is not.
+_POOL = 30_000
+_STARTS = 12
+_MORE_STARTS = 64
 # Solutions that differ by less are the same [rad or m].
 _SAME = 1e-5
 # A joint this close to where its turn number changes may have either [rad].
@@ -46,9 +51,11 @@ class ProgramAxes:
 
     @classmethod
     def parse(cls, text: str | None, robot: Robot) -> ProgramAxes:
-        """Return the axes of a text, each a sum of joints and degrees, such as ``q1, -q2+90, q3-q2``.
+        """Return the axes of a text, each a sum of joints and degrees, such as ``q1, -q2+90,
+        q3-q2``.
 
-        The joints of the text are those reported by the controller; without a text they are the axes.
+        The joints of the text are those reported by the controller; without a text they are the
+        axes.
 
         Raises:
             BadInputError: for any other text, or axes that do not determine the joints.
@@ -61,7 +68,8 @@ class ProgramAxes:
         reported = robot.as_reported(np.eye(n)).T
         if text is None:
             return cls(reported, np.zeros(n))
-        matrix, zeros = np.zeros((n, n)), np.zeros(n)
+        matrix = np.zeros((n, n))
+        zeros = np.zeros(n)
         sums = [part.replace(" ", "").replace("-", "+-").split("+") for part in text.split(",")]
         try:
             for k, (row, terms) in enumerate(zip(matrix, sums, strict=True)):
@@ -74,7 +82,9 @@ class ProgramAxes:
             if abs(np.linalg.det(matrix)) < 0.5:
                 raise ValueError
         except (ValueError, KeyError, IndexError):
-            raise BadInputError(f"axes {text!r}; expected {n} sums such as q1, 90-q2, q3-q2, of joints 1 to {n}") from None
+            raise BadInputError(
+                f"axes {text!r}; expected {n} sums such as q1, 90-q2, q3-q2, of joints 1 to {n}"
+            ) from None
         return cls(matrix @ reported, zeros)
 
     def to_program(self, q: np.ndarray) -> np.ndarray:
@@ -138,25 +148,35 @@ class ArmSearch:
         return np.asarray(np.einsum("nijk,ikl->nijl", frames[:, :-1], self.robot.kinematics.before))
 
     def _shape(self, q: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the direction that the arm faces, and its wrist and its elbow, shape (N, 3) each."""
-        z, turn = axes[:, 0, :3, 2], (q[:, 0] - self._zero[0, 0])[:, None]
+        """Return the direction that the arm faces, and its wrist and its elbow, shape
+        (N, 3) each.
+        """
+        z = axes[:, 0, :3, 2]
+        turn = (q[:, 0] - self._zero[0, 0])[:, None]
         x = np.array([1.0, 0.0, 0.0])
         faces = x * np.cos(turn) + np.cross(z, x) * np.sin(turn)
         return faces, _nearest(axes[:, 4], axes[:, 3]), axes[:, 2, :3, 3]
 
     @cached_property
     def _signs(self) -> np.ndarray:
-        """Signs that direct axes 2 and 5 to up x front where axis 4 is at zero, and axis 6 outwards."""
+        """Signs that direct axes 2 and 5 to up x front where axis 4 is at zero, and axis 6
+        outwards.
+        """
         q = self._zero
         axes = self._axes(q)
         faces, wrist, _ = self._shape(q, axes)
         across = np.cross([0.0, 0.0, 1.0], faces[0])
         tip = self.robot.forward_kinematics(q)[0, :3, 3] - wrist[0]
-        signs = np.array([axes[0, 1, :3, 2] @ across, axes[0, 4, :3, 2] @ across, axes[0, 5, :3, 2] @ tip])
+        signs = np.array(
+            [axes[0, 1, :3, 2] @ across, axes[0, 4, :3, 2] @ across, axes[0, 5, :3, 2] @ tip]
+        )
         return np.where(signs < 0.0, -1.0, 1.0)
 
-    def find(self, tips: np.ndarray, postures: list[Posture], near: np.ndarray | None) -> list[np.ndarray]:
-        """Return the joint positions, up to whole turns, that reach poses of the tip in given postures.
+    def find(
+        self, tips: np.ndarray, postures: list[Posture], near: np.ndarray | None
+    ) -> list[np.ndarray]:
+        """Return the joint positions, up to whole turns, that reach poses of the tip in given
+        postures.
 
         Args:
             tips: shape (N, 3, 4), in the base frame.
@@ -181,8 +201,12 @@ class ArmSearch:
         return found
 
     def reach(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the joint positions closest to q, shape (N, n), at poses of the tip, (N, 3, 4), and which are reached."""
-        problem = IkProblem.of(self.model, np.zeros(0), conditions=Conditions.at(q), wanted=tips, with_orientation=True)
+        """Return the joint positions closest to q, shape (N, n), at poses of the tip, (N, 3, 4),
+        and which are reached.
+        """
+        problem = IkProblem.of(
+            self.model, np.zeros(0), conditions=Conditions.at(q), wanted=tips, with_orientation=True
+        )
         own = q[:, self.robot.own_joints]
         found, reached = newton(problem, own, seed=own)
         return self.robot.spread(found), reached
@@ -190,7 +214,9 @@ class ArmSearch:
     def _starts(self, tip: np.ndarray, posture: Posture, near: np.ndarray | None) -> np.ndarray:
         q, tips, sides = self._pool
         distance = np.linalg.norm(tips[:, :, 3] - tip[:, 3], axis=1) / self.robot.reach
-        distance += 0.5 * np.arccos(np.clip(0.5 * (np.einsum("nij,ij->n", tips[:, :, :3], tip[:, :3]) - 1.0), -1.0, 1.0))
+        distance += 0.5 * np.arccos(
+            np.clip(0.5 * (np.einsum("nij,ij->n", tips[:, :, :3], tip[:, :3]) - 1.0), -1.0, 1.0)
+        )
         for side, wanted in enumerate(posture.sides if self.has_sides else ()):
             if wanted is not None:
                 distance = np.where((sides[:, side] > 0.0) == wanted, distance, np.inf)
@@ -210,7 +236,8 @@ class ArmSearch:
         return np.array(kept).reshape(-1, self.robot.n_joints)
 
     def turned(self, q: np.ndarray, posture: Posture, near: np.ndarray) -> np.ndarray | None:
-        """Return joint positions moved by whole turns to within the limits, by the turn numbers and otherwise near others.
+        """Return joint positions moved by whole turns to within the limits, by the turn numbers and
+        otherwise near others.
 
         Args:
             q: shape (n,).
@@ -224,7 +251,9 @@ class ArmSearch:
         for joint, kind in enumerate(self.robot.joint_types):
             wanted = [turn for turn in posture.turns if turn.joint == joint]
             choices = q[joint] + _TURN * np.arange(-4, 5) * (kind != "prismatic")
-            inside = (choices >= self.robot.lower[joint] - 1e-9) & (choices <= self.robot.upper[joint] + 1e-9)
+            inside = (choices >= self.robot.lower[joint] - 1e-9) & (
+                choices <= self.robot.upper[joint] + 1e-9
+            )
             for turn in wanted:
                 tried = np.tile(q, (len(choices), 1))
                 tried[:, joint] = choices
@@ -239,14 +268,23 @@ class ArmSearch:
         return all(self._counts(q[None], turn)[0] for turn in posture.turns)
 
     def _counts(self, q: np.ndarray, turn: Turn) -> np.ndarray:
-        """Return whether a turn number holds at, or next to, joint positions, shape (N, n); shape (N,)."""
+        """Return whether a turn number holds at, or next to, joint positions, shape (N, n); shape
+        (N,).
+        """
         asides = np.array([[-_ON_EDGE], [0.0], [_ON_EDGE]]) * (np.arange(q.shape[1]) == turn.joint)
         angles = [self.axes.to_program(q + aside)[:, turn.joint] for aside in asides]
-        return np.array([any(turn.counted(angle) == turn.value for angle in row) for row in np.transpose(angles).tolist()])
+        return np.array(
+            [
+                any(turn.counted(angle) == turn.value for angle in row)
+                for row in np.transpose(angles).tolist()
+            ]
+        )
 
 
 def rigid_pose(robot: Robot, link: str, seen_from: str) -> np.ndarray | None:
-    """Return the pose of a link, shape (4, 4), in the frame of another that is rigidly connected; None if it is not."""
+    """Return the pose of a link, shape (4, 4), in the frame of another that is rigidly connected;
+    None if it is not.
+    """
     import pinocchio as pin
 
     model = robot.pinocchio_model()
@@ -263,8 +301,13 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _nearest(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the points of lines, along z of frames of shape (N, 4, 4), nearest to other lines, shape (N, 3)."""
-    p, u, r, v = first[:, :3, 3], first[:, :3, 2], second[:, :3, 3], second[:, :3, 2]
+    """Return the points of lines, along z of frames of shape (N, 4, 4), nearest to other lines,
+    shape (N, 3).
+    """
+    p = first[:, :3, 3]
+    u = first[:, :3, 2]
+    r = second[:, :3, 3]
+    v = second[:, :3, 2]
     cosine = _dot(u, v)
     apart = 1.0 - cosine**2
     along = (_dot(r - p, u) - cosine * _dot(r - p, v)) / np.where(apart < 1e-9, 1.0, apart)

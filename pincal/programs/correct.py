@@ -1,9 +1,10 @@
-"""Correction of a program's points: sent the new ones by a nominal controller, the real arm reaches the old ones.
+"""Correction of a program's points: sent the new ones by a nominal controller, the real arm reaches
+the old ones.
 
-A pose P of the tool T in the base B places the tip at W = B P T^-1. Of the nominal arm's joint positions q that reach W, the
-ones in the program's posture are used; the calibrated model gives the joint positions q' at which the real tip is at W. The
-corrected point is q', or the pose B^-1 FK(q') T of the nominal arm at q'. A point is corrected as a whole or, with a reason,
-not at all.
+A pose P of the tool T in the base B places the tip at W = B P T^-1. Of the nominal arm's joint
+positions q that reach W, the ones in the program's posture are used; the calibrated model gives the
+joint positions q' at which the real tip is at W. The corrected point is q', or the pose B^-1 FK(q')
+T of the nominal arm at q'. A point is corrected as a whole or, with a reason, not at all.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from pincal.programs.language import ControllerLanguage
 from pincal.programs.program import Edit, Frame, Point, PointKey, Posture, Program, Skipped
 from pincal.robot.se3 import compose, inverse, rotation_vectors, transform
 
-# The nearest of several solutions is used if it is nearer than this fraction of the distance to the next.
+# The nearest of several solutions is used if it is nearer than this fraction of the distance to the
+# next.
 _CLEARLY = 0.5
 # Corrections below this do not change the program [m and rad].
 _NOTHING = 1e-8
@@ -70,10 +72,12 @@ class Change:
         values: its corrected numbers, before rounding.
         q: shape (n,), the nominal arm's joint positions at the point as programmed.
         commanded: shape (n,), at the point as corrected.
-        frames: the transforms before and after the pose of a point, from base and tool, shape (4, 4) each.
+        frames: the transforms before and after the pose of a point, from base and tool, shape (4,
+            4) each.
         shift: translation of the point [m].
         turn: its rotation [rad].
-        has_posture: whether the arm has the programmed posture and turns, which a line may not obey.
+        has_posture: whether the arm has the programmed posture and turns, which a line may not
+            obey.
     """
 
     point: Point
@@ -88,7 +92,9 @@ class Change:
 
 @dataclass(frozen=True)
 class _Use:
-    """How a program first reaches a point: from which, if known, and whether along a line or a circle."""
+    """How a program first reaches a point: from which, if known, and whether along a line or a
+    circle.
+    """
 
     start: PointKey | None = None
     is_line: bool = False
@@ -98,23 +104,35 @@ class _Use:
 class Corrector:
     """Corrects points of programs by a calibrated model."""
 
-    def __init__(self, calibrated: CalibratedModel, language: ControllerLanguage, cell: ProgramCell) -> None:
-        # Internally, joints are those of the URDF; the program's axes convert from what the controller reports.
+    def __init__(
+        self, calibrated: CalibratedModel, language: ControllerLanguage, cell: ProgramCell
+    ) -> None:
+        # Internally, joints are those of the URDF; the program's axes convert from what the
+        # controller reports.
         chain = calibrated.model.chain
         robot = replace(chain.robot, couplings=())
-        calibrated = replace(calibrated, model=calibrated.model.with_chain(replace(chain, robot=robot)))
-        self.calibrated, self.language, self.cell, self.robot = calibrated, language, cell, robot
+        calibrated = replace(
+            calibrated, model=calibrated.model.with_chain(replace(chain, robot=robot))
+        )
+        self.calibrated = calibrated
+        self.language = language
+        self.cell = cell
+        self.robot = robot
         self.arms = ArmSearch(robot, cell.axes)
         at = self.conditions(np.zeros((1, robot.n_joints)))
         # The calibrated target on the tip.
-        self.target = compose(inverse(false_targets(calibrated, at)), false_targets(calibrated, at, of="target"))
+        self.target = compose(
+            inverse(false_targets(calibrated, at)), false_targets(calibrated, at, of="target")
+        )
 
     def conditions(self, q: np.ndarray) -> Conditions:
         """Return the conditions of joint positions, shape (N, n)."""
         return self.calibrated.conditions_at(q, payload=self.cell.payload)
 
     def frames(self, point: Point, program: Program) -> tuple[np.ndarray, np.ndarray] | str:
-        """Return the transforms before and after a point's pose between base and tip, or why they are not known."""
+        """Return the transforms before and after a point's pose between base and tip, or why they
+        are not known.
+        """
         base = _known(point.base or Frame(""), self.cell.bases, program.bases, "base")
         tool = _known(point.tool or Frame(""), self.cell.tools, program.tools, "tool")
         if isinstance(base, str) or isinstance(tool, str):
@@ -123,7 +141,8 @@ class Corrector:
 
     def changes(self, program: Program) -> tuple[dict[PointKey, Change], list[Skipped]]:
         """Return the corrections of a program's points, and what is not corrected."""
-        skipped, joints = list(program.skipped), dict[PointKey, np.ndarray]()
+        skipped = list(program.skipped)
+        joints = dict[PointKey, np.ndarray]()
         framed: dict[PointKey, tuple[np.ndarray, np.ndarray]] = {}
         poses: dict[PointKey, Point] = {}
         nowhere = (self.cell.world, np.linalg.inv(self.cell.flange))
@@ -136,21 +155,32 @@ class Corrector:
             framed[key] = frames  # type: ignore[assignment]
             if point.kind == "pose":
                 poses[key] = point
-        tips = {key: framed[key][0] @ self.language.pose(point.values) @ framed[key][1] for key, point in poses.items()}
+        tips = {
+            key: framed[key][0] @ self.language.pose(point.values) @ framed[key][1]
+            for key, point in poses.items()
+        }
         uses = _first_uses(program)
         # Where the programmed posture is not obeyed, all solutions are searched for.
-        postures = [point.posture if uses[key].takes_posture else Posture() for key, point in poses.items()]
+        postures = [
+            point.posture if uses[key].takes_posture else Posture() for key, point in poses.items()
+        ]
         reached = np.array(list(tips.values())).reshape(-1, 4, 4)[:, :3]
         found = dict(zip(poses, self.arms.find(reached, postures, self.cell.seed), strict=True))
         for key, point in program.points.items():
             if key not in framed:
                 continue
-            q = self.joints(point) if point.kind == "joints" else self._chosen(point, found[key], uses[key], joints)
+            q = (
+                self.joints(point)
+                if point.kind == "joints"
+                else self._chosen(point, found[key], uses[key], joints)
+            )
             if isinstance(q, str):
                 skipped.append(point.skip(q))
             else:
                 joints[key] = q
-        changed = self._corrected({key: (program.points[key], q, framed[key]) for key, q in joints.items()}, skipped)
+        changed = self._corrected(
+            {key: (program.points[key], q, framed[key]) for key, q in joints.items()}, skipped
+        )
         return self._with_turns(program, changed, skipped), skipped
 
     def _refusal(self, point: Point) -> str:
@@ -162,10 +192,15 @@ class Corrector:
             q = self.joints(point)
             beyond = (q < self.robot.lower - 1e-6) | (q > self.robot.upper + 1e-6)
             if self.cell.limits and beyond.any():
-                return f"{self.robot.joint_names[int(beyond.argmax())]} is beyond its limits in the model"
+                return (
+                    f"{self.robot.joint_names[int(beyond.argmax())]} is beyond its limits in "
+                    "the model"
+                )
             return ""
         if self.robot.n_joints != 6:
-            return f"a pose does not determine the joints of an arm with {self.robot.n_joints} joints"
+            return (
+                f"a pose does not determine the joints of an arm with {self.robot.n_joints} joints"
+            )
         return ""
 
     def joints(self, point: Point, values: np.ndarray | None = None) -> np.ndarray:
@@ -175,53 +210,91 @@ class Corrector:
 
     @cached_property
     def _units(self) -> np.ndarray:
-        return self.language.joint_units(np.array([kind != "prismatic" for kind in self.robot.joint_types]))
+        return self.language.joint_units(
+            np.array([kind != "prismatic" for kind in self.robot.joint_types])
+        )
 
-    def _chosen(self, point: Point, found: np.ndarray, use: _Use, joints: Mapping[PointKey, np.ndarray]) -> np.ndarray | str:
-        """Return the joint positions with which a controller reaches a pose, or why they are not known.
+    def _chosen(
+        self, point: Point, found: np.ndarray, use: _Use, joints: Mapping[PointKey, np.ndarray]
+    ) -> np.ndarray | str:
+        """Return the joint positions with which a controller reaches a pose, or why they are not
+        known.
 
         On a line or a circle an arm keeps its posture, unless it passes through a singular pose.
         """
-        start, posture = joints.get(use.start) if use.start else None, point.posture
+        start = joints.get(use.start) if use.start else None
+        posture = point.posture
         known = start
         if point.near is not None and len(point.near) == self.robot.n_joints:
             known = self.joints(point, np.array(point.near))
-        elif start is not None and use.is_line and self.arms.has_sides and not (use.takes_posture and posture.is_whole):
-            front, up, down = (bool(side > 0.0) if side else None for side in self.arms.sides(start[None])[0])
+        elif (
+            start is not None
+            and use.is_line
+            and self.arms.has_sides
+            and not (use.takes_posture and posture.is_whole)
+        ):
+            front, up, down = (
+                bool(side > 0.0) if side else None for side in self.arms.sides(start[None])[0]
+            )
             posture = Posture(front, up, down)
-        near = known if known is not None else list(joints.values())[-1] if joints else self.cell.seed
+        near = (
+            known if known is not None else list(joints.values())[-1] if joints else self.cell.seed
+        )
         is_determined = known is not None or (self.arms.has_sides and posture.is_whole)
         if near is None and not is_determined:
-            return "nothing before it determines the arm configuration: give joint positions to start from (--seed-joints)"
+            return (
+                "nothing before it determines the arm configuration: give joint positions to "
+                "start from (--seed-joints)"
+            )
         near = np.zeros(self.robot.n_joints) if near is None else near
-        arms = found[[posture.allows(sides) for sides in self.arms.sides(found)]] if len(found) else found
+        arms = (
+            found[[posture.allows(sides) for sides in self.arms.sides(found)]]
+            if len(found)
+            else found
+        )
         turned = [self.arms.turned(q, posture, near) for q in arms]
-        reached = sorted((q for q in turned if q is not None), key=lambda q: float(np.sum((q - near) ** 2)))
+        reached = sorted(
+            (q for q in turned if q is not None), key=lambda q: float(np.sum((q - near) ** 2))
+        )
         if not reached:
-            return "no joint positions within the limits reach it in its posture, by the nominal model"
+            return (
+                "no joint positions within the limits reach it in its posture, by the nominal model"
+            )
         if not is_determined and len(reached) > 1:
             first, second = (float(np.abs(q - near).max()) for q in reached[:2])
             if first > _CLEARLY * second:
-                return "several arm configurations reach it, and the motion before it does not determine one (--seed-joints)"
+                return (
+                    "several arm configurations reach it, and the motion before it does not "
+                    "determine one (--seed-joints)"
+                )
         return reached[0]
 
     def solve(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, list[str]]:
-        """Return the joints near q, shape (N, n), with the real tip at poses, shape (N, 3, 4), and reasons or ""."""
+        """Return the joints near q, shape (N, n), with the real tip at poses, shape (N, 3, 4), and
+        reasons or "".
+        """
         wanted = compose(tips, self.target)
-        found = compensate_poses(self.calibrated, wanted, self.conditions(q), frame="base", limits=self.cell.limits)
+        found = compensate_poses(
+            self.calibrated, wanted, self.conditions(q), frame="base", limits=self.cell.limits
+        )
         reasons = [_REASONS.get(str(status), "") for status in found.status]
         moved = np.abs(found.q - q)
-        before, after = self.arms.sides(q), self.arms.sides(found.q)
+        before = self.arms.sides(q)
+        after = self.arms.sides(found.q)
         for i in range(len(q)):
             if not reasons[i] and moved[i].max() > self.cell.max_change:
                 joint = self.robot.joint_names[int(moved[i].argmax())]
-                reasons[i] = f"{joint} would move by {np.rad2deg(moved[i].max()):.3g} deg (--max-change)"
+                reasons[i] = (
+                    f"{joint} would move by {np.rad2deg(moved[i].max()):.3g} deg (--max-change)"
+                )
             elif not reasons[i] and np.any(before[i] * after[i] < 0.0):
                 reasons[i] = "the correction would change the arm's posture"
         return found.q, reasons
 
     def _corrected(
-        self, rows: Mapping[PointKey, tuple[Point, np.ndarray, tuple[np.ndarray, np.ndarray]]], skipped: list[Skipped]
+        self,
+        rows: Mapping[PointKey, tuple[Point, np.ndarray, tuple[np.ndarray, np.ndarray]]],
+        skipped: list[Skipped],
     ) -> dict[PointKey, Change]:
         if not rows:
             return {}
@@ -243,19 +316,32 @@ class Corrector:
             turn = float(np.linalg.norm(rotation_vectors((after[:3, :3] @ before[:3, :3].T)[None])))
             shift = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
             posture = point.posture
-            has_it = posture.allows(self.arms.sides(q[i : i + 1])[0]) and self.arms.has_turns(q[i], posture)
+            has_it = posture.allows(self.arms.sides(q[i : i + 1])[0]) and self.arms.has_turns(
+                q[i], posture
+            )
             changes[key] = Change(point, values, q[i], commanded[i], frames, shift, turn, has_it)
         return changes
 
     def _with_turns(
         self, program: Program, changes: dict[PointKey, Change], skipped: list[Skipped]
     ) -> dict[PointKey, Change]:
-        """Return the changes except those that would change a turn number shared by several points."""
-        shared = Counter((p.source, n) for p in program.points.values() for n in {t.number for t in p.posture.turns})
+        """Return the changes except those that would change a turn number shared by
+        several points.
+        """
+        shared = Counter(
+            (p.source, n)
+            for p in program.points.values()
+            for n in {t.number for t in p.posture.turns}
+        )
         kept = {}
         for key, change in changes.items():
-            point, new = change.point, {edit.start for edit in self.turn_edits(change)}
-            if any(shared[point.source, t.number] > 1 for t in point.posture.turns if t.number.start in new):
+            point = change.point
+            new = {edit.start for edit in self.turn_edits(change)}
+            if any(
+                shared[point.source, t.number] > 1
+                for t in point.posture.turns
+                if t.number.start in new
+            ):
                 skipped.append(point.skip("it shares a turn number, which would change"))
             else:
                 kept[key] = change
@@ -263,22 +349,32 @@ class Corrector:
 
     def turn_edits(self, change: Change) -> list[Edit]:
         """Return the edits of a point's turn numbers."""
-        point, axes = change.point, self.cell.axes.to_program(change.commanded[None])[0]
+        point = change.point
+        axes = self.cell.axes.to_program(change.commanded[None])[0]
         edits = []
-        for number in dict.fromkeys(turn.number for turn in point.posture.turns if change.has_posture):
+        for number in dict.fromkeys(
+            turn.number for turn in point.posture.turns if change.has_posture
+        ):
             turns = [turn for turn in point.posture.turns if turn.number == number]
-            text = self.language.turn_text(turns, axes, self.cell.axes.to_program(change.q[None])[0])
+            text = self.language.turn_text(
+                turns, axes, self.cell.axes.to_program(change.q[None])[0]
+            )
             if text != number.text:
                 edits.append(Edit(point.source, number.start, number.end, text))
         return edits
 
     def edits(self, change: Change) -> list[Edit]:
         """Return the edits of one point."""
-        if max(change.shift, change.turn, float(np.abs(change.commanded - change.q).max())) < _NOTHING:
+        if (
+            max(change.shift, change.turn, float(np.abs(change.commanded - change.q).max()))
+            < _NOTHING
+        ):
             return []
         texts = self.language.point_numbers(change.point, change.values)
         pairs = zip(change.point.numbers, texts, strict=True)
-        edits = [Edit(change.point.source, n.start, n.end, text) for n, text in pairs if text != n.text]
+        edits = [
+            Edit(change.point.source, n.start, n.end, text) for n, text in pairs if text != n.text
+        ]
         return edits + self.turn_edits(change)
 
 
@@ -286,7 +382,8 @@ def _first_uses(program: Program) -> dict[PointKey, _Use]:
     """Return how a program first reaches each of its points."""
     uses = dict.fromkeys(program.points, _Use())
     before: tuple[int, int] | None = None
-    seen, at = set[PointKey](), None
+    seen = set[PointKey]()
+    at = None
     for motion, stops in program.motions:
         at = at if (motion.source, motion.run) == before else None
         for key in stops:
@@ -294,12 +391,16 @@ def _first_uses(program: Program) -> dict[PointKey, _Use]:
                 uses[key] = _Use(at, motion.path != "joint", motion.takes_posture)
                 seen.add(key)
             at = key
-        at, before = at if stops else None, (motion.source, motion.run)
+        at = at if stops else None
+        before = (motion.source, motion.run)
     return uses
 
 
 def _known(
-    frame: Frame, given: Mapping[str, np.ndarray], declared: Mapping[str, np.ndarray | str], option: str
+    frame: Frame,
+    given: Mapping[str, np.ndarray],
+    declared: Mapping[str, np.ndarray | str],
+    option: str,
 ) -> np.ndarray | str:
     """Return the pose of a frame, or why it is not known."""
     if frame.pose is not None:
@@ -311,4 +412,7 @@ def _known(
     if frame.name in declared:
         pose = declared[frame.name]
         return f"{option} {frame.name}: {pose}" if isinstance(pose, str) else pose
-    return f"the values of {frame.name or option} are not known: give --{option} '{frame.name or option}=X,Y,Z,...'"
+    return (
+        f"the values of {frame.name or option} are not known: give --{option} "
+        f"'{frame.name or option}=X,Y,Z,...'"
+    )

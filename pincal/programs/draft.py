@@ -1,8 +1,8 @@
 """What is found in the files of a program while they are read, and which of it is reliable.
 
-A point is corrected if it has a single value, which nothing else in the program may set, and if all motions to it have the
-same tool and base, whose values are known. Every language reduces to that: a value in numbers, another value, a motion, and
-names from which something is computed.
+A point is corrected if it has a single value, which nothing else in the program may set, and if all
+motions to it have the same tool and base, whose values are known. Every language reduces to that: a
+value in numbers, another value, a motion, and names from which something is computed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ class Draft:
         motions: in their order.
         skipped: what can't be corrected.
         constants: names that nothing can change.
-        near: by the name of a pose, the name of joint positions near which the controller searches for it.
+        near: by the name of a pose, the name of joint positions near which the controller searches
+            for it.
     """
 
     sources: Sequence[Source]
@@ -36,7 +37,9 @@ class Draft:
     constants: set[str] = field(default_factory=set)
     near: dict[str, str] = field(default_factory=dict)
     _points: dict[str, list[Point]] = field(default_factory=dict)
-    _frames: dict[FrameKind, dict[str, np.ndarray | str]] = field(default_factory=lambda: {"tool": {}, "base": {}})
+    _frames: dict[FrameKind, dict[str, np.ndarray | str]] = field(
+        default_factory=lambda: {"tool": {}, "base": {}}
+    )
     _written: dict[str, str] = field(default_factory=dict)
     _read: set[str] = field(default_factory=set)
     _origins: dict[str, set[str]] = field(default_factory=dict)
@@ -56,10 +59,14 @@ class Draft:
     def frame(self, name: str, pose: np.ndarray | str, kinds: Sequence[FrameKind]) -> None:
         """Note the pose, shape (4, 4), of a tool or a base, or why it is not known."""
         for kind in kinds:
-            self._frames[kind][name] = "it has more than one value" if name in self._frames[kind] else pose
+            self._frames[kind][name] = (
+                "it has more than one value" if name in self._frames[kind] else pose
+            )
 
     def write(self, name: str, reason: str) -> None:
-        """Note that a name, or with the index ``*`` any of its elements, may have another value than the one in numbers."""
+        """Note that a name, or with the index ``*`` any of its elements, may have another value
+        than the one in numbers.
+        """
         self._written.setdefault(name, reason)
 
     def pass_to(self, routine: str, names: Iterable[str], line: int) -> None:
@@ -81,9 +88,12 @@ class Draft:
         return self._points
 
     def finish(self) -> Program:
-        """Return the program: each point once, with its own frames or those of the motions to it."""
+        """Return the program: each point once, with its own frames or those of the
+        motions to it.
+        """
         frames = {
-            kind: {name: self._why(name) or pose for name, pose in found.items()} for kind, found in self._frames.items()
+            kind: {name: self._why(name) or pose for name, pose in found.items()}
+            for kind, found in self._frames.items()
         }
         program = Program(self.sources, frames["tool"], frames["base"], skipped=list(self.skipped))
         known = self._known(program)
@@ -96,15 +106,26 @@ class Draft:
                 if isinstance(target, Skipped):
                     program.skipped.append(target)
                 elif isinstance(target, str) and not (
-                    points or self._elements(target, self._points) or any(one.name == target for one in program.skipped)
+                    points
+                    or self._elements(target, self._points)
+                    or any(one.name == target for one in program.skipped)
                 ):
                     reason = self._why(target) or "declared elsewhere"
-                    program.skipped.append(Skipped(target, motion.source, motion.statement.line, reason))
+                    program.skipped.append(
+                        Skipped(target, motion.source, motion.statement.line, reason)
+                    )
                 for point in points:
-                    framed = replace(point, tool=point.tool or motion.tool, base=point.base or motion.base)
+                    framed = replace(
+                        point, tool=point.tool or motion.tool, base=point.base or motion.base
+                    )
                     before = used.setdefault(point.key, framed)
-                    if point.kind == "pose" and (before.tool, before.base) != (framed.tool, framed.base):
-                        ambiguous[point.key] = f"used with different frames before and on line {motion.statement.line}"
+                    if point.kind == "pose" and (before.tool, before.base) != (
+                        framed.tool,
+                        framed.base,
+                    ):
+                        ambiguous[point.key] = (
+                            f"used with different frames before and on line {motion.statement.line}"
+                        )
                 stops.append(points[0].key if len(points) == 1 else None)
             program.motions.append((motion, tuple(stops)))
         for point in known.values():
@@ -112,11 +133,17 @@ class Draft:
                 continue
             is_framed = point.tool is not None and point.base is not None
             if point.name in self._read or _any(point.name) in self._read:
-                program.skipped.append(point.skip("other positions are computed from it, and no motion uses it directly"))
+                program.skipped.append(
+                    point.skip(
+                        "other positions are computed from it, and no motion uses it directly"
+                    )
+                )
             elif point.kind == "joints" or (self.by_itself and is_framed):
                 used[point.key] = point
             else:
-                program.skipped.append(point.skip("no motion uses it here, so its tool and base are not known"))
+                program.skipped.append(
+                    point.skip("no motion uses it here, so its tool and base are not known")
+                )
         program.skipped += [used.pop(key).skip(reason) for key, reason in ambiguous.items()]
         program.points = used
         return program
@@ -146,23 +173,36 @@ class Draft:
 
     def _frame_names(self) -> set[str]:
         """Return the names of tools and bases, and of all that they are computed from."""
-        found = {frame.name for motion in self.motions for frame in (motion.tool, motion.base)} | {"$TOOL", "$BASE"}
+        found = {frame.name for motion in self.motions for frame in (motion.tool, motion.base)} | {
+            "$TOOL",
+            "$BASE",
+        }
         ahead = list(found)
         while ahead:
             name = ahead.pop()
-            more = set().union(*(self._origins.get(other, set()) for other in (name, _any(name)))) - found
+            more = (
+                set().union(*(self._origins.get(other, set()) for other in (name, _any(name))))
+                - found
+            )
             found |= more
             ahead += more
         return found
 
     def _why(self, name: str) -> str:
         """Return why a name may have another value than the one in numbers, or ""."""
-        return next((self._written[one] for one in (name, _any(name), _stem(name)) if one in self._written), "")
+        return next(
+            (self._written[one] for one in (name, _any(name), _stem(name)) if one in self._written),
+            "",
+        )
 
     def _elements(self, name: str, points: Iterable[str]) -> list[str]:
-        """Return the names of the points that a target may refer to: for a computed index, all of the array."""
+        """Return the names of the points that a target may refer to: for a computed index, all of
+        the array.
+        """
         if "*" in name:
-            return [other for other in points if other != _stem(other) and _stem(other) == _stem(name)]
+            return [
+                other for other in points if other != _stem(other) and _stem(other) == _stem(name)
+            ]
         return [name] if name in self._points else []
 
     def _meant(self, target: str | Point | Skipped, known: Mapping[str, Point]) -> list[Point]:

@@ -1,4 +1,6 @@
-"""FANUC's program listings: motions in ``/MN``, positions in ``/POS``, each with its frames and its configuration."""
+"""FANUC's program listings: motions in ``/MN``, positions in ``/POS``, each with its frames and its
+configuration.
+"""
 
 from __future__ import annotations
 
@@ -75,7 +77,8 @@ class FanucLs(ControllerLanguage):
             end = next(token for token in lines if getattr(token, "type", "") == "END").start_pos
             for block in source.parse(_POSITIONS, _WORDS, part=(begin, end)).children:
                 place, *groups = block.children
-                name, line = _place(str(place)), source.place(place.start_pos)[0]
+                name = _place(str(place))
+                line = source.place(place.start_pos)[0]
                 point = self._point(i, name, line, groups[0].children)
                 draft.take(Skipped(name, i, line, point) if isinstance(point, str) else point)
             self._move(draft, i, [line for line in lines if hasattr(line, "data")])
@@ -98,14 +101,17 @@ class FanucLs(ControllerLanguage):
             sides = [tree for tree in rest if tree.data == "configuration"]
             posture = _posture(sides[0].children) if sides else Posture()
             numbers_in_order = tuple(known[key] for key in keys)
-            return Point(name, i, line, "pose", numbers_in_order, posture, Frame(str(tool)), Frame(str(user)))
+            return Point(
+                name, i, line, "pose", numbers_in_order, posture, Frame(str(tool)), Frame(str(user))
+            )
         if keys == [f"J{k + 1}" for k in range(len(keys))]:
             return Point(name, i, line, "joints", tuple(known[key] for key in keys))
         return "neither X Y Z W P R nor joints"
 
     def _move(self, draft: Draft, i: int, lines: Sequence[Tree[Token]]) -> None:
         """Note the motions."""
-        run, via = 0, ""
+        run = 0
+        via = ""
         for line in lines:
             parts = {token.type: token for token in line.children if not hasattr(token, "data")}
             rest = str(parts.get("REST", parts.get("OTHER", "")))
@@ -118,16 +124,25 @@ class FanucLs(ControllerLanguage):
                 for name, kind in (("UTOOL[", "tool"), ("UFRAME[", "base")):
                     if text.startswith(name):
                         number = text[len(name) :].partition("]")[0].partition(":")[0].strip()
-                        draft.frame(number, f"line {parts['OTHER'].line} sets it while the program runs", [kind])  # type: ignore[list-item]
+                        draft.frame(
+                            number,
+                            f"line {parts['OTHER'].line} sets it while the program runs",
+                            [kind],  # type: ignore[list-item]
+                        )
                 run += text.startswith(_JUMPS)
                 continue
-            place, kind = parts["PLACE"], str(parts.get("KIND", ""))
-            name, at = _place(str(place)), place.line or 0
+            place = parts["PLACE"]
+            kind = str(parts.get("KIND", ""))
+            name = _place(str(place))
+            at = place.line or 0
             if line.data == "more" and rest.lstrip().startswith("="):
                 draft.write(name, f"line {at} sets it while the program runs")
                 draft.read(_places_in(rest))
                 continue
-            words = [word.partition("[")[0] for word in rest.replace(",", " ").replace(";", " ").upper().split()]
+            words = [
+                word.partition("[")[0]
+                for word in rest.replace(",", " ").replace(";", " ").upper().split()
+            ]
             moved = next((word for word in words if word in _MOVED), "")
             target: str | Skipped = name
             if name.startswith("PR["):
@@ -146,13 +161,16 @@ class FanucLs(ControllerLanguage):
                 continue
             path = "circle" if via else {"J": "joint", "L": "line"}.get(kind, "joint")
             span = (place.start_pos or 0, place.end_pos or 0)
-            stops, statement = (via, target) if via else (target,), Statement((), *span, at)
+            stops = (via, target) if via else (target,)
+            statement = Statement((), *span, at)
             draft.motions.append(Motion(path, stops, statement, i, span=span, run=run))  # type: ignore[arg-type]
             via = ""
 
 
 def _place(text: str) -> str:
-    """Return a position's name without its comment: ``P[1:"App"]`` is P[1]; ``P[R[1]]``, any position, is P[*]."""
+    """Return a position's name without its comment: ``P[1:"App"]`` is P[1]; ``P[R[1]]``, any
+    position, is P[*].
+    """
     kind, _, index = text.partition("[")
     first, _, more = index.removesuffix("]").partition(":")
     number = (more if first.strip().startswith("GP") else first).partition(",")[0].strip()
@@ -167,10 +185,19 @@ def _places_in(text: str) -> Iterator[str]:
 
 
 def _posture(configuration: Sequence[Token]) -> Posture:
-    """Return the posture of a configuration: flip or not, up or down, front (T) or back, and turns of axes 1, 4 and 6."""
+    """Return the posture of a configuration: flip or not, up or down, front (T) or back, and turns
+    of axes 1, 4 and 6.
+    """
     sides = {str(token) for token in configuration if token.type == "SIDE"}
-    turns = [number for token in configuration if token.type == "TURN" and (number := number_at(token)) is not None]
-    counted = tuple(Turn(j, "whole", int(number.value), number) for j, number in zip((0, 3, 5), turns, strict=True))
+    turns = [
+        number
+        for token in configuration
+        if token.type == "TURN" and (number := number_at(token)) is not None
+    ]
+    counted = tuple(
+        Turn(j, "whole", int(number.value), number)
+        for j, number in zip((0, 3, 5), turns, strict=True)
+    )
     return Posture(
         front=_side(sides, "T", "B"), up=_side(sides, "U", "D"), down=_side(sides, "N", "F"), turns=counted
     )  # fmt: skip

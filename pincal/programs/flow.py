@@ -1,7 +1,9 @@
-"""Which statement has set a variable by the time another one runs, as far as the text determines it.
+"""Which statement has set a variable by the time another one runs, as far as the text determines
+it.
 
-A variable that is set in one of several branches, within a loop, before a label that may be jumped to, or by a called
-routine has no single value there: it counts as unknown, so that no point is corrected with a tool that may not be its own.
+A variable that is set in one of several branches, within a loop, before a label that may be jumped
+to, or by a called routine has no single value there: it counts as unknown, so that no point is
+corrected with a tool that may not be its own.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ class Step:
     Attributes:
         opens: the word that opens a block here, or "".
         closes: the words of blocks that it may close.
-        routine: name of the routine that the block defines, at whose start nothing is known; "" for other blocks.
+        routine: name of the routine that the block defines, at whose start nothing is known; "" for
+            other blocks.
         is_loop: whether the block is repeated.
         is_jump: whether it may be reached from elsewhere: a label, or another branch of its block.
         sets: variables that it sets.
@@ -47,9 +50,11 @@ class InForce:
     """What is known before a statement.
 
     Attributes:
-        setters: by variable, the index of the statement that has set it, or the reason why that is not known.
+        setters: by variable, the index of the statement that has set it, or the reason why that is
+            not known.
         blocks: indices of the statements that opened the blocks around it.
-        run: number that changes wherever the previous statement in the text may not be the one executed before.
+        run: number that changes wherever the previous statement in the text may not be the one
+            executed before.
         routine: index of the statement that opens the routine, -1 outside any.
     """
 
@@ -65,7 +70,9 @@ class InForce:
 
 
 def followed(
-    files: Sequence[tuple[Source, Sequence[Statement], Sequence[Step]]], *, outside: frozenset[str] = frozenset()
+    files: Sequence[tuple[Source, Sequence[Statement], Sequence[Step]]],
+    *,
+    outside: frozenset[str] = frozenset(),
 ) -> list[list[InForce]]:
     """Return what is known before each statement of each file.
 
@@ -77,7 +84,9 @@ def followed(
         ProgramError: if a block is not closed, or closed without being open.
     """
     blocks = [_blocks(source, statements, steps) for source, statements, steps in files]
-    effects = _effects([(steps, around) for (_, _, steps), around in zip(files, blocks, strict=True)])
+    effects = _effects(
+        [(steps, around) for (_, _, steps), around in zip(files, blocks, strict=True)]
+    )
     at_any_time: dict[str, int | str] = {}
     for _, statements, steps in files:
         for statement, step in zip(statements, steps, strict=True):
@@ -85,7 +94,9 @@ def followed(
                 why = f"{name}, which line {statement.line} starts, may set it at any time"
                 at_any_time |= dict.fromkeys(effects.get(name, ()), why)
     return [
-        _followed(statements, steps, around, effects=effects, outside=outside, at_any_time=at_any_time)
+        _followed(
+            statements, steps, around, effects=effects, outside=outside, at_any_time=at_any_time
+        )
         for (_, statements, steps), around in zip(files, blocks, strict=True)
     ]
 
@@ -102,7 +113,10 @@ def _followed(
     inside: dict[int, set[str]] = {i: set() for i, step in enumerate(steps) if step.opens}
     for i, step in enumerate(steps):
         changed = step.sets.union(step.clears, *(effects.get(name, outside) for name in step.calls))
-        for block in (*(blocks[i][:-1] if step.closes else blocks[i]), *([i] if step.opens else [])):
+        for block in (
+            *(blocks[i][:-1] if step.closes else blocks[i]),
+            *([i] if step.opens else []),
+        ):
             inside[block] |= changed
     known: list[InForce] = []
     state: dict[str, int | str] = {}
@@ -115,7 +129,9 @@ def _followed(
             state = {}
         if step.closes or step.is_jump:
             block = blocks[i][-1] if blocks[i] else i
-            where = f"it is set on some paths only through the block of line {statements[block].line}"
+            where = (
+                f"it is set on some paths only through the block of line {statements[block].line}"
+            )
             state = state | dict.fromkeys(inside.get(block, ()), where)
         if step.is_loop:
             state = state | dict.fromkeys(inside[i], f"it is set within the loop of line {line}")
@@ -127,20 +143,29 @@ def _followed(
             why += "sets it" if name in effects else OUTSIDE
             state = state | dict.fromkeys(effects.get(name, outside), why)
         if step.sets or step.clears:
-            state = state | dict.fromkeys(step.clears, f"line {line} may set it") | dict.fromkeys(step.sets, i)
+            state = (
+                state
+                | dict.fromkeys(step.clears, f"line {line} may set it")
+                | dict.fromkeys(step.sets, i)
+            )
         if step.closes and steps[blocks[i][-1]].routine:
             state = saved.pop()
     return known
 
 
 def _routine(steps: Sequence[Step], blocks: tuple[int, ...]) -> int:
-    """Return the index of the statement that opens the innermost routine of some blocks, -1 outside any."""
+    """Return the index of the statement that opens the innermost routine of some blocks, -1 outside
+    any.
+    """
     return next((i for i in reversed(blocks) if steps[i].routine), -1)
 
 
-def _effects(files: Sequence[tuple[Sequence[Step], Sequence[tuple[int, ...]]]]) -> dict[str, frozenset[str]]:
+def _effects(
+    files: Sequence[tuple[Sequence[Step], Sequence[tuple[int, ...]]]],
+) -> dict[str, frozenset[str]]:
     """Return the variables that each routine may set, directly or by its calls, by its name."""
-    own, calls = dict[str, set[str]](), dict[str, set[str]]()
+    own = dict[str, set[str]]()
+    calls = dict[str, set[str]]()
     for steps, blocks in files:
         for k, step in enumerate(steps):
             i = k if step.routine else _routine(steps, blocks[k][:-1] if step.closes else blocks[k])
@@ -154,7 +179,9 @@ def _effects(files: Sequence[tuple[Sequence[Step], Sequence[tuple[int, ...]]]]) 
     return {name: frozenset(found) for name, found in own.items()}
 
 
-def _blocks(source: Source, statements: Sequence[Statement], steps: Sequence[Step]) -> list[tuple[int, ...]]:
+def _blocks(
+    source: Source, statements: Sequence[Statement], steps: Sequence[Step]
+) -> list[tuple[int, ...]]:
     """Return, for each statement, the indices of the statements that open the blocks around it."""
     found: list[tuple[int, ...]] = []
     blocks: tuple[int, ...] = ()
@@ -164,17 +191,25 @@ def _blocks(source: Source, statements: Sequence[Statement], steps: Sequence[Ste
             word = str(statements[i].items[0])
             if not blocks:
                 opened = " or ".join(step.closes)
-                raise source.error(f"{word!r} has nothing to close; expected {opened} before it", statements[i].start)
+                raise source.error(
+                    f"{word!r} has nothing to close; expected {opened} before it",
+                    statements[i].start,
+                )
             block = blocks[-1]
             if steps[block].opens not in step.closes:
                 raise source.error(
-                    f"{word!r} within {steps[block].opens} of line {statements[block].line}; expected its end first",
+                    f"{word!r} within {steps[block].opens} of line "
+                    f"{statements[block].line}; expected its end first",
                     statements[i].start,
                 )
             blocks = blocks[:-1]
         if step.opens:
             blocks = (*blocks, i)
     if blocks:
-        opens, line = steps[blocks[-1]].opens, statements[blocks[-1]].line
-        raise source.error(f"the end of the file within {opens} of line {line}: is it truncated?", len(source.content))
+        opens = steps[blocks[-1]].opens
+        line = statements[blocks[-1]].line
+        raise source.error(
+            f"the end of the file within {opens} of line {line}: is it truncated?",
+            len(source.content),
+        )
     return found

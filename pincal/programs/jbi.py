@@ -41,7 +41,20 @@ _EOT: "\x04"
 _WORDS = "a job: /JOB, //POS with positions, //INST with motions, END"
 _PATHS: dict[str, Path] = {"MOVL": "line", "MOVJ": "joint", "MOVS": "joint", "MOVC": "joint"}
 _SHIFTS = ("SFTON", "MSHIFT", "MFRAME", "PMTON", "CNVR", "SYSTART")
-_JUMPS = ("*", "JUMP", "CALL", "IF", "ELSE", "ENDIF", "FOR", "NEXT", "WHILE", "ENDWHILE", "RET", "PSTART")
+_JUMPS = (
+    "*",
+    "JUMP",
+    "CALL",
+    "IF",
+    "ELSE",
+    "ENDIF",
+    "FOR",
+    "NEXT",
+    "WHILE",
+    "ENDWHILE",
+    "RET",
+    "PSTART",
+)
 
 
 @LANGUAGES.register
@@ -65,7 +78,9 @@ class Jbi(ControllerLanguage):
         except ValueError:
             found = ()
         if not found or not all(math.isfinite(number) and number != 0.0 for number in found):
-            raise BadInputError(f"pulses {text!r}; expected pulses per degree, one number per axis, none of them 0")
+            raise BadInputError(
+                f"pulses {text!r}; expected pulses per degree, one number per axis, none of them 0"
+            )
         return Jbi(found)
 
     def joint_units(self, turns: np.ndarray) -> np.ndarray:
@@ -85,7 +100,9 @@ class Jbi(ControllerLanguage):
             parts = [part for part in tree.children if hasattr(part, "data")]
             others = [str(part.children[0]).split() for part in parts if part.data == "other"]
             if not others or others[-1][:1] != ["END"]:
-                raise source.error("the end of the file without END: is it truncated?", len(source.content))
+                raise source.error(
+                    "the end of the file without END: is it truncated?", len(source.content)
+                )
             self._positions(draft, i, source, parts)
             self._motions(draft, i, parts)
         return draft.finish()
@@ -93,7 +110,8 @@ class Jbi(ControllerLanguage):
     def _positions(self, draft: Draft, i: int, source: Source, parts: Sequence[Any]) -> None:
         """Note the positions, each with the tags before it."""
         tags = {"TOOL": "", "USER": "", "POSTYPE": ""}
-        posture, seen = Posture(), 0
+        posture = Posture()
+        seen = 0
         for part in parts:
             if part.data == "tag":
                 name, *rest = (str(child) for child in part.children)
@@ -104,18 +122,30 @@ class Jbi(ControllerLanguage):
                 seen += 1
                 place, *values = part.children
                 name = _name(str(place))
-                point = self._point(i, name, place.line, [number_at(token) for token in values], tags, posture)
+                point = self._point(
+                    i, name, place.line, [number_at(token) for token in values], tags, posture
+                )
                 if point:
-                    draft.take(Skipped(name, i, place.line, point) if isinstance(point, str) else point)
+                    draft.take(
+                        Skipped(name, i, place.line, point) if isinstance(point, str) else point
+                    )
         counts = [text.strip() for text in tags.get("NPOS", str(seen)).split(",")]
         expected = sum(int(text) for text in counts if text.isdigit())
         if seen != expected:
             raise source.error(f"{seen} positions; expected the {expected} of ///NPOS", 0)
 
     def _point(
-        self, i: int, name: str, line: int, values: Sequence[Number | None], tags: dict[str, str], posture: Posture
+        self,
+        i: int,
+        name: str,
+        line: int,
+        values: Sequence[Number | None],
+        tags: dict[str, str],
+        posture: Posture,
     ) -> Point | str:
-        """Return the point of a position, or why it can't be used; "" for one of an external axis."""
+        """Return the point of a position, or why it can't be used; "" for one of an
+        external axis.
+        """
         numbers = tuple(number for number in values if number is not None)
         kind = tags["POSTYPE"]
         if name.startswith(("BC", "EC", "BP", "EX")):
@@ -127,11 +157,14 @@ class Jbi(ControllerLanguage):
         if len(numbers) == 7 and numbers[6].value:
             return "its elbow angle is not 0"
         base = Frame(tags["USER"] or "USER") if kind == "USER" else Frame(kind, np.eye(4))
-        return Point(name, i, line, "pose", numbers[:6], posture, Frame(tags["TOOL"] or "TOOL"), base)
+        return Point(
+            name, i, line, "pose", numbers[:6], posture, Frame(tags["TOOL"] or "TOOL"), base
+        )
 
     def _motions(self, draft: Draft, i: int, parts: Sequence[Any]) -> None:
         """Note the motions, and the positions that instructions change."""
-        run, arc = 0, list[str]()
+        run = 0
+        arc = list[str]()
         for part in parts:
             if part.data == "other":
                 text = str(part.children[0]).upper()
@@ -142,10 +175,13 @@ class Jbi(ControllerLanguage):
                         draft.write(_name(f"P{word.lstrip('PX')}"), f"line {line} may set it")
                 if text.startswith(_SHIFTS):
                     for name in draft.names():
-                        draft.write(name, f"line {line} shifts positions, or computes a frame from them")
+                        draft.write(
+                            name, f"line {line} shifts positions, or computes a frame from them"
+                        )
             if part.data != "motion":
                 continue
-            kind, place = str(part.children[0]), part.children[1]
+            kind = str(part.children[0])
+            place = part.children[1]
             name = _name(str(place))
             span = place.start_pos, place.end_pos
             target: str | Skipped = name
@@ -162,8 +198,11 @@ class Jbi(ControllerLanguage):
             elif len(arc) == 2:
                 continue
             elif len(arc) == 3:
-                path, targets = "circle", (arc[1], target)
-            draft.motions.append(Motion(path, targets, Statement((), *span, place.line), i, span=span, run=run))
+                path = "circle"
+                targets = (arc[1], target)
+            draft.motions.append(
+                Motion(path, targets, Statement((), *span, place.line), i, span=span, run=run)
+            )
 
 
 def _name(text: str) -> str:
@@ -173,7 +212,9 @@ def _name(text: str) -> str:
 
 
 def _posture(values: Sequence[Number | None]) -> Posture:
-    """Return the posture of a configuration: not flipped, lower arm, rear, and axes R, T and S beyond 180 deg."""
+    """Return the posture of a configuration: not flipped, lower arm, rear, and axes R, T and S
+    beyond 180 deg.
+    """
     numbers = [number for number in values if number is not None]
     if len(numbers) < 6 or any(number.value not in (0.0, 1.0) for number in numbers[:6]):
         return Posture()

@@ -54,20 +54,27 @@ _MOTIONS: dict[str, Path] = {"PTP": "joint", "LIN": "line", "CIRC": "circle", "S
 _BY_POSTURE = ("PTP", "SPTP")
 _RELATIVE = {f"{name}_REL" for name in _MOTIONS}
 _AFTER = {"C_DIS", "C_VEL", "C_ORI", "C_PTP", "C_SPL", "WITH"}
-_POSE, _JOINTS = ("X", "Y", "Z", "A", "B", "C"), ("A1", "A2", "A3", "A4", "A5", "A6")
+_POSE = ("X", "Y", "Z", "A", "B", "C")
+_JOINTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 _EXTERNAL = ("E1", "E2", "E3", "E4", "E5", "E6")
 _NULL = ("$NULLFRAME", "$WORLD", "TOOL_DATA[0]", "BASE_DATA[0]")
 _FRAMES = frozenset({"$TOOL", "$BASE"})
-# What BAS sets, by its first argument: both frames from FDAT_ACT, or none; by any other than #TOOL and #BASE perhaps both.
+# What BAS sets, by its first argument: both frames from FDAT_ACT, or none; by any other than #TOOL
+# and #BASE perhaps both.
 _BY_DATA = ("#PTP_PARAMS", "#CP_PARAMS", "#FRAMES", "#PTP_DAT", "#CP_DAT")
 _SPEEDS = ("#VEL_PTP", "#VEL_CP", "#ACC_PTP", "#ACC_CP", "#OUT_SYNC")
 # Words before round brackets that change neither a point nor a frame.
 _HARMLESS_WORDS = (
-    "IF WHILE UNTIL FOR WHEN SWITCH CASE AND OR NOT EXOR B_AND B_OR B_NOT B_EXOR RETURN WAIT SEC TO STEP DO DEF DEFFCT EXT "
-    "EXTFCT BAS STOOL STOOL2 SBASE SIPO_MODE SVEL_JOINT SVEL_CP SACC_JOINT SACC_CP SAPO SAPO_PTP SGEAR_JERK SJERK SORI_TYP "
-    "SLOAD ABS SQRT SIN COS TAN ACOS ATAN2 INVERSE FORWARD INV_POS VARSTATE PULSE SIGN ROUND CAST_TO CAST_FROM SREAD SWRITE "
-    "CREAD CWRITE COPEN CCLOSE CIOCTL STRLEN STRDECLLEN STRCLEAR STRADD STRFIND STRCOMP STRCOPY MSGNOTIFY MSGSTATE MSGQUIT "
-    "MSGACKNOWLEDGE MSGDIALOG MSGLOOP SET_KRLMSG EXISTS_KRLMSG CLEAR_KRLMSG SET_KRLDLG EXISTS_KRLDLG IR_STOPM"
+    "IF WHILE UNTIL FOR WHEN SWITCH CASE AND OR NOT EXOR B_AND B_OR B_NOT B_EXOR RETURN "
+    "WAIT SEC TO STEP DO DEF DEFFCT EXT "
+    "EXTFCT BAS STOOL STOOL2 SBASE SIPO_MODE SVEL_JOINT SVEL_CP SACC_JOINT SACC_CP SAPO "
+    "SAPO_PTP SGEAR_JERK SJERK SORI_TYP "
+    "SLOAD ABS SQRT SIN COS TAN ACOS ATAN2 INVERSE FORWARD INV_POS VARSTATE PULSE SIGN "
+    "ROUND CAST_TO CAST_FROM SREAD SWRITE "
+    "CREAD CWRITE COPEN CCLOSE CIOCTL STRLEN STRDECLLEN STRCLEAR STRADD STRFIND STRCOMP "
+    "STRCOPY MSGNOTIFY MSGSTATE MSGQUIT "
+    "MSGACKNOWLEDGE MSGDIALOG MSGLOOP SET_KRLMSG EXISTS_KRLMSG CLEAR_KRLMSG SET_KRLDLG "
+    "EXISTS_KRLDLG IR_STOPM"
 )
 _HARMLESS = frozenset(_HARMLESS_WORDS.split())
 
@@ -95,12 +102,17 @@ class Krl(ControllerLanguage):
                     if _takes_values(statement, step)}  # fmt: skip
         readers = []
         for i, (source, statements, steps) in enumerate(files):
-            outside = [s for k, s in enumerate(statements) if not flows[i][k].depth and not steps[k].opens]
+            outside = [
+                s for k, s in enumerate(statements) if not flows[i][k].depth and not steps[k].opens
+            ]
             if outside or not statements:
                 raise source.error(
-                    "a statement outside DEF or DEFDAT; expected " + _WORDS, outside[0].start if outside else 0
+                    "a statement outside DEF or DEFDAT; expected " + _WORDS,
+                    outside[0].start if outside else 0,
                 )
-            readers.append(_Reader(draft, i, statements, steps, flows[i], _HARMLESS | by_value, self))
+            readers.append(
+                _Reader(draft, i, statements, steps, flows[i], _HARMLESS | by_value, self)
+            )
         data = _Data()
         for reader in readers:
             for k in range(len(reader.statements)):
@@ -110,14 +122,22 @@ class Krl(ControllerLanguage):
                 reader.move(k, data)
         return draft.finish()
 
-    def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
+    def statement(
+        self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture
+    ) -> str:
         """Return the motion with its target replaced by a pose, passed without a stop."""
         start, end = motion.span
-        # Angles near those of the end point may exceed half a turn, which no teach pendant displays.
+        # Angles near those of the end point may exceed half a turn, which no teach pendant
+        # displays.
         numbers = [*values[:3], *(angle - 360.0 * round(angle / 360.0) for angle in values[3:])]
-        pose = ",".join(f"{name} {value:.{4 if name in 'XYZ' else 6}f}" for name, value in zip(_POSE, numbers, strict=True))
+        pose = ",".join(
+            f"{name} {value:.{4 if name in 'XYZ' else 6}f}"
+            for name, value in zip(_POSE, numbers, strict=True)
+        )
         after = source.text[end : motion.statement.end]
-        approximate = "" if any(word in after.upper() for word in _AFTER) or after.strip() else " C_DIS"
+        approximate = (
+            "" if any(word in after.upper() for word in _AFTER) or after.strip() else " C_DIS"
+        )
         return source.text[motion.statement.start : start] + "{" + pose + "}" + after + approximate
 
     def bits(self, number: Number, value: int) -> str:
@@ -130,7 +150,9 @@ class Krl(ControllerLanguage):
 
 @dataclass
 class _Data:
-    """Tools and bases by the names of frame data (FDAT), None if unknown, and whether the tool is fixed in the cell."""
+    """Tools and bases by the names of frame data (FDAT), None if unknown, and whether the tool is
+    fixed in the cell.
+    """
 
     frames: dict[str, tuple[str, str] | None] = field(default_factory=dict)
     is_fixed: bool = False
@@ -143,7 +165,8 @@ class _Reader(Reader):
     def declare(self, k: int, data: _Data) -> None:
         """Note what a statement sets."""
         statement = self.statements[k]
-        items, line = statement.items, statement.line
+        items = statement.items
+        line = statement.line
         while items and word(items[0]) in ("GLOBAL", "DECL", "CONST"):
             items = items[1:]
         first = word(items[0]) if items else ""
@@ -184,7 +207,10 @@ class _Reader(Reader):
         """Return the point of an aggregate; None if there is none."""
         group = aggregate(items, "{")
         fields = _fields(group) if group is not None else None
-        keys = next((keys for keys in (_POSE, _JOINTS) if fields is not None and set(keys) & set(fields)), None)
+        keys = next(
+            (keys for keys in (_POSE, _JOINTS) if fields is not None and set(keys) & set(fields)),
+            None,
+        )
         if fields is None or keys is None:
             return None
         numbers = [number_of(fields.get(key, ())) for key in keys]
@@ -203,8 +229,10 @@ class _Reader(Reader):
 
     def move(self, k: int, data: _Data) -> None:
         """Note a motion."""
-        statement, known = self.statements[k], self.flow[k]
-        items, first = statement.items, word(statement.items[0])
+        statement = self.statements[k]
+        known = self.flow[k]
+        items = statement.items
+        first = word(statement.items[0])
         if first in _RELATIVE:
             self.draft.read(self.words(items[1:]))
             lost = self.skip(text_of_items(items)[:40], statement.line, "a relative motion")
@@ -218,13 +246,30 @@ class _Reader(Reader):
         parts = [part for part in parts if word(part[0]) != "CA"]
         if not parts:
             return
-        tool, base = self._frame("$TOOL", k, data), self._frame("$BASE", k, data)
+        tool = self._frame("$TOOL", k, data)
+        base = self._frame("$BASE", k, data)
         targets = tuple(self.target(k, part) for part in parts)
-        path = "joint" if arcs or len(parts) != 1 + (_MOTIONS[first] == "circle") else _MOTIONS[first]
-        can_insert = path == "line" and not any(self.steps[j].opens.endswith("SPLINE") for j in known.blocks)
-        span, takes_posture = place_of(parts[-1]), first in _BY_POSTURE
+        path = (
+            "joint" if arcs or len(parts) != 1 + (_MOTIONS[first] == "circle") else _MOTIONS[first]
+        )
+        can_insert = path == "line" and not any(
+            self.steps[j].opens.endswith("SPLINE") for j in known.blocks
+        )
+        span = place_of(parts[-1])
+        takes_posture = first in _BY_POSTURE
         self.draft.motions.append(
-            Motion(path, targets, statement, self.file, tool, base, span, known.run, can_insert, takes_posture)
+            Motion(
+                path,
+                targets,
+                statement,
+                self.file,
+                tool,
+                base,
+                span,
+                known.run,
+                can_insert,
+                takes_posture,
+            )
         )
 
     def _frame(self, variable: str, k: int, data: _Data) -> Frame:
@@ -243,7 +288,8 @@ class _Reader(Reader):
             why = f"{variable}: {found}{hint if found is not None and OUTSIDE in found else ''}"
             return Frame(variable, reason=why if found is not None else "")
         setter = self.statements[found].items
-        call, sides = call_of(setter), split(setter, "=")
+        call = call_of(setter)
+        sides = split(setter, "=")
         if len(sides) == 2:
             return self._frame_of(variable, k, sides[1], data)
         index = number_of(call[1].parts[1]) if call is not None and len(call[1].parts) > 1 else None
@@ -254,8 +300,13 @@ class _Reader(Reader):
         if what not in _BY_DATA:
             return Frame(variable, reason=f"line {self.statements[found].line} may set {variable}")
         if not isinstance(source, int):
-            return Frame(variable, reason=f"FDAT_ACT: {source if source is not None else 'it is set elsewhere'}")
-        return _frame_of_data(variable, text_of_items(split(self.statements[source].items, "=")[1]), data)
+            return Frame(
+                variable,
+                reason=f"FDAT_ACT: {source if source is not None else 'it is set elsewhere'}",
+            )
+        return _frame_of_data(
+            variable, text_of_items(split(self.statements[source].items, "=")[1]), data
+        )
 
     def _frame_of(self, variable: str, k: int, items: Sequence[Any], data: _Data) -> Frame:
         """Return the frame of an expression."""
@@ -271,7 +322,13 @@ class _Reader(Reader):
 
 def _takes_values(statement: Statement, step: Step) -> bool:
     """Return whether a statement opens a routine whose parameters are all :IN."""
-    parts = [part for item in statement.items if isinstance(item, Brackets) for part in item.parts if part]
+    parts = [
+        part
+        for item in statement.items
+        if isinstance(item, Brackets)
+        for part in item.parts
+        if part
+    ]
     return bool(step.routine) and all(word(part[-1]) == "IN" for part in parts)
 
 
@@ -283,14 +340,23 @@ def _frame_of_data(variable: str, name: str, data: _Data) -> Frame:
     """Return the tool or the base of a point's frame data."""
     found = data.frames.get(name)
     if found is None:
-        return Frame(variable, reason=f"the frame data {name} are not in these files, or not as numbers")
+        return Frame(
+            variable, reason=f"the frame data {name} are not in these files, or not as numbers"
+        )
     return _frame_named(found[0] if variable == "$TOOL" else found[1])
 
 
 def _frame_data(fields: Mapping[str, tuple[Any, ...]]) -> tuple[str, str] | None:
-    """Return the names of tool and base in frame data; None if they are not known, or the tool is fixed in the cell."""
-    tool, base = number_of(fields["TOOL_NO"]), number_of(fields["BASE_NO"])
-    if tool is None or base is None or text_of_items(fields.get("IPO_FRAME", ())) not in ("", "#BASE"):
+    """Return the names of tool and base in frame data; None if they are not known, or the tool is
+    fixed in the cell.
+    """
+    tool = number_of(fields["TOOL_NO"])
+    base = number_of(fields["BASE_NO"])
+    if (
+        tool is None
+        or base is None
+        or text_of_items(fields.get("IPO_FRAME", ())) not in ("", "#BASE")
+    ):
         return None
     return f"TOOL_DATA[{tool.text}]", f"BASE_DATA[{base.text}]"
 
@@ -320,7 +386,9 @@ def _bits(items: tuple[Any, ...]) -> Number | None:
 
 
 def _posture(fields: Mapping[str, tuple[Any, ...]]) -> Posture | None:
-    """Return the posture of S and T: the bits of S are overhead, elbow up, axis 5 below 0; the bits of T axes below 0."""
+    """Return the posture of S and T: the bits of S are overhead, elbow up, axis 5 below 0; the bits
+    of T axes below 0.
+    """
     status, number = (_bits(fields[name]) if name in fields else None for name in ("S", "T"))
     if (status is None and "S" in fields) or (number is None and "T" in fields):
         return None
@@ -336,12 +404,17 @@ def _posture(fields: Mapping[str, tuple[Any, ...]]) -> Posture | None:
 def _by_bas(items: Sequence[Any]) -> str:
     """Return the first argument of a call of BAS, "" for other items."""
     call = call_of(items)
-    return text_of_items(call[1].parts[0]) if call is not None and call[0].upper() == "BAS" and call[1].parts else ""
+    return (
+        text_of_items(call[1].parts[0])
+        if call is not None and call[0].upper() == "BAS" and call[1].parts
+        else ""
+    )
 
 
 def _step(statement: Statement) -> Step:
     """Return the effect of a statement on the control flow and the frames."""
-    items, first = statement.items, word(statement.items[0])
+    items = statement.items
+    first = word(statement.items[0])
     opens = word(items[1]) if first == "GLOBAL" and len(items) > 1 else first
     if opens in _ROUTINES:
         return Step(opens=opens, routine=[word(item) for item in items if word(item)][-1])
@@ -352,7 +425,9 @@ def _step(statement: Statement) -> Step:
         return Step(opens=first, is_loop=first in _LOOPS, calls=calls)
     if first in _CLOSES:
         return Step(closes=_CLOSES[first], calls=calls)
-    if first in ("ELSE", "CASE", "DEFAULT") or (len(items) == 2 and is_token(items[1], "SIGN", ":")):
+    if first in ("ELSE", "CASE", "DEFAULT") or (
+        len(items) == 2 and is_token(items[1], "SIGN", ":")
+    ):
         return Step(is_jump=True)
     if first == "BAS":
         what = _by_bas(items)
@@ -362,4 +437,8 @@ def _step(statement: Statement) -> Step:
     name, is_part = element_name(sides[0])
     if len(sides) != 2 or first in _MOTIONS or name not in ("$TOOL", "$BASE", "FDAT_ACT"):
         return Step(calls=calls)
-    return Step(calls=calls, clears=frozenset({name})) if is_part else Step(calls=calls, sets=frozenset({name}))
+    return (
+        Step(calls=calls, clears=frozenset({name}))
+        if is_part
+        else Step(calls=calls, sets=frozenset({name}))
+    )

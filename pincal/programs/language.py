@@ -1,4 +1,6 @@
-"""The interface of a controller's language: suffixes, units, and how a program is read from its files."""
+"""The interface of a controller's language: suffixes, units, and how a program is read from its
+files.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ class ControllerLanguage(ABC):
         length: its unit of length [m].
         convention: its orientation, see :mod:`pincal.measure.orientation`.
         in_degrees: whether revolute joints are in degrees.
-        digits: decimal places of a position, an orientation and a joint, for a tenth of a micrometre.
+        digits: decimal places of a position, an orientation and a joint, for a tenth of a
+            micrometre.
         can_insert: whether statements can be inserted into a program.
         grammars: of its files; the page of ``export --page`` holds their tables.
     """
@@ -57,13 +60,16 @@ class ControllerLanguage(ABC):
             ProgramError: if one is truncated or in another dialect.
         """
 
-    def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
+    def statement(
+        self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture
+    ) -> str:
         """Return a motion's statement with its target replaced by a pose, shape (6,) or (7,)."""
         raise NotImplementedError
 
     def pose(self, values: np.ndarray) -> np.ndarray:
         """Return the pose, shape (4, 4) [m], of numbers in the language."""
-        kind, rest = CONVENTIONS[self.convention].kind, np.asarray(values[3:], float)
+        kind = CONVENTIONS[self.convention].kind
+        rest = np.asarray(values[3:], float)
         if kind == "quaternion":
             R = rotation_matrices(rest[None, [1, 2, 3, 0]])[0]
         elif kind == "vector":
@@ -77,16 +83,24 @@ class ControllerLanguage(ABC):
         return len(values) != 7 or abs(float(np.linalg.norm(values[3:])) - 1.0) < _UNIT
 
     def numbers(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
-        """Return the numbers of a pose; of equivalent orientations the one nearest to other numbers."""
-        R, near = pose[:3, :3], np.asarray(near, float)
+        """Return the numbers of a pose; of equivalent orientations the one nearest to other
+        numbers.
+        """
+        R = pose[:3, :3]
+        near = np.asarray(near, float)
         rest = CONVENTIONS[self.convention].values(R)
         if len(rest) == 4:
             rest = rest * np.sign(rest @ near[3:])
         elif CONVENTIONS[self.convention].kind == "vector":
             turn = float(np.linalg.norm(rest))
-            axis = rest / turn if turn > 1e-12 else near[3:] / max(float(np.linalg.norm(near[3:])), 1e-12)
+            axis = (
+                rest / turn
+                if turn > 1e-12
+                else near[3:] / max(float(np.linalg.norm(near[3:])), 1e-12)
+            )
             rest = min(
-                (axis * (turn + 2.0 * np.pi * k) for k in (-1, 0, 1)), key=lambda v: float(np.linalg.norm(v - near[3:]))
+                (axis * (turn + 2.0 * np.pi * k) for k in (-1, 0, 1)),
+                key=lambda v: float(np.linalg.norm(v - near[3:])),
             )
         else:
             rest = self._by_axis(_nearest_angles(self._by_axis(rest), self._by_axis(near[3:]), R))
@@ -98,16 +112,24 @@ class ControllerLanguage(ABC):
         return np.asarray(angles[[order.index(axis) for axis in "xyz"]])
 
     def frame(self, text: str) -> np.ndarray:
-        """Return the pose, shape (4, 4), of a tool or a base given as numbers in the language's units.
+        """Return the pose, shape (4, 4), of a tool or a base given as numbers in the language's
+        units.
 
         Raises:
             BadInputError: for any other text.
         """
         values = np.array(plain_numbers(text.replace(";", ",").split(",")))
         columns = CONVENTIONS[self.convention].columns
-        if len(values) != 3 + len(columns) or not np.isfinite(values).all() or not self.is_pose(values):
+        if (
+            len(values) != 3 + len(columns)
+            or not np.isfinite(values).all()
+            or not self.is_pose(values)
+        ):
             unit = "m" if self.length == 1.0 else "mm"
-            raise BadInputError(f"{text!r} is not a frame in {self.name}; expected X,Y,Z [{unit}],{','.join(columns)}")
+            raise BadInputError(
+                f"{text!r} is not a frame in {self.name}; expected X,Y,Z "
+                f"[{unit}],{','.join(columns)}"
+            )
         return self.pose(values)
 
     def key(self, name: str) -> str:
@@ -120,7 +142,9 @@ class ControllerLanguage(ABC):
         Raises:
             BadInputError: for any other text, or a language without pulses.
         """
-        raise BadInputError(f"pulses {text!r}: a program in {self.name} has none; leave --pulses out")
+        raise BadInputError(
+            f"pulses {text!r}: a program in {self.name} has none; leave --pulses out"
+        )
 
     def joint_units(self, turns: np.ndarray) -> np.ndarray:
         """Return the unit of each axis [rad or m], shape (n,), given which are revolute."""
@@ -128,13 +152,23 @@ class ControllerLanguage(ABC):
 
     def refusal(self, point: Point) -> str:
         """Return why the values of a point can't be interpreted, or ""."""
-        return "" if point.kind == "joints" or self.is_pose(point.values) else "its quaternion is not of unit length"
+        return (
+            ""
+            if point.kind == "joints" or self.is_pose(point.values)
+            else "its quaternion is not of unit length"
+        )
 
     def point_numbers(self, point: Point, values: np.ndarray) -> list[str]:
         """Return the texts that replace a point's numbers."""
         length, angle, joint = self.digits
-        least = [joint if point.kind == "joints" else length if k < 3 else angle for k in range(len(point.numbers))]
-        return [number_text(number, float(values[k]), least[k]) for k, number in enumerate(point.numbers)]
+        least = [
+            joint if point.kind == "joints" else length if k < 3 else angle
+            for k in range(len(point.numbers))
+        ]
+        return [
+            number_text(number, float(values[k]), least[k])
+            for k, number in enumerate(point.numbers)
+        ]
 
     def turn_text(self, turns: Sequence[Turn], axes: np.ndarray, before: np.ndarray) -> str:
         """Return the text of the number of some turns, for new and previous axes, shape (n,) each.
@@ -144,7 +178,10 @@ class ControllerLanguage(ABC):
         number = turns[0].number
         counts = [turn.counted(float(axes[turn.joint])) for turn in turns]
         were = [turn.counted(float(before[turn.joint])) for turn in turns]
-        counts = [turn.value if new == old else new for turn, new, old in zip(turns, counts, were, strict=True)]
+        counts = [
+            turn.value if new == old else new
+            for turn, new, old in zip(turns, counts, were, strict=True)
+        ]
         if all(count == turn.value for count, turn in zip(counts, turns, strict=True)):
             return number.text
         if turns[0].bit is None:
@@ -160,12 +197,14 @@ class ControllerLanguage(ABC):
 
 
 def _nearest_angles(angles: np.ndarray, near: np.ndarray, R: np.ndarray) -> np.ndarray:
-    """Return the angles about x, y, z [deg] of a rotation; of equivalent ones the nearest to others.
+    """Return the angles about x, y, z [deg] of a rotation; of equivalent ones the nearest to
+    others.
 
     Where the angle about y is 90 deg, the other two are not unique: the one about x is kept.
     """
     if np.hypot(R[2, 1], R[2, 2]) < 1e-9:
-        x, y = near[0], np.sign(-R[2, 0]) * 90.0
+        x = near[0]
+        y = np.sign(-R[2, 0]) * 90.0
         # R = R_z(z) R_y(+-90) R_x(x): its second column is (-sin(z -+ x), cos(z -+ x), 0).
         z = np.rad2deg(np.arctan2(-R[0, 1], R[1, 1])) + np.sign(y) * x
         candidates = [np.array([x, y, z])]
@@ -176,7 +215,9 @@ def _nearest_angles(angles: np.ndarray, near: np.ndarray, R: np.ndarray) -> np.n
     return min(moved, key=lambda angles: float(np.abs(angles - near).max()))
 
 
-LANGUAGES: Registry[ControllerLanguage] = Registry("language", group="pincal.languages", name_of=lambda cls: cls.name)
+LANGUAGES: Registry[ControllerLanguage] = Registry(
+    "language", group="pincal.languages", name_of=lambda cls: cls.name
+)
 
 
 def language_of(path: str | os.PathLike[str]) -> ControllerLanguage | None:
@@ -192,7 +233,11 @@ def files_of(path: Path, language: ControllerLanguage) -> list[Path]:
     """Return the files of a program: for one of a pair, the other as well."""
     if not language.is_pair:
         return [path]
-    found = {other.suffix.lower(): other for other in sorted(path.parent.glob("*")) if other.stem == path.stem}
+    found = {
+        other.suffix.lower(): other
+        for other in sorted(path.parent.glob("*"))
+        if other.stem == path.stem
+    }
     found[path.suffix.lower()] = path
     return [found[suffix] for suffix in language.suffixes if suffix in found]
 
@@ -208,5 +253,7 @@ def read_sources(paths: Sequence[Path]) -> list[Source]:
         try:
             found.append(Source(path.name, path.read_bytes()))
         except OSError as error:
-            raise ProgramError(f"{path}: can't be read ({error.strerror}); expected a program") from None
+            raise ProgramError(
+                f"{path}: can't be read ({error.strerror}); expected a program"
+            ) from None
     return found

@@ -1,4 +1,6 @@
-"""How far the real arm deviates from lines and circles between corrected points, and intermediate points against that."""
+"""How far the real arm deviates from lines and circles between corrected points, and intermediate
+points against that.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ class Leg:
 
 @dataclass(frozen=True)
 class Deviation:
-    """Largest distance of the tool from its path along a motion: ``size`` [m], NaN where the arm can't follow."""
+    """Largest distance of the tool from its path along a motion: ``size`` [m], NaN where the arm
+    can't follow.
+    """
 
     motion: Motion
     size: float
@@ -47,7 +51,11 @@ def legs_of(program: Program, changes: Mapping[PointKey, Change]) -> list[Leg]:
     """Return the lines and circles whose points are all corrected, the start included."""
     found = []
     for (before, starts), (motion, keys) in zip(program.motions, program.motions[1:], strict=False):
-        if motion.path == "joint" or not starts or (before.source, before.run) != (motion.source, motion.run):
+        if (
+            motion.path == "joint"
+            or not starts
+            or (before.source, before.run) != (motion.source, motion.run)
+        ):
             continue
         ends = [changes.get(key) if key is not None else None for key in (starts[-1], *keys)]
         known = tuple(end for end in ends if end is not None)
@@ -72,16 +80,24 @@ class Follower:
         return [Deviation(leg.motion, float(size)) for leg, size in zip(legs, sizes, strict=True)]
 
     def _sizes(self, ends: Sequence[np.ndarray], tools: np.ndarray) -> np.ndarray:
-        """Return the largest deviations [m] between ends of shape (2 or 3, 2, n), joints as meant and as commanded."""
-        tips = [self.corrector.arms.tips(end.reshape(-1, end.shape[-1])).reshape(*end.shape[:2], 3, 4) for end in ends]
+        """Return the largest deviations [m] between ends of shape (2 or 3, 2, n), joints as meant
+        and as commanded.
+        """
+        tips = [
+            self.corrector.arms.tips(end.reshape(-1, end.shape[-1])).reshape(*end.shape[:2], 3, 4)
+            for end in ends
+        ]
         stops = [[compose(tip[:, k], tool[None, :3])[[0, -2, -1]] for k in (0, 1)]
                  for tip, tool in zip(tips, tools, strict=True)]  # fmt: skip
         # Three poses each; the second one of a line is NaN.
         meant, commanded = np.array(stops).swapaxes(0, 1)
         is_line = np.array([len(end) == 2 for end in ends])
-        meant[is_line, 1], commanded[is_line, 1] = np.nan, np.nan
-        q, back = np.array([end[0, 1] for end in ends]), inverse(tools[:, :3])
-        worst, follows = np.zeros(len(ends)), np.ones(len(ends), bool)
+        meant[is_line, 1] = np.nan
+        commanded[is_line, 1] = np.nan
+        q = np.array([end[0, 1] for end in ends])
+        back = inverse(tools[:, :3])
+        worst = np.zeros(len(ends))
+        follows = np.ones(len(ends), bool)
         for s in np.arange(1, _SAMPLES + 1) / (_SAMPLES + 1):
             q, reached = self.corrector.arms.reach(q, compose(_between(commanded, s), back))
             follows &= reached
@@ -99,26 +115,39 @@ class Follower:
         return compose(targets, inverse(self.corrector.target))
 
     def divided(self, leg: Leg, limit: float) -> list[np.ndarray] | str:
-        """Return intermediate poses of the tool that keep a line within a limit [m], or why there are none.
+        """Return intermediate poses of the tool that keep a line within a limit [m], or why there
+        are none.
 
         The poses, shape (4, 4), are to be commanded in the base of the motion.
         """
         start, end = leg.ends
-        parts, back = 2, inverse(leg.tool[None, :3])
+        parts = 2
+        back = inverse(leg.tool[None, :3])
         ends = compose(self.corrector.arms.tips(np.array([start.q, end.q])), leg.tool[None, :3])
         stop = np.array([[ends[0], np.full((3, 4), np.nan), ends[1]]])
         while parts <= _MOST_PARTS:
-            q, meant = start.q[None], []
+            q = start.q[None]
+            meant = []
             for k in range(1, parts):
                 q, reached = self.corrector.arms.reach(q, compose(_between(stop, k / parts), back))
                 if not reached[0]:
                     return "the arm can't follow it"
                 meant.append(q[0])
-            commanded, reasons = self.corrector.solve(np.array(meant), self.corrector.arms.tips(np.array(meant)))
+            commanded, reasons = self.corrector.solve(
+                np.array(meant), self.corrector.arms.tips(np.array(meant))
+            )
             if any(reasons):
                 return next(reason for reason in reasons if reason)
-            pairs = np.array([[start.q, start.commanded], *zip(meant, commanded, strict=True), [end.q, end.commanded]])
-            sizes = self._sizes([pairs[k : k + 2] for k in range(parts)], np.repeat(leg.tool[None], parts, axis=0))
+            pairs = np.array(
+                [
+                    [start.q, start.commanded],
+                    *zip(meant, commanded, strict=True),
+                    [end.q, end.commanded],
+                ]
+            )
+            sizes = self._sizes(
+                [pairs[k : k + 2] for k in range(parts)], np.repeat(leg.tool[None], parts, axis=0)
+            )
             if np.all(sizes <= limit):
                 tips = self.corrector.arms.tips(commanded)
                 base = np.linalg.inv(end.frames[0])
@@ -126,9 +155,16 @@ class Follower:
             parts *= 2
         return f"the limit is exceeded even with {_MOST_PARTS} parts"
 
-    def inserted(self, program: Program, legs: Sequence[Leg], limit: float) -> tuple[list[Edit], list[Skipped], int]:
-        """Return inserted statements that keep lines within a limit [m], motions without any, and the number of points."""
-        language, edits, skipped, count = self.corrector.language, list[Edit](), list[Skipped](), 0
+    def inserted(
+        self, program: Program, legs: Sequence[Leg], limit: float
+    ) -> tuple[list[Edit], list[Skipped], int]:
+        """Return inserted statements that keep lines within a limit [m], motions without any, and
+        the number of points.
+        """
+        language = self.corrector.language
+        edits = list[Edit]()
+        skipped = list[Skipped]()
+        count = 0
         for leg, deviation in zip(legs, self.deviations(legs), strict=True):
             if deviation.size <= limit:
                 continue
@@ -146,11 +182,19 @@ class Follower:
                 reason = "no statement can stand before it"
             poses = reason or self.divided(leg, limit)
             if isinstance(poses, str):
-                words = f"leaves its path by {1e3 * deviation.size:.3f} mm, and no points are inserted: {poses}"
+                words = (
+                    f"leaves its path by {1e3 * deviation.size:.3f} mm, and no points are "
+                    f"inserted: {poses}"
+                )
                 skipped.append(Skipped(name, motion.source, motion.statement.line, words))
                 continue
-            ending = "\r\n" if source.text.endswith("\r\n", 0, begin) else source.text[:begin][-1:] or "\n"
-            point, text = leg.ends[-1].point, ""
+            ending = (
+                "\r\n"
+                if source.text.endswith("\r\n", 0, begin)
+                else source.text[:begin][-1:] or "\n"
+            )
+            point = leg.ends[-1].point
+            text = ""
             near = point.values
             for pose in poses:
                 near = language.numbers(pose, near)
@@ -162,11 +206,14 @@ class Follower:
 
 
 def _between(stops: np.ndarray, s: float) -> np.ndarray:
-    """Return the poses, shape (N, 3, 4), at the fraction s of the way from the first of three poses to the last.
+    """Return the poses, shape (N, 3, 4), at the fraction s of the way from the first of three poses
+    to the last.
 
     The second of each three, shape (N, 3, 3, 4), is on a circle, or NaN for a line.
     """
-    first, via, last = stops[:, 0], stops[:, 1], stops[:, 2]
+    first = stops[:, 0]
+    via = stops[:, 1]
+    last = stops[:, 2]
     turn = rotation_vectors(last[:, :, :3] @ first[:, :, :3].swapaxes(1, 2))
     R = exponentials(s * turn) @ first[:, :, :3]
     position = first[:, :, 3] + s * (last[:, :, 3] - first[:, :, 3])
@@ -176,8 +223,11 @@ def _between(stops: np.ndarray, s: float) -> np.ndarray:
 
 
 def _on_circle(a: np.ndarray, via: np.ndarray, b: np.ndarray, s: float) -> np.ndarray:
-    """Return the point at the fraction s of the way from a via another point to b on the circle through the three."""
-    u, v = via - a, b - a
+    """Return the point at the fraction s of the way from a via another point to b on the circle
+    through the three.
+    """
+    u = via - a
+    v = b - a
     normal = np.cross(u, v)
     area = float(normal @ normal)
     if area < _STRAIGHT**4:

@@ -1,4 +1,6 @@
-"""A program in any language: points with the positions of their numbers in the text, motions between them, and frames."""
+"""A program in any language: points with the positions of their numbers in the text, motions
+between them, and frames.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ Path = Literal["joint", "line", "circle"]
 FrameKind = Literal["tool", "base"]
 # File and position of the first number, which identify a point.
 PointKey = tuple[int, int]
-# What a turn number counts: 1 for angles below 0; quarters from 0; whole turns from -180 deg; 1 from 180 deg either way.
+# What a turn number counts: 1 for angles below 0; quarters from 0; whole turns from -180 deg; 1
+# from 180 deg either way.
 TurnKind = Literal["negative", "quarter", "whole", "half"]
 
 
@@ -44,7 +47,11 @@ class Turn:
             return int(angle < 0.0)
         if self.kind == "half":
             return int(abs(angle) >= math.pi)
-        return math.floor(angle / (0.5 * math.pi) if self.kind == "quarter" else (angle + math.pi) / (2.0 * math.pi))
+        return math.floor(
+            angle / (0.5 * math.pi)
+            if self.kind == "quarter"
+            else (angle + math.pi) / (2.0 * math.pi)
+        )
 
 
 @dataclass(frozen=True)
@@ -74,14 +81,17 @@ class Posture:
         return None not in self.sides
 
     def allows(self, sides: np.ndarray) -> bool:
-        """Return whether an arm with these sides, 1 or -1 or 0 where it is on neither, shape (3,), is in this posture."""
+        """Return whether an arm with these sides, 1 or -1 or 0 where it is on neither, shape (3,),
+        is in this posture.
+        """
         pairs = zip(self.sides, sides, strict=True)
         return all(wanted is None or not side or (side > 0.0) == wanted for wanted, side in pairs)
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A tool or a base as a program specifies it: by a name, by its values, or in a way that can't be followed.
+    """A tool or a base as a program specifies it: by a name, by its values, or in a way that can't
+    be followed.
 
     Attributes:
         name: its name; for messages, and to look it up if it has no pose.
@@ -97,7 +107,9 @@ class Frame:
         if not isinstance(other, Frame) or (self.name, self.reason) != (other.name, other.reason):
             return False
         return self.pose is other.pose or (
-            self.pose is not None and other.pose is not None and np.array_equal(self.pose, other.pose)
+            self.pose is not None
+            and other.pose is not None
+            and np.array_equal(self.pose, other.pose)
         )
 
     __hash__ = None  # type: ignore[assignment]
@@ -158,14 +170,16 @@ class Motion:
 
     Attributes:
         path: its kind of path.
-        targets: names of points, points stated in the motion itself, or reasons why one is not known.
+        targets: names of points, points stated in the motion itself, or reasons why one is not
+            known.
         statement: its statement.
         source: index of the file.
         tool, base: the frames in force.
         span: start and end of the last target in the text.
         run: motions of one file and one run are executed in the order of the text.
         can_insert: whether a statement can be inserted before it.
-        takes_posture: whether the controller obeys the target's posture; else the arm keeps its own.
+        takes_posture: whether the controller obeys the target's posture; else the arm keeps its
+            own.
     """
 
     path: Path
@@ -200,8 +214,12 @@ class Program:
     skipped: list[Skipped] = field(default_factory=list)
 
     def leave(self, only_read: Collection[int]) -> None:
-        """Correct nothing in some files; their points that motions of other files use are skipped."""
-        used = {key for motion, keys in self.motions if motion.source not in only_read for key in keys}
+        """Correct nothing in some files; their points that motions of other files use
+        are skipped.
+        """
+        used = {
+            key for motion, keys in self.motions if motion.source not in only_read for key in keys
+        }
         self.skipped = [one for one in self.skipped if one.source not in only_read]
         for key in [key for key in self.points if key[0] in only_read]:
             point = self.points.pop(key)
@@ -221,8 +239,11 @@ class Edit:
 
 def spliced(source: Source, index: int, edits: Iterable[Edit]) -> bytes:
     """Return a file with edits applied; all other bytes are unchanged."""
-    out, at = [], 0
-    for edit in sorted((edit for edit in edits if edit.source == index), key=lambda edit: (edit.start, edit.end)):
+    out = []
+    at = 0
+    for edit in sorted(
+        (edit for edit in edits if edit.source == index), key=lambda edit: (edit.start, edit.end)
+    ):
         out += [source.content[at : edit.start], edit.text.encode("latin-1")]
         at = edit.end
     return b"".join([*out, source.content[at:]])

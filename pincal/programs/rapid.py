@@ -12,7 +12,16 @@ from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
 from pincal.programs.program import Frame, Motion, Point, Posture, Program, Skipped, Turn
-from pincal.programs.rapid_blocks import ENDS_IT, GRAMMAR, MOTIONS, OF_OPTIONS, ONCE, SWITCHES, check_blocks, statements_of
+from pincal.programs.rapid_blocks import (
+    ENDS_IT,
+    GRAMMAR,
+    MOTIONS,
+    OF_OPTIONS,
+    ONCE,
+    SWITCHES,
+    check_blocks,
+    statements_of,
+)
 from pincal.programs.statement_reader import Reader, formal_names
 from pincal.programs.syntax import (
     Brackets,
@@ -36,8 +45,10 @@ _TARGETS = ("ROBTARGET", "JOINTTARGET")
 _DATA = (*_TARGETS, "TOOLDATA", "WOBJDATA")
 # Functions that change none of their arguments.
 _HARMLESS_WORDS = (
-    "OFFS RELTOOL POSEMULT POSEINV POSEVECT DEFFRAME DEFACCFRAME CROBT CJOINTT CPOS CTOOL CWOBJ CALCJOINTT CALCROBT "
-    "ORIENTZYX EULERZYX DISTANCE VECTMAGN DOTPROD NORIENT MIRPOS ROBOS ABS SQRT SIN COS TAN ACOS ASIN ATAN ATAN2 ROUND "
+    "OFFS RELTOOL POSEMULT POSEINV POSEVECT DEFFRAME DEFACCFRAME CROBT CJOINTT CPOS CTOOL "
+    "CWOBJ CALCJOINTT CALCROBT "
+    "ORIENTZYX EULERZYX DISTANCE VECTMAGN DOTPROD NORIENT MIRPOS ROBOS ABS SQRT SIN COS "
+    "TAN ACOS ASIN ATAN ATAN2 ROUND "
     "TRUNC POW EXP NUMTOSTR VALTOSTR DIM AND OR NOT XOR DIV MOD RETURN IF WHILE"
 )
 _HARMLESS = frozenset(_HARMLESS_WORDS.split())
@@ -64,21 +75,36 @@ class Rapid(ControllerLanguage):
         files = []
         for source in sources:
             parts = statements_of(source)
-            files.append((source, [statement for statement, _ in parts], [step for _, step in parts]))
+            files.append(
+                (source, [statement for statement, _ in parts], [step for _, step in parts])
+            )
         flows = followed(files)
-        changing, routines, switched = set[str](), set[str](), set[str]()
+        changing = set[str]()
+        routines = set[str]()
+        switched = set[str]()
         for (source, statements, steps), flow in zip(files, flows, strict=True):
             check_blocks(source, statements, steps, flow)
             changing |= set(_that_change_parameters(statements, steps, flow))
             routines |= {step.routine for step in steps if step.routine}
             switched = switched.union(*(step.sets for step in steps))
         for i, (_, statements, steps) in enumerate(files):
-            reader = _Reader(draft, i, statements, steps, flows[i], _HARMLESS | (routines - changing), self, switched)
+            reader = _Reader(
+                draft,
+                i,
+                statements,
+                steps,
+                flows[i],
+                _HARMLESS | (routines - changing),
+                self,
+                switched,
+            )
             for k in range(len(statements)):
                 reader.statement(k)
         return draft.finish()
 
-    def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
+    def statement(
+        self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture
+    ) -> str:
         """Return the motion with its target replaced by another, passed in zone z0."""
         start, end = motion.span
         position = ",".join(f"{value:.4f}" for value in values[:3])
@@ -86,7 +112,11 @@ class Rapid(ControllerLanguage):
         shape = 4 * (not posture.front) + 2 * (not posture.up) + (not posture.down)
         conf = ",".join([*(str(turn.value) for turn in posture.turns), str(shape)])
         target = f"[[{position}],[{turn}],[{conf}],[9E9,9E9,9E9,9E9,9E9,9E9]]"
-        text = source.text[motion.statement.start : start] + target + source.text[end : motion.statement.end]
+        text = (
+            source.text[motion.statement.start : start]
+            + target
+            + source.text[end : motion.statement.end]
+        )
         return _in_zone(text) + ";"
 
     def tool(self, group: Brackets | None) -> np.ndarray | str:
@@ -98,11 +128,18 @@ class Rapid(ControllerLanguage):
         return pose if pose is not None else "its values are computed"
 
     def work_object(self, group: Brackets | None) -> np.ndarray | str:
-        """Return the pose of a stationary work object that the robot does not hold, or why it is not known."""
+        """Return the pose of a stationary work object that the robot does not hold, or why it is
+        not known.
+        """
         parts = group.parts if group is not None else []
-        if len(parts) != 5 or text_of_items(parts[0]) != "FALSE" or text_of_items(parts[1]) != "TRUE":
+        if (
+            len(parts) != 5
+            or text_of_items(parts[0]) != "FALSE"
+            or text_of_items(parts[1]) != "TRUE"
+        ):
             return "the robot holds it, it moves, or its values are computed"
-        user, own = self._frame(parts[3]), self._frame(parts[4])
+        user = self._frame(parts[3])
+        own = self._frame(parts[4])
         return user @ own if user is not None and own is not None else "its values are computed"
 
     def _frame(self, part: Sequence[Any]) -> np.ndarray | None:
@@ -142,8 +179,11 @@ class _Reader(Reader):
 
     def statement(self, k: int) -> None:
         """Note what a statement declares, moves or changes."""
-        statement, step = self.statements[k], self.steps[k]
-        items, line, first = statement.items, statement.line, word(statement.items[0])
+        statement = self.statements[k]
+        step = self.steps[k]
+        items = statement.items
+        line = statement.line
+        first = word(statement.items[0])
         if step.opens or step.closes or step.is_jump:
             if not step.routine:
                 self.draft.read(self.words(items))
@@ -156,11 +196,15 @@ class _Reader(Reader):
         sides = split(items, ":=")
         name, is_part = element_name(sides[0])
         if storage:
-            self._declare(line, items[storage[0] + 1 :], is_constant=word(items[storage[0]]) == "CONST")
+            self._declare(
+                line, items[storage[0] + 1 :], is_constant=word(items[storage[0]]) == "CONST"
+            )
         elif len(sides) == 2:
             self.assign(line, name, is_part, sides[1])
         elif first in _SEARCHES:
-            self.draft.skipped.append(self.skip(f"search of line {line}", line, "it ends when a signal arrives"))
+            self.draft.skipped.append(
+                self.skip(f"search of line {line}", line, "it ends when a signal arrives")
+            )
             stops = [part for part in (split(part, "\\")[0] for part in split(items[1:])) if part]
             self.draft.pass_to(first, [element_name(part)[0] for part in stops[1:2]], line)
             self.draft.read(self.words(items))
@@ -175,7 +219,8 @@ class _Reader(Reader):
     def _declare(self, line: int, items: Sequence[Any], *, is_constant: bool) -> None:
         kind = word(items[0]) if items else ""
         sides = split(items[1:], ":=")
-        name, value = element_name(sides[0])[0], sides[1] if len(sides) == 2 else ()
+        name = element_name(sides[0])[0]
+        value = sides[1] if len(sides) == 2 else ()
         if kind not in _DATA or not name:
             self.draft.read(self.words(items))
             return
@@ -205,13 +250,18 @@ class _Reader(Reader):
         if target is not None:
             self.draft.take(target)
         else:
-            self.draft.write(name, "a computed value" if value else "it is set while the program runs")
+            self.draft.write(
+                name, "a computed value" if value else "it is set while the program runs"
+            )
 
     def _move(self, k: int) -> None:
         """Note a motion: its targets, tool and work object."""
-        statement, known = self.statements[k], self.flow[k]
+        statement = self.statements[k]
+        known = self.flow[k]
         first = word(statement.items[0])
-        path, plain, options = MOTIONS[first], [], {}
+        path = MOTIONS[first]
+        plain = []
+        options = {}
         for part in split(statement.items[1:]):
             pieces = split(part, "\\")
             plain += [pieces[0]] if pieces[0] else []
@@ -229,33 +279,61 @@ class _Reader(Reader):
         # After speed and zone; the last argument of motions of options.
         tools = plain[-1:] if first in OF_OPTIONS else plain[count + 2 : count + 3]
         tool = self.frame(k, tools[0] if tools else (), "its tool is computed")
-        base = self.frame(k, options["WOBJ"], "its work object is computed") if "WOBJ" in options else Frame("WOBJ0")
-        displaced = self.displaced(k, [name for name in ("PDISP", "EOFFS", "CORR") if name in self.switched], ENDS_IT)
+        base = (
+            self.frame(k, options["WOBJ"], "its work object is computed")
+            if "WOBJ" in options
+            else Frame("WOBJ0")
+        )
+        displaced = self.displaced(
+            k, [name for name in ("PDISP", "EOFFS", "CORR") if name in self.switched], ENDS_IT
+        )
         if "CORR" in options or displaced:
-            base = Frame("displacement", reason=displaced or "the motion is corrected by a sensor (Corr)")
+            base = Frame(
+                "displacement", reason=displaced or "the motion is corrected by a sensor (Corr)"
+            )
         can_insert = first == "MOVEL" and self.steps[k - 1].opens != ONCE
-        span, takes_posture = place_of(places[-1]), self._takes_posture(known, "CONFJ" if path == "joint" else "CONFL")
+        span = place_of(places[-1])
+        takes_posture = self._takes_posture(known, "CONFJ" if path == "joint" else "CONFL")
         self.draft.motions.append(
-            Motion(path, targets, statement, self.file, tool, base, span, known.run, can_insert, takes_posture)
+            Motion(
+                path,
+                targets,
+                statement,
+                self.file,
+                tool,
+                base,
+                span,
+                known.run,
+                can_insert,
+                takes_posture,
+            )
         )
 
     def _takes_posture(self, known: InForce, switch: str) -> bool:
-        """Return whether configurations are monitored: not where that is, or may be, switched off."""
+        """Return whether configurations are monitored: not where that is, or may be,
+        switched off.
+        """
         found = known.setters.get(switch)
         if isinstance(found, int):
             return "OFF" not in self.words(self.statements[found].items)
         return found is None and switch not in self.switched
 
 
-def _that_change_parameters(statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce]) -> list[str]:
+def _that_change_parameters(
+    statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce]
+) -> list[str]:
     """Return the names of routines that may change their arguments."""
     found = []
     for k, statement in enumerate(statements):
-        step, routine, first = steps[k], flow[k].routine, word(statement.items[0])
+        step = steps[k]
+        routine = flow[k].routine
+        first = word(statement.items[0])
         if routine < 0 or step.opens or step.closes or step.is_jump or first in MOTIONS:
             continue
         sides = split(statement.items, ":=")
-        touched = {element_name(sides[0])[0]} if len(sides) == 2 else set(words_in(statement.items[1:]))
+        touched = (
+            {element_name(sides[0])[0]} if len(sides) == 2 else set(words_in(statement.items[1:]))
+        )
         for name, group in calls_in(statement.items):
             if name.upper() not in _HARMLESS:
                 touched |= {element_name(part)[0] for part in group.parts}
@@ -272,22 +350,29 @@ def _lists(group: Brackets) -> list[tuple[Number, ...]] | None:
 
 
 def _posture(conf: Sequence[Number]) -> Posture | None:
-    """Return the posture of confdata: quarters of axes 1, 4 and 6, and the number of one of eight arm configurations."""
+    """Return the posture of confdata: quarters of axes 1, 4 and 6, and the number of one of eight
+    arm configurations.
+    """
     if any(number.value != round(number.value) for number in conf) or not 0 <= conf[3].value <= 7:
         return None
     shape = int(conf[3].value)
-    turns = tuple(Turn(joint, "quarter", int(conf[k].value), conf[k]) for k, joint in enumerate((0, 3, 5)))
+    turns = tuple(
+        Turn(joint, "quarter", int(conf[k].value), conf[k]) for k, joint in enumerate((0, 3, 5))
+    )
     return Posture(not shape & 4, not shape & 2, not shape & 1, turns)
 
 
 def _in_zone(text: str) -> str:
     """Return a motion that passes its target: ``fine`` and wider zones become z0."""
-    depth, commas, start = 0, [], 0
+    depth = 0
+    commas = []
+    start = 0
     for k, letter in enumerate(text):
         depth += (letter in "([{") - (letter in ")]}")
         if letter == "," and not depth:
             commas.append(k)
     if len(commas) < 3:
         return text
-    start, end = commas[1] + 1, commas[2]
+    start = commas[1] + 1
+    end = commas[2]
     return text[:start] + " z0" + text[end:]

@@ -1,4 +1,6 @@
-"""The statements of ABB's language: the text up to each semicolon, and the effect of each statement on the control flow."""
+"""The statements of ABB's language: the text up to each semicolon, and the effect of each statement
+on the control flow.
+"""
 
 from __future__ import annotations
 
@@ -34,16 +36,27 @@ GRAMMAR = nested(_TOKENS)
 _WORDS = "RAPID: MODULE ... ENDMODULE with statements that end in ';'"
 _ROUTINES = {"PROC": "ENDPROC", "FUNC": "ENDFUNC", "TRAP": "ENDTRAP"}
 _LOOPS = {"WHILE": "ENDWHILE", "FOR": "ENDFOR"}
-_BLOCKS = {"MODULE": "ENDMODULE", "RECORD": "ENDRECORD", "IF": "ENDIF", "TEST": "ENDTEST", **_ROUTINES, **_LOOPS}
+_BLOCKS = {
+    "MODULE": "ENDMODULE",
+    "RECORD": "ENDRECORD",
+    "IF": "ENDIF",
+    "TEST": "ENDTEST",
+    **_ROUTINES,
+    **_LOOPS,
+}
 _CLOSES = {end: (opens,) for opens, end in _BLOCKS.items()}
-# Words after which a statement may follow without a semicolon, with the ends of these heads, and words that stand alone.
+# Words after which a statement may follow without a semicolon, with the ends of these heads, and
+# words that stand alone.
 _HEADS = {"IF": "THEN", "ELSEIF": "THEN", "FOR": "DO", "WHILE": "DO", "CASE": ":", "DEFAULT": ":"}
 _JUMPS = ("ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD")
 _ALONE = (*_CLOSES, "ELSE", "ERROR", "UNDO", "BACKWARD")
 ONCE = "IF without THEN"
 _PLAIN = {"MOVEL": "line", "MOVEJ": "joint", "MOVEC": "circle", "MOVEABSJ": "joint"}
 _PLAIN |= {
-    f"{name}{more}": path for name, path in _PLAIN.items() for more in ("DO", "AO", "GO", "SYNC") if name != "MOVEABSJ"
+    f"{name}{more}": path
+    for name, path in _PLAIN.items()
+    for more in ("DO", "AO", "GO", "SYNC")
+    if name != "MOVEABSJ"
 }
 # Motions of options, such as arc welding, whose tool is their last argument.
 OF_OPTIONS = {
@@ -53,7 +66,8 @@ OF_OPTIONS = {
     for kind in kinds for more in ends
 }  # fmt: skip
 MOTIONS: dict[str, Path] = {**_PLAIN, **OF_OPTIONS}  # type: ignore[dict-item]
-# Instructions by what they switch: displacements of positions, and whether configurations are monitored.
+# Instructions by what they switch: displacements of positions, and whether configurations are
+# monitored.
 SWITCHES = {"PDISPON": "PDISP", "PDISPSET": "PDISP", "PDISPOFF": "PDISP", "EOFFSON": "EOFFS", "EOFFSSET": "EOFFS",
              "EOFFSOFF": "EOFFS", "CORRCON": "CORR", "CORRDISCON": "CORR", "CORRCLEAR": "CORR",
              "CONFL": "CONFL", "CONFJ": "CONFJ"}  # fmt: skip
@@ -71,9 +85,11 @@ def statements_of(source: Source) -> list[tuple[Statement, Step]]:
 
 def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
     """Yield the statements before one semicolon, with their effects on the control flow."""
-    items, k = whole.items, 0
+    items = whole.items
+    k = 0
     while k < len(items):
-        first, end = word(items[k]), len(items)
+        first = word(items[k])
+        end = len(items)
         opening = word(items[k + 1]) if first == "LOCAL" and k + 1 < end else first
         is_label = k + 1 < end and is_token(items[k + 1], "SIGN", ":")
         size = 0
@@ -83,7 +99,11 @@ def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
             size = (1 if first == "LOCAL" else 0) + (3 if opening == "FUNC" else 2)
         elif first in _HEADS:
             closing = _HEADS[first]
-            ends = [j for j in range(k, end) if word(items[j]) == closing or is_token(items[j], "SIGN", closing)]
+            ends = [
+                j
+                for j in range(k, end)
+                if word(items[j]) == closing or is_token(items[j], "SIGN", closing)
+            ]
             if not ends and first == "IF":
                 yield from _once(whole, items[k:])
                 return
@@ -91,9 +111,18 @@ def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
         elif first and is_label:
             size = 2
         elif first == "TEST" or not first:
-            ends = [j for j in range(k + 1, end) if word(items[j]) in (("CASE", "DEFAULT") if first else ("MODULE",))]
+            ends = [
+                j
+                for j in range(k + 1, end)
+                if word(items[j]) in (("CASE", "DEFAULT") if first else ("MODULE",))
+            ]
             size = ends[0] - k if ends else 0
-        if size and k + size < end and isinstance(items[k + size], Brackets) and (opening in _BLOCKS or first == "ERROR"):
+        if (
+            size
+            and k + size < end
+            and isinstance(items[k + size], Brackets)
+            and (opening in _BLOCKS or first == "ERROR")
+        ):
             size += 1
         end = min(k + size, end) if size else end
         statement = _part(whole, items[k:end])
@@ -109,7 +138,9 @@ def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, S
     if not motions and len(sides) == 2:
         k = len(sides[0]) - 1
         while k > 1 and (
-            isinstance(items[k], Brackets) or is_token(items[k], "SIGN", ".") or is_token(items[k - 1], "SIGN", ".")
+            isinstance(items[k], Brackets)
+            or is_token(items[k], "SIGN", ".")
+            or is_token(items[k - 1], "SIGN", ".")
         ):
             k -= 1
     condition = _part(whole, items[:1])
@@ -127,10 +158,15 @@ def _part(whole: Statement, items: Sequence[Any]) -> Statement:
 
 def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:
     """Return the effect of a statement on the control flow and on switches."""
-    items, first = statement.items, word(statement.items[0])
+    items = statement.items
+    first = word(statement.items[0])
     if opening in _BLOCKS:
         names = [word(item) for item in items if word(item)]
-        return Step(opens=opening, routine=names[-1] if opening in _ROUTINES else "", is_loop=opening in _LOOPS)
+        return Step(
+            opens=opening,
+            routine=names[-1] if opening in _ROUTINES else "",
+            is_loop=opening in _LOOPS,
+        )
     if first in _CLOSES:
         return Step(closes=_CLOSES[first])
     if first in _JUMPS or is_label:
@@ -138,10 +174,14 @@ def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:
     if first == "CONNECT":
         return Step(starts=tuple(words_in(items[1:])))
     calls = (first, *(name.upper() for name, _ in calls_in(items)))
-    return Step(sets=frozenset({SWITCHES[first]}) if first in SWITCHES else frozenset(), calls=calls)
+    return Step(
+        sets=frozenset({SWITCHES[first]}) if first in SWITCHES else frozenset(), calls=calls
+    )
 
 
-def check_blocks(source: Source, statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce]) -> None:
+def check_blocks(
+    source: Source, statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce]
+) -> None:
     """Refuse a file that does not consist of modules, or has nested routines."""
     if not any(step.opens == "MODULE" for step in steps):
         raise source.error("the end of the file, expected " + _WORDS, len(source.content))
@@ -152,4 +192,6 @@ def check_blocks(source: Source, statements: Sequence[Statement], steps: Sequenc
             where = "outside of" if is_outside else "within"
             raise source.error(f"{found!r} {where} a module; expected {_WORDS}", statement.start)
         if step.routine and known.depth != 1:
-            raise source.error(f"{found!r} within another routine; expected {_WORDS}", statement.start)
+            raise source.error(
+                f"{found!r} within another routine; expected {_WORDS}", statement.start
+            )

@@ -1,4 +1,6 @@
-"""What all readers of a language of nested brackets share: targets, frames, assignments, and arguments of routines."""
+"""What all readers of a language of nested brackets share: targets, frames, assignments, and
+arguments of routines.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,15 @@ from typing import Any, ClassVar
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step
 from pincal.programs.program import Frame, Point, Skipped
-from pincal.programs.syntax import Brackets, Statement, calls_in, element_name, split, text_of_items, words_in
+from pincal.programs.syntax import (
+    Brackets,
+    Statement,
+    calls_in,
+    element_name,
+    split,
+    text_of_items,
+    words_in,
+)
 
 PARAMETER = "a parameter of the routine"
 
@@ -37,7 +47,9 @@ class Reader:
     case: ClassVar[bool] = False
 
     def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Skipped | None:
-        """Return the point that items state in numbers, why it can't be used, or None for another expression."""
+        """Return the point that items state in numbers, why it can't be used, or None for another
+        expression.
+        """
         raise NotImplementedError
 
     def skip(self, name: str, line: int, reason: str) -> Skipped:
@@ -49,10 +61,14 @@ class Reader:
     def parameters(self, k: int) -> set[str]:
         """Return the names of the parameters of the routine around a statement."""
         routine = self.flow[k].routine
-        return set(formal_names(self.statements[routine], case=self.case)) if routine >= 0 else set()
+        return (
+            set(formal_names(self.statements[routine], case=self.case)) if routine >= 0 else set()
+        )
 
     def target(self, k: int, part: Sequence[Any]) -> str | Point | Skipped:
-        """Return the target of a motion: a name, a point in numbers, or something that can't be corrected."""
+        """Return the target of a motion: a name, a point in numbers, or something that can't be
+        corrected.
+        """
         line = self.statements[k].line
         found = self.literal(line, f"target of line {line}", part)
         if found is not None:
@@ -77,29 +93,42 @@ class Reader:
         if found is not None:
             self.draft.take(found)
             return
-        self.draft.write(name, f"line {line} sets {'a part of it' if is_part else 'it'} while the program runs")
+        self.draft.write(
+            name, f"line {line} sets {'a part of it' if is_part else 'it'} while the program runs"
+        )
         self.draft.derive(name, self.words(value))
 
     def pass_arguments(self, line: int, items: Sequence[Any]) -> None:
         """Note the names that calls within items may change."""
         for called, group in calls_in(items):
             if (called if self.case else called.upper()) not in self.harmless:
-                self.draft.pass_to(called, [element_name(part, case=self.case)[0] for part in group.parts], line)
+                self.draft.pass_to(
+                    called, [element_name(part, case=self.case)[0] for part in group.parts], line
+                )
 
     def displaced(self, k: int, kinds: Sequence[str], ended_by: Sequence[str]) -> str:
-        """Return why positions are, or may be, displaced at a statement, "" if not: by kinds that these words end."""
+        """Return why positions are, or may be, displaced at a statement, "" if not: by kinds that
+        these words end.
+        """
         for kind in kinds:
             found = self.flow[k].setters.get(kind)
             if not isinstance(found, int):
-                return f"positions may be displaced ({kind}): {found if found is not None else 'another routine does so'}"
+                return (
+                    f"positions may be displaced ({kind}): "
+                    f"{found if found is not None else 'another routine does so'}"
+                )
             called = str(self.statements[found].items[0])
             if (called if self.case else called.upper()) not in ended_by:
                 return f"line {self.statements[found].line} displaces positions ({called})"
         return ""
 
 
-def formal_names(statement: Statement, kinds: Sequence[str] = (), *, case: bool = False) -> list[str]:
-    """Return the names of a routine's parameters, of some kinds or all, from the statement that opens it."""
+def formal_names(
+    statement: Statement, kinds: Sequence[str] = (), *, case: bool = False
+) -> list[str]:
+    """Return the names of a routine's parameters, of some kinds or all, from the statement that
+    opens it.
+    """
     found = []
     for item in statement.items:
         for part in item.parts if isinstance(item, Brackets) else ():

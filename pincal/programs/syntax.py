@@ -1,8 +1,9 @@
 """The text of a program as a tree of tokens with their positions, by a grammar of its language.
 
-Bytes are decoded one to one as characters, so that a position in the text is a position in the file whatever its encoding.
-Three of the languages share a grammar: statements of words, numbers, strings and symbols, nested in brackets; each language
-adds its tokens and the ends of its statements. Its module interprets the statements.
+Bytes are decoded one to one as characters, so that a position in the text is a position in the file
+whatever its encoding. Three of the languages share a grammar: statements of words, numbers, strings
+and symbols, nested in brackets; each language adds its tokens and the ends of its statements. Its
+module interprets the statements.
 """
 
 from __future__ import annotations
@@ -95,9 +96,14 @@ class Source:
     def text(self) -> str:
         """One character for each byte; a byte order mark is blank."""
         if len(self.content) > LARGEST_PROGRAM:
-            raise ProgramError(f"{self.name}: {len(self.content)} bytes; expected a program of at most {LARGEST_PROGRAM}")
+            raise ProgramError(
+                f"{self.name}: {len(self.content)} bytes; expected a program of at most "
+                f"{LARGEST_PROGRAM}"
+            )
         if b"\0" in self.content:
-            raise self.error("a zero byte; expected text in ASCII, Latin-1 or UTF-8", self.content.index(b"\0"))
+            raise self.error(
+                "a zero byte; expected text in ASCII, Latin-1 or UTF-8", self.content.index(b"\0")
+            )
         text = self.content.decode("latin-1")
         return "   " + text[3:] if text.startswith("\xef\xbb\xbf") else text
 
@@ -123,7 +129,8 @@ class Source:
         Args:
             grammar: the grammar.
             words: what is expected of the file, for messages.
-            part: start and end of the text to be read; default: all. Tokens of a part have no valid line numbers.
+            part: start and end of the text to be read; default: all. Tokens of a part have no valid
+                line numbers.
 
         Raises:
             ProgramError: if the text does not match the grammar: truncated, or another dialect.
@@ -134,10 +141,14 @@ class Source:
         try:
             return parser_of(grammar).parse(text + _END_OF_FILE)
         except UnexpectedInput as error:
-            at = min(error.pos_in_stream if error.pos_in_stream is not None else len(text), len(text))
+            at = min(
+                error.pos_in_stream if error.pos_in_stream is not None else len(text), len(text)
+            )
             is_end = isinstance(error, UnexpectedToken) and error.token.type == "$END"
             if is_end or at == len(text):
-                raise self.error(f"the end of the file; expected more of {words}: is it truncated?", len(text)) from None
+                raise self.error(
+                    f"the end of the file; expected more of {words}: is it truncated?", len(text)
+                ) from None
             found = text[at] if isinstance(error, UnexpectedCharacters) else str(error.token)  # type: ignore[attr-defined]
             raise self.error(f"{found[:30]!r}; expected {words}", at) from None
 
@@ -165,13 +176,20 @@ class Source:
                 continue
             first, *inner, last = child.children
             if _PAIRS[first] != last:
-                raise self.error(f"{str(last)!r}; expected {_PAIRS[first]!r} in {words}", last.start_pos)
-            yield Brackets(str(first), tuple(self._items(inner, words)), first.start_pos, last.end_pos)
+                raise self.error(
+                    f"{str(last)!r}; expected {_PAIRS[first]!r} in {words}", last.start_pos
+                )
+            yield Brackets(
+                str(first), tuple(self._items(inner, words)), first.start_pos, last.end_pos
+            )
 
 
 def nested(tokens: str, *, over_lines: bool = False) -> str:
     """Return the grammar of a language of nested brackets with these tokens."""
-    return _NESTED.replace("_inner: _item", "_inner: _item | _END" if over_lines else "_inner: _item") + tokens
+    return (
+        _NESTED.replace("_inner: _item", "_inner: _item | _END" if over_lines else "_inner: _item")
+        + tokens
+    )
 
 
 @lru_cache(8)
@@ -200,21 +218,31 @@ def split(items: Iterable[Any], sign: str = ",") -> list[tuple[Any, ...]]:
 
 def number_of(items: Sequence[Any]) -> Number | None:
     """Return the number that items form, with its sign; None if they form something else."""
-    if len(items) == 2 and is_token(items[0], "SIGN", "+", "-") and items[0].end_pos == items[1].start_pos:
-        sign, number = str(items[0]), items[1]
+    if (
+        len(items) == 2
+        and is_token(items[0], "SIGN", "+", "-")
+        and items[0].end_pos == items[1].start_pos
+    ):
+        sign = str(items[0])
+        number = items[1]
     elif len(items) == 1:
-        sign, number = "", items[0]
+        sign = ""
+        number = items[0]
     else:
         return None
     if not is_token(number, "NUMBER"):
         return None
     value = float(sign + str(number))
     start = items[0].start_pos
-    return Number(value, start, number.end_pos, sign + str(number)) if math.isfinite(value) else None
+    return (
+        Number(value, start, number.end_pos, sign + str(number)) if math.isfinite(value) else None
+    )
 
 
 def number_at(token: Token) -> Number | None:
-    """Return the number of a token in a grammar with signed numbers; None if it is something else."""
+    """Return the number of a token in a grammar with signed numbers; None if it is
+    something else.
+    """
     text = str(token)
     try:
         return Number(float(text), token.start_pos or 0, token.end_pos or 0, text)
@@ -230,18 +258,29 @@ def numbers_of(parts: Sequence[Sequence[Any]]) -> tuple[Number, ...] | None:
 
 def aggregate(items: Sequence[Any], kind: str) -> Brackets | None:
     """Return the only item if it is a pair of brackets of a kind, else None."""
-    return items[0] if len(items) == 1 and isinstance(items[0], Brackets) and items[0].kind == kind else None
+    return (
+        items[0]
+        if len(items) == 1 and isinstance(items[0], Brackets) and items[0].kind == kind
+        else None
+    )
 
 
 def call_of(items: Sequence[Any]) -> tuple[str, Brackets] | None:
     """Return name and arguments of the call that items form, None if they form none."""
-    if len(items) == 2 and is_token(items[0], "WORD") and isinstance(items[1], Brackets) and items[1].kind == "(":
+    if (
+        len(items) == 2
+        and is_token(items[0], "WORD")
+        and isinstance(items[1], Brackets)
+        and items[1].kind == "("
+    ):
         return str(items[0]), items[1]
     return None
 
 
 def is_token(item: Any, kind: str, text: str = "", other: str = "") -> bool:
-    """Return whether an item is a token of a kind and, if texts are given, spells one of them in any case."""
+    """Return whether an item is a token of a kind and, if texts are given, spells one of them in
+    any case.
+    """
     return bool(item.type == kind) and (not text or str(item).upper() in (text, other))
 
 
@@ -251,7 +290,9 @@ def word(item: Any) -> str:
 
 
 def text_of_items(items: Iterable[Any], *, case: bool = False) -> str:
-    """Return the text of items without blanks and, unless case is significant, in capitals: ``P [ 3 ]`` is P[3]."""
+    """Return the text of items without blanks and, unless case is significant, in capitals: ``P [ 3
+    ]`` is P[3].
+    """
     found = ""
     for item in items:
         if isinstance(item, Brackets):
@@ -262,7 +303,8 @@ def text_of_items(items: Iterable[Any], *, case: bool = False) -> str:
 
 
 def element_name(items: Sequence[Any], *, case: bool = False) -> tuple[str, bool]:
-    """Return the name that items spell, "" if they spell none, and whether they refer to a component of it only.
+    """Return the name that items spell, "" if they spell none, and whether they refer to a
+    component of it only.
 
     An element of an array is ``P[3]``, or ``P[*]`` if its index is computed.
 
@@ -272,10 +314,12 @@ def element_name(items: Sequence[Any], *, case: bool = False) -> tuple[str, bool
     """
     if not items or not is_token(items[0], "WORD"):
         return "", False
-    name, rest = str(items[0]) if case else str(items[0]).upper(), items[1:]
+    name = str(items[0]) if case else str(items[0]).upper()
+    rest = items[1:]
     if rest and isinstance(rest[0], Brackets) and rest[0].kind in "[{":
         plain = all(len(part) == 1 and is_token(part[0], "NUMBER") for part in rest[0].parts)
-        name, rest = f"{name}[{text_of_items(rest[0].items) if plain else '*'}]", rest[1:]
+        name = f"{name}[{text_of_items(rest[0].items) if plain else '*'}]"
+        rest = rest[1:]
     is_part = bool(rest) and (is_token(rest[0], "SIGN", ".") or isinstance(rest[0], Brackets))
     return (name, is_part) if not rest or is_part else ("", False)
 
@@ -290,7 +334,8 @@ def calls_in(items: Sequence[Any]) -> Iterator[tuple[str, Brackets]]:
 
 
 def words_in(items: Sequence[Any], *, case: bool = False) -> Iterator[str]:
-    """Yield all words of items at any depth, and the array elements that they name: both P and P[3].
+    """Yield all words of items at any depth, and the array elements that they name: both P and
+    P[3].
 
     The field names of an aggregate are left out: ``{X A.Z, Y 5}`` yields A and Z.
     """
@@ -298,8 +343,14 @@ def words_in(items: Sequence[Any], *, case: bool = False) -> Iterator[str]:
         is_index = k > 0 and items[k - 1].type == "WORD"
         if isinstance(item, Brackets):
             for part in item.parts:
-                yield from words_in(part[1:] if item.kind == "{" and not is_index else part, case=case)
+                yield from words_in(
+                    part[1:] if item.kind == "{" and not is_index else part, case=case
+                )
         elif item.type == "WORD":
             yield str(item) if case else str(item).upper()
-            if k + 1 < len(items) and isinstance(items[k + 1], Brackets) and items[k + 1].kind in "[{":
+            if (
+                k + 1 < len(items)
+                and isinstance(items[k + 1], Brackets)
+                and items[k + 1].kind in "[{"
+            ):
                 yield element_name(items[k : k + 2], case=case)[0]

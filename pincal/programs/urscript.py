@@ -45,7 +45,14 @@ _SWITCHES = {"set_tcp": "tcp", "path_offset_enable": "path_offset", "path_offset
              "track_conveyor_linear": "conveyor", "track_conveyor_circular": "conveyor",
              "stop_conveyor_tracking": "conveyor"}  # fmt: skip
 _ENDS_IT = ("path_offset_disable", "stop_conveyor_tracking")
-_OPENS = {"def": "routine", "thread": "routine", "sec": "routine", "while": "loop", "for": "loop", "if": "branch"}
+_OPENS = {
+    "def": "routine",
+    "thread": "routine",
+    "sec": "routine",
+    "while": "loop",
+    "for": "loop",
+    "if": "branch",
+}
 
 
 @LANGUAGES.register
@@ -67,15 +74,26 @@ class UrScript(ControllerLanguage):
         for source in sources:
             statements = source.statements(_TOKENS, _WORDS, over_lines=True)
             steps = [_step(statement) for statement in statements]
-            if not any(step.opens or call_of(statements[k].items) is not None for k, step in enumerate(steps)):
-                raise source.error(f"no statement that calls or defines anything; expected {_WORDS}", 0)
+            if not any(
+                step.opens or call_of(statements[k].items) is not None
+                for k, step in enumerate(steps)
+            ):
+                raise source.error(
+                    f"no statement that calls or defines anything; expected {_WORDS}", 0
+                )
             files.append((source, statements, steps))
         flows = followed(files)
-        displaced = {name for _, _, steps in files for step in steps for name in step.sets if name != "tcp"}
+        displaced = {
+            name for _, _, steps in files for step in steps for name in step.sets if name != "tcp"
+        }
         for i, (_, statements, steps) in enumerate(files):
             # Arguments are passed by value.
-            harmless = frozenset(name for statement in statements for name, _ in calls_in(statement.items))
-            reader = _Reader(draft, i, statements, steps, flows[i], harmless, self, sorted(displaced))
+            harmless = frozenset(
+                name for statement in statements for name, _ in calls_in(statement.items)
+            )
+            reader = _Reader(
+                draft, i, statements, steps, flows[i], harmless, self, sorted(displaced)
+            )
             for k in range(len(statements)):
                 reader.statement(k)
         return draft.finish()
@@ -83,10 +101,16 @@ class UrScript(ControllerLanguage):
     def key(self, name: str) -> str:
         return name
 
-    def statement(self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture) -> str:
+    def statement(
+        self, motion: Motion, source: Source, *, values: np.ndarray, posture: Posture
+    ) -> str:
         start, end = motion.span
         pose = ",".join(f"{value:.{7 if k < 3 else 8}f}" for k, value in enumerate(values))
-        return source.text[motion.statement.start : start] + f"p[{pose}]" + source.text[end : motion.statement.end]
+        return (
+            source.text[motion.statement.start : start]
+            + f"p[{pose}]"
+            + source.text[end : motion.statement.end]
+        )
 
 
 @dataclass(frozen=True)
@@ -108,13 +132,18 @@ class _Reader(Reader):
 
     def statement(self, k: int) -> None:
         """Note what a statement sets or moves."""
-        statement, known = self.statements[k], self.flow[k]
-        items, line, call = statement.items, statement.line, call_of(statement.items)
+        statement = self.statements[k]
+        known = self.flow[k]
+        items = statement.items
+        line = statement.line
+        call = call_of(statement.items)
         if call is not None and call[0] in _MOTIONS:
             self._move(k, *call)
             return
         if call is not None and call[0] in _ENDLESS:
-            lost = self.skip(f"{call[0]} of line {line}", line, "a motion without an end point of its own")
+            lost = self.skip(
+                f"{call[0]} of line {line}", line, "a motion without an end point of its own"
+            )
             self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=known.run))
         rest = items[1:] if is_token(items[0], "WORD", "GLOBAL", "LOCAL") else items
         sides = split(rest, "=")
@@ -127,8 +156,15 @@ class _Reader(Reader):
     def assign(self, line: int, name: str, is_part: bool, value: Sequence[Any]) -> None:
         """Note the value that a name is set to, perhaps a list of poses."""
         group = aggregate(value, "[")
-        if group is not None and not is_part and "[" not in name and self.literal(line, name, value) is None:
-            points = [self.literal(line, f"{name}[{k}]", part) for k, part in enumerate(group.parts)]
+        if (
+            group is not None
+            and not is_part
+            and "[" not in name
+            and self.literal(line, name, value) is None
+        ):
+            points = [
+                self.literal(line, f"{name}[{k}]", part) for k, part in enumerate(group.parts)
+            ]
             if all(isinstance(point, Point) for point in points):
                 for point in points:
                     self.draft.declare(point)  # type: ignore[arg-type]
@@ -153,8 +189,10 @@ class _Reader(Reader):
 
     def _move(self, k: int, called: str, arguments: Brackets) -> None:
         """Note a motion."""
-        statement, known = self.statements[k], self.flow[k]
-        named, plain = dict[str, tuple[Any, ...]](), []
+        statement = self.statements[k]
+        known = self.flow[k]
+        named = dict[str, tuple[Any, ...]]()
+        plain = []
         for part in arguments.parts:
             if len(part) > 2 and is_token(part[1], "SIGN", "="):
                 named[str(part[0])] = part[2:]
@@ -166,13 +204,26 @@ class _Reader(Reader):
         if len(places) < count:
             places = [named[key] for key in ("pose_via", "pose_to", "pose", "q") if key in named]
         if len(places) < count:
-            self.draft.skipped.append(self.skip(f"{called} of line {statement.line}", statement.line, "not understood"))
+            self.draft.skipped.append(
+                self.skip(f"{called} of line {statement.line}", statement.line, "not understood")
+            )
             return
         targets = tuple(self.target(k, part) for part in places)
         displaced = self.displaced(k, self.displacements, _ENDS_IT)
-        base, span = Frame("", reason=displaced) if displaced else Frame("base", np.eye(4)), place_of(places[-1])
+        base = Frame("", reason=displaced) if displaced else Frame("base", np.eye(4))
+        span = place_of(places[-1])
         self.draft.motions.append(
-            Motion(path, targets, statement, self.file, self._tool(known), base, span, known.run, path == "line")
+            Motion(
+                path,
+                targets,
+                statement,
+                self.file,
+                self._tool(known),
+                base,
+                span,
+                known.run,
+                path == "line",
+            )
         )
 
     def _tool(self, known: InForce) -> Frame:
@@ -181,7 +232,9 @@ class _Reader(Reader):
         if not isinstance(found, int):
             return Frame("tcp", reason=f"set_tcp: {found}" if found is not None else "")
         call = call_of(self.statements[found].items)
-        point = self.literal(0, "tcp", call[1].parts[0]) if call is not None and call[1].parts else None
+        point = (
+            self.literal(0, "tcp", call[1].parts[0]) if call is not None and call[1].parts else None
+        )
         if isinstance(point, Point) and point.kind == "pose":
             return Frame("tcp", self.language.pose(point.values))
         return Frame("tcp", reason=f"line {self.statements[found].line} sets a computed tool")
@@ -203,4 +256,6 @@ def _step(statement: Statement) -> Step:
         return Step(closes=tuple(_OPENS))
     if first in ("elif", "else"):
         return Step(is_jump=True, calls=calls)
-    return Step(sets=frozenset({_SWITCHES[first]}) if first in _SWITCHES else frozenset(), calls=calls)
+    return Step(
+        sets=frozenset({_SWITCHES[first]}) if first in _SWITCHES else frozenset(), calls=calls
+    )

@@ -12,7 +12,9 @@ from pincal.notes import Note, doubts_of
 
 
 class PageBlock(Protocol):
-    """A block of the page: the return value of these functions, or a :class:`pincal.result_table.Table`."""
+    """A block of the page: the return value of these functions, or a
+    :class:`pincal.result_table.Table`.
+    """
 
     def __html__(self) -> str:
         """Return the block as HTML."""
@@ -24,7 +26,8 @@ def merged(blocks: Iterable[PageBlock | str], between: str = "") -> Markup:
 
 
 def rich(text: str, *values: object) -> Markup:
-    """Return text with mark-up of its own and values that are escaped unless they are mark-up themselves.
+    """Return text with mark-up of its own and values that are escaped unless they are mark-up
+    themselves.
 
     Example:
         >>> rich("<b>{}</b> of {}", "a < b", code("c"))
@@ -78,7 +81,9 @@ def card(title: str, *blocks: PageBlock) -> Markup:
 
 
 def arranged(kind: str, *blocks: PageBlock) -> Markup:
-    """Return blocks that the page arranges together: "cards", "split", "glance" or "figures"; "plain" in a column."""
+    """Return blocks that the page arranges together: "cards", "split", "glance" or "figures";
+    "plain" in a column.
+    """
     return rich(f'<div class="{kind}">\n{{}}\n</div>', merged(blocks, "\n"))
 
 
@@ -90,18 +95,24 @@ def glance(entries: Sequence[tuple[str, tuple[float, float], tuple[str, str]]]) 
     """
     largest = max((max(values) for _, values, _ in entries), default=0.0) or 1.0
     row = (
-        '<div class="bar"><span>{0}</span><span class="track"><span class="{0}" style="width:{1:.1f}%"></span></span></div>'
+        '<div class="bar"><span>{0}</span><span class="track"><span class="{0}" '
+        'style="width:{1:.1f}%"></span></span></div>'
     )
     for title, values, (before, after) in entries:
         both = merged(
-            rich(row, name, 100.0 * value / largest) for name, value in zip(("before", "after"), values, strict=True)
+            rich(row, name, 100.0 * value / largest)
+            for name, value in zip(("before", "after"), values, strict=True)
         )
-        numbers = rich('<span class="big">{}</span> <span class="from">was {}</span>', after, before)
+        numbers = rich(
+            '<span class="big">{}</span> <span class="from">was {}</span>', after, before
+        )
         yield rich("<div><h3>{}</h3>{}{}</div>", title, numbers, both)
 
 
 def picture(svg: str, caption: str) -> Markup:
-    """Return a figure with what one sees and how to read it; all text in the drawing is escaped already."""
+    """Return a figure with what one sees and how to read it; all text in the drawing is escaped
+    already.
+    """
     return rich("<figure>{}<figcaption>{}</figcaption></figure>", Markup(svg), caption)
 
 
@@ -109,7 +120,8 @@ def picture(svg: str, caption: str) -> Markup:
 class Section:
     """A part of the page: its identifier, its heading and its contents.
 
-    The list of contents calls it ``label``, or leaves it out; the style "panel" sets it off from the rest.
+    The list of contents calls it ``label``, or leaves it out; the style "panel" sets it off from
+    the rest.
     """
 
     anchor: str
@@ -120,4 +132,10 @@ class Section:
 
     def __html__(self) -> str:
         opening = Markup(f'<section class="{self.style}">' if self.style else "<section>")
-        return rich('{}\n<h2 id="{}">{}</h2>\n{}\n</section>', opening, self.anchor, self.title, merged(self.blocks, "\n"))
+        return rich(
+            '{}\n<h2 id="{}">{}</h2>\n{}\n</section>',
+            opening,
+            self.anchor,
+            self.title,
+            merged(self.blocks, "\n"),
+        )

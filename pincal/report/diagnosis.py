@@ -41,15 +41,21 @@ def headline(found: DiagnosisFile) -> str:
         return f"These {found.rows} rows can't show whether the robot has changed."
     if not found.changed and found.p_value < found.alpha:
         return (
-            f"No change was detected in these {found.rows} poses; they differ from the model beyond chance "
-            f"({_chance(found.p_value)}), in the way in which it was incomplete when the robot was calibrated."
+            f"No change was detected in these {found.rows} poses; they differ from the "
+            "model beyond chance "
+            f"({_chance(found.p_value)}), in the way in which it was incomplete when the "
+            "robot was calibrated."
         )
     if not found.changed:
         return (
-            f"No change was detected in these {found.rows} poses (p = {found.p_value:.2g}): the robot "
+            f"No change was detected in these {found.rows} poses (p = "
+            f"{found.p_value:.2g}): the robot "
             "still matches its model."
         )
-    changes = "; ".join(in_words(change) + (f", {sizes(change)}" if change.parameters else "") for change in found.changes)
+    changes = "; ".join(
+        in_words(change) + (f", {sizes(change)}" if change.parameters else "")
+        for change in found.changes
+    )
     return f"The robot has changed ({_chance(found.p_value)}): {changes}."
 
 
@@ -66,8 +72,12 @@ def in_words(change: ChangeName) -> str:
     """
     if isinstance(change, ChangeEntry) and not change.parameters:
         return "something that no single cause explains"
-    words = f"{change.effect} of {change.joint or 'the whole arm'}" + (f" by {change.source}" if change.source else "")
-    session = change.session if isinstance(change, ChangeEntry) and change.curve_rms is not None else ""
+    words = f"{change.effect} of {change.joint or 'the whole arm'}" + (
+        f" by {change.source}" if change.source else ""
+    )
+    session = (
+        change.session if isinstance(change, ChangeEntry) and change.curve_rms is not None else ""
+    )
     return words + (f" in {session}" if session else "")
 
 
@@ -79,7 +89,8 @@ def sizes(change: ChangeEntry) -> str:
     moved = [(name, p.after - p.before, p.sigma, p.unit) for name, p in change.parameters.items()]
     moved.sort(key=lambda one: -abs(one[1]) / one[2] if one[2] else 0.0)
     return ", ".join(
-        f"{name} by {format_small(by, unit)} ± {format_small(sigma, unit)}" for name, by, sigma, unit in moved[:_SHOWN]
+        f"{name} by {format_small(by, unit)} ± {format_small(sigma, unit)}"
+        for name, by, sigma, unit in moved[:_SHOWN]
     )
 
 
@@ -117,9 +128,13 @@ def moved_parameters(changes: Iterable[ChangeEntry]) -> Table:
         Column("sigma", kind=Kind.NUMBER),
     )
     moved = (
-        (name, p.before, p.after, p.after - p.before, p.sigma, p.unit) for c in changes for name, p in c.parameters.items()
+        (name, p.before, p.after, p.after - p.before, p.sigma, p.unit)
+        for c in changes
+        for name, p in c.parameters.items()
     )
-    rows = tuple((name, *(format_small(value, unit) for value in values)) for name, *values, unit in moved)
+    rows = tuple(
+        (name, *(format_small(value, unit) for value in values)) for name, *values, unit in moved
+    )
     return Table("Parameters before and after the change", columns, rows)
 
 
@@ -138,14 +153,18 @@ def curve_table(found: CurvesEntry) -> Table:
         rows.append((entry.joint, entry.error_mm, entry.correlation, small, 100.0 * entry.seen))
     rows.append(("all", found.all_anew_mm, None, None, None))
     notes = (
-        "Cross-validated over blocks of poses, without outliers. Correlation and difference (rms about its mean) of the old "
-        "and the new curve at the new poses; determined before: poses at which the calibration had determined the curve.",
+        "Cross-validated over blocks of poses, without outliers. Correlation and "
+        "difference (rms about its mean) of the old "
+        "and the new curve at the new poses; determined before: poses at which the "
+        "calibration had determined the curve.",
     )
     return Table(f"Curves of the drives in {found.session}", columns, tuple(rows), notes)
 
 
 def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
-    """Return the smallest detectable size of each change, as the largest motion of the target in these poses [mm]."""
+    """Return the smallest detectable size of each change, as the largest motion of the target in
+    these poses [mm].
+    """
     entries = [entry for entry in found.excluded if entry.source is None]
     places = {entry.joint or "whole arm" for entry in entries}
     joints = [joint for joint in (*joint_names, "whole arm") if joint in places]
@@ -153,14 +172,27 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
     for entry in entries:
         symbol = split_name(entry.parameter)[1]
         several = sum(e.effect == entry.effect and e.joint == entry.joint for e in entries) > 1
-        sizes_on = smallest.setdefault(f"{entry.effect} {symbol}" if several and symbol else entry.effect, {})
-        # Of the forms of one effect on a joint, such as orders of an eccentricity, the one that is hardest to detect.
+        sizes_on = smallest.setdefault(
+            f"{entry.effect} {symbol}" if several and symbol else entry.effect, {}
+        )
+        # Of the forms of one effect on a joint, such as orders of an eccentricity, the one that is
+        # hardest to detect.
         where = entry.joint or "whole arm"
         sizes_on[where] = max(entry.tip_mm, sizes_on.get(where, 0.0))
     columns = (Column("change"), *(Column(joint, "mm", Kind.NUMBER, fixed(2)) for joint in joints))
-    rows: tuple[tuple[Cell, ...], ...] = tuple((name, *(on.get(joint) for joint in joints)) for name, on in smallest.items())
-    notes = ("Dash: not observable in these poses, or not on this joint. Sizes in SI units are in diagnosis.json.",)
-    return Table("Smallest change detected with a probability of 90 %, as motion of the target", columns, rows, notes)
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (name, *(on.get(joint) for joint in joints)) for name, on in smallest.items()
+    )
+    notes = (
+        "Dash: not observable in these poses, or not on this joint. Sizes in SI units are "
+        "in diagnosis.json.",
+    )
+    return Table(
+        "Smallest change detected with a probability of 90 %, as motion of the target",
+        columns,
+        rows,
+        notes,
+    )
 
 
 def set_up_words(found: DiagnosisFile) -> str:
@@ -168,7 +200,11 @@ def set_up_words(found: DiagnosisFile) -> str:
     at = found.station
     parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.4g} mm"]
     parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.4g} mrad"]
-    parts += [] if at.target_moved_mm is None else [f"the target moved by {at.target_moved_mm:.2f} mm on the tool"]
+    parts += (
+        []
+        if at.target_moved_mm is None
+        else [f"the target moved by {at.target_moved_mm:.2f} mm on the tool"]
+    )
     return ", ".join(parts) or "these readings do not determine the placement of the instrument"
 
 
@@ -177,11 +213,16 @@ def lines(found: DiagnosisFile) -> Iterator[str]:
     yield headline(found)
     for change in found.changes:
         if change.equivalent:
-            yield f"  {in_words(change)} could also be {'; '.join(map(in_words, change.equivalent))}"
+            yield (
+                f"  {in_words(change)} could also be {'; '.join(map(in_words, change.equivalent))}"
+            )
             yield f"  to distinguish: {change.tell_apart}"
     before, after = (found.gap[key]["mean_mm"] for key in ("before", "after"))
     if found.changed:
-        yield f"mean error {before:.4f} mm with the old model, {after:.4f} mm with the re-identified one"
+        yield (
+            f"mean error {before:.4f} mm with the old model, {after:.4f} mm with the "
+            "re-identified one"
+        )
     else:
         yield f"mean error {before:.4f} mm"
     yield f"{set_up_words(found)}; this is not a change of the robot"
@@ -190,17 +231,29 @@ def lines(found: DiagnosisFile) -> Iterator[str]:
         largest = max(first, key=lambda entry: entry.smallest)
         size = format_small(largest.smallest, largest.unit)
         yield (
-            f"excluded with 90 % probability: any other {first[0].effect} of at least {size} ({largest.tip_mm:.2f} mm at "
+            f"excluded with 90 % probability: any other {first[0].effect} of at least "
+            f"{size} ({largest.tip_mm:.2f} mm at "
             f"the target); all {len(found.excluded)} in diagnosis.json"
         )
 
 
 def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
     """Return ``report.html`` of a diagnosis."""
-    found, robot = diagnosis.found, diagnosis.model.model.chain.robot
+    found = diagnosis.found
+    robot = diagnosis.model.model.chain.robot
     drives = None if found.curves is None else (curve_table(found.curves),)
-    curves = None if drives is None else Section("curves", "Curves of the drives", drives, label="Curves")
-    made = (_answer(found), _changes(found), curves, _unchanged(found, robot.joint_names), _station(found))
+    curves = (
+        None
+        if drives is None
+        else Section("curves", "Curves of the drives", drives, label="Curves")
+    )
+    made = (
+        _answer(found),
+        _changes(found),
+        curves,
+        _unchanged(found, robot.joint_names),
+        _station(found),
+    )
     return render(
         f"Diagnosis of {robot.name}",
         f"{found.rows} new poses compared with the calibrated robot",
@@ -213,17 +266,26 @@ def _answer(found: DiagnosisFile) -> Section:
     tone, tag = ("bad", "changed") if found.changed else ("good", "not changed")
     tone, tag = (tone, tag) if found.is_judged else ("bad", "not judged")
     answer = rich('<span class="tag {}">{}</span> {}', tone, tag, headline(found))
-    left = arranged("plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings))
-    columns = arranged("split", left, arranged("plain", heading("What to do next"), bullets(_next_steps(found))))
-    before, after = found.gap["before"], found.gap["after"]
+    left = arranged(
+        "plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings)
+    )
+    columns = arranged(
+        "split", left, arranged("plain", heading("What to do next"), bullets(_next_steps(found)))
+    )
+    before = found.gap["before"]
+    after = found.gap["after"]
     if not found.changed:
-        errors = facts((f"{words} error", f"{before[key]:.4f} mm") for key, words in _STATISTICS.items())
+        errors = facts(
+            (f"{words} error", f"{before[key]:.4f} mm") for key, words in _STATISTICS.items()
+        )
         return Section("answer", "Has it changed?", (columns, errors), style="panel")
     shown = glance([
         (f"{words} error", (before[key], after[key]), (f"{before[key]:.4f}", f"{after[key]:.4f} mm"))
         for key, words in _STATISTICS.items()
     ])  # fmt: skip
-    return Section("answer", "Has it changed?", (columns, arranged("glance", *shown)), style="panel")
+    return Section(
+        "answer", "Has it changed?", (columns, arranged("glance", *shown)), style="panel"
+    )
 
 
 def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
@@ -231,7 +293,9 @@ def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
         yield "Find out where these rows come from, and measure again."
         return
     if not found.changed:
-        yield rich("Keep using the model; {} adds these poses to it permanently.", code("pincal update"))
+        yield rich(
+            "Keep using the model; {} adds these poses to it permanently.", code("pincal update")
+        )
         return
     for change in found.changes:
         if not change.parameters:
@@ -239,10 +303,16 @@ def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
         meaning = f" ({effect_meaning(change.effect)})"
         yield f"Inspect {change.joint or 'the whole arm'}: {change.effect}{meaning}."
         if change.equivalent:
-            yield f"It could also be {'; '.join(map(in_words, change.equivalent))}. To distinguish: {change.tell_apart}."
+            yield (
+                f"It could also be {'; '.join(map(in_words, change.equivalent))}. To "
+                f"distinguish: {change.tell_apart}."
+            )
     named = any(change.parameters for change in found.changes)
     if named:
-        yield rich("Until it is repaired, use {}: in this model only what changed was estimated again.", code("model.json"))
+        yield rich(
+            "Until it is repaired, use {}: in this model only what changed was estimated again.",
+            code("model.json"),
+        )
     else:
         yield rich("Measure more poses and calibrate again: {}.", code("pincal discover"))
 
@@ -254,7 +324,8 @@ def _changes(found: DiagnosisFile) -> Section | None:
     if not found.is_judged:
         return None
     text = (
-        f"Nothing: the calibrated model predicts these {found.rows} poses as well as its noise allows "
+        f"Nothing: the calibrated model predicts these {found.rows} poses as well as its "
+        "noise allows "
         f"(p = {found.p_value:.2g}; below {found.alpha:g} the robot would count as changed)."
     )
     return Section("changes", "What has changed", (paragraph(text),), label="What has changed")
@@ -264,7 +335,8 @@ def _unchanged(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | No
     if not found.excluded:
         return None
     words = (
-        "Smallest size of each change that would have been detected with a probability of 90 %, as the largest motion of "
+        "Smallest size of each change that would have been detected with a probability of "
+        "90 %, as the largest motion of "
         "the target in these poses."
     )
     blocks = (paragraph(words), excluded_table(found, joint_names))

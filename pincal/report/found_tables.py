@@ -20,9 +20,11 @@ _JOINTS_ABREAST = 7
 
 
 def location_table(where: Sequence[Disagreement]) -> Table:
-    """Return where model and data disagreed before the search, with shares of the residuals beyond the noise.
+    """Return where model and data disagreed before the search, with shares of the residuals beyond
+    the noise.
 
-    If there is elasticity, joints and regions are located in the residuals of the elastic model, and shares refer to these.
+    If there is elasticity, joints and regions are located in the residuals of the elastic model,
+    and shares refer to these.
     """
     columns = (
         Column("where", kind=Kind.NAME),
@@ -39,13 +41,19 @@ def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -
     If subsamples were searched, the table shows in how many of them each effect is found.
     """
     is_repeated = any(entry.stability for entry in effects)
-    units = ("mm", "mrad") if any(entry.gap_before_mrad is not None for entry in effects) else ("mm",)
+    units = (
+        ("mm", "mrad") if any(entry.gap_before_mrad is not None for entry in effects) else ("mm",)
+    )
     columns = (
         Column("effect", kind=Kind.NAME),
         Column("joint", kind=Kind.NAME),
         Column("p", kind=Kind.NUMBER, show=show_chance),
         *([Column("subsamples")] if is_repeated else []),
-        *(Column(name, unit, Kind.NUMBER, fixed(4)) for unit in units for name in ("mean before", "after")),
+        *(
+            Column(name, unit, Kind.NUMBER, fixed(4))
+            for unit in units
+            for name in ("mean before", "after")
+        ),
         Column("could also be"),
     )
     rows: tuple[tuple[Cell, ...], ...] = tuple(
@@ -54,7 +62,11 @@ def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -
             entry.joint or "whole arm",
             entry.p_value,
             *([str(entry.stability or "")] if is_repeated else []),
-            *(getattr(entry, f"gap_{when}_{unit}") for unit in units for when in ("before", "after")),
+            *(
+                getattr(entry, f"gap_{when}_{unit}")
+                for unit in units
+                for when in ("before", "after")
+            ),
             "; ".join(effect_words(other) for other in entry.equivalent),
         )
         for entry in effects
@@ -94,11 +106,14 @@ def stage_table(floor: float, stages: Sequence[Stage]) -> Table:
     ]
     rows.append(("noise alone", "", floor, "", *("" for _ in turned), None, 1.0))
     tones: list[RowTone] = ["" for _ in stages]
-    return Table("Errors on held-out rows after each change", columns, tuple(rows), tones=(*tones, "mute"))
+    return Table(
+        "Errors on held-out rows after each change", columns, tuple(rows), tones=(*tones, "mute")
+    )
 
 
 def by_reason(entries: Iterable[tuple[str, str | None, str]], n_joints: int) -> dict[str, str]:
-    """Return the effects that could not be tested, by reason, with their joints unless these are all.
+    """Return the effects that could not be tested, by reason, with their joints unless these are
+    all.
 
     Args:
         entries: effect, joint and reason; those without a reason are left out.
@@ -115,7 +130,10 @@ def by_reason(entries: Iterable[tuple[str, str | None, str]], n_joints: int) -> 
             joints = found.setdefault(common, {}).setdefault(effect, [])
             joints += [joint] if joint and joint not in joints else []
     return {
-        reason: ", ".join(f"{name} of {', '.join(j)}" if 0 < len(j) < n_joints else name for name, j in effects.items())
+        reason: ", ".join(
+            f"{name} of {', '.join(j)}" if 0 < len(j) < n_joints else name
+            for name, j in effects.items()
+        )
         for reason, effects in found.items()
     }
 
@@ -146,14 +164,21 @@ def coverage_table(report: DataReport) -> Table:
 
 def expectation_table(report: DataReport) -> Table:
     """Return the expected uncertainty of each parameter."""
-    rows = [ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason, p.effect) for p in report.parameters]
+    rows = [
+        ParameterRow(p.name, p.unit, 0.0, 0.0, p.sigma, p.status, p.reason, p.effect)
+        for p in report.parameters
+    ]
     table = parameter_table(rows, "What these poses can identify").without("nominal", "value")
-    columns = tuple(replace(c, name="expected sigma") if c.name == "sigma" else c for c in table.columns)
+    columns = tuple(
+        replace(c, name="expected sigma") if c.name == "sigma" else c for c in table.columns
+    )
     return replace(table, columns=columns)
 
 
 def detectability_tables(report: DataReport) -> Iterator[Table]:
-    """Yield the smallest effect of each kind that a discovery would find at each joint, a few joints per table."""
+    """Yield the smallest effect of each kind that a discovery would find at each joint, a few
+    joints per table.
+    """
     joints = [joint.joint for joint in report.joints]
     entries = [entry for entry in report.detectable.effects if entry.effect.locus.joint is not None]
     for i in range(0, len(joints), _JOINTS_ABREAST):
@@ -182,8 +207,11 @@ def _detectability_table(entries: list[Detectable], joints: list[str]) -> Table:
 
 
 def smallest_size(entries: Sequence[Detectable]) -> Quantity | str | None:
-    """Return the detectable size; for several sources the range in the small unit, for several frames the larger."""
-    unit, source = entries[0].unit, entries[0].effect.heading[2]
+    """Return the detectable size; for several sources the range in the small unit, for several
+    frames the larger.
+    """
+    unit = entries[0].unit
+    source = entries[0].effect.heading[2]
     sizes = [entry.size for entry in entries if entry.size is not None]
     if not sizes:
         return None
@@ -194,15 +222,25 @@ def smallest_size(entries: Sequence[Detectable]) -> Quantity | str | None:
 
 
 def _show_size(size: Quantity | str | None) -> str:
-    return format_digits(size.value * small_unit(size.unit).factor) if isinstance(size, Quantity) else show_plainly(size)
+    return (
+        format_digits(size.value * small_unit(size.unit).factor)
+        if isinstance(size, Quantity)
+        else show_plainly(size)
+    )
 
 
 def motion_table(found: MotionDesign) -> Table:
-    """Return the predicted errors by number of poses with an instrument, alone and together with a motion with an IMU."""
+    """Return the predicted errors by number of poses with an instrument, alone and together with a
+    motion with an IMU.
+    """
     columns = [Column("poses", kind=Kind.NUMBER)]
-    columns += [Column(name, "mm rms", Kind.NUMBER, fixed(4)) for name in ("alone", "with the motion")]
+    columns += [
+        Column(name, "mm rms", Kind.NUMBER, fixed(4)) for name in ("alone", "with the motion")
+    ]
     rows = tuple((poses, 1e3 * alone, 1e3 * both) for poses, (alone, both) in found.needed.items())
-    return Table("How many additional poses with an instrument? Predicted error", tuple(columns), rows)
+    return Table(
+        "How many additional poses with an instrument? Predicted error", tuple(columns), rows
+    )
 
 
 def pose_count_table(found: Design) -> Table:

@@ -1,4 +1,6 @@
-"""The report of a calibration as one page that needs no network, with its section on what a discovery found missing."""
+"""The report of a calibration as one page that needs no network, with its section on what a
+discovery found missing.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,18 @@ from markupsafe import Markup
 
 from pincal.io.discovery_file import Findings, FoundEffect, FoundParameter
 from pincal.report import sections
-from pincal.report.blocks import PageBlock, Section, arranged, bullets, card, code, heading, merged, paragraph, rich
+from pincal.report.blocks import (
+    PageBlock,
+    Section,
+    arranged,
+    bullets,
+    card,
+    code,
+    heading,
+    merged,
+    paragraph,
+    rich,
+)
 from pincal.report.found_tables import by_reason, location_table, show_chance, stage_table
 from pincal.report.illustrations import discovery_drawings, figures, stability_drawings
 from pincal.report.subject import Subject
@@ -30,40 +43,60 @@ _FEW = 4
 
 
 def missing(subject: Subject) -> Section | None:
-    """Where model and data disagreed, which effects were found, and how the error fell; None without a search."""
+    """Where model and data disagreed, which effects were found, and how the error fell; None
+    without a search.
+    """
     if subject.discovery is None:
         return None
     found = subject.discovery.findings
     is_declared = subject.discovery.calibration.fit.is_declared
-    noise = "The noise alone" if is_declared else "The noise, estimated from the residuals of the fitted poses,"
+    noise = (
+        "The noise alone"
+        if is_declared
+        else "The noise, estimated from the residuals of the fitted poses,"
+    )
     beyond = f"; {found.unexplained_mm:.4f} mm rms remain beyond it" if is_declared else ""
     intro = (
-        "The search starts from a simple model, locates where model and data disagree, names the effect that explains most, "
+        "The search starts from a simple model, locates where model and data disagree, "
+        "names the effect that explains most, "
         f"adds it, refits the whole model, and stops when only noise is left. {noise} amounts to "
-        f"{found.noise_floor_mm:.4f} mm rms{beyond}. A named effect fits the data; this does not prove it to be the cause."
+        f"{found.noise_floor_mm:.4f} mm rms{beyond}. A named effect fits the data; this "
+        "does not prove it to be the cause."
     )
     blocks: list[PageBlock] = [paragraph(intro)]
     if found.where:
         text = (
-            "Shares of the residuals in excess of the noise. The share of elasticity is of the residuals of the geometric "
-            "model, those of joints are of the residuals of the elastic one, in sequence, so that nothing is counted twice. "
+            "Shares of the residuals in excess of the noise. The share of elasticity is "
+            "of the residuals of the geometric "
+            "model, those of joints are of the residuals of the elastic one, in sequence, "
+            "so that nothing is counted twice. "
             "Regions show the same error by location."
         )
-        blocks += [heading("Where model and data disagreed"), location_table(found.where), paragraph(text, "mute")]
+        blocks += [
+            heading("Where model and data disagreed"),
+            location_table(found.where),
+            paragraph(text, "mute"),
+        ]
     blocks.append(heading("Effects found"))
     blocks += _named(found)
     blocks += [
         paragraph(
-            f"{entry.joint} scatters by {1e3 * entry.sigma_rad:.3f} mrad from pose to pose, independently of "
+            f"{entry.joint} scatters by {1e3 * entry.sigma_rad:.3f} mrad from pose to "
+            "pose, independently of "
             f"all recorded quantities. Record {entry.missing}: it may explain the scatter.",
             "note",
         )
         for entry in found.scatter
     ]
-    blocks += [heading("How the error decreased"), figures("search", discovery_drawings(subject.discovery))]
+    blocks += [
+        heading("How the error decreased"),
+        figures("search", discovery_drawings(subject.discovery)),
+    ]
     text = (
-        "Each row starts from the one above; removed effects have their own rows. The shares are parts of the total "
-        "reduction of the mean square error, in this order, and add up to 100 %; where the error grew they are negative."
+        "Each row starts from the one above; removed effects have their own rows. The "
+        "shares are parts of the total "
+        "reduction of the mean square error, in this order, and add up to 100 %; where "
+        "the error grew they are negative."
     )
     blocks += [stage_table(found.noise_floor_mm, subject.discovery.gaps), paragraph(text, "mute")]
     n_joints = len(subject.discovery.calibration.fit.problem.chain.robot.joint_names)
@@ -76,11 +109,16 @@ def missing(subject: Subject) -> Section | None:
 
 def _named(found: Findings) -> Iterator[PageBlock]:
     """Yield the effects, hints separately, and in how many subsamples each is found."""
-    sure, hints = (tuple(_card(entry) for entry in found.effects if entry.is_hint == is_hint) for is_hint in (False, True))
+    sure, hints = (
+        tuple(_card(entry) for entry in found.effects if entry.is_hint == is_hint)
+        for is_hint in (False, True)
+    )
     if sure or not hints:
         yield arranged("cards", *sure) if sure else paragraph("These data show no missing effect.")
     if hints:
-        yield paragraph(f"{HINTS}. They are in the model, but do not order spare parts because of them.", "care")
+        yield paragraph(
+            f"{HINTS}. They are in the model, but do not order spare parts because of them.", "care"
+        )
         yield arranged("cards", *hints)
     if found.only_in_halves:
         yield paragraph(f"{subsample_only_words(found)}.", "note")
@@ -91,16 +129,29 @@ def _named(found: Findings) -> Iterator[PageBlock]:
 
 
 def _card(entry: FoundEffect) -> Markup:
-    """Return a card of an effect with its parameters, the change of the error, and the alternatives."""
+    """Return a card of an effect with its parameters, the change of the error, and the
+    alternatives.
+    """
     values = entry.parameters
-    shown = merged((rich('{} = <span class="nw">{}</span>', code(name), _measured(p)) for name, p in values.items()), "<br>")
+    shown = merged(
+        (
+            rich('{} = <span class="nw">{}</span>', code(name), _measured(p))
+            for name, p in values.items()
+        ),
+        "<br>",
+    )
     explained = rich(
-        'mean held-out error {}; p-value: <span class="nw">{}</span>', *(gain_words(entry), show_chance(entry.p_value))
+        'mean held-out error {}; p-value: <span class="nw">{}</span>',
+        *(gain_words(entry), show_chance(entry.p_value)),
     )
     often = f" The search names it {entry.stability} subsamples." if entry.stability else ""
     blocks = [
         paragraph(effect_meaning(entry.effect), "mute"),
-        paragraph(shown if len(values) <= _FEW else f"a curve with {len(values)} parameters, see the figure"),
+        paragraph(
+            shown
+            if len(values) <= _FEW
+            else f"a curve with {len(values)} parameters, see the figure"
+        ),
         paragraph(merged((explained, rich("{}", often)), "")),
     ]
     if words := line_words(entry):
@@ -140,25 +191,37 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
 """The page, in order; a function that returns None leaves its section out."""
 
 
-def report_page(subject: Subject, *, layout: tuple[Callable[[Subject], Section | None], ...] = SECTIONS) -> str:
-    """Return ``report.html``: accuracy, where the errors are, what was missing, the parameters, and the provenance."""
+def report_page(
+    subject: Subject, *, layout: tuple[Callable[[Subject], Section | None], ...] = SECTIONS
+) -> str:
+    """Return ``report.html``: accuracy, where the errors are, what was missing, the parameters, and
+    the provenance.
+    """
     log.info("drawing the report")
-    calibration, result = subject.calibration, subject.result
+    calibration = subject.calibration
+    result = subject.result
     poses = calibration.n_poses()
     # By cross-validation the rows that are predicted are those that were fitted.
     rows = result.rows["train"] + (result.rows["test"] if calibration.validated is None else 0)
-    lead = f"{calibration.robot.n_joints} joints, {poses} measured poses" + (f" ({rows} rows)" if poses < rows else "")
+    lead = f"{calibration.robot.n_joints} joints, {poses} measured poses" + (
+        f" ({rows} rows)" if poses < rows else ""
+    )
     lead += ", with a search for missing effects" if subject.discovery else ""
     made = [section for make in layout if (section := make(subject)) is not None]
-    title, version = f"Calibration of {calibration.robot.name}", subject.provenance.get("pincal", "")
+    title = f"Calibration of {calibration.robot.name}"
+    version = subject.provenance.get("pincal", "")
     return render(title, lead, made, version=version, view=subject.view)
 
 
-def render(title: str, lead: str, sections: Sequence[Section], *, version: str, view: str | None = None) -> str:
+def render(
+    title: str, lead: str, sections: Sequence[Section], *, version: str, view: str | None = None
+) -> str:
     """Return a page of sections; ``view`` is a file next to it that shows the robot in 3D."""
     import jinja2
 
     loader = jinja2.PackageLoader("pincal.report", "page")
-    environment = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
     page = environment.get_template("report.html.j2")
     return page.render(title=title, lead=lead, sections=sections, version=version, view=view)

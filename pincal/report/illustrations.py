@@ -31,7 +31,9 @@ Drawing = tuple[Figure, str, str]
 
 
 def figures(key: str, drawings: Iterable[Drawing]) -> Markup:
-    """Return figures as a block of the page; ``key`` begins their identifiers, so that those of other blocks differ."""
+    """Return figures as a block of the page; ``key`` begins their identifiers, so that those of
+    other blocks differ.
+    """
     shown = [
         picture(inline_svg(figure, key=f"{key}{i}", title=title), caption)
         for i, (figure, title, caption) in enumerate(drawings)
@@ -42,8 +44,8 @@ def figures(key: str, drawings: Iterable[Drawing]) -> Markup:
 def inline_svg(figure: Figure, *, key: str, title: str) -> str:
     """Return a figure as an SVG element for an HTML page.
 
-    Colours of :mod:`pincal.report.plots.style` become the variables ``--ink``, ``--muted``, ``--grid``, ``--before``,
-    ``--after``, ``--third``, which the page sets for light and for dark.
+    Colours of :mod:`pincal.report.plots.style` become the variables ``--ink``, ``--muted``,
+    ``--grid``, ``--before``, ``--after``, ``--third``, which the page sets for light and for dark.
 
     Args:
         figure: what to draw.
@@ -51,15 +53,24 @@ def inline_svg(figure: Figure, *, key: str, title: str) -> str:
         title: description of the figure, for screen readers.
     """
     drawn = io.StringIO()
-    # Text is set in the page's own fonts, so characters that are missing in matplotlib's do not matter.
-    with warnings.catch_warnings(), matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}):
+    # Text is set in the page's own fonts, so characters that are missing in matplotlib's do not
+    # matter.
+    with (
+        warnings.catch_warnings(),
+        matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": key}),
+    ):
         warnings.filterwarnings("ignore", message=".*[Gg]lyph.*")
         figure.savefig(drawn, format="svg", transparent=True, metadata={"Date": None})
     svg = drawn.getvalue()[drawn.getvalue().index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->\s*", "", svg, flags=re.DOTALL).replace("xlink:href", "href")
-    # Identifiers that nothing refers to are dropped, the others get the figure's key: a page holds many figures.
+    svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->\s*", "", svg, flags=re.DOTALL).replace(
+        "xlink:href", "href"
+    )
+    # Identifiers that nothing refers to are dropped, the others get the figure's key: a page holds
+    # many figures.
     used = set(re.findall(r'(?:url\(#|href="#)([^)"]+)', svg))
-    svg = re.sub(r' id="([^"]+)"', lambda m: f' id="{key}-{m.group(1)}"' if m.group(1) in used else "", svg)
+    svg = re.sub(
+        r' id="([^"]+)"', lambda m: f' id="{key}-{m.group(1)}"' if m.group(1) in used else "", svg
+    )
     svg = re.sub(r'(url\(#|href="#)', rf"\g<1>{key}-", svg)
     for colour, name in style.VARIABLES.items():
         svg = svg.replace(colour.lower(), f"var(--{name})")
@@ -74,9 +85,13 @@ def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:
     for evidence in readings:
         for held, rows, use in ((True, "held-out", "not used"), (False, "fitted", "used")):
             if evidence.part(held=held).any():
-                title = f"Histogram of {evidence.name} errors of {rows} poses before and after calibration"
+                title = (
+                    f"Histogram of {evidence.name} errors of {rows} poses before and after "
+                    "calibration"
+                )
                 caption = (
-                    "Share of poses by size of error, on a logarithmic scale: the further left, the better. These poses "
+                    "Share of poses by size of error, on a logarithmic scale: the further "
+                    "left, the better. These poses "
                     f"were {use} by the fit that predicts them."
                 )
                 yield row_figures.histogram_figure(evidence, held=held), title, caption
@@ -85,12 +100,17 @@ def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:
             + (
                 ", each predicted by a fit without it. "
                 if evidence.is_held.all()
-                else ": solid lines held-out, dotted lines fitted poses. Where both coincide, expect the same accuracy at "
+                else ": solid lines held-out, dotted lines fitted poses. Where both coincide, "
+                "expect the same accuracy at "
                 "new poses. "
             )
             + "The dashed curve is the noise of the instrument alone."
         )
-        yield row_figures.cumulative_figure(evidence), f"Cumulative curves of {evidence.name} errors", caption
+        yield (
+            row_figures.cumulative_figure(evidence),
+            f"Cumulative curves of {evidence.name} errors",
+            caption,
+        )
 
 
 def course_drawings(records: Sequence[StationRecord]) -> Iterator[Drawing]:
@@ -101,7 +121,10 @@ def course_drawings(records: Sequence[StationRecord]) -> Iterator[Drawing]:
             entries.setdefault(entry["name"], []).append((k, entry))
     for name, course in list(entries.items())[:_MOST_COURSES]:
         drawn = found.course_figure(name, [record["name"] for record in records], course)
-        caption = f"{name} at each station; bars are 95 % intervals. Filled: it changed since the station before."
+        caption = (
+            f"{name} at each station; bars are 95 % intervals. Filled: it changed since the "
+            "station before."
+        )
         yield drawn, f"{name} from station to station", caption
 
 
@@ -110,29 +133,43 @@ def joint_drawings(evidence: RowErrors) -> Iterator[Drawing]:
     for i, name in enumerate(evidence.joint_names):
         title = f"Error against the position of {name}, before and after calibration"
         low, high = row_figures.median_range(evidence, i)
-        caption = f"{name}: after calibration the median error varies from {low:.3g} to {high:.3g} {evidence.unit}."
+        caption = (
+            f"{name}: after calibration the median error varies from {low:.3g} to {high:.3g} "
+            f"{evidence.unit}."
+        )
         yield row_figures.joint_figure(evidence, i), title, caption
 
 
 def workspace_drawings(evidence: RowErrors) -> Iterator[Drawing]:
     """Yield the mean error over the workspace, from above and from the side."""
     caption = (
-        "The workspace from above, the robot at the origin; each cell shows the mean error of its poses, brighter is worse, "
+        "The workspace from above, the robot at the origin; each cell shows the mean "
+        "error of its poses, brighter is worse, "
         "on the same scale before and after."
     )
-    yield row_figures.workspace_figure(evidence, "top"), "Mean error over the workspace, seen from above", caption
+    yield (
+        row_figures.workspace_figure(evidence, "top"),
+        "Mean error over the workspace, seen from above",
+        caption,
+    )
     caption = "The same from the side: distance from the robot's vertical axis, and height."
-    yield row_figures.workspace_figure(evidence, "side"), "Mean error over the workspace, seen from the side", caption
+    yield (
+        row_figures.workspace_figure(evidence, "side"),
+        "Mean error over the workspace, seen from the side",
+        caption,
+    )
 
 
 def order_drawings(evidence: RowErrors) -> Iterator[Drawing]:
     """Yield the error and the mean residual in the order of measurement."""
     caption = (
-        "Each pose in the order of measurement, with the running median. A step or a slope indicates a change or drift."
+        "Each pose in the order of measurement, with the running median. A step or a slope "
+        "indicates a change or drift."
     )
     yield row_figures.order_figure(evidence), "Error in the order of measurement", caption
     caption = (
-        "Residuals after calibration, x, y, z in the instrument's frame, averaged over neighbouring poses; bars are two "
+        "Residuals after calibration, x, y, z in the instrument's frame, averaged over "
+        "neighbouring poses; bars are two "
         "standard deviations. If the bars include zero, there is no drift."
     )
     yield row_figures.drift_figure(evidence), "Mean residual in the order of measurement", caption
@@ -141,12 +178,17 @@ def order_drawings(evidence: RowErrors) -> Iterator[Drawing]:
 def correction_drawings(parameters: Sequence[ParameterRow]) -> Iterator[Drawing]:
     """Yield the identified corrections, lengths and angles apart."""
     caption = (
-        "Calibrated minus nominal, largest first, with 95 % intervals. Filled: significantly different from nominal; open: "
+        "Calibrated minus nominal, largest first, with 95 % intervals. Filled: "
+        "significantly different from nominal; open: "
         "no significant correction."
     )
     for unit, what in (("m", "lengths"), ("rad", "angles")):
         with contextlib.suppress(ValueError):
-            yield found.correction_figure(parameters, unit), f"Corrections of {what} with their uncertainty", caption
+            yield (
+                found.correction_figure(parameters, unit),
+                f"Corrections of {what} with their uncertainty",
+                caption,
+            )
 
 
 def stability_drawings(findings: Findings) -> Iterator[Drawing]:
@@ -156,12 +198,18 @@ def stability_drawings(findings: Findings) -> Iterator[Drawing]:
     often = {words: stability for words, stability in pairs if stability is not None}
     if not often:
         return
-    counts, of = {words: stability.named for words, stability in often.items()}, max(s.of for s in often.values())
+    counts = {words: stability.named for words, stability in often.items()}
+    of = max(s.of for s in often.values())
     caption = (
-        f"The search repeated on {of} subsamples of {findings.poses_in_a_half} poses each, whole regions of joint space "
+        f"The search repeated on {of} subsamples of {findings.poses_in_a_half} poses "
+        "each, whole regions of joint space "
         "left out. Names to the left of the line are hints: other poses may well give another name."
     )
-    yield found.stability_figure(counts, of, SURE), "Number of subsamples in which each name is found", caption
+    yield (
+        found.stability_figure(counts, of, SURE),
+        "Number of subsamples in which each name is found",
+        caption,
+    )
 
 
 def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
@@ -169,22 +217,37 @@ def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
     gaps = discovery.gaps
     sizes = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
     caption = (
-        "Error on poses used neither by the fit nor by the search, after each step from top to bottom. The vertical "
+        "Error on poses used neither by the fit nor by the search, after each step from "
+        "top to bottom. The vertical "
         "line marks the noise of the instrument."
     )
-    figure = found.shrinking_figure([gap.name for gap in gaps], sizes, discovery.findings.noise_floor_mm)
+    figure = found.shrinking_figure(
+        [gap.name for gap in gaps], sizes, discovery.findings.noise_floor_mm
+    )
     yield figure, "Error on held-out rows after each step", caption
     for trace in discovery.traces:
         title = trace.title
         caption = (
-            f"{title}: error against {trace.variable} with the effect removed from the final model (above) and included "
-            "(below). Small dots are poses, dots with bars the mean of neighbouring poses, the line the fitted effect. In "
+            f"{title}: error against {trace.variable} with the effect removed from the "
+            "final model (above) and included "
+            "(below). Small dots are poses, dots with bars the mean of neighbouring "
+            "poses, the line the fitted effect. In "
             "the lower panel the bars should include zero."
         )
-        yield found.effect_figure(trace, title), f"{title}: error against {trace.variable}, without and with it", caption
+        yield (
+            found.effect_figure(trace, title),
+            f"{title}: error against {trace.variable}, without and with it",
+            caption,
+        )
         if trace.own is not None:
             caption = (
-                f"{title}: error of {trace.joint} over its own position and that of {trace.variable}, where poses were "
-                "measured: without the effect (left), and the fitted effect (right), on the same scale."
+                f"{title}: error of {trace.joint} over its own position and that of "
+                f"{trace.variable}, where poses were "
+                "measured: without the effect (left), and the fitted effect (right), on "
+                "the same scale."
             )
-            yield found.map_figure(trace, title), f"{title}: map over the positions of both joints", caption
+            yield (
+                found.map_figure(trace, title),
+                f"{title}: map over the positions of both joints",
+                caption,
+            )

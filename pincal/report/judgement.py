@@ -1,4 +1,6 @@
-"""A calibration judged: whether the model explains the data, what it does not identify, and what to do next."""
+"""A calibration judged: whether the model explains the data, what it does not identify, and what to
+do next.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,9 @@ from pincal.report.words import effect_words
 from pincal.validate.accuracy import leading_unit
 from pincal.validate.misfit import Verdict, is_informative
 
-# Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters make it about
-# sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are go into parameters.
+# Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters
+# make it about sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are
+# go into parameters.
 _OVERFITTED = 1.3
 # Errors beyond the noise that are mentioned are at least this large [mm].
 _SHOWN_MM = 5e-4
@@ -40,7 +43,9 @@ class Judged:
 
 
 def judged(result: Result, discovery: Discovery | None = None) -> Judged:
-    """Return whether the model explains the data down to their noise, with or without a search for missing effects."""
+    """Return whether the model explains the data down to their noise, with or without a search for
+    missing effects.
+    """
     verdict = result.verdict_of() if discovery is None else discovery.findings.verdict
     if not result.converged:
         return Judged(verdict, "The fit did not converge; do not use its numbers.")
@@ -49,25 +54,38 @@ def judged(result: Result, discovery: Discovery | None = None) -> Judged:
     if discovery is not None:
         return verdict_of_search(discovery.findings, is_of_arrivals=result.arrivals is not None)
     if result.is_kept:
-        words = "The readings can't improve the robot, which stays as in its URDF; instrument and target are calibrated."
+        words = (
+            "The readings can't improve the robot, which stays as in its URDF; instrument and "
+            "target are calibrated."
+        )
         return Judged(verdict, words)
     compared = result.noise_test
     if verdict is Verdict.NOT_ADEQUATE and compared is not None and compared.is_misfit:
-        words = f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=True)}"
+        words = (
+            f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=True)}"
+        )
         return Judged(verdict, f"{words}: the robot has errors that this model does not describe.")
     if verdict is Verdict.NOT_ADEQUATE:
         return Judged(verdict, f"{_against(result.doubts)}.")
     if verdict is Verdict.NOT_JUDGED and result.doubts:
-        return Judged(verdict, "There are too few poses to judge whether it is complete; see the doubt stated first.")
+        return Judged(
+            verdict,
+            "There are too few poses to judge whether it is complete; see the doubt stated first.",
+        )
     if verdict is Verdict.NOT_JUDGED:
         words = (
-            "The noise of the instrument was estimated from the residuals, so they cannot show whether the model is "
-            "complete: declare the noise (--noise), measure some poses again, or let pincal discover search for "
+            "The noise of the instrument was estimated from the residuals, so they cannot "
+            "show whether the model is "
+            "complete: declare the noise (--noise), measure some poses again, or let "
+            "pincal discover search for "
             "missing effects."
         )
         return Judged(verdict, words)
     assert compared is not None
-    return Judged(verdict, f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=False)}.")
+    return Judged(
+        verdict,
+        f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=False)}.",
+    )
 
 
 def _against(doubts: Sequence[Note]) -> str:
@@ -75,7 +93,8 @@ def _against(doubts: Sequence[Note]) -> str:
 
 
 def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
-    """Return the size of residuals relative to a noise, in words that contradict neither ratio nor judgement.
+    """Return the size of residuals relative to a noise, in words that contradict neither ratio nor
+    judgement.
 
     Example:
         >>> relative_to_noise(1.004, "the noise", is_misfit=True)
@@ -85,29 +104,51 @@ def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
     """
     shown = f"{ratio:.2f} times {noise}"
     if float(f"{ratio:.2f}") <= 1.0:
-        return f"slightly larger than {noise}, but in too many rows to be chance" if is_misfit else f"no larger than {noise}"
+        return (
+            f"slightly larger than {noise}, but in too many rows to be chance"
+            if is_misfit
+            else f"no larger than {noise}"
+        )
     return shown if is_misfit else f"{shown}, which may be chance"
 
 
 def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judged:
-    """Return whether a search has explained the data, and if not, why; perhaps because of how drives stop."""
-    n, left, doubts = len(found.effects), found.unexplained_mm, doubts_of(found.warnings)
-    added = f"{n} effects were found and added" if n > 1 else "One effect was found and added" if n else "Nothing was added"
+    """Return whether a search has explained the data, and if not, why; perhaps because of how
+    drives stop.
+    """
+    n = len(found.effects)
+    left = found.unexplained_mm
+    doubts = doubts_of(found.warnings)
+    added = (
+        f"{n} effects were found and added"
+        if n > 1
+        else "One effect was found and added"
+        if n
+        else "Nothing was added"
+    )
     beyond = f"{left:.3f} mm rms beyond the noise" if left >= _SHOWN_MM else ""
     if found.verdict is Verdict.ADEQUATE:
         chance = f": {beyond} may be chance" if beyond else ""
-        return Judged(found.verdict, f"{added}; the remaining residuals are consistent with noise{chance}.")
+        return Judged(
+            found.verdict, f"{added}; the remaining residuals are consistent with noise{chance}."
+        )
     if found.verdict is Verdict.NOT_JUDGED:
         why = (
-            "nothing more is detected, but the noise was estimated from the residuals, so they cannot show whether the "
+            "nothing more is detected, but the noise was estimated from the residuals, so "
+            "they cannot show whether the "
             "model is complete: declare the noise (--noise), or measure some poses again"
         )
         if is_of_arrivals:
             why = (
-                "what exceeds the declared noise of the instrument is as of drives that all stop unevenly, and hides "
+                "what exceeds the declared noise of the instrument is as of drives that "
+                "all stop unevenly, and hides "
                 "smaller errors of the model: measure ten poses three times each"
             )
-        why = "there are too few poses to judge whether that is all; see the doubt stated first" if doubts else why
+        why = (
+            "there are too few poses to judge whether that is all; see the doubt stated first"
+            if doubts
+            else why
+        )
         return Judged(found.verdict, f"{added}; {why}.")
     wrong = [f"{scatter.joint} scatters from reading to reading" for scatter in found.scatter]
     if beyond:
@@ -116,7 +157,8 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
         wrong.append(_against(doubts).lower())
     elif not wrong:
         wrong.append(
-            "some residuals are larger than the declared noise, or its estimate from neighbouring poses, allow, though "
+            "some residuals are larger than the declared noise, or its estimate from "
+            "neighbouring poses, allow, though "
             "not on average over all rows"
         )
     return Judged(found.verdict, f"{added}; {', and '.join(wrong)}.")
@@ -124,50 +166,87 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
 
 def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> list[str]:
     """Return what to do next after a calibration or a discovery, the most pressing first."""
-    result, steps = calibration.result, list[str]()
+    result = calibration.result
+    steps = list[str]()
     judgement = judged(result, discovery).judgement
     if not result.converged:
-        steps.append("Check units, joint order, and rows that do not belong to this robot; pincal check helps.")
+        steps.append(
+            "Check units, joint order, and rows that do not belong to this robot; pincal "
+            "check helps."
+        )
     if result.shift:
-        steps.append("Make the rows before and after the shift two stations (column station), and calibrate again.")
+        steps.append(
+            "Make the rows before and after the shift two stations (column station), and "
+            "calibrate again."
+        )
     if result.doubt:
         return [f"First find out what is wrong: {result.doubt}."]
     if result.is_kept:
-        steps.append("Measure more poses, or with less noise: pincal design predicts how many poses reach an accuracy.")
+        steps.append(
+            "Measure more poses, or with less noise: pincal design predicts how many "
+            "poses reach an accuracy."
+        )
     if is_few := not is_informative(result.degrees):
-        steps.append("Measure more poses: these are too few to distinguish a good model from a bad one.")
+        steps.append(
+            "Measure more poses: these are too few to distinguish a good model from a bad one."
+        )
     if discovery is not None:
         steps += _after_discovery(discovery)
     elif not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
         steps.append(
-            "Measure six to ten poses with an instrument, or in sockets, and calibrate with both: an IMU gives no lengths."
+            "Measure six to ten poses with an instrument, or in sockets, and calibrate "
+            "with both: an IMU gives no lengths."
         )
     elif not (is_few or result.is_kept) and judgement is not Verdict.ADEQUATE and result.converged:
-        steps.append("Run pincal discover on the same data: it identifies the effects that the model lacks.")
+        steps.append(
+            "Run pincal discover on the same data: it identifies the effects that the model lacks."
+        )
     if lines := result.outliers:
-        steps.append(f"Inspect the rejected outliers, line {few(lines, _LISTED)}: a loose target, or a slipping joint?")
+        steps.append(
+            f"Inspect the rejected outliers, line {few(lines, _LISTED)}: a loose target, "
+            "or a slipping joint?"
+        )
     if improved := result.improvement or ():
         worst = max(improved, key=lambda region: region.after_mm)
         steps.append(
-            f"No instrument measured the robot: {worst.link} is known to {worst.after_mm:.2g} mm at worst ({worst.region}). "
+            f"No instrument measured the robot: {worst.link} is known to "
+            f"{worst.after_mm:.2g} mm at worst ({worst.region}). "
             "If that is not enough, measure a few poses with one as well."
         )
-    error, no_better = result.error["calibrated"], False
+    error = result.error["calibrated"]
+    no_better = False
     if "test" not in error:
-        steps.append("Hold rows out (--test-fraction) or measure more (--holdout): otherwise the accuracy is not validated.")
+        steps.append(
+            "Hold rows out (--test-fraction) or measure more (--holdout): otherwise the "
+            "accuracy is not validated."
+        )
     else:
         # Both kinds of held-out rows together.
         rms = f"rms_{leading_unit(error['test'])}"
-        ways = [error[way][rms] for way in error if way not in ("train", "test")] or [error["test"][rms]]
+        ways = [error[way][rms] for way in error if way not in ("train", "test")] or [
+            error["test"][rms]
+        ]
         if error["test"][rms] > result.error["nominal"]["test"][rms]:
-            steps.append("Held-out poses are predicted no better than by the URDF: measure more poses, or with less noise.")
+            steps.append(
+                "Held-out poses are predicted no better than by the URDF: measure more "
+                "poses, or with less noise."
+            )
         elif np.sqrt(np.mean(np.square(ways))) > _OVERFITTED * error["train"][rms]:
-            steps.append("Held-out errors exceed fitted ones: measure more poses, spread over the whole range of use.")
-    if narrow := ", ".join(f"{name} ({100 * share:.0f} %)" for name, share in narrow_joints(calibration)):
-        steps.append(f"These joints moved through little of their range: {narrow}. Outside it the model is not validated.")
+            steps.append(
+                "Held-out errors exceed fitted ones: measure more poses, spread over the "
+                "whole range of use."
+            )
+    if narrow := ", ".join(
+        f"{name} ({100 * share:.0f} %)" for name, share in narrow_joints(calibration)
+    ):
+        steps.append(
+            f"These joints moved through little of their range: {narrow}. Outside it the "
+            "model is not validated."
+        )
     if (judgement is not Verdict.NOT_ADEQUATE and not no_better) or not steps:
         steps.append(
-            "Use it: model.json predicts poses (pincal predict), calibrated.urdf transfers the geometry to other programs, "
+            "Use it: model.json predicts poses (pincal predict), calibrated.urdf "
+            "transfers the geometry to other programs, "
             "and pincal validate checks the model against new measurements in a few months."
         )
     return steps
@@ -182,18 +261,31 @@ def _after_discovery(discovery: Discovery) -> Iterator[str]:
         yield f"Record {scatter.missing}: it may explain why {scatter.joint} scatters."
     if found.verdict is not Verdict.ADEQUATE:
         calibration = discovery.calibration
-        stations, tables = calibration.fit.problem.stations, [rows.train for rows in calibration.stations]
-        lost = (pair for station in stations for pair in untestable(station.model.chain, station.conditions))
+        stations = calibration.fit.problem.stations
+        tables = [rows.train for rows in calibration.stations]
+        lost = (
+            pair
+            for station in stations
+            for pair in untestable(station.model.chain, station.conditions)
+        )
         needed = {column for effect, _ in lost for column in effect.needs}
-        absent = (column for column in needed if any(getattr(table, column) is None for table in tables))
+        absent = (
+            column for column in needed if any(getattr(table, column) is None for table in tables)
+        )
         if columns := ", ".join(
-            sorted({RECORDABLE[column].column if column in RECORDABLE else column for column in absent})
+            sorted(
+                {RECORDABLE[column].column if column in RECORDABLE else column for column in absent}
+            )
         ):
-            yield f"Record {columns} with each pose, so that effects that depend on it can be tested."
+            yield (
+                f"Record {columns} with each pose, so that effects that depend on it can be tested."
+            )
 
 
 class Advice(NamedTuple):
-    """The meaning of some causes for which parameters are not identified, and what to measure if that matters."""
+    """The meaning of some causes for which parameters are not identified, and what to measure if
+    that matters.
+    """
 
     causes: tuple[Cause, ...]
     title: str
@@ -205,64 +297,80 @@ _ADVICE = (
     Advice(
         (Cause.ABSORBS,),
         "Placement of instrument and target",
-        "The stated uncertainty only reflects that the placement and the robot's first or last link share an offset. "
+        "The stated uncertainty only reflects that the placement and the robot's first or "
+        "last link share an offset. "
         "Predictions are not affected; nothing has to be measured.",
     ),
     Advice(
         (Cause.BASE, Cause.TOOL, Cause.FRAMES),
         "Absorbed by the unknown placement of instrument or target",
-        "Neither the instrument's nor the target's position is known, and moving either is indistinguishable from a change "
-        "of these parameters. Predictions in the instrument's frame do not depend on the choice. To separate them, measure "
-        "the robot's foot or the target's offset independently and pass it to the calibration (--tool).",
+        "Neither the instrument's nor the target's position is known, and moving either "
+        "is indistinguishable from a change "
+        "of these parameters. Predictions in the instrument's frame do not depend on the "
+        "choice. To separate them, measure "
+        "the robot's foot or the target's offset independently and pass it to the "
+        "calibration (--tool).",
     ),
     Advice(
         (Cause.PARALLEL_AXES, Cause.COMBINATION, Cause.ALIASED, Cause.HIDDEN),
         "Parameters with the same effect",
-        "In all of these poses these parameters have the same effect as others; only the combination moves the target, and "
-        "the combination is calibrated. Predictions at such poses need no more. Where axes are parallel, no poses separate "
-        "them; otherwise poses that differ more from each other may, which matters only if the robot is used there: the "
+        "In all of these poses these parameters have the same effect as others; only the "
+        "combination moves the target, and "
+        "the combination is calibrated. Predictions at such poses need no more. Where "
+        "axes are parallel, no poses separate "
+        "them; otherwise poses that differ more from each other may, which matters only "
+        "if the robot is used there: the "
         "summary states the error to expect elsewhere.",
     ),
     Advice(
         (Cause.MASS,),
         "Masses missing in the robot description",
-        "Only compliance times moment deflects the arm; predictions need nothing else. The identified moments are listed "
-        "under Static moments. The robot's mass from its data sheet (--mass) or rows with other payloads would determine "
+        "Only compliance times moment deflects the arm; predictions need nothing else. "
+        "The identified moments are listed "
+        "under Static moments. The robot's mass from its data sheet (--mass) or rows with "
+        "other payloads would determine "
         "their common factor.",
     ),
     Advice(
         (Cause.NO_MOMENT,),
         "Never loaded by gravity",
-        "No pose has a moment about this axis, so its compliance is not observable. It does not matter as long as the "
+        "No pose has a moment about this axis, so its compliance is not observable. It "
+        "does not matter as long as the "
         "mounting does not change; only a tilted mounting would reveal it.",
     ),
     Advice(
         (Cause.NOT_EXCITED, Cause.NOT_OBSERVED),
         "Not excited",
-        "No pose excites these parameters. Measure poses in which the joint moves through its whole range.",
+        "No pose excites these parameters. Measure poses in which the joint moves through "
+        "its whole range.",
     ),
     Advice(
         (Cause.UNINFORMED, Cause.WEAK),
         "Too little signal in these poses",
-        "The effect of these parameters is small compared with the noise. Measure with the heaviest payload, with the arm "
-        "stretched out, and with this joint through its whole range; four times as many poses halve the uncertainty.",
+        "The effect of these parameters is small compared with the noise. Measure with "
+        "the heaviest payload, with the arm "
+        "stretched out, and with this joint through its whole range; four times as many "
+        "poses halve the uncertainty.",
     ),
     Advice(
         (Cause.NOT_IMPROVED,),
         "Not improved by these readings",
-        "The robot is expected to be closer to its description than these readings can tell, so that their noise would make "
+        "The robot is expected to be closer to its description than these readings can "
+        "tell, so that their noise would make "
         "it worse. Measure more poses, or with less noise.",
     ),
     Advice(
         (Cause.AT_BOUND,),
         "Stopped at a bound",
-        "The estimate exceeds what the bound allows. Check this length in the URDF and the units of the table, or raise "
+        "The estimate exceeds what the bound allows. Check this length in the URDF and "
+        "the units of the table, or raise "
         "the bound with --length-bound.",
     ),
     Advice((Cause.GIVEN, Cause.NOT_NEEDED), "Given", "Fixed at your request, or by default."),
 )
-# Share of its range below which a joint hardly shows what depends on its position: with a turn as the range, a wave of one
-# period per turn is hard to distinguish from a slope there. A judgement, not a measurement; it only words a recommendation.
+# Share of its range below which a joint hardly shows what depends on its position: with a turn as
+# the range, a wave of one period per turn is hard to distinguish from a slope there. A judgement,
+# not a measurement; it only words a recommendation.
 _NARROW = 0.3
 
 
@@ -274,7 +382,8 @@ class UnidentifiedGroup(NamedTuple):
 
 
 def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[UnidentifiedGroup, ...]:
-    """Return the parameters that are not identified, by cause, the causes that call for action last.
+    """Return the parameters that are not identified, by cause, the causes that call for action
+    last.
 
     Example:
         >>> from pincal.identify.explain import Reason
@@ -285,15 +394,20 @@ def unidentified_groups(parameters: Sequence[ParameterRow]) -> tuple[Unidentifie
     """
     open_rows = [row for row in parameters if row.status is not Status.IDENTIFIED]
     groups = (
-        UnidentifiedGroup(advice, tuple(row.name for row in open_rows if row.reason.cause in advice.causes))
+        UnidentifiedGroup(
+            advice, tuple(row.name for row in open_rows if row.reason.cause in advice.causes)
+        )
         for advice in _ADVICE
     )
     return tuple(group for group in groups if group.names)
 
 
 def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:
-    """Return joints that moved through little of their range, with the fraction that they covered."""
-    robot, q = calibration.robot, np.vstack([rows.train.of_joints(calibration.robot).q for rows in calibration.stations])
+    """Return joints that moved through little of their range, with the fraction that
+    they covered.
+    """
+    robot = calibration.robot
+    q = np.vstack([rows.train.of_joints(calibration.robot).q for rows in calibration.stations])
     found = []
     for i, name in enumerate(robot.joint_names):
         width = float(robot.upper[i] - robot.lower[i])

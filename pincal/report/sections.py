@@ -1,4 +1,6 @@
-"""The sections of the page on a calibration: each a function from the subject to a section, or to None."""
+"""The sections of the page on a calibration: each a function from the subject to a section, or to
+None.
+"""
 
 from __future__ import annotations
 
@@ -59,8 +61,10 @@ from pincal.validate.misfit import Verdict
 from pincal.validate.outcome import StationRecord
 
 REPEATED = Markup(
-    "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its measurements; <b>pose "
-    "repeatability RP</b> their scatter about this mean, mean distance plus three standard deviations (ISO 9283). "
+    "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its "
+    "measurements; <b>pose "
+    "repeatability RP</b> their scatter about this mean, mean distance plus three "
+    "standard deviations (ISO 9283). "
     "Calibration improves AP; it cannot improve RP, which includes the noise of the instrument."
 )
 """Definition of accuracy and repeatability."""
@@ -75,7 +79,8 @@ _TONES: dict[str, RowTone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "car
 
 def summary(subject: Subject) -> Section:
     """Whether the model is good, what to do next, and the errors at a glance."""
-    result, verdict = subject.result, judged(subject.result, subject.discovery)
+    result = subject.result
+    verdict = judged(subject.result, subject.discovery)
     tone = _TONES.get(verdict.judgement, "bad")
     tag = rich('<span class="tag {}">{}</span> {}', tone, verdict.judgement, verdict.reason)
     steps = bullets(next_steps(subject.calibration, subject.discovery))
@@ -88,30 +93,38 @@ def summary(subject: Subject) -> Section:
         *plain_notes(result.warnings),
     )
     columns = arranged("split", left, arranged("plain", heading("What to do next"), steps))
-    return Section("summary", "Summary", (columns, arranged("glance", *_glance(subject))), style="panel")
+    return Section(
+        "summary", "Summary", (columns, arranged("glance", *_glance(subject))), style="panel"
+    )
 
 
 def _headline(subject: Subject) -> Markup:
     """Return the mean error now and before, and the noise."""
-    result, part = subject.result, subject.part
+    result = subject.result
+    part = subject.part
     unit = leading_unit(result.error["calibrated"][part])
-    before, after = (result.error[model][part][f"mean_{unit}"] for model in ("nominal", "calibrated"))
+    before, after = (
+        result.error[model][part][f"mean_{unit}"] for model in ("nominal", "calibrated")
+    )
     rows = (
         "On set-ups not used by the calibration, each predicted with the model of the others"
         if result.left_out_mm is not None
         else _predicted(result)
         if part == "test"
-        else "No poses were held out, so these are the errors of the fit itself, not of new poses: over all poses"
+        else "No poses were held out, so these are the errors of the fit itself, not of new "
+        "poses: over all poses"
     )
     ratio = before / after if after > 0.0 else 1.0
     times = f" ({ratio:.1f} times as large)" if ratio >= _IMPROVED else ""
     noise = (
         "The declared noise of the instrument is"
         if result.noise["source"] == "declared"
-        else "The residuals, which contain the noise and all errors that the model omits, have a standard deviation of"
+        else "The residuals, which contain the noise and all errors that the model omits, have "
+        "a standard deviation of"
     )
     return rich(
-        "{}, the mean error of the model is <b>{}</b>; before calibration it was <b>{}</b>{}. {} {}.",
+        "{}, the mean error of the model is <b>{}</b>; before calibration it was "
+        "<b>{}</b>{}. {} {}.",
         *(rows, _size(after, unit), _size(before, unit), times, noise, noise_words(result.noise)),
     )
 
@@ -129,7 +142,10 @@ def _predicted(result: Result) -> str:
     validation = result.validation
     if validation is UNSET or validation.way not in _APART:
         return f"In {result.rows['test']} rows that the calibration has not used"
-    return f"Where each of {result.rows['test']} rows is predicted by a fit without {_APART[validation.way]}"
+    return (
+        f"Where each of {result.rows['test']} rows is predicted by a fit without "
+        f"{_APART[validation.way]}"
+    )
 
 
 def _elsewhere(subject: Subject) -> Iterator[Markup]:
@@ -137,7 +153,10 @@ def _elsewhere(subject: Subject) -> Iterator[Markup]:
     found = subject.result.elsewhere
     if found is not UNSET:
         words = elsewhere_words(found, subject.result.error["calibrated"][subject.part])
-        meaning = "the model itself, by the uncertainty of its parameters; errors that it does not describe come on top"
+        meaning = (
+            "the model itself, by the uncertainty of its parameters; errors that it does not "
+            "describe come on top"
+        )
         yield paragraph(rich("Elsewhere: {} (by {}).", words, meaning))
 
 
@@ -147,10 +166,16 @@ def _size(value: float, unit: str) -> str:
 
 def _glance(subject: Subject) -> Iterator[Markup]:
     """Yield mean, 95 % and worst error, before and after."""
-    before, after = (subject.result.error[model][subject.part] for model in ("nominal", "calibrated"))
+    before, after = (
+        subject.result.error[model][subject.part] for model in ("nominal", "calibrated")
+    )
     in_motion = (("m/s^2", " of acceleration"), ("mrad/s", " of angular rate"))
     for unit, suffix in (("mm", ""), ("mrad", " of orientation"), *in_motion):
-        keys = {f"{words} error{suffix}": f"{name}_{unit}" for name, words in _STATISTICS if f"{name}_{unit}" in after}
+        keys = {
+            f"{words} error{suffix}": f"{name}_{unit}"
+            for name, words in _STATISTICS
+            if f"{name}_{unit}" in after
+        }
         yield from glance([
             (title, (before[key], after[key]), (_size(before[key], "").rstrip(), _size(after[key], unit)))
             for title, key in keys.items()
@@ -159,25 +184,41 @@ def _glance(subject: Subject) -> Iterator[Markup]:
 
 def setup(subject: Subject) -> Section:
     """Robot, data, model and fit."""
-    calibration, result, robot = subject.calibration, subject.result, subject.calibration.robot
+    calibration = subject.calibration
+    result = subject.result
+    robot = subject.calibration.robot
     effects = dict.fromkeys(effect.name for effect in calibration.fit.options.effects)
     p_value = "" if result.chi2_p_value is None else f" (p {result.chi2_p_value:.2g})"
     view = (
         rich('<a href="{}">the robot, its errors and the measured points</a>', quote(subject.view))
         if subject.view
         else rich(
-            "<code>pincal view model.json {} --html view3d.html</code> shows the robot, its errors and the measured points",
+            "<code>pincal view model.json {} --html view3d.html</code> shows the robot, "
+            "its errors and the measured points",
             calibration.stations[0].train.source,
         )
     )
     items = (
-        ("robot", rich("{}: {} joints from {} to {}", robot.name, robot.n_joints, code(robot.base), code(robot.tip))),
+        (
+            "robot",
+            rich(
+                "{}: {} joints from {} to {}",
+                robot.name,
+                robot.n_joints,
+                code(robot.base),
+                code(robot.tip),
+            ),
+        ),
         ("joints", merged(map(code, robot.joint_names), ", ")),
         ("data", _data(subject)),
-        ("model", merged((rich("<b>{}</b> ({})", name, effect_meaning(name)) for name in effects), "; ")),
+        (
+            "model",
+            merged((rich("<b>{}</b> ({})", name, effect_meaning(name)) for name in effects), "; "),
+        ),
         (
             "fit",
-            f"{result.iterations} iterations, {result.seconds:.2f} s in all; {result.rank} combinations of "
+            f"{result.iterations} iterations, {result.seconds:.2f} s in all; "
+            f"{result.rank} combinations of "
             f"parameters determined, condition number {result.condition:.2g}; "
             f"reduced chi-square {result.chi2_reduced:.3f}{p_value}",
         ),
@@ -187,24 +228,47 @@ def setup(subject: Subject) -> Section:
 
 
 def _data(subject: Subject) -> Markup:
-    stations, result = subject.calibration.stations, subject.result
-    rejected = [result.outliers] if result.stations is UNSET else [station["outliers"] for station in result.stations]
-    return merged((_rows_of(rows, lines) for rows, lines in zip(stations, rejected, strict=True)), Markup("<br>"))
+    stations = subject.calibration.stations
+    result = subject.result
+    rejected = (
+        [result.outliers]
+        if result.stations is UNSET
+        else [station["outliers"] for station in result.stations]
+    )
+    return merged(
+        (_rows_of(rows, lines) for rows, lines in zip(stations, rejected, strict=True)),
+        Markup("<br>"),
+    )
 
 
 def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
-    train, test = rows.train, rows.test
+    train = rows.train
+    test = rows.test
     other = len(test) and test.source != train.source
-    rejected = f", {len(outliers)} rejected as outliers (line {few(outliers, _LISTED)})" if outliers else ""
+    rejected = (
+        f", {len(outliers)} rejected as outliers (line {few(outliers, _LISTED)})"
+        if outliers
+        else ""
+    )
     held = rich(" from {}", code(test.source)) if other else ""
     name = rich("<b>{}</b>: ", rows.name) if rows.name else ""
     held = rich(", {} held out{}", len(test), held) if len(test) else Markup("")
-    return rich("{}{} in {}: {} poses fitted{}{}", name, train.kind, code(train.source), len(train), held, rejected)
+    return rich(
+        "{}{} in {}: {} poses fitted{}{}",
+        name,
+        train.kind,
+        code(train.source),
+        len(train),
+        held,
+        rejected,
+    )
 
 
 _CLOCKS = (
-    "Instruments that measured the arm in motion have clocks of their own. Each was aligned with that of the joints by the "
-    "speeds that both measure; offset and drift were then fitted together with all other parameters."
+    "Instruments that measured the arm in motion have clocks of their own. Each was "
+    "aligned with that of the joints by the "
+    "speeds that both measure; offset and drift were then fitted together with all other "
+    "parameters."
 )
 
 
@@ -212,33 +276,45 @@ def accuracy(subject: Subject) -> Section:
     """Errors before and after, and their distribution."""
     result = subject.result
     intro = rich(
-        "The error at a pose is the distance from the predicted to the measured target: the <b>accuracy</b> of a single "
-        "measurement (ISO 9283). It is not the <b>repeatability</b>, the scatter between repeated measurements of a pose, "
-        "which no calibration improves. “Nominal” is the robot of the URDF, with only the placement of instrument and "
+        "The error at a pose is the distance from the predicted to the measured target: "
+        "the <b>accuracy</b> of a single "
+        "measurement (ISO 9283). It is not the <b>repeatability</b>, the scatter between "
+        "repeated measurements of a pose, "
+        "which no calibration improves. “Nominal” is the robot of the URDF, with only the "
+        "placement of instrument and "
         "target fitted."
     )
     if "mean_mm" not in result.error["calibrated"]["train"]:
         intro = rich(
-            "An IMU measures no positions: an error is a reading, filtered in time, minus its prediction. "
+            "An IMU measures no positions: an error is a reading, filtered in time, minus "
+            "its prediction. "
             "Most of it is vibration of the arm and noise, which no calibration improves."
         )
     blocks: list[PageBlock] = [paragraph(intro)]
     if not result.rows["test"]:
         text = (
-            "No rows were held out: the errors are those of the poses that were fitted. Expect somewhat larger ones at new "
+            "No rows were held out: the errors are those of the poses that were fitted. "
+            "Expect somewhat larger ones at new "
             "poses."
         )
         blocks.append(paragraph(text, "note"))
     if result.clocks is not UNSET:
         blocks += [heading("Clocks", "clocks"), paragraph(_CLOCKS), clock_table(result.clocks)]
-    blocks += [error_table(result.error), figures("accuracy", error_drawings(subject.readings)), *_replicates(result)]
+    blocks += [
+        error_table(result.error),
+        figures("accuracy", error_drawings(subject.readings)),
+        *_replicates(result),
+    ]
     return Section("accuracy", "Before and after", tuple(blocks), "Accuracy")
 
 
 def _replicates(result: Result) -> list[PageBlock]:
     """Return accuracy, repeatability and lack of fit from repeated measurements of poses."""
-    iso, lack = result.iso9283, result.lack_of_fit
-    blocks: list[PageBlock] = [heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
+    iso = result.iso9283
+    lack = result.lack_of_fit
+    blocks: list[PageBlock] = (
+        [heading("Repeated measurements of a pose", "repeatability")] if iso or lack else []
+    )
     if iso:
         text = rich(
             "{} {}. A pose of which the fit has used any measurement does not count as held out.",
@@ -247,7 +323,10 @@ def _replicates(result: Result) -> list[PageBlock]:
         )
         blocks += [paragraph(text), iso9283_table(iso)]
     if lack:
-        sentence = "<b>Lack of fit.</b> Repeated measurements of a pose scatter by {}, whatever the model. {}."
+        sentence = (
+            "<b>Lack of fit.</b> Repeated measurements of a pose scatter by {}, whatever the "
+            "model. {}."
+        )
         blocks.append(paragraph(rich(sentence, lack.scatter, lack)))
     if result.repeatability is not UNSET:
         sentence = "<b>Scatter</b>, as a standard deviation of one coordinate: {}."
@@ -261,34 +340,58 @@ def stations(subject: Subject) -> Section | None:
     if records is UNSET:
         return None
     text = (
-        "Each station, a set-up of instrument and targets, has its own base frame, targets and noise; the robot is the same "
+        "Each station, a set-up of instrument and targets, has its own base frame, "
+        "targets and noise; the robot is the same "
         "at all of them."
     )
     if any("left_out" in record for record in records):
         text += (
-            " Left out: errors of the model of the other stations, with only the placement of this one fitted. This is the "
+            " Left out: errors of the model of the other stations, with only the "
+            "placement of this one fitted. This is the "
             "accuracy to expect on another day."
         )
     shown = []
     for record in records:
-        nominal, calibrated = (by_part.get(subject.part, by_part["train"]) for by_part in record["error"].values())
+        nominal, calibrated = (
+            by_part.get(subject.part, by_part["train"]) for by_part in record["error"].values()
+        )
         # A station that was left out is predicted with the model of the others.
         unit = leading_unit(calibrated)
-        before, after = nominal[f"mean_{unit}"], record.get("left_out", calibrated)[f"mean_{unit}"]
-        shown.append((f"{record['name']}: mean error", (before, after), (f"{before:.3f}", f"{after:.4f} {unit}")))
-    blocks: list[PageBlock] = [paragraph(text), arranged("glance", *glance(shown)), station_table(records), *_moved(records)]
+        before = nominal[f"mean_{unit}"]
+        after = record.get("left_out", calibrated)[f"mean_{unit}"]
+        shown.append(
+            (
+                f"{record['name']}: mean error",
+                (before, after),
+                (f"{before:.3f}", f"{after:.4f} {unit}"),
+            )
+        )
+    blocks: list[PageBlock] = [
+        paragraph(text),
+        arranged("glance", *glance(shown)),
+        station_table(records),
+        *_moved(records),
+    ]
     if (again := repeated_table(records)) is not None:
-        blocks += [heading("Repeated measurements of poses", "repeatability"), paragraph(REPEATED), again]
+        blocks += [
+            heading("Repeated measurements of poses", "repeatability"),
+            paragraph(REPEATED),
+            again,
+        ]
     return Section("stations", "Stations", tuple(blocks), "Stations")
 
 
 def elsewhere(subject: Subject) -> Section | None:
-    """Predicted errors before and after where nothing was measured; None if an instrument measured the robot."""
+    """Predicted errors before and after where nothing was measured; None if an instrument measured
+    the robot.
+    """
     if subject.result.improvement is UNSET:
         return None
     text = (
-        "No instrument measured the robot. The standard deviation of a position follows before the calibration from priors, "
-        "afterwards from priors and readings; both are errors that an instrument would measure once it is placed."
+        "No instrument measured the robot. The standard deviation of a position follows "
+        "before the calibration from priors, "
+        "afterwards from priors and readings; both are errors that an instrument would "
+        "measure once it is placed."
     )
     blocks = (paragraph(text), improvement_table(subject.result.improvement))
     return Section("elsewhere", "Where nothing was measured", blocks, "Elsewhere")
@@ -300,13 +403,16 @@ def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:
     table = moved_table(records)
     if table is None:
         yield paragraph(
-            "No difference between stations was detected in any parameter of the robot; if the robot is the same at all "
+            "No difference between stations was detected in any parameter of the robot; "
+            "if the robot is the same at all "
             "of them, the probability of a false detection is 1 %."
         )
         return
     yield paragraph(
-        "One model describes the robot at all stations, except that these parameters have different values at some of "
-        "them. If several could have changed, the one that explains most is named; pincal diagnose lists the alternatives "
+        "One model describes the robot at all stations, except that these parameters have "
+        "different values at some of "
+        "them. If several could have changed, the one that explains most is named; pincal "
+        "diagnose lists the alternatives "
         "for the rows of a later station.",
         "care",
     )
@@ -316,21 +422,31 @@ def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:
 
 def where(subject: Subject) -> Section:
     """Errors by joint position, over the workspace, and in the order of measurement."""
-    first, is_timed = subject.readings[0], subject.calibration.stations[0].train.time is not None
+    first = subject.readings[0]
+    is_timed = subject.calibration.stations[0].train.time is not None
     key = Markup(
         '<span class="key"><span style="background:var(--before)"></span>before'
         '<span style="background:var(--after)"></span>after</span>'
     )
     by_joint = (
-        "Lines are medians, bands contain 90 % of all poses, fitted and held out. A calibrated arm has flat bands; a "
+        "Lines are medians, bands contain 90 % of all poses, fitted and held out. A "
+        "calibrated arm has flat bands; a "
         "remaining periodic pattern or slope means that the model lacks an effect of this joint. "
     )
     line = "" if is_timed else " No times were recorded, so the line of the table is used instead."
     residual = rich("A <b>residual</b> is the measured minus the predicted value.{}", line)
     blocks = (
-        *(heading("By joint position"), paragraph(rich("{}{}", by_joint, key)), figures("joint", joint_drawings(first))),
+        *(
+            heading("By joint position"),
+            paragraph(rich("{}{}", by_joint, key)),
+            figures("joint", joint_drawings(first)),
+        ),
         *(heading("Over the workspace"), figures("workspace", workspace_drawings(first))),
-        *(heading("In the order of measurement"), paragraph(residual), figures("order", order_drawings(first))),
+        *(
+            heading("In the order of measurement"),
+            paragraph(residual),
+            figures("order", order_drawings(first)),
+        ),
     )
     return Section("where", "Where the errors are", blocks, "Where the errors are")
 
@@ -341,18 +457,29 @@ def moments(subject: Subject) -> Section | None:
     if found is None:
         return None
     held = (
-        f"The robot description has no usable masses for {len(found.links)} links. They were estimated with the "
-        "compliances, starting from the shape of the arm. Only compliance times moment deflects the arm, so all "
-        f"moments share a factor with the inverse of the compliances: it is known to {100.0 * found.factor_sigma:.2g} "
-        "%, and predictions do not depend on it. The robot's mass from its data sheet (--mass) or rows with other payloads "
+        f"The robot description has no usable masses for {len(found.links)} links. They "
+        "were estimated with the "
+        "compliances, starting from the shape of the arm. Only compliance times moment "
+        "deflects the arm, so all "
+        "moments share a factor with the inverse of the compliances: it is known to "
+        f"{100.0 * found.factor_sigma:.2g} "
+        "%, and predictions do not depend on it. The robot's mass from its data sheet "
+        "(--mass) or rows with other payloads "
         "would determine it."
     )
     pose = ", ".join(f"{value:.2f}" for value in found.q)
-    return Section("moments", "Static moments", (paragraph(held), moment_table(found, f"at the pose {pose}")), "Moments")
+    return Section(
+        "moments",
+        "Static moments",
+        (paragraph(held), moment_table(found, f"at the pose {pose}")),
+        "Moments",
+    )
 
 
 def moment_table(found: FoundMoments, where: str) -> Table:
-    """Return the moments at a pose, and their standard deviations if the common factor is held fixed."""
+    """Return the moments at a pose, and their standard deviations if the common factor is held
+    fixed.
+    """
     columns = (
         Column("joint", kind=Kind.NAME),
         Column("axis", kind=Kind.LABEL),
@@ -361,11 +488,18 @@ def moment_table(found: FoundMoments, where: str) -> Table:
         Column("", kind=Kind.LABEL),
     )
     rows = tuple(
-        (of.joint, of.axis, of.moment, of.sigma, "identified" if of.is_identified else "fixed by the shape")
+        (
+            of.joint,
+            of.axis,
+            of.moment,
+            of.sigma,
+            "identified" if of.is_identified else "fixed by the shape",
+        )
         for of in found.axes
     )
     note = (
-        f"sigma: with the moment about {found.largest.axis} of {found.largest.joint}, and so the common factor, held fixed."
+        f"sigma: with the moment about {found.largest.axis} of {found.largest.joint}, and so "
+        "the common factor, held fixed."
     )
     return Table(f"Static moments {where}", columns, rows, (note,))
 
@@ -374,17 +508,26 @@ def parameters(subject: Subject) -> Section:
     """Every parameter with its uncertainty, and the strong correlations."""
     result = subject.result
     intro = rich(
-        "Symbols follow Denavit and Hartenberg: theta and d are about and along the joint axis, a and alpha along and about "
-        "the link; s_x and s_y tilt the axis; x, y, z and rx, ry, rz are position and rotation of base and tool. k is a "
-        "<b>compliance</b>, the rotation of a joint or bearing per unit of moment. Sigma is the standard deviation. Status: "
-        "<b>identified</b>: determined by the data; <b>prior</b>: dominated by prior knowledge; <b>unidentifiable</b>: "
-        "these poses cannot determine it by itself, whatever the noise; predictions at poses like these do not depend on it."
+        "Symbols follow Denavit and Hartenberg: theta and d are about and along the joint "
+        "axis, a and alpha along and about "
+        "the link; s_x and s_y tilt the axis; x, y, z and rx, ry, rz are position and "
+        "rotation of base and tool. k is a "
+        "<b>compliance</b>, the rotation of a joint or bearing per unit of moment. Sigma "
+        "is the standard deviation. Status: "
+        "<b>identified</b>: determined by the data; <b>prior</b>: dominated by prior "
+        "knowledge; <b>unidentifiable</b>: "
+        "these poses cannot determine it by itself, whatever the noise; predictions at "
+        "poses like these do not depend on it."
     )
-    blocks: list[PageBlock] = [paragraph(intro), figures("correction", correction_drawings(result.parameters))]
+    blocks: list[PageBlock] = [
+        paragraph(intro),
+        figures("correction", correction_drawings(result.parameters)),
+    ]
     blocks += [parameter_table(result.parameters), heading("Strong correlations")]
     if result.correlations:
         text = (
-            "Each of these pairs is known much better in combination than individually: an error of one is compensated by "
+            "Each of these pairs is known much better in combination than individually: "
+            "an error of one is compensated by "
             "the other. Always use both together."
         )
         blocks += [paragraph(text), correlation_table(result.correlations)]
@@ -399,11 +542,15 @@ def unidentified(subject: Subject) -> Section:
         card(
             found.advice.title,
             paragraph(found.advice.text),
-            paragraph(rich("{}: {}", len(found.names), merged(map(code, found.names), ", ")), "mute"),
+            paragraph(
+                rich("{}: {}", len(found.names), merged(map(code, found.names), ", ")), "mute"
+            ),
         )
         for found in unidentified_groups(shown_parameters(subject.result.parameters))
     ]
-    blocks: list[PageBlock] = [arranged("cards", *cards) if cards else paragraph("All parameters are identified.")]
+    blocks: list[PageBlock] = [
+        arranged("cards", *cards) if cards else paragraph("All parameters are identified.")
+    ]
     if subject.notes:
         blocks += [heading("Not included in the calibrated URDF"), bullets(subject.notes)]
     title = "What is not identifiable, and what to measure"
@@ -414,7 +561,10 @@ def basis(subject: Subject) -> Section:
     """Versions, command and inputs."""
     shown = {name: value for name, value in subject.provenance.items() if name != "inputs"}
     items = [(name, code("-" if value is None else value)) for name, value in shown.items()]
-    items += [(f"input {name}", rich("SHA-256 {}", code(value))) for name, value in subject.provenance["inputs"].items()]
+    items += [
+        (f"input {name}", rich("SHA-256 {}", code(value)))
+        for name, value in subject.provenance["inputs"].items()
+    ]
     return Section("basis", "Provenance", (facts(items),), "Provenance")
 
 

@@ -1,4 +1,6 @@
-"""The subject of a page; and errors row by row, before and after, with the quantities that figures show them against."""
+"""The subject of a page; and errors row by row, before and after, with the quantities that figures
+show them against.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ from pincal.units import readable_unit
 
 @dataclass(frozen=True)
 class RowErrors:
-    """Errors of one kind of reading in N rows: fitted and held-out ones together, or each by a fit without its fold.
+    """Errors of one kind of reading in N rows: fitted and held-out ones together, or each by a fit
+    without its fold.
 
     Attributes:
         name: of the reading: "position", "orientation" or "distance".
@@ -73,7 +76,9 @@ class RowErrors:
 
 
 def evidence_of(calibration: Calibration) -> tuple[RowErrors, ...]:
-    """Return the errors of a calibration, one :class:`RowErrors` per kind of reading, positions first."""
+    """Return the errors of a calibration, one :class:`RowErrors` per kind of reading, positions
+    first.
+    """
     found: dict[tuple[str, str], list[RowErrors]] = {}
     for k in range(len(calibration.stations)):
         for part in _of_station(calibration, k):
@@ -83,7 +88,9 @@ def evidence_of(calibration: Calibration) -> tuple[RowErrors, ...]:
 
 @dataclass(frozen=True)
 class _Shown:
-    """The rows of a station whose errors are shown: station, line and errors of each, before and after."""
+    """The rows of a station whose errors are shown: station, line and errors of each, before and
+    after.
+    """
 
     problems: list[Station]
     line: np.ndarray
@@ -95,7 +102,8 @@ class _Shown:
 
 def _fitted_and_held(calibration: Calibration, k: int) -> _Shown:
     """Return the fitted and the held-out rows of the k-th station."""
-    fit, rows = calibration.fit, calibration.stations[k]
+    fit = calibration.fit
+    rows = calibration.stations[k]
     station, places, _ = list(fit.stations)[k]
     tables = [table for table in (rows.train, rows.test) if len(table)]
     problems = [station, *filter(None, [rows.held(fit)])]
@@ -114,11 +122,15 @@ def _fitted_and_held(calibration: Calibration, k: int) -> _Shown:
 
 def _left_out(calibration: Calibration, k: int, validated: Validated) -> _Shown:
     """Return the readings of the k-th station, each predicted by fits without its fold."""
-    fit, rows = calibration.fit, calibration.stations[k]
+    fit = calibration.fit
+    rows = calibration.stations[k]
     before, after = (validated.leading(model)[k] for model in ("nominal", "calibrated"))
-    known = np.flatnonzero(np.isfinite(before.residuals).all(axis=0) & np.isfinite(after.residuals).all(axis=0))
+    known = np.flatnonzero(
+        np.isfinite(before.residuals).all(axis=0) & np.isfinite(after.residuals).all(axis=0)
+    )
     station = fit.problem.stations[k]
-    table, outlier = rows.train, fit.solution.weights[fit.problem.rows[k]] == 0.0
+    table = rows.train
+    outlier = fit.solution.weights[fit.problem.rows[k]] == 0.0
     if len(after.counted) != len(station):
         table = rows.measured[0]
         outlier = rows.by_row(outlier)
@@ -135,11 +147,18 @@ def _left_out(calibration: Calibration, k: int, validated: Validated) -> _Shown:
 
 def _of_station(calibration: Calibration, k: int) -> Iterator[RowErrors]:
     """Yield the errors of the k-th station, one kind of reading after the other."""
-    fit, robot = calibration.fit, calibration.robot
+    fit = calibration.fit
+    robot = calibration.robot
     station, _, blocks = list(fit.stations)[k]
     validated = calibration.validated
-    shown = _fitted_and_held(calibration, k) if validated is None else _left_out(calibration, k, validated)
-    problems, before, after = shown.problems, shown.before, shown.after
+    shown = (
+        _fitted_and_held(calibration, k)
+        if validated is None
+        else _left_out(calibration, k, validated)
+    )
+    problems = shown.problems
+    before = shown.before
+    after = shown.after
     if not len(shown.line):
         return
     q = np.vstack([problem.conditions.q for problem in problems])
@@ -150,7 +169,8 @@ def _of_station(calibration: Calibration, k: int) -> Iterator[RowErrors]:
     times = [time for problem in problems if (time := problem.conditions.time) is not None]
     for b, block in enumerate(station.sensor.blocks, blocks.start):
         factor, unit = readable_unit(block.unit)
-        declared, here = fit.noise.declared[b], slice(*ends[b - blocks.start : b - blocks.start + 2])
+        declared = fit.noise.declared[b]
+        here = slice(*ends[b - blocks.start : b - blocks.start + 2])
         yield RowErrors(
             name=block.name,
             unit=unit,
@@ -170,14 +190,18 @@ def _of_station(calibration: Calibration, k: int) -> Iterator[RowErrors]:
 
 
 def _together(parts: list[RowErrors]) -> RowErrors:
-    """Return the errors of all stations, one after the other, without times, and with rows counted from 1."""
+    """Return the errors of all stations, one after the other, without times, and with rows counted
+    from 1.
+    """
     if len(parts) == 1:
         return parts[0]
     joined: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts], axis=-1)
         for name in ("before", "after", "is_held", "is_outlier")
     }
-    joined |= {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "place")}
+    joined |= {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "place")
+    }
     noise = float(np.sqrt(np.mean([part.noise**2 for part in parts])))
     line = np.arange(len(joined["q"])) + 1
     return replace(parts[0], **joined, noise=noise, line=line, time=None)

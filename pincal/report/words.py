@@ -1,4 +1,6 @@
-"""Words for effects and noise, and the terms of the report, for readers who do not know the paper."""
+"""Words for effects and noise, and the terms of the report, for readers who do not know
+the paper.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +14,16 @@ from pincal.model.effect_registry import meaning_of
 from pincal.units import readable_unit
 from pincal.validate.outcome import Elsewhere
 
-# Words for the numbers of parameters that the data do not identify by themselves, and for what this means.
+# Words for the numbers of parameters that the data do not identify by themselves, and for what this
+# means.
 _NOT_IDENTIFIED = {
     Status.UNIDENTIFIABLE: "not by themselves (predictions at such poses need no more)",
     Status.PRIOR: "hardly (they stay near nominal)",
     Status.AT_BOUND: "stopped at a bound",
     Status.FIXED: "held",
 }
-# Ratio of the error that the model expects elsewhere to that at poses like the measured ones, above which more poses are
-# advised. The latter includes the noise of the instrument; a judgement.
+# Ratio of the error that the model expects elsewhere to that at poses like the measured ones, above
+# which more poses are advised. The latter includes the noise of the instrument; a judgement.
 _MUCH = 1.5
 # Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}
@@ -30,20 +33,29 @@ _OTHER = {"lens_distortion": "the camera's lens bends the image"}
 TERMS = (
     (
         "accuracy",
-        "distance from the predicted to the measured pose of the tool, of a single measurement or of the mean of several "
+        "distance from the predicted to the measured pose of the tool, of a single "
+        "measurement or of the mean of several "
         "(ISO 9283: pose accuracy).",
     ),
     (
         "repeatability",
-        "scatter between repeated measurements of the same pose. Calibration does not improve it; it limits what can be "
+        "scatter between repeated measurements of the same pose. Calibration does not "
+        "improve it; it limits what can be "
         "achieved.",
     ),
     ("replicates", "repeated measurements of the same pose, one per measurement cycle."),
-    ("lack of fit", "residuals that exceed the scatter between replicates: the model is incomplete."),
-    ("residual", "measured minus predicted value: the part of a reading that the model does not explain."),
+    (
+        "lack of fit",
+        "residuals that exceed the scatter between replicates: the model is incomplete.",
+    ),
+    (
+        "residual",
+        "measured minus predicted value: the part of a reading that the model does not explain.",
+    ),
     (
         "held out",
-        "poses that were not used by the fit: whole regions of joint space, and stretches of consecutive rows. Only these "
+        "poses that were not used by the fit: whole regions of joint space, and stretches "
+        "of consecutive rows. Only these "
         "show what to expect at new poses.",
     ),
     ("95 %", "of errors: 95 of 100 poses have a smaller error."),
@@ -51,14 +63,29 @@ TERMS = (
     ("sigma", "standard deviation: in 95 of 100 cases the true value lies within two of them."),
     (
         "combinations determined",
-        "number of independent combinations of parameters that the data determine better than the priors do (rank). A "
-        "parameter that is only determined together with others is no fault: at poses like the measured ones all that "
-        "predictions need is determined, and the expected error elsewhere shows whether other poses need more.",
+        "number of independent combinations of parameters that the data determine better "
+        "than the priors do (rank). A "
+        "parameter that is only determined together with others is no fault: at poses "
+        "like the measured ones all that "
+        "predictions need is determined, and the expected error elsewhere shows whether "
+        "other poses need more.",
     ),
-    ("prior", "knowledge of a parameter before any measurement: a standard deviation about its nominal value."),
-    ("compliance", "rotation of a joint or bearing per unit of moment, in rad per N m: the inverse of stiffness."),
+    (
+        "prior",
+        "knowledge of a parameter before any measurement: a standard deviation about its "
+        "nominal value.",
+    ),
+    (
+        "compliance",
+        "rotation of a joint or bearing per unit of moment, in rad per N m: the inverse "
+        "of stiffness.",
+    ),
     ("rms", "root mean square: like the mean, but large errors count more."),
-    ("p", "probability that noise alone gives a result as extreme. A small value indicates an effect, not which one."),
+    (
+        "p",
+        "probability that noise alone gives a result as extreme. A small value indicates "
+        "an effect, not which one.",
+    ),
 )
 """The terms of the report; every text uses them in this sense."""
 
@@ -119,7 +146,10 @@ def line_words(entry: FoundEffect) -> str:
         'one spectral line whose amplitude varies over the span of the joint, fitted as harmonics of order 405 and 401.4'
     """
     orders = " and ".join(f"{order:g}" for order in (entry.order or 0.0, *entry.beside))
-    whole = f"one spectral line whose amplitude varies over the span of the joint, fitted as harmonics of order {orders}"
+    whole = (
+        "one spectral line whose amplitude varies over the span of the joint, fitted as "
+        f"harmonics of order {orders}"
+    )
     return "; ".join(filter(None, [entry.origin, whole if entry.beside else ""]))
 
 
@@ -128,7 +158,9 @@ HINTS = "Hints: named in less than 60 % of the subsamples"
 
 def subsample_only_words(found: Findings) -> str:
     """Return the names that most subsamples have and the full data set has not."""
-    names = ", ".join(f"{effect_words(entry)} ({entry.stability})" for entry in found.only_in_halves)
+    names = ", ".join(
+        f"{effect_words(entry)} ({entry.stability})" for entry in found.only_in_halves
+    )
     return f"Named in most subsamples, but not in the full data set: {names}"
 
 
@@ -141,7 +173,10 @@ def bootstrap_words(last: Bootstrap) -> str:
     """
     as_good = round(last.p_value * (last.draws + 1)) - 1
     count = f"{as_good or 'none'} has" if as_good < 2 else f"{as_good} have"
-    words = f"Of {last.draws} tables drawn from the model without {effect_words(last)}, accepted last, {count}"
+    words = (
+        f"Of {last.draws} tables drawn from the model without {effect_words(last)}, accepted "
+        f"last, {count}"
+    )
     return f"{words} a candidate that fits as well."
 
 
@@ -158,22 +193,31 @@ def gain_words(entry: FoundEffect) -> str:
         >>> gain_words(structs.replace(entry, gap_before_mrad=None, gap_after_mrad=None))
         '0.0425 to 0.0434 mm: no improvement on these rows'
     """
-    figures, gains = [f"{entry.gap_before_mm:.4f} to {entry.gap_after_mm:.4f} mm"], [_falls(entry, "mm")]
+    figures = [f"{entry.gap_before_mm:.4f} to {entry.gap_after_mm:.4f} mm"]
+    gains = [_falls(entry, "mm")]
     if entry.gap_before_mrad is not None:
         figures.append(f"{entry.gap_before_mrad:.4f} to {entry.gap_after_mrad:.4f} mrad")
         gains.append(_falls(entry, "mrad"))
-    remark = "" if gains[0] else ": improves orientation only" if any(gains) else ": no improvement on these rows"
+    remark = (
+        ""
+        if gains[0]
+        else ": improves orientation only"
+        if any(gains)
+        else ": no improvement on these rows"
+    )
     return ", ".join(figures) + remark
 
 
 def _falls(entry: FoundEffect, unit: str) -> bool:
     """Return whether an error falls to the four digits that are shown."""
-    before, after = getattr(entry, f"gap_before_{unit}"), getattr(entry, f"gap_after_{unit}")
+    before = getattr(entry, f"gap_before_{unit}")
+    after = getattr(entry, f"gap_after_{unit}")
     return float(f"{after:.4f}") < float(f"{before:.4f}")
 
 
 def noise_words(noise: Mapping[str, Any]) -> str:
-    """Return the noise of the first block of readings in words, from its ``sigma_m`` or ``sigma_px``.
+    """Return the noise of the first block of readings in words, from its ``sigma_m`` or
+    ``sigma_px``.
 
     Example:
         >>> noise_words({"sigma_m": 5e-5}), noise_words({"sigma_m": 3e-7}), noise_words({"sigma_px": 0.1})
@@ -190,12 +234,15 @@ def noise_words(noise: Mapping[str, Any]) -> str:
 
 
 def is_worse_elsewhere(found: Elsewhere, error: Mapping[str, float]) -> bool:
-    """Return whether the expected error elsewhere is much larger than the error at poses like the measured ones."""
+    """Return whether the expected error elsewhere is much larger than the error at poses like the
+    measured ones.
+    """
     return "mean_mm" in error and found.mean_mm > _MUCH * error["mean_mm"]
 
 
 def elsewhere_words(found: Elsewhere, error: Mapping[str, float]) -> str:
-    """Return what error the model expects elsewhere, where most, and the cure where it is much larger.
+    """Return what error the model expects elsewhere, where most, and the cure where it is much
+    larger.
 
     Args:
         found: the expected errors.
@@ -212,15 +259,23 @@ def elsewhere_words(found: Elsewhere, error: Mapping[str, float]) -> str:
     words = f"mean {found.mean_mm:.4f} mm expected {poses}, worst {found.worst_mm:.4f}"
     if not is_worse_elsewhere(found, error):
         return words
-    where = f"most where {found.where}" if found.where else "in combinations of joints that were not measured"
+    where = (
+        f"most where {found.where}"
+        if found.where
+        else "in combinations of joints that were not measured"
+    )
     return f"{words}, {where}; pincal design plans poses for it"
 
 
-def rank_words(statuses: Iterable[Status], *, rank: int, condition: float | None = None, why: str = "") -> str:
-    """Return what poses determine of the parameters, and what it means that they do not determine the others.
+def rank_words(
+    statuses: Iterable[Status], *, rank: int, condition: float | None = None, why: str = ""
+) -> str:
+    """Return what poses determine of the parameters, and what it means that they do not determine
+    the others.
 
     Args:
-        statuses: of every parameter; the numbers in the sentence add up to the number of parameters.
+        statuses: of every parameter; the numbers in the sentence add up to the number of
+            parameters.
         rank: number of independent combinations that are determined.
         condition: condition number of these; None to leave it out.
         why: where the reasons are given, in words.
@@ -233,8 +288,11 @@ def rank_words(statuses: Iterable[Status], *, rank: int, condition: float | None
         'these poses determine all 2 parameters individually'
     """
     counts = Counter(statuses)
-    total, individually = counts.total(), counts[Status.IDENTIFIED]
-    others = [f"{counts[status]} {words}" for status, words in _NOT_IDENTIFIED.items() if counts[status]]
+    total = counts.total()
+    individually = counts[Status.IDENTIFIED]
+    others = [
+        f"{counts[status]} {words}" for status, words in _NOT_IDENTIFIED.items() if counts[status]
+    ]
     if not others:
         words = f"these poses determine all {total} parameters individually"
     else:

@@ -1,4 +1,6 @@
-"""The attributes of an arm of a URDF: its path, frames, limits and masses, which may be guessed from its shape."""
+"""The attributes of an arm of a URDF: its path, frames, limits and masses, which may be guessed
+from its shape.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +28,11 @@ _NO_LIMIT = 1e3
 _LIGHTEST = 1e-3
 # Most moving joints of a robot; memory and time grow with their cube.
 _MOST_JOINTS = 150
-# Moving mass of an industrial arm, per length of its links along the joints to the power below [kg/m^2.5]; from data sheets
-# of arms from 0.6 m to 3.2 m. Cobots have a fifth of it. It is an initial value only.
-_PER_LENGTH, _GROWTH = 36.0, 2.5
+# Moving mass of an industrial arm, per length of its links along the joints to the power below
+# [kg/m^2.5]; from data sheets of arms from 0.6 m to 3.2 m. Cobots have a fifth of it. It is an
+# initial value only.
+_PER_LENGTH = 36.0
+_GROWTH = 2.5
 # Moving fraction of a data sheet's mass; the rest is the base.
 _MOVING = 0.7
 # Least length of a link relative to the arm, as flanges are short but have mass.
@@ -42,10 +46,13 @@ class TreeRequest:
     """The part of a URDF that is the robot.
 
     Attributes:
-        tip: link at the end of the path; default: the end of the chain of ``joints``, or of the longest moving chain.
+        tip: link at the end of the path; default: the end of the chain of ``joints``, or of the
+            longest moving chain.
         start: link at its start; default: the base.
-        base: link on which the tree stands; default: the start of a single path down the tree, else the root.
-        joints: names of the joints with independent positions (the columns of a table of measurements).
+        base: link on which the tree stands; default: the start of a single path down the tree, else
+            the root.
+        joints: names of the joints with independent positions (the columns of a table of
+            measurements).
         paths: further paths, by the names of their first and last links.
         others: names of further moving joints; all others are locked at their neutral position.
     """
@@ -59,14 +66,20 @@ class TreeRequest:
 
 
 def arm_of_tree(tree: UrdfTree, request: TreeRequest, *, mass: float | None) -> dict[str, Any]:
-    """Return the attributes of a robot; arguments and errors are those of :meth:`pincal.robot.robot.Robot.from_urdf`."""
+    """Return the attributes of a robot; arguments and errors are those of
+    :meth:`pincal.robot.robot.Robot.from_urdf`.
+    """
     tip = tree.default_tip(request.joints) if request.tip is None else request.tip
     base, start = _stand(tree, tip, request)
     ends = [(start, tip), *request.paths]
     joints = _moving_joints(tree, base, ends, request.others)
-    passed = {joint.name for pair in ends for way in _checked_path(tree, base, *pair) for joint in way}
+    passed = {
+        joint.name for pair in ends for way in _checked_path(tree, base, *pair) for joint in way
+    }
     if mass is not None and not _LIGHTEST <= mass <= LARGEST:
-        raise BadInputError(f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg")
+        raise BadInputError(
+            f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg"
+        )
     unmeasured = tuple(joint.name for joint in joints if joint.name not in tree.with_loops(passed))
     found = _attributes(tree, joints, base, ends, mass=mass, recorded=request.joints)
     return found | {"unmeasured": unmeasured, "links": tuple(ends[1:])}
@@ -74,7 +87,8 @@ def arm_of_tree(tree: UrdfTree, request: TreeRequest, *, mass: float | None) -> 
 
 def _stand(tree: UrdfTree, tip: str, request: TreeRequest) -> tuple[str, str]:
     """Return the link on which the tree stands, and the start of the first path."""
-    base, start = request.base, request.start
+    base = request.base
+    start = request.start
     if start is None:
         default = _default_base(tree, tip, request.joints) if not request.paths else tree.root
         return (default, default) if base is None else (base, base)
@@ -88,36 +102,51 @@ def _stand(tree: UrdfTree, tip: str, request: TreeRequest) -> tuple[str, str]:
 def _moving_joints(
     tree: UrdfTree, base: str, ends: Sequence[tuple[str, str]], others: Sequence[str]
 ) -> tuple[UrdfJoint, ...]:
-    """Return the moving joints, each after those that carry it: those of the first path's tip before its branches.
+    """Return the moving joints, each after those that carry it: those of the first path's tip
+    before its branches.
 
-    Joints above both ends of a path are locked unless they are on another path. All joints of a loop move if one does.
+    Joints above both ends of a path are locked unless they are on another path. All joints of a
+    loop move if one does.
     """
     paths = [_checked_path(tree, base, *pair) for pair in ends]
-    order: dict[str, None] = dict.fromkeys(joint.name for pair in paths for way in reversed(pair) for joint in way)
+    order: dict[str, None] = dict.fromkeys(
+        joint.name for pair in paths for way in reversed(pair) for joint in way
+    )
     known = {joint.name: joint for joint in tree.joints}
     for name in others:
         if name not in known or known[name].kind not in MOVING_TYPES:
             raise RobotFileError(
-                f"{tree.source}: no moving joint {name!r}; its joints: {', '.join(nearest_first([name], list(known))[:12])}"
+                f"{tree.source}: no moving joint {name!r}; its joints: "
+                f"{', '.join(nearest_first([name], list(known))[:12])}"
             )
         if _is_above(tree, base, known[name]):
             order.setdefault(name)
-    order |= dict.fromkeys(joint.name for joint in tree.joints if joint.name in tree.with_loops(order))
+    order |= dict.fromkeys(
+        joint.name for joint in tree.joints if joint.name in tree.with_loops(order)
+    )
     if base != tree.root and (
-        cut := [name for name in order if name in tree.looped and not _is_above(tree, base, known[name])]
+        cut := [
+            name for name in order if name in tree.looped and not _is_above(tree, base, known[name])
+        ]
     ):
         raise RobotFileError(
-            f"{tree.source}: base {base!r} is in a loop with {cut[0]!r}; expected a link that carries the loop"
+            f"{tree.source}: base {base!r} is in a loop with {cut[0]!r}; expected a link "
+            "that carries the loop"
         )
     for name in list(order):
         # A mimic joint moves with its source, which may be on another branch.
-        while (mimic := known[name].mimic) is not None and mimic.source in known and mimic.source not in order:
+        while (
+            (mimic := known[name].mimic) is not None
+            and mimic.source in known
+            and mimic.source not in order
+        ):
             name = mimic.source
             order[name] = None
     chosen = [known[name] for name in order if known[name].kind in MOVING_TYPES]
     if len(chosen) > _MOST_JOINTS:
         raise RobotFileError(
-            f"{tree.source}: {len(chosen)} moving joints; expected at most {_MOST_JOINTS}: choose other links"
+            f"{tree.source}: {len(chosen)} moving joints; expected at most "
+            f"{_MOST_JOINTS}: choose other links"
         )
     return _in_preorder(tree, chosen)
 
@@ -128,11 +157,13 @@ def _is_above(tree: UrdfTree, base: str, joint: UrdfJoint) -> bool:
 
 def _in_preorder(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[UrdfJoint, ...]:
     """Return joints in depth-first preorder, otherwise in their given order."""
-    parents, names = _parents(tree, joints), [joint.name for joint in joints]
+    parents = _parents(tree, joints)
+    names = [joint.name for joint in joints]
     children: dict[int, list[int]] = {}
     for i in range(len(names)):
         children.setdefault(parents[i], []).append(i)
-    found, open_joints = [], children.get(-1, [])[::-1]
+    found = []
+    open_joints = children.get(-1, [])[::-1]
     while open_joints:
         i = open_joints.pop()
         found.append(joints[i])
@@ -145,22 +176,39 @@ def _parents(tree: UrdfTree, joints: Sequence[UrdfJoint]) -> tuple[int, ...]:
 
 
 def path_between(
-    tree: UrdfTree, joint_names: Sequence[str], base: str, start: str, tip: str, *, at_rest: bool = False
+    tree: UrdfTree,
+    joint_names: Sequence[str],
+    base: str,
+    start: str,
+    tip: str,
+    *,
+    at_rest: bool = False,
 ) -> LinkPath:
-    """Return the path between two links of a tree with some moving joints, see :meth:`pincal.robot.robot.Robot.between`."""
+    """Return the path between two links of a tree with some moving joints, see
+    :meth:`pincal.robot.robot.Robot.between`.
+    """
     import pinocchio as pin
 
     known = {joint.name: joint for joint in tree.joints}
     joints = [known[name] for name in joint_names]
     for way in _checked_path(tree, base, start, tip):
-        locked = [joint.name for joint in way if joint.kind in MOVING_TYPES and joint.name not in joint_names]
+        locked = [
+            joint.name
+            for joint in way
+            if joint.kind in MOVING_TYPES and joint.name not in joint_names
+        ]
         if locked and not at_rest:
             between = f"{locked[0]!r} between {start!r} and {tip!r} is locked in this robot"
-            raise RobotFileError(f"{tree.source}: {between}; expected links with only {', '.join(joint_names)} between them")
+            raise RobotFileError(
+                f"{tree.source}: {between}; expected links with only "
+                f"{', '.join(joint_names)} between them"
+            )
     model = arm_model(tree.text, tuple(joint_names), tree.source)
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
-    placed = {link: data.oMf[model.getFrameId(link, pin.BODY)].homogeneous for link in (base, start, tip)}
+    placed = {
+        link: data.oMf[model.getFrameId(link, pin.BODY)].homogeneous for link in (base, start, tip)
+    }
     frames = [data.oMi[model.getJointId(name)].homogeneous for name in joint_names]
     carriers = tree.carrier(joints, start), tree.carrier(joints, tip)
     relative = [
@@ -193,10 +241,15 @@ def _attributes(
     parents = _parents(tree, path)
     aims = {tree.carrier(path, link): link for pair in reversed(ends) for link in pair}
     tips = [aims.get(i, joint.child) for i, joint in enumerate(path)]
-    T_base_links = {link: (T_base_world * data.oMf[model.getFrameId(link, pin.BODY)]).homogeneous for link in tree.links}
+    T_base_links = {
+        link: (T_base_world * data.oMf[model.getFrameId(link, pin.BODY)]).homogeneous
+        for link in tree.links
+    }
     T_base_tips = [T_base_links[tip] for tip in tips]
     pins = Pins.of_tree(tree, path, T_base_links, np.stack([joints[:, :3, 3], axes], axis=1))
-    rods = {i: T for pin in pins for i, T in zip(pin.carriers, pin.T_base, strict=True) if i not in aims}
+    rods = {
+        i: T for pin in pins for i, T in zip(pin.carriers, pin.T_base, strict=True) if i not in aims
+    }
     frames = dh_frames(joints[:, :3, 3], axes, np.array(T_base_tips), parents, rods)
     T_link_joint = np.linalg.inv(frames.T_base_link) @ joints
     way = path_between(tree, names, base, *ends[0]).on_links(T_link_joint)
@@ -208,19 +261,25 @@ def _attributes(
     if unknown.any():
         spans = _link_ends(parents, joints, np.array(T_base_tips))
         masses, middles = guessed_masses(masses, spans, unknown, total=mass, parents=parents)
-        middles = np.einsum("nji,nj->ni", frames.T_base_link[:, :3, :3], middles - frames.T_base_link[:, :3, 3])
+        middles = np.einsum(
+            "nji,nj->ni", frames.T_base_link[:, :3, :3], middles - frames.T_base_link[:, :3, 3]
+        )
         centres = np.where(unknown[:, None], middles, centres)
     places = [model.joints[i].idx_q for i in ids]
-    lower, upper = model.lowerPositionLimit[places], model.upperPositionLimit[places]
+    lower = model.lowerPositionLimit[places]
+    upper = model.upperPositionLimit[places]
     turns = np.array([joint.kind == "continuous" for joint in path])
     bounded = ~turns & (upper > lower) & (upper - lower < _NO_LIMIT)
     limits = np.where(bounded, lower, -np.inf), np.where(bounded, upper, np.inf)
     limits = _with_mimics(*limits, names=names, mimics=mimics)
     types = tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path)
-    linkage, notes = None, tree.notes
+    linkage = None
+    notes = tree.notes
     if pins:
-        closures, kinematics = [pin.placed(frames.T_base_link) for pin in pins], Kinematics.of(frames, types, parents)
-        on_path, mimicked = [names[i] for i, _ in way.steps(parents)], [mimic.source for mimic in mimics]
+        closures = [pin.placed(frames.T_base_link) for pin in pins]
+        kinematics = Kinematics.of(frames, types, parents)
+        on_path = [names[i] for i, _ in way.steps(parents)]
+        mimicked = [mimic.source for mimic in mimics]
         choice = Choice(tree.source, names, recorded, on_path, mimicked)
         linkage = linkage_of(kinematics, closures, limits, choice)
         notes = (*notes, *linkage_notes(linkage, choice))
@@ -236,7 +295,9 @@ def _attributes(
         "T_link_joint": T_link_joint,
         "masses": masses,
         "centres": centres,
-        "massless": tuple(joint.child for joint, is_unknown in zip(path, unknown, strict=True) if is_unknown),
+        "massless": tuple(
+            joint.child for joint, is_unknown in zip(path, unknown, strict=True) if is_unknown
+        ),
         "gravity": T_base_world.rotation @ model.gravity.linear,
         "notes": _notes(tree, names, ends, notes),
         "urdf": tree.text,
@@ -250,20 +311,29 @@ def _attributes(
 
 
 def _link_ends(parents: Sequence[int], joints: np.ndarray, aims: np.ndarray) -> np.ndarray:
-    """Return the start of each joint's link, and its end at the next joint or at its aim, shape (n, 2, 3)."""
+    """Return the start of each joint's link, and its end at the next joint or at its aim, shape (n,
+    2, 3).
+    """
     following = {parent: i for i, parent in reversed(list(enumerate(parents)))}
-    ends = [joints[following[i], :3, 3] if i in following else aims[i, :3, 3] for i in range(len(joints))]
+    ends = [
+        joints[following[i], :3, 3] if i in following else aims[i, :3, 3]
+        for i in range(len(joints))
+    ]
     return np.stack([joints[:, :3, 3], np.array(ends)], axis=1)
 
 
 def _local_axes(model: pin.Model, data: pin.Data, ids: list[int]) -> np.ndarray:
-    """Return the unit axes of the joints in their own frames, shape (n, 3), for any of Pinocchio's joint types."""
+    """Return the unit axes of the joints in their own frames, shape (n, 3), for any of Pinocchio's
+    joint types.
+    """
     import pinocchio as pin
 
     pin.computeJointJacobians(model, data, pin.neutral(model))
     axes = []
     for i in ids:
-        column = np.reshape(pin.getJointJacobian(model, data, i, pin.LOCAL), (6, -1))[:, model.joints[i].idx_v]
+        column = np.reshape(pin.getJointJacobian(model, data, i, pin.LOCAL), (6, -1))[
+            :, model.joints[i].idx_v
+        ]
         axes.append(column[3:] if np.any(column[3:]) else column[:3])
     return np.array(axes)
 
@@ -272,15 +342,18 @@ def _with_mimics(
     lower: np.ndarray, upper: np.ndarray, *, names: tuple[str, ...], mimics: tuple[Mimic, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return limits, shape (n,) each, within which mimic joints also respect their own limits."""
-    low, high = lower.copy(), upper.copy()
+    low = lower.copy()
+    high = upper.copy()
     for mimic in mimics:
-        i, k = names.index(mimic.joint), names.index(mimic.source)
+        i = names.index(mimic.joint)
+        k = names.index(mimic.source)
         if mimic.multiplier:
             ends = np.sort((np.array([lower[i], upper[i]]) - mimic.offset) / mimic.multiplier)
             if max(low[k], ends[0]) < min(high[k], ends[1]):
                 low[k], high[k] = max(low[k], ends[0]), min(high[k], ends[1])
     for mimic in mimics:
-        i, k = names.index(mimic.joint), names.index(mimic.source)
+        i = names.index(mimic.joint)
+        k = names.index(mimic.source)
         if mimic.multiplier:
             low[i], high[i] = np.sort(mimic.multiplier * np.array([low[k], high[k]]) + mimic.offset)
     return low, high
@@ -296,14 +369,19 @@ def _notes(
         shown = ", ".join(joint.name for joint in locked[:6]) + more
         paths = " and ".join(f"from {start} to {tip}" for start, tip in ends)
         way = "path" if len(ends) == 1 else "paths"
-        notes += (f"{len(locked)} joints off the {way} {paths} are locked at their neutral position: {shown}",)
+        notes += (
+            f"{len(locked)} joints off the {way} {paths} are locked at their neutral "
+            f"position: {shown}",
+        )
     for note in notes:
         warn(f"{tree.source}: {note}")
     return notes
 
 
 def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str:
-    """Return the root, or the parent link of the first of ``joints`` if other moving joints precede it."""
+    """Return the root, or the parent link of the first of ``joints`` if other moving joints precede
+    it.
+    """
     moving = [joint for joint in tree.path(tree.root, tip) if joint.kind in MOVING_TYPES]
     known = tree.with_loops(joints or ())
     if joints is None or not moving or moving[0].name in known:
@@ -311,17 +389,27 @@ def _default_base(tree: UrdfTree, tip: str, joints: Sequence[str] | None) -> str
     return next((joint.parent for joint in moving if joint.name in known), tree.root)
 
 
-def _checked_path(tree: UrdfTree, base: str, start: str, tip: str) -> tuple[tuple[UrdfJoint, ...], tuple[UrdfJoint, ...]]:
-    """Return all joints between two links, including fixed ones: those traversed backwards, and those forwards."""
-    up, down = tree.path(base, start), tree.path(base, tip)
+def _checked_path(
+    tree: UrdfTree, base: str, start: str, tip: str
+) -> tuple[tuple[UrdfJoint, ...], tuple[UrdfJoint, ...]]:
+    """Return all joints between two links, including fixed ones: those traversed backwards, and
+    those forwards.
+    """
+    up = tree.path(base, start)
+    down = tree.path(base, tip)
     shared = len([a for a, b in zip(up, down, strict=False) if a is b])
     for joint in (path := (*up[shared:], *down[shared:])):
         if joint.kind not in (*MOVING_TYPES, "fixed"):
             where = f"{tree.source}: joint {joint.name!r} between {start!r} and {tip!r}"
-            expected = "expected revolute, continuous, prismatic or fixed joints: choose another base or tip"
+            expected = (
+                "expected revolute, continuous, prismatic or fixed joints: choose another "
+                "base or tip"
+            )
             raise RobotFileError(f"{where} is {joint.kind}; {expected}")
     if not any(joint.kind in MOVING_TYPES for joint in path):
-        raise RobotFileError(f"{tree.source}: no moving joint between {start!r} and {tip!r}; choose another tip")
+        raise RobotFileError(
+            f"{tree.source}: no moving joint between {start!r} and {tip!r}; choose another tip"
+        )
     return up[shared:], down[shared:]
 
 
@@ -336,14 +424,17 @@ def arm_model(urdf: bytes, joint_names: tuple[str, ...], source: str) -> pin.Mod
 
 
 def are_placeholders(masses: Sequence[float]) -> bool:
-    """Return whether the masses of links [kg] are placeholders: all equal, except that the last may include a flange.
+    """Return whether the masses of links [kg] are placeholders: all equal, except that the last may
+    include a flange.
 
     Example:
         >>> are_placeholders([2.0] * 6), are_placeholders([2.0, 2.0, 2.0, 4.0]), are_placeholders([7.8, 12.9, 12.9, 3.9])
         (True, True, False)
     """
     arm = np.asarray(masses if len(masses) == _FEWEST_ALIKE else masses[:-1], float)
-    return len(arm) >= _FEWEST_ALIKE and bool(arm[0] > 0.0 and np.allclose(arm, arm[0], rtol=1e-9, atol=0.0))
+    return len(arm) >= _FEWEST_ALIKE and bool(
+        arm[0] > 0.0 and np.allclose(arm, arm[0], rtol=1e-9, atol=0.0)
+    )
 
 
 def guessed_masses(
@@ -354,15 +445,17 @@ def guessed_masses(
     total: float | None = None,
     parents: Sequence[int] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return masses, the unknown ones guessed from the shape of the arm, and guessed centres of mass.
+    """Return masses, the unknown ones guessed from the shape of the arm, and guessed centres of
+    mass.
 
-    The mass of a link is proportional to the length of arm beyond its joint, and its centre is midway to the next joint. The
-    scale is taken from the known masses, or else from industrial arms of this length.
+    The mass of a link is proportional to the length of arm beyond its joint, and its centre is
+    midway to the next joint. The scale is taken from the known masses, or else from industrial arms
+    of this length.
 
     Args:
         masses: shape (n,), as far as known [kg].
-        ends: shape (n, 2, 3), start and end of each link at q = 0, in the base frame [m]; or, for a serial arm, shape
-            (n + 1, 3), its joints and the tip.
+        ends: shape (n, 2, 3), start and end of each link at q = 0, in the base frame [m]; or, for a
+            serial arm, shape (n + 1, 3), its joints and the tip.
         unknown: shape (n,), which links have no known mass.
         total: mass of the whole robot with its base, as on a data sheet [kg].
         parents: the joint that carries each joint, -1 for the base; default: each carries the next.

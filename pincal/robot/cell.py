@@ -1,4 +1,6 @@
-"""Robots of one cell, each with its own URDF, as one tree: the other robots' bases are fixed to the first one's."""
+"""Robots of one cell, each with its own URDF, as one tree: the other robots' bases are fixed to the
+first one's.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,10 @@ class Beside:
 
     Attributes:
         source: path of its URDF or xacro file, or its name in example-robot-data.
-        name: prefix ``NAME_`` of its links and joints, if some have the same name as another robot's.
-        place: its root link in the frame of the first robot's root link: x, y, z [m], roll, pitch, yaw [rad]; None if
-            unknown.
+        name: prefix ``NAME_`` of its links and joints, if some have the same name as another
+            robot's.
+        place: its root link in the frame of the first robot's root link: x, y, z [m], roll, pitch,
+            yaw [rad]; None if unknown.
         is_found: whether the place was determined from readings, not given by the user.
     """
 
@@ -50,12 +53,16 @@ class Beside:
 
 
 def read_cell(
-    source: str | os.PathLike[str], others: Sequence[Beside] = (), *, xacro_args: Mapping[str, str] | None = None
+    source: str | os.PathLike[str],
+    others: Sequence[Beside] = (),
+    *,
+    xacro_args: Mapping[str, str] | None = None,
 ) -> UrdfTree:
     """Read a robot and further ones as one tree, whose root is the first robot's.
 
-    The placement of each further robot is the origin of the fixed joint ``NAME_placement``. A calibration estimates it as
-    for any second arm: the first joint of the arm has the six parameters of its mount.
+    The placement of each further robot is the origin of the fixed joint ``NAME_placement``. A
+    calibration estimates it as for any second arm: the first joint of the arm has the six
+    parameters of its mount.
 
     Args:
         source: path of the first robot's URDF or xacro file, or its name in example-robot-data.
@@ -63,34 +70,50 @@ def read_cell(
         xacro_args: values of the arguments of the first robot's xacro file.
 
     Raises:
-        RobotFileError: as :func:`pincal.robot.urdf_file.read_urdf`, for two robots of one name, or an unknown placement.
+        RobotFileError: as :func:`pincal.robot.urdf_file.read_urdf`, for two robots of one name, or
+            an unknown placement.
     """
     first = read_urdf(find_file(source), xacro_args=xacro_args)
     if not others:
         return first
-    root, notes = parse_xml(first.text, first.source), first.notes
+    root = parse_xml(first.text, first.source)
+    notes = first.notes
     for of in others:
-        tree, prefix = read_urdf(find_file(of.source)), f"{of.name}_"
+        tree = read_urdf(find_file(of.source))
+        prefix = f"{of.name}_"
         if of.place is None:
             raise RobotFileError(
-                f"{tree.source}: its placement relative to {first.name} is unknown; expected contacts of the two, one "
-                f"station that sees both, or the placement, as in --beside {of.name}={of.source}@1.5,0,0,0,0,3.14159"
+                f"{tree.source}: its placement relative to {first.name} is unknown; "
+                "expected contacts of the two, one "
+                "station that sees both, or the placement, as in --beside "
+                f"{of.name}={of.source}@1.5,0,0,0,0,3.14159"
             )
         if of.is_found:
             at = ", ".join(f"{number:.4f}" for number in of.place)
-            notes += (f"{of.name} is at {at} (x y z roll pitch yaw) in the frame of {first.root}, found from the readings",)
-        its, taken = parse_xml(tree.text, tree.source), _names(root)
+            notes += (
+                f"{of.name} is at {at} (x y z roll pitch yaw) in the frame of "
+                f"{first.root}, found from the readings",
+            )
+        its = parse_xml(tree.text, tree.source)
+        taken = _names(root)
         notes += tree.notes
         if twice := sorted(_names(its) & taken):
             _prefix(its, prefix, _names(its))
-            notes += (f"two robots have a {twice[0]}: names of {of.source} get a prefix, as in {prefix}{twice[0]}",)
+            notes += (
+                f"two robots have a {twice[0]}: names of {of.source} get a prefix, as in "
+                f"{prefix}{twice[0]}",
+            )
         _prefix(its, prefix, _names(its, "material") & _names(root, "material"))
         if twice := sorted((_names(its) | {of.joint}) & taken):
             raise RobotFileError(
-                f"{tree.source}: {twice[0]!r} is already a name of another robot; expected a name other than {of.name}"
+                f"{tree.source}: {twice[0]!r} is already a name of another robot; "
+                f"expected a name other than {of.name}"
             )
         for mesh in its.iter("mesh"):
-            here, there = (find_mesh(mesh.get("filename", ""), source) for source in (tree.source, first.source))
+            here, there = (
+                find_mesh(mesh.get("filename", ""), source)
+                for source in (tree.source, first.source)
+            )
             if here is not None and here != there:
                 mesh.set("filename", os.path.relpath(here, Path(first.source).resolve().parent))
         root.extend([*its, _placement(of.joint, first.root, _root_of(its, tree), of.place)])
@@ -124,7 +147,9 @@ def _root_of(its: Any, tree: UrdfTree) -> str:
 
 def _placement(name: str, parent: str, child: str, place: Sequence[float]) -> Any:
     joint = etree.Element("joint", name=name, type="fixed")
-    xyz, rpy = (" ".join(f"{number!r}" for number in map(float, part)) for part in (place[:3], place[3:]))
+    xyz, rpy = (
+        " ".join(f"{number!r}" for number in map(float, part)) for part in (place[:3], place[3:])
+    )
     etree.SubElement(joint, "origin", xyz=xyz, rpy=rpy)
     etree.SubElement(joint, "parent", link=parent)
     etree.SubElement(joint, "child", link=child)

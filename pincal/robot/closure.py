@@ -1,9 +1,10 @@
 """Closed loops of a robot: passive joints, whose positions follow from the others.
 
-A closure joins two links of the tree. Its equations constrain its frame on one link relative to its frame on the other, and
-determine the positions of as many joints, the passive ones. A planar loop satisfies some of the spatial equations
-identically: only those that the passive joints can satisfy are solved, the same ones in every pose, and the residuals of the
-others are the play of the real joints.
+A closure joins two links of the tree. Its equations constrain its frame on one link relative to its
+frame on the other, and determine the positions of as many joints, the passive ones. A planar loop
+satisfies some of the spatial equations identically: only those that the passive joints can satisfy
+are solved, the same ones in every pose, and the residuals of the others are the play of the real
+joints.
 """
 
 from __future__ import annotations
@@ -24,14 +25,21 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 # Gaps [m, rad] of a loop that is closed to rounding, and above which it counts as open.
-CLOSED, _OPEN = 1e-13, 1e-9
+CLOSED = 1e-13
+_OPEN = 1e-9
 # A pin closer than this to the end of a rod is taken to be there [m].
 _AT_END = 1e-9
-# Fraction of the largest motion below which joints do not move a loop: axes of a calibrated one are tilted by milliradians.
+# Fraction of the largest motion below which joints do not move a loop: axes of a calibrated one are
+# tilted by milliradians.
 STILL = 1e-2
-# Number of known positions from which others are reached, the longest step [rad or m], and the most steps.
-_KNOWN, _STEP, _MOST_STEPS = 512, 0.25, 100
-NEWTON, _LONGEST, _DAMPING = 30, 0.5, 1e-14
+# Number of known positions from which others are reached, the longest step [rad or m], and the most
+# steps.
+_KNOWN = 512
+_STEP = 0.25
+_MOST_STEPS = 100
+NEWTON = 30
+_LONGEST = 0.5
+_DAMPING = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +48,8 @@ class Closure:
 
     Attributes:
         name: name of the joint or constraint in the URDF.
-        kind: the constrained quantity: "point", the origin; "axis", the origin and the z axis; "pose", the whole frame.
+        kind: the constrained quantity: "point", the origin; "axis", the origin and the z axis;
+            "pose", the whole frame.
         path: from its frame on one link to its frame on the other, both in link frames.
         rows: its equations that passive joints satisfy.
     """
@@ -56,27 +65,42 @@ class Closure:
         return {"point": 3, "axis": 5, "pose": 6}[self.kind]
 
     def pinned(self, parents: Sequence[int]) -> int:
-        """Return on which link its position is independent: 1 at the end of its path, -1 at the start, 0 on neither.
+        """Return on which link its position is independent: 1 at the end of its path, -1 at the
+        start, 0 on neither.
 
         On a rod, a link that carries no other, it is at the end of the link.
         """
         ends = zip(reversed(self.path.ends), (1, -1), strict=True)
-        return next((side for (_, i, T), side in ends if i < 0 or i in parents or np.abs(T[:2, 3]).max() > _AT_END), 0)
+        return next(
+            (
+                side
+                for (_, i, T), side in ends
+                if i < 0 or i in parents or np.abs(T[:2, 3]).max() > _AT_END
+            ),
+            0,
+        )
 
     def residuals(self, T: np.ndarray) -> np.ndarray:
-        """Return its gaps, shape (N, R) [m, rad], with one frame at T in the other, shape (N, 3 or 4, 4)."""
+        """Return its gaps, shape (N, R) [m, rad], with one frame at T in the other, shape (N, 3 or
+        4, 4).
+        """
         place = T[:, :3, 3]
         if self.kind == "point":
             return np.asarray(place)
-        return np.hstack([place, T[:, :2, 2] if self.kind == "axis" else rotation_vectors(T[:, :3, :3])])
+        return np.hstack(
+            [place, T[:, :2, 2] if self.kind == "axis" else rotation_vectors(T[:, :3, :3])]
+        )
 
     def derivatives(self, T: np.ndarray, J: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the residuals, shape (N, R, K), from the frame's velocities, shape (N, 6, K)."""
+        """Return the derivatives of the residuals, shape (N, R, K), from the frame's velocities,
+        shape (N, 6, K).
+        """
         if self.kind == "point":
             return J[:, :3]
         if self.kind == "pose":
             return J
-        w, (x, y, z) = J[:, 3:], T[:, :3, 2].T[..., None]
+        w = J[:, 3:]
+        (x, y, z) = T[:, :3, 2].T[..., None]
         turned = np.stack([w[:, 1] * z - w[:, 2] * y, w[:, 2] * x - w[:, 0] * z], axis=1)
         return np.concatenate([J[:, :3], turned], axis=1)
 
@@ -101,23 +125,39 @@ class Linkage:
     @cached_property
     def drivers(self) -> np.ndarray:
         """The other joints of the loops, shape (d,)."""
-        loop = {joint for closure in self.closures for joint, _ in closure.path.steps(self.kinematics.parents)}
+        loop = {
+            joint
+            for closure in self.closures
+            for joint, _ in closure.path.steps(self.kinematics.parents)
+        }
         return np.array(sorted(loop.difference(self.passive.tolist())))
 
     @cached_property
     def rows(self) -> np.ndarray:
         """Indices among all equations of those that the passive joints satisfy, shape (p,)."""
         starts = np.cumsum([0, *(closure.size for closure in self.closures)])
-        return np.array([a + row for a, closure in zip(starts, self.closures, strict=False) for row in closure.rows], int)
+        return np.array(
+            [
+                a + row
+                for a, closure in zip(starts, self.closures, strict=False)
+                for row in closure.rows
+            ],
+            int,
+        )
 
     def equations(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residuals of all closures, shape (N, R), and their derivatives by the joints, shape (N, R, n)."""
+        """Return the residuals of all closures, shape (N, R), and their derivatives by the joints,
+        shape (N, R, n).
+        """
         frames = self.kinematics.frames(q)
         parts = [self._of_closure(closure, frames) for closure in self.closures]
-        return np.concatenate([r for r, _ in parts], axis=1), np.concatenate([C for _, C in parts], axis=1)
+        return np.concatenate([r for r, _ in parts], axis=1), np.concatenate(
+            [C for _, C in parts], axis=1
+        )
 
     def _of_closure(self, closure: Closure, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        path, kinematics = closure.path, self.kinematics
+        path = closure.path
+        kinematics = self.kinematics
         start, end = (frames[:, i + 1] @ T for _, i, T in path.ends)
         to_start = start[:, :3, :3].swapaxes(1, 2)
         J = np.zeros((len(frames), 6, len(kinematics.types)))
@@ -133,15 +173,19 @@ class Linkage:
         return closure.residuals(T), closure.derivatives(T, J)
 
     def rates(self, q: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the passive joints by the drivers, shape (N, p, d), at positions with closed loops."""
+        """Return the derivatives of the passive joints by the drivers, shape (N, p, d), at
+        positions with closed loops.
+        """
         C = self.equations(q)[1][:, self.rows]
         return -np.linalg.solve(C[..., self.passive], C[..., self.drivers])
 
     def closed(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return joint positions with the loops closed, shape (N, n), and which rows are, shape (N,).
+        """Return joint positions with the loops closed, shape (N, n), and which rows are, shape
+        (N,).
 
-        Others are as nearly closed as possible. The assembly mode is the URDF's at zero positions; beyond a dead centre,
-        with bars in line, there is another one. In q, shape (N, n), the positions of passive joints are ignored.
+        Others are as nearly closed as possible. The assembly mode is the URDF's at zero positions;
+        beyond a dead centre, with bars in line, there is another one. In q, shape (N, n), the
+        positions of passive joints are ignored.
         """
         drivers, passive, tree, side = self._known
         nearest = tree.query(q[:, self.drivers])[1]
@@ -149,17 +193,24 @@ class Linkage:
         return found, is_closed & (sides == side)
 
     def can_take(self, q: np.ndarray) -> np.ndarray:
-        """Return at which positions, shape (N, n), loops close with passive joints within their limits, shape (N,)."""
+        """Return at which positions, shape (N, n), loops close with passive joints within their
+        limits, shape (N,).
+        """
         found, is_closed = self.closed(q)
         within = (found >= self.lower) & (found <= self.upper)
         return np.asarray(is_closed & within[:, self.passive].all(axis=1))
 
-    def _led(self, q: np.ndarray, drivers: np.ndarray, passive: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Continue the loops to joint positions, shape (N, n), from known ones, shape (N, d) and (N, p), in short steps.
+    def _led(
+        self, q: np.ndarray, drivers: np.ndarray, passive: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Continue the loops to joint positions, shape (N, n), from known ones, shape (N, d) and
+        (N, p), in short steps.
 
-        Returns the positions, which rows are closed, and their side of a dead centre, -1 or 1, shape (N,).
+        Returns the positions, which rows are closed, and their side of a dead centre, -1 or 1,
+        shape (N,).
         """
-        found, way = np.array(q, float), q[:, self.drivers] - drivers
+        found = np.array(q, float)
+        way = q[:, self.drivers] - drivers
         found[:, self.passive] = passive
         steps = int(np.clip(np.ceil(np.abs(way).max(initial=0.0) / _STEP), 1, _MOST_STEPS))
         for part in np.arange(1, steps + 1) / steps:
@@ -171,14 +222,21 @@ class Linkage:
     def _newton(self, q: np.ndarray) -> np.ndarray:
         """Close the loops by Newton's method, in place; return the remaining gaps, shape (N,)."""
         left = np.arange(len(q))
-        open_by, before = np.full(len(q), np.inf), np.full(len(q), np.inf)
+        open_by = np.full(len(q), np.inf)
+        before = np.full(len(q), np.inf)
         for _ in range(NEWTON):
             residuals, C = self.equations(q[left])
-            C, missing = C[:, self.rows][..., self.passive], residuals[:, self.rows]
-            before[left], open_by[left] = open_by[left], np.abs(missing).max(axis=1, initial=0.0)
+            C = C[:, self.rows][..., self.passive]
+            missing = residuals[:, self.rows]
+            before[left] = open_by[left]
+            open_by[left] = np.abs(missing).max(axis=1, initial=0.0)
             # Near the solution, a step without improvement has reached rounding.
-            is_left = (open_by[left] > CLOSED) & ((open_by[left] > _OPEN) | (open_by[left] < 0.5 * before[left]))
-            left, C, missing = left[is_left], C[is_left], missing[is_left]
+            is_left = (open_by[left] > CLOSED) & (
+                (open_by[left] > _OPEN) | (open_by[left] < 0.5 * before[left])
+            )
+            left = left[is_left]
+            C = C[is_left]
+            missing = missing[is_left]
             if not len(left):
                 break
             q[left[:, None], self.passive] -= least_step(C, missing)
@@ -186,23 +244,35 @@ class Linkage:
 
     @cached_property
     def _known(self) -> tuple[np.ndarray, np.ndarray, cKDTree, float]:
-        """Positions of drivers, shape (K, d), and passive joints, shape (K, p), a search tree of the first, and the side."""
+        """Positions of drivers, shape (K, d), and passive joints, shape (K, p), a search tree of
+        the first, and the side.
+        """
         from scipy.spatial import cKDTree
 
         start = self.assembled()
         low, high = (
-            np.where(np.isfinite(limit), limit, side * np.pi) for limit, side in ((self.lower, -1), (self.upper, 1))
+            np.where(np.isfinite(limit), limit, side * np.pi)
+            for limit, side in ((self.lower, -1), (self.upper, 1))
         )
         rng = np.random.default_rng(0)
         q = np.tile(start, (_KNOWN, 1))
         q[1:, self.drivers] = rng.uniform(low, high, (_KNOWN, len(low)))[1:, self.drivers]
-        drivers, passive = (np.tile(start[places], (_KNOWN, 1)) for places in (self.drivers, self.passive))
+        drivers, passive = (
+            np.tile(start[places], (_KNOWN, 1)) for places in (self.drivers, self.passive)
+        )
         found, is_closed, side = self._led(q, drivers, passive)
         found = found[is_closed & (side == side[0])]
-        return found[:, self.drivers], found[:, self.passive], cKDTree(found[:, self.drivers]), float(side[0])
+        return (
+            found[:, self.drivers],
+            found[:, self.passive],
+            cKDTree(found[:, self.drivers]),
+            float(side[0]),
+        )
 
     def assembled(self) -> np.ndarray:
-        """Return joint positions with the loops closed as nearly as possible, shape (n,): zero, or the nearest ones."""
+        """Return joint positions with the loops closed as nearly as possible, shape (n,): zero, or
+        the nearest ones.
+        """
         q = np.zeros((1, len(self.lower)))
         if len(self.passive) and self._newton(q)[0] < _OPEN and np.abs(q).max() < np.pi:
             return np.asarray(q[0])
@@ -217,7 +287,10 @@ class Linkage:
 def loose_step(C: np.ndarray, missing: np.ndarray) -> np.ndarray:
     """Return the steps of least length, shape (N, k), that close the gaps as far as joints can."""
     step = (np.linalg.pinv(C, rcond=STILL) @ missing[..., None])[..., 0]
-    return np.asarray(step * np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300)))
+    return np.asarray(
+        step
+        * np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
+    )
 
 
 def least_step(C: np.ndarray, missing: np.ndarray) -> np.ndarray:
@@ -225,4 +298,7 @@ def least_step(C: np.ndarray, missing: np.ndarray) -> np.ndarray:
     A = C.swapaxes(1, 2) @ C
     A += (_DAMPING * (1.0 + np.trace(A, axis1=1, axis2=2)))[:, None, None] * np.eye(A.shape[1])
     step = np.linalg.solve(A, C.swapaxes(1, 2) @ missing[..., None])[..., 0]
-    return np.asarray(step * np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300)))
+    return np.asarray(
+        step
+        * np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))
+    )

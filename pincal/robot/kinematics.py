@@ -12,7 +12,8 @@ from pincal.robot.se3 import rotation, translation
 
 @dataclass(frozen=True)
 class Kinematics:
-    """The nominal arm: S_i = S_p before_i J(q_i) after_i, with p the joint that carries joint i and S_0 = first in the base.
+    """The nominal arm: S_i = S_p before_i J(q_i) after_i, with p the joint that carries joint i and
+    S_0 = first in the base.
 
     Attributes:
         first: shape (4, 4).
@@ -38,14 +39,18 @@ class Kinematics:
     def of(cls, frames: DhFrames, types: tuple[str, ...], parents: tuple[int, ...]) -> Kinematics:
         """Return the kinematics of nominal frames and joint types."""
         rows = frames.parameters
-        before = [rotation("x", s_x) @ rotation("y", s_y) @ rotation("z", theta) for s_x, s_y, theta, *_ in rows]
+        before = [
+            rotation("x", s_x) @ rotation("y", s_y) @ rotation("z", theta)
+            for s_x, s_y, theta, *_ in rows
+        ]
         for i, T in zip(frames.branches, frames.T_branch_first, strict=True):
             before[i] = T @ before[i]
         after = [translation(a, 0.0, d) @ rotation("x", alpha) for *_, d, a, alpha in rows]
         return cls(frames.T_base_first, np.array(before), np.array(after), types, parents)
 
     def frames(self, q: np.ndarray) -> np.ndarray:
-        """Return the base frame and all link frames S_i, in the base frame, at joint positions of shape (N, n) [rad or m].
+        """Return the base frame and all link frames S_i, in the base frame, at joint positions of
+        shape (N, n) [rad or m].
 
         Their shape is (N, n + 1, 4, 4).
         """

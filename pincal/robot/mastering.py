@@ -22,7 +22,9 @@ def free_joints(robot: Robot) -> tuple[str, ...]:
     return tuple(name for name in robot.joint_names if name not in bound)
 
 
-def remastered(robot: Robot, *, shifts: Mapping[str, float] | None = None, turned: Collection[str] = ()) -> Robot:
+def remastered(
+    robot: Robot, *, shifts: Mapping[str, float] | None = None, turned: Collection[str] = ()
+) -> Robot:
     """Return the same arm with other zeros or directions of its joints.
 
     Args:
@@ -31,7 +33,8 @@ def remastered(robot: Robot, *, shifts: Mapping[str, float] | None = None, turne
         turned: names of the joints that report the opposite of the URDF's positions.
 
     Raises:
-        BadInputError: for a joint that the robot does not have, or that mimics another or is mimicked.
+        BadInputError: for a joint that the robot does not have, or that mimics another or is
+            mimicked.
 
     Example:
         >>> robot = Robot.from_urdf("ur10")
@@ -40,22 +43,32 @@ def remastered(robot: Robot, *, shifts: Mapping[str, float] | None = None, turne
         >>> bool(np.allclose(robot.forward_kinematics(q), other.forward_kinematics(flipped)))
         True
     """
-    given, known = shifts or {}, free_joints(robot)
+    given = shifts or {}
+    known = free_joints(robot)
     for name in (*given, *turned):
         if name not in known:
             raise BadInputError(
-                f"sign or zero of an unknown joint, {name!r}; expected one of {', '.join(nearest_first([name], known))}"
+                f"sign or zero of an unknown joint, {name!r}; expected one of "
+                f"{', '.join(nearest_first([name], known))}"
             )
     root = parse_xml(robot.urdf, robot.source)
     for joint in root.iterfind("joint"):
         axis = np.array(_numbers(joint.find("axis"), "xyz", "1 0 0"))
         if joint.get("name") in given:
-            origin = joint.find("origin") if joint.find("origin") is not None else etree.SubElement(joint, "origin")
+            origin = (
+                joint.find("origin")
+                if joint.find("origin") is not None
+                else etree.SubElement(joint, "origin")
+            )
             turn = Rotation.from_rotvec(given[joint.get("name")] * axis / np.linalg.norm(axis))
             now = Rotation.from_euler("xyz", _numbers(origin, "rpy", "0 0 0")) * turn
             origin.set("rpy", _text(now.as_euler("xyz")))
         if joint.get("name") in turned:
-            element = joint.find("axis") if joint.find("axis") is not None else etree.SubElement(joint, "axis")
+            element = (
+                joint.find("axis")
+                if joint.find("axis") is not None
+                else etree.SubElement(joint, "axis")
+            )
             element.set("xyz", _text(-axis))
             if (limit := joint.find("limit")) is not None:
                 lower, upper = (np.array(_numbers(limit, end, "0")) for end in ("lower", "upper"))

@@ -11,13 +11,15 @@ from lxml import etree
 
 # The file that marks the folder of a ROS package.
 _MARK = "package.xml"
-# Largest mesh file and largest sum of a robot's mesh files that are read [bytes]: the largest in example-robot-data are 29
-# MB and 90 MB, and reading takes twelve times their size in memory.
-_LARGEST_MESH, _LARGEST_ROBOT = 40_000_000, 200_000_000
+# Largest mesh file and largest sum of a robot's mesh files that are read [bytes]: the largest in
+# example-robot-data are 29 MB and 90 MB, and reading takes twelve times their size in memory.
+_LARGEST_MESH = 40_000_000
+_LARGEST_ROBOT = 200_000_000
 
 
 def neighbouring_packages(file: str | os.PathLike[str]) -> dict[str, Path]:
-    """Return the folders of the ROS packages around a file, by name; of two with one name, the nearer one.
+    """Return the folders of the ROS packages around a file, by name; of two with one name, the
+    nearer one.
 
     Each folder above the file is searched, two levels deep, until one contains no more packages.
     """
@@ -25,7 +27,9 @@ def neighbouring_packages(file: str | os.PathLike[str]) -> dict[str, Path]:
     for home in Path(file).resolve().parents:
         if home == home.parent:
             break
-        marks = [mark for pattern in ("", "*/", "*/*/") for mark in sorted(home.glob(pattern + _MARK))]
+        marks = [
+            mark for pattern in ("", "*/", "*/*/") for mark in sorted(home.glob(pattern + _MARK))
+        ]
         if found and not marks:
             break
         for mark in marks:
@@ -35,18 +39,24 @@ def neighbouring_packages(file: str | os.PathLike[str]) -> dict[str, Path]:
 
 def _package_name(mark: Path) -> str:
     try:
-        name = etree.parse(mark, etree.XMLParser(resolve_entities=False, no_network=True)).findtext("name")
+        name = etree.parse(mark, etree.XMLParser(resolve_entities=False, no_network=True)).findtext(
+            "name"
+        )
     except (OSError, etree.XMLSyntaxError):
         name = None
     return (name or "").strip() or mark.parent.name
 
 
 class Meshes:
-    """The mesh files of one robot that are on this machine, up to a total size that can be processed."""
+    """The mesh files of one robot that are on this machine, up to a total size that can be
+    processed.
+    """
 
     def __init__(self, source: str, folders: Sequence[Path] = ()) -> None:
         """Prepare a search as by :func:`find_mesh`."""
-        self._source, self._folders, self._read = source, folders, 0
+        self._source = source
+        self._folders = folders
+        self._read = 0
 
     def find(self, name: str) -> tuple[Path | None, str]:
         """Return the file of a name or URL in the URDF, to be read once; or None and the reason."""
@@ -55,9 +65,17 @@ class Meshes:
             return None, "was not found"
         size = path.stat().st_size
         if size > _LARGEST_MESH:
-            return None, f"has {size / 1e6:.0f} MB, more than the {_LARGEST_MESH / 1e6:.0f} MB that are read: simplify it"
+            return (
+                None,
+                f"has {size / 1e6:.0f} MB, more than the {_LARGEST_MESH / 1e6:.0f} MB "
+                "that are read: simplify it",
+            )
         if self._read + size > _LARGEST_ROBOT:
-            return None, f"is left out, as the robot's meshes exceed {_LARGEST_ROBOT / 1e6:.0f} MB: simplify them"
+            return (
+                None,
+                f"is left out, as the robot's meshes exceed {_LARGEST_ROBOT / 1e6:.0f} "
+                "MB: simplify them",
+            )
         self._read += size
         return path, ""
 
@@ -65,8 +83,8 @@ class Meshes:
 def find_mesh(name: str, source: str, folders: Sequence[Path] = ()) -> Path | None:
     """Return the mesh file of a name or URL in a URDF, None if it is not on this machine.
 
-    The search covers the folder of the URDF's file ``source``, the packages around it, ROS's, and further folders with
-    meshes or packages.
+    The search covers the folder of the URDF's file ``source``, the packages around it, ROS's, and
+    further folders with meshes or packages.
     """
     try:
         url = urlparse(name)
@@ -77,20 +95,39 @@ def find_mesh(name: str, source: str, folders: Sequence[Path] = ()) -> Path | No
     beside = Path(source).resolve().parent
     if url.scheme in ("", "file"):
         path = Path(unquote(url.path))
-        candidates = [path] if path.is_absolute() else [folder / path for folder in (beside, *folders)]
+        candidates = (
+            [path] if path.is_absolute() else [folder / path for folder in (beside, *folders)]
+        )
         return next((file for file in candidates if file.is_file()), None)
     return next(
-        (file for file in _in_packages(Path(unquote(f"{url.netloc}{url.path}")), source, folders) if file.is_file()), None
+        (
+            file
+            for file in _in_packages(Path(unquote(f"{url.netloc}{url.path}")), source, folders)
+            if file.is_file()
+        ),
+        None,
     )
 
 
 def _in_packages(path: Path, source: str, folders: Sequence[Path]) -> Iterator[Path]:
-    """Yield the possible locations of a path that begins with the name of a package, the likeliest first."""
+    """Yield the possible locations of a path that begins with the name of a package, the likeliest
+    first.
+    """
     beside = Path(source).resolve().parent
-    homes, inside = [beside, *beside.parents], Path(*path.parts[1:]) if len(path.parts) > 1 else path
+    homes = [beside, *beside.parents]
+    inside = Path(*path.parts[1:]) if len(path.parts) > 1 else path
     yield from (home / inside for home in homes if path.parts[:1] == (home.name,))
     ros = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
-    of_ros = (Path(entry, end) for name, end in ros for entry in os.environ.get(name, "").split(os.pathsep) if entry)
+    of_ros = (
+        Path(entry, end)
+        for name, end in ros
+        for entry in os.environ.get(name, "").split(os.pathsep)
+        if entry
+    )
     yield from (home / path for home in (*homes, *folders, *of_ros))
     yield from (folder / inside for folder in folders)
-    yield from (home / inside for name, home in neighbouring_packages(source).items() if path.parts[:1] == (name,))
+    yield from (
+        home / inside
+        for name, home in neighbouring_packages(source).items()
+        if path.parts[:1] == (name,)
+    )

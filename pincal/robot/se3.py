@@ -1,7 +1,7 @@
 """Rigid transforms and rotations: the algebra of SE(3).
 
-Transforms are arrays of shape (4, 4), or (N, 3, 4) for many poses at once (rotation and translation without the last row).
-``T_a_b`` maps coordinates in frame b to frame a.
+Transforms are arrays of shape (4, 4), or (N, 3, 4) for many poses at once (rotation and translation
+without the last row). ``T_a_b`` maps coordinates in frame b to frame a.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 
 
 def transform(R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return transforms, shape (..., 4, 4), of rotations, shape (..., 3, 3), and translations, shape (..., 3) [m]."""
+    """Return transforms, shape (..., 4, 4), of rotations, shape (..., 3, 3), and translations,
+    shape (..., 3) [m].
+    """
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
     return T
@@ -19,7 +21,8 @@ def transform(R: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 def rotation(axis: str, angle: float) -> np.ndarray:
     """Return the rotation, shape (4, 4), about "x", "y" or "z" by ``angle`` [rad]."""
-    c, s = np.cos(angle), np.sin(angle)
+    c = np.cos(angle)
+    s = np.sin(angle)
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     T = np.eye(4)
     T[i, i], T[i, j], T[j, i], T[j, j] = c, -s, s, c
@@ -34,7 +37,8 @@ def translation(x: float, y: float, z: float) -> np.ndarray:
 def placed(reference: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
     r"""Return the frame, shape (4, 4), of six coordinates about a reference orientation.
 
-    :math:`Tr(x, y, z)\, R_{ref}\, R(x; r_x)\, R(y; r_y)\, R(z; r_z)`, the parametrisation of base and tool frames: position
+    :math:`Tr(x, y, z)\, R_{ref}\, R(x; r_x)\, R(y; r_y)\, R(z; r_z)`, the parametrisation of base
+      and tool frames: position
     [m] and angles [rad] in the order of ``pincal.parameters.FRAME_SYMBOLS``.
     """
     x, y, z, rx, ry, rz = map(float, coordinates)
@@ -55,7 +59,9 @@ def inverse(A: np.ndarray) -> np.ndarray:
 
 
 def rotation_of_rpy(rpy: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix R_z R_y R_x, shape (3, 3), of roll, pitch and yaw, shape (3,) [rad]: a URDF's ``rpy``."""
+    """Return the rotation matrix R_z R_y R_x, shape (3, 3), of roll, pitch and yaw, shape (3,)
+    [rad]: a URDF's ``rpy``.
+    """
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array(
         [
@@ -89,7 +95,8 @@ def exponentials(vectors: np.ndarray) -> np.ndarray:
 def shortest_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Return the smallest rotation, shape (4, 4), from one unit vector to another."""
     axis = np.cross(start, end)
-    sine, cosine = float(np.linalg.norm(axis)), float(start @ end)
+    sine = float(np.linalg.norm(axis))
+    cosine = float(start @ end)
     if sine < 1e-12:
         return np.eye(4) if cosine > 0.0 else rotation("x", np.pi)
     x, y, z = axis / sine
@@ -104,14 +111,19 @@ def nearest_rotation(M: np.ndarray) -> np.ndarray:
 
 
 def align(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least-squares rotation and translation from points ``a`` to ``b`` (Kabsch 1976, Umeyama 1991)."""
-    ca, cb = a.mean(axis=0), b.mean(axis=0)
+    """Return the least-squares rotation and translation from points ``a`` to ``b`` (Kabsch 1976,
+    Umeyama 1991).
+    """
+    ca = a.mean(axis=0)
+    cb = b.mean(axis=0)
     R = nearest_rotation((b - cb).T @ (a - ca))
     return R, cb - R @ ca
 
 
 def are_rotations(matrices: np.ndarray, *, tolerance: float) -> bool:
-    """Return whether matrices, shape (..., 3, 3), are rotations to ``tolerance`` in every element of R R^T."""
+    """Return whether matrices, shape (..., 3, 3), are rotations to ``tolerance`` in every element
+    of R R^T.
+    """
     products = matrices @ np.swapaxes(matrices, -1, -2)
     is_orthogonal = np.abs(products - np.eye(3)).max(initial=0.0) <= tolerance
     return bool(is_orthogonal and (np.linalg.det(matrices) > 0.0).all())

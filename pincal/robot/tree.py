@@ -12,19 +12,25 @@ import numpy as np
 from pincal.errors import BadInputError, RobotFileError, nearest_first
 
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
-# Names of the link that a tool is mounted on, in URDFs of ROS-Industrial and makers, most specific first.
+# Names of the link that a tool is mounted on, in URDFs of ROS-Industrial and makers, most specific
+# first.
 _TIP_NAMES = ("tool0", "tcp", "flange", "ee_link", "eef", "end_effector")
-# Names of fingers and their joints. The last joint of many arms turns the body of a gripper, so "gripper" is only for
-# joints.
-_FINGER = re.compile(r"finger|thumb|jaw|knuckle|hand[a-z_]*_(index|middle|ring|little|pinky)", re.IGNORECASE)
+# Names of fingers and their joints. The last joint of many arms turns the body of a gripper, so
+# "gripper" is only for joints.
+_FINGER = re.compile(
+    r"finger|thumb|jaw|knuckle|hand[a-z_]*_(index|middle|ring|little|pinky)", re.IGNORECASE
+)
 _FINGER_JOINT = re.compile(_FINGER.pattern + "|gripper", re.IGNORECASE)
 # Names of links on an arm to which no tool is mounted.
-_NO_TIP = re.compile(_FINGER_JOINT.pattern + "|camera|optical|imu|accelerometer|range|laser|light", re.IGNORECASE)
+_NO_TIP = re.compile(
+    _FINGER_JOINT.pattern + "|camera|optical|imu|accelerometer|range|laser|light", re.IGNORECASE
+)
 
 
 @dataclass(frozen=True)
 class Mimic:
-    """A mimic joint: its position is ``multiplier`` times the position of ``source`` plus ``offset``.
+    """A mimic joint: its position is ``multiplier`` times the position of ``source`` plus
+    ``offset``.
 
     Attributes:
         joint: name of the mimic joint.
@@ -40,27 +46,37 @@ class Mimic:
 
 
 def mimicked(q: np.ndarray, names: Sequence[str], mimics: Iterable[Mimic]) -> np.ndarray:
-    """Return the positions of named joints, shape (N, n), with mimic joints set from their sources."""
+    """Return the positions of named joints, shape (N, n), with mimic joints set from
+    their sources.
+    """
     out = np.array(q, np.result_type(q, float))
     for mimic in mimics:
-        out[:, names.index(mimic.joint)] = mimic.multiplier * out[:, names.index(mimic.source)] + mimic.offset
+        out[:, names.index(mimic.joint)] = (
+            mimic.multiplier * out[:, names.index(mimic.source)] + mimic.offset
+        )
     return out
 
 
 def numbered(names: Sequence[str]) -> Sequence[str]:
-    """Return names sorted by the last number in each, or unchanged if these numbers are not distinct.
+    """Return names sorted by the last number in each, or unchanged if these numbers are not
+    distinct.
 
     Example:
         >>> numbered(["joint_1", "joint_4", "joint_3"])
         ['joint_1', 'joint_3', 'joint_4']
     """
     numbers = {name: int(found[-1]) for name in names if (found := re.findall(r"\d+", name))}
-    return sorted(names, key=numbers.__getitem__) if len(set(numbers.values())) == len(names) else names
+    return (
+        sorted(names, key=numbers.__getitem__)
+        if len(set(numbers.values())) == len(names)
+        else names
+    )
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """A coupled joint: its position is its reported position plus ``factor`` times the reported position of ``source``.
+    """A coupled joint: its position is its reported position plus ``factor`` times the reported
+    position of ``source``.
 
     Attributes:
         joint: name of the joint.
@@ -87,7 +103,9 @@ class Coupling:
         found = re.fullmatch(r"([+-]?)(?:([0-9.]+)(?:/([0-9.]+))?\*)?([^*]+)", term)
         try:
             assert found is not None and joint and joint != found[4]
-            factor = float(found[2] or 1.0) / float(found[3] or 1.0) * (-1.0 if found[1] == "-" else 1.0)
+            factor = (
+                float(found[2] or 1.0) / float(found[3] or 1.0) * (-1.0 if found[1] == "-" else 1.0)
+            )
         except (AssertionError, ValueError, ZeroDivisionError):
             raise BadInputError(
                 f"coupling {text!r}; expected one such as joint_3=+joint_2 or joint_5=-1/3*joint_4"
@@ -114,7 +132,8 @@ class UrdfClosure:
         name: name of the joint or constraint.
         kind: its type in the URDF.
         parent, child: the links that it joins.
-        T_parent: shape (4, 4), its frame on the parent link; None if it coincides with the child's at zero positions.
+        T_parent: shape (4, 4), its frame on the parent link; None if it coincides with the child's
+            at zero positions.
         T_child: shape (4, 4), its frame on the child link.
         axis_parent, axis_child: shape (3,), its axis in each of these frames.
     """
@@ -157,16 +176,20 @@ class UrdfTree:
         """Return the joints from link ``base`` to link ``tip``, in this order.
 
         Raises:
-            RobotFileError: if a link is unknown or ``base`` does not lie between the root and ``tip``.
+            RobotFileError: if a link is unknown or ``base`` does not lie between the root and
+                ``tip``.
         """
         for role, link in (("base link", base), ("link", tip)):
             if link not in self.links:
-                raise RobotFileError(f"{self.source}: unknown {role} {link!r}; {known_links(link, self.links)}")
+                raise RobotFileError(
+                    f"{self.source}: unknown {role} {link!r}; {known_links(link, self.links)}"
+                )
         joints = self.above(tip)
         links = [joint.parent for joint in joints]
         if base != tip and base not in links:
             raise RobotFileError(
-                f"{self.source}: {base!r} is not an ancestor of {tip!r}; expected a base link between the root "
+                f"{self.source}: {base!r} is not an ancestor of {tip!r}; expected a base "
+                "link between the root "
                 f"{self.root!r} and the tip: choose one of {', '.join(reversed(links))}"
             )
         return joints[links.index(base) :] if base != tip else ()
@@ -186,27 +209,44 @@ class UrdfTree:
     def carrier(self, joints: Sequence[UrdfJoint], link: str) -> int:
         """Return the index of the joint that carries a link, -1 for none of them."""
         place = {joint.name: i for i, joint in enumerate(joints)}
-        return next((place[joint.name] for joint in reversed(self.above(link)) if joint.name in place), -1)
+        return next(
+            (place[joint.name] for joint in reversed(self.above(link)) if joint.name in place), -1
+        )
 
     def default_tip(self, joint_names: Iterable[str] | None = None) -> str:
         """Return the link at the end of the arm.
 
-        The arm is the chain of the joints ``joint_names`` if given, else the longest moving chain without the fingers of a
-        gripper. Of several links fixed to its last joint, one named like a tool or a flange in industrial URDFs is
-        preferred, else the last along the chain that is not part of a gripper.
+        The arm is the chain of the joints ``joint_names`` if given, else the longest moving chain
+        without the fingers of a gripper. Of several links fixed to its last joint, one named like a
+        tool or a flange in industrial URDFs is preferred, else the last along the chain that is not
+        part of a gripper.
 
         Raises:
             RobotFileError: if no chain of this URDF consists of the joints ``joint_names``.
         """
         chains = self._moving_chains()
         if joint_names is None:
-            end = max(chains, key=lambda link: (len(self._own(chains[link])), len(chains[link]), -self.links.index(link)))
+            end = max(
+                chains,
+                key=lambda link: (
+                    len(self._own(chains[link])),
+                    len(chains[link]),
+                    -self.links.index(link),
+                ),
+            )
             wanted = self._without_gripper(chains, chains[end])
         else:
             wanted = self._chain_of(chains, set(joint_names))
         ends = [link for link in chains if chains[link] == wanted]
-        named = (link for name in _TIP_NAMES for link in ends if link == name or link.endswith("_" + name))
-        return next(named, next((link for link in reversed(ends) if not _NO_TIP.search(link)), ends[-1]))
+        named = (
+            link
+            for name in _TIP_NAMES
+            for link in ends
+            if link == name or link.endswith("_" + name)
+        )
+        return next(
+            named, next((link for link in reversed(ends) if not _NO_TIP.search(link)), ends[-1])
+        )
 
     def mimics(self, path: Sequence[UrdfJoint]) -> tuple[Mimic, ...]:
         """Return each mimic joint on a path as a function of an independent joint on the path.
@@ -219,16 +259,23 @@ class UrdfTree:
         for name, joint in by_name.items():
             if joint.mimic is None:
                 continue
-            total, seen = joint.mimic, {name}
-            while total.source not in seen and total.source in by_name and (further := by_name[total.source].mimic):
+            total = joint.mimic
+            seen = {name}
+            while (
+                total.source not in seen
+                and total.source in by_name
+                and (further := by_name[total.source].mimic)
+            ):
                 seen.add(total.source)
                 offset = total.multiplier * further.offset + total.offset
                 total = Mimic(name, further.source, total.multiplier * further.multiplier, offset)
             if total.source not in by_name or total.source in seen:
                 ends = f"between {path[0].parent!r} and {path[-1].child!r}"
                 raise RobotFileError(
-                    f"{self.source}: joint {name!r} {ends} mimics {total.source!r}, which is not an independent joint "
-                    "between base and tip: choose another base or tip, or let it mimic a joint of the arm"
+                    f"{self.source}: joint {name!r} {ends} mimics {total.source!r}, which "
+                    "is not an independent joint "
+                    "between base and tip: choose another base or tip, or let it mimic a "
+                    "joint of the arm"
                 )
             found.append(total)
         return tuple(found)
@@ -240,18 +287,28 @@ class UrdfTree:
 
     @cached_property
     def loops(self) -> tuple[UrdfClosure, ...]:
-        """Closures of loops with moving joints, except loops with a mimic joint, which describes their motion."""
+        """Closures of loops with moving joints, except loops with a mimic joint, which describes
+        their motion.
+        """
         driven = {joint.name for joint in self.joints if joint.mimic is not None}
-        return tuple(closure for closure in self.closures if (loop := self.loop(closure)) and not loop & driven)
+        return tuple(
+            closure
+            for closure in self.closures
+            if (loop := self.loop(closure)) and not loop & driven
+        )
 
     def loop(self, closure: UrdfClosure) -> frozenset[str]:
         """Return the names of the moving joints of a closure's loop."""
-        one, other = ({j.name for j in self.above(end) if j.kind in MOVING_TYPES} for end in (closure.parent, closure.child))
+        one, other = (
+            {j.name for j in self.above(end) if j.kind in MOVING_TYPES}
+            for end in (closure.parent, closure.child)
+        )
         return frozenset(one ^ other)
 
     def with_loops(self, names: Iterable[str]) -> set[str]:
         """Return names of joints together with all joints that are in a loop with some of them."""
-        found, loops = set(names), [self.loop(closure) for closure in self.loops]
+        found = set(names)
+        loops = [self.loop(closure) for closure in self.loops]
         while more := [loop for loop in loops if loop & found and loop - found]:
             found.update(*more)
         return found
@@ -261,8 +318,12 @@ class UrdfTree:
         return tuple(name for name in chain if name not in driven)
 
     def _moving_chains(self) -> dict[str, tuple[str, ...]]:
-        """Return the moving joints from the root to each link, if the sources of their mimic joints are among them."""
-        mimics = {joint.name: joint.mimic.source for joint in self.joints if joint.mimic is not None}
+        """Return the moving joints from the root to each link, if the sources of their mimic joints
+        are among them.
+        """
+        mimics = {
+            joint.name: joint.mimic.source for joint in self.joints if joint.mimic is not None
+        }
         chains: dict[str, tuple[str, ...]] = {self.root: ()}
         for joint in in_tree_order(self.root, self.joints):
             moves = (joint.name,) if joint.kind in MOVING_TYPES else ()
@@ -273,16 +334,28 @@ class UrdfTree:
             if all(mimics[name] in chain for name in mimics.keys() & set(chain))
         }
 
-    def _without_gripper(self, chains: dict[str, tuple[str, ...]], chain: tuple[str, ...]) -> tuple[str, ...]:
-        """Cut off the fingers: joints named so, and at most two last ones that share a link with other moving joints."""
+    def _without_gripper(
+        self, chains: dict[str, tuple[str, ...]], chain: tuple[str, ...]
+    ) -> tuple[str, ...]:
+        """Cut off the fingers: joints named so, and at most two last ones that share a link with
+        other moving joints.
+        """
         by_name = {joint.name: joint for joint in self.joints}
-        cuts = [i for i, name in enumerate(chain) if _FINGER_JOINT.search(name) or _FINGER.search(by_name[name].child)]
+        cuts = [
+            i
+            for i, name in enumerate(chain)
+            if _FINGER_JOINT.search(name) or _FINGER.search(by_name[name].child)
+        ]
         # A robot whose first joint is named so is a hand, or all its names contain the word.
         if cuts and cuts[0] > 0:
             return chain[: cuts[0]]
         # The joints above each moving joint, without the rods of loops.
         rods = self.looped - set(chain)
-        above = [chains.get(joint.parent) for joint in self.joints if joint.kind in MOVING_TYPES and joint.name not in rods]
+        above = [
+            chains.get(joint.parent)
+            for joint in self.joints
+            if joint.kind in MOVING_TYPES and joint.name not in rods
+        ]
         for cut in range(max(len(chain) - 2, 1), len(chain)):
             if above.count(chains.get(by_name[chain[cut]].parent, ())) > 1:
                 return chain[:cut]
@@ -291,7 +364,8 @@ class UrdfTree:
     def _chain_of(self, chains: dict[str, tuple[str, ...]], names: set[str]) -> tuple[str, ...]:
         fitting = []
         for chain in chains.values():
-            own, reached = self._own(chain), self.with_loops(chain)
+            own = self._own(chain)
+            reached = self.with_loops(chain)
             needed = set(own) - self.looped
             is_all = needed <= names <= reached
             if own and (is_all or (own[-1] in names and names <= reached)):
@@ -301,8 +375,14 @@ class UrdfTree:
             best = max(fitting, key=lambda found: (found[0], -found[1], len(found[2])))
             return best[2]
         unknown = sorted(names - {joint.name for joint in self.joints})
-        problem = f"no joint {unknown[0]!r}" if unknown else f"no serial chain of the joints {', '.join(sorted(names))}"
-        raise RobotFileError(f"{self.source}: {problem}; its joints: {', '.join(j.name for j in self.joints)}")
+        problem = (
+            f"no joint {unknown[0]!r}"
+            if unknown
+            else f"no serial chain of the joints {', '.join(sorted(names))}"
+        )
+        raise RobotFileError(
+            f"{self.source}: {problem}; its joints: {', '.join(j.name for j in self.joints)}"
+        )
 
 
 def in_tree_order(root: str, joints: tuple[UrdfJoint, ...]) -> list[UrdfJoint]:

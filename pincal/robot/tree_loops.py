@@ -1,4 +1,6 @@
-"""The loops of a URDF's tree: frames of their closures, and the choice of passive joints and equations."""
+"""The loops of a URDF's tree: frames of their closures, and the choice of passive joints and
+equations.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +16,24 @@ from pincal.robot.link_path import LinkPath, above
 from pincal.robot.tree import UrdfClosure, UrdfJoint, UrdfTree
 from pincal.robot.urdf_loops import KINDS, ClosureKind
 
-# Admissible gap of a loop in directions that its joints can't close [m, rad]: of a calibrated one, three standard
-# deviations of what ten joints add whose two angles readings leave at priors of 3 mrad.
+# Admissible gap of a loop in directions that its joints can't close [m, rad]: of a calibrated one,
+# three standard deviations of what ten joints add whose two angles readings leave at priors of 3
+# mrad.
 _LOOSE = 4e-2
 # Fraction of the poses in which joints have to move a loop independently.
 _MOSTLY = 0.5
-# Poses in which the joints that move a loop are determined, and the range of joint positions there [rad or m].
-_SAMPLES, _SAMPLE_STEP = 12, 0.4
+# Poses in which the joints that move a loop are determined, and the range of joint positions there
+# [rad or m].
+_SAMPLES = 12
+_SAMPLE_STEP = 0.4
 # A pin closer than this to the axis of the joint that carries it has no direction from there [m].
 _ON_AXIS = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Pins:
-    """A closure's frames in the base frame at zero positions, z along its axis and x away from the joint that carries it.
+    """A closure's frames in the base frame at zero positions, z along its axis and x away from the
+    joint that carries it.
 
     Attributes:
         closure: the closure in the URDF.
@@ -43,51 +49,82 @@ class Pins:
 
     @classmethod
     def of(
-        cls, tree: UrdfTree, closure: UrdfClosure, carriers: tuple[int, int], T_base_link: np.ndarray, lines: np.ndarray
+        cls,
+        tree: UrdfTree,
+        closure: UrdfClosure,
+        carriers: tuple[int, int],
+        T_base_link: np.ndarray,
+        lines: np.ndarray,
     ) -> Pins:
-        """Return the frames of a closure whose links are at T_base_link, shape (2, 4, 4), at zero positions.
+        """Return the frames of a closure whose links are at T_base_link, shape (2, 4, 4), at zero
+        positions.
 
-        ``lines``, shape (n, 2, 3), are a point on the axis of each joint and its direction. RobotFileError for an
-        unsupported type of closure.
+        ``lines``, shape (n, 2, 3), are a point on the axis of each joint and its direction.
+        RobotFileError for an unsupported type of closure.
         """
         kind = KINDS.get(closure.kind)
         if kind is None:
             raise RobotFileError(
-                f"{tree.source}: {closure.name!r} closes a loop and is {closure.kind or 'of no type'}; expected one of "
+                f"{tree.source}: {closure.name!r} closes a loop and is "
+                f"{closure.kind or 'of no type'}; expected one of "
                 f"{', '.join(KINDS)}"
             )
         child = T_base_link[1] @ closure.T_child
-        frames = np.array([child if closure.T_parent is None else T_base_link[0] @ closure.T_parent, child])
+        frames = np.array(
+            [child if closure.T_parent is None else T_base_link[0] @ closure.T_parent, child]
+        )
         if kind != "pose":
             axes = [frames[0, :3, :3] @ closure.axis_parent, frames[1, :3, :3] @ closure.axis_child]
             for frame, joint, axis in zip(frames, carriers, axes, strict=True):
-                point, direction = lines[joint] if joint >= 0 else (np.zeros(3), np.array([0.0, 0.0, 1.0]))
+                point, direction = (
+                    lines[joint] if joint >= 0 else (np.zeros(3), np.array([0.0, 0.0, 1.0]))
+                )
                 frame[:3, :3] = _axes(direction if kind == "point" else axis, frame[:3, 3] - point)
         return cls(closure, kind, carriers, frames)
 
     @classmethod
     def of_tree(
-        cls, tree: UrdfTree, joints: Sequence[UrdfJoint], T_base_links: Mapping[str, np.ndarray], lines: np.ndarray
+        cls,
+        tree: UrdfTree,
+        joints: Sequence[UrdfJoint],
+        T_base_links: Mapping[str, np.ndarray],
+        lines: np.ndarray,
     ) -> list[Pins]:
-        """Return the frames of all closures of loops of some joints, with links by name; see :meth:`of`."""
+        """Return the frames of all closures of loops of some joints, with links by name; see
+        :meth:`of`.
+        """
         names = {joint.name for joint in joints}
-        pairs = [(closure, (closure.parent, closure.child)) for closure in tree.loops if tree.loop(closure) <= names]
-        carriers = [(tree.carrier(joints, one), tree.carrier(joints, other)) for _, (one, other) in pairs]
+        pairs = [
+            (closure, (closure.parent, closure.child))
+            for closure in tree.loops
+            if tree.loop(closure) <= names
+        ]
+        carriers = [
+            (tree.carrier(joints, one), tree.carrier(joints, other)) for _, (one, other) in pairs
+        ]
         placed = [np.array([T_base_links[end] for end in ends]) for _, ends in pairs]
-        return [cls.of(tree, c, at, T, lines) for (c, _), at, T in zip(pairs, carriers, placed, strict=True)]
+        return [
+            cls.of(tree, c, at, T, lines)
+            for (c, _), at, T in zip(pairs, carriers, placed, strict=True)
+        ]
 
     def placed(self, T_base_link: np.ndarray) -> Closure:
         """Return the closure with its frames in link frames at T_base_link, shape (n, 4, 4)."""
         carried = [
-            np.linalg.inv(T_base_link[i]) @ T if i >= 0 else T for i, T in zip(self.carriers, self.T_base, strict=True)
+            np.linalg.inv(T_base_link[i]) @ T if i >= 0 else T
+            for i, T in zip(self.carriers, self.T_base, strict=True)
         ]
         return Closure(
-            self.closure.name, self.kind, LinkPath(self.closure.parent, self.closure.child, *self.carriers, *carried)
+            self.closure.name,
+            self.kind,
+            LinkPath(self.closure.parent, self.closure.child, *self.carriers, *carried),
         )
 
 
 def _axes(z: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """Return the rotation, shape (3, 3), with a given z axis and the x axis as close as possible to a direction."""
+    """Return the rotation, shape (3, 3), with a given z axis and the x axis as close as possible to
+    a direction.
+    """
     length = np.linalg.norm(z)
     z = z / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
     x = towards - z * (z @ towards)
@@ -117,21 +154,26 @@ class Choice:
 
 
 def linkage_of(
-    kinematics: Kinematics, closures: Sequence[Closure], limits: tuple[np.ndarray, np.ndarray], choice: Choice
+    kinematics: Kinematics,
+    closures: Sequence[Closure],
+    limits: tuple[np.ndarray, np.ndarray],
+    choice: Choice,
 ) -> Linkage:
     """Choose the passive joints and the equations that they satisfy.
 
     Joints without readings are passive if possible, then the deepest ones of the tree.
 
     Raises:
-        RobotFileError: if the loops can't be closed or moved, or the joints with readings do not determine the others.
+        RobotFileError: if the loops can't be closed or moved, or the joints with readings do not
+            determine the others.
     """
     free = Linkage(kinematics, tuple(closures), np.empty(0, int), *limits)
     loop = free.drivers.tolist()
     where = f"in the loop closed by {', '.join(closure.name for closure in closures)}"
     if (gap := float(np.abs(free.equations(free.assembled()[None])[0]).max())) > _LOOSE:
         raise RobotFileError(
-            f"{choice.source}: {where} ends stay {1e3 * gap:.3g} mm or mrad apart at all joint positions; expected frames "
+            f"{choice.source}: {where} ends stay {1e3 * gap:.3g} mm or mrad apart at all "
+            "joint positions; expected frames "
             "on both links that joints can bring together"
         )
     C = free.equations(_samples(free))[1]
@@ -140,25 +182,36 @@ def linkage_of(
     C[:, turns] *= np.abs(C[:, ~turns]).max()
     rank = int(np.max(_ranks(C[..., loop])))
     if rank in (0, len(loop)):
-        raise RobotFileError(f"{choice.source}: {where} no joint can move; expected joints that can")
+        raise RobotFileError(
+            f"{choice.source}: {where} no joint can move; expected joints that can"
+        )
     passive = _followers(C, loop, rank, kinematics, choice)
     for joint in passive:
         name = choice.names[joint]
         if kinematics.types[joint] == "prismatic" or name in choice.mimicked:
             what = "slides" if kinematics.types[joint] == "prismatic" else "is mimicked"
-            raise RobotFileError(f"{choice.source}: joint {name!r} {what} and has no reading {where}; expected one")
+            raise RobotFileError(
+                f"{choice.source}: joint {name!r} {what} and has no reading {where}; expected one"
+            )
     drivers = [joint for joint in loop if joint not in passive]
     recorded = choice.names if choice.recorded is None else choice.recorded
     if unknown := [choice.names[i] for i in drivers if choice.names[i] not in recorded]:
         raise RobotFileError(
-            f"{choice.source}: {where} {len(drivers)} joints move independently, {len(unknown)} without a reading; expected "
+            f"{choice.source}: {where} {len(drivers)} joints move independently, "
+            f"{len(unknown)} without a reading; expected "
             f"a column of {' and '.join(unknown)}"
         )
     rows = _equations_of(C[..., passive])
-    moves = np.abs(np.linalg.pinv(C[:, rows][..., passive]) @ C[:, rows][..., drivers]).max(axis=(0, 2))
-    still = [choice.names[joint] for joint, move in zip(passive, moves, strict=True) if move < STILL]
+    moves = np.abs(np.linalg.pinv(C[:, rows][..., passive]) @ C[:, rows][..., drivers]).max(
+        axis=(0, 2)
+    )
+    still = [
+        choice.names[joint] for joint, move in zip(passive, moves, strict=True) if move < STILL
+    ]
     if stuck := [name for name in still if name in choice.on_path]:
-        raise RobotFileError(f"{choice.source}: {where} {' and '.join(stuck)} can't move; expected joints that can")
+        raise RobotFileError(
+            f"{choice.source}: {where} {' and '.join(stuck)} can't move; expected joints that can"
+        )
     starts = np.cumsum([0, *(closure.size for closure in closures)])
     used = [
         replace(closure, rows=tuple(int(row - a) for row in rows if a <= row < a + closure.size))
@@ -170,17 +223,27 @@ def linkage_of(
 
 def linkage_notes(linkage: Linkage, choice: Choice) -> tuple[str, ...]:
     """Return notes on the passive joints and on unused readings."""
-    passive, drivers = ([choice.names[i] for i in joints] for joints in (linkage.passive, linkage.drivers))
+    passive, drivers = (
+        [choice.names[i] for i in joints] for joints in (linkage.passive, linkage.drivers)
+    )
     verb = "follow" if len(passive) > 1 else "follows"
     loops = " and ".join(closure.name for closure in linkage.closures)
-    notes: tuple[str, ...] = (f"{', '.join(passive)} {verb} from {', '.join(drivers)} through the loops closed by {loops}",)
+    notes: tuple[str, ...] = (
+        f"{', '.join(passive)} {verb} from {', '.join(drivers)} through the loops closed "
+        f"by {loops}",
+    )
     if unused := [name for name in passive if name in (choice.recorded or ())]:
-        notes = (*notes, f"readings of {', '.join(unused)} are not used: the loops determine these positions")
+        notes = (
+            *notes,
+            f"readings of {', '.join(unused)} are not used: the loops determine these positions",
+        )
     return notes
 
 
 def _samples(free: Linkage) -> np.ndarray:
-    """Return joint positions about zero at which loops are closed by moving all their joints, shape (S, n)."""
+    """Return joint positions about zero at which loops are closed by moving all their joints, shape
+    (S, n).
+    """
     rng = np.random.default_rng(0)
     q = np.tile(free.assembled(), (_SAMPLES, 1))
     C = free.equations(q)[1][..., free.drivers]
@@ -200,14 +263,22 @@ def _ranks(C: np.ndarray) -> np.ndarray:
     return np.asarray((singular > STILL * np.maximum(singular[:, :1], np.abs(C).max())).sum(axis=1))
 
 
-def _followers(C: np.ndarray, loop: list[int], rank: int, kinematics: Kinematics, choice: Choice) -> list[int]:
+def _followers(
+    C: np.ndarray, loop: list[int], rank: int, kinematics: Kinematics, choice: Choice
+) -> list[int]:
     """Return the passive joints, as many as equations can be satisfied."""
     depth = {joint: len(above(joint, kinematics.parents)) for joint in loop}
 
     def preference(joint: int) -> tuple[bool, bool, int, bool, int]:
         name = choice.names[joint]
         is_bound = kinematics.types[joint] == "prismatic" or name in choice.mimicked
-        return name in (choice.recorded or ()), is_bound, -depth[joint], name in choice.on_path, -joint
+        return (
+            name in (choice.recorded or ()),
+            is_bound,
+            -depth[joint],
+            name in choice.on_path,
+            -joint,
+        )
 
     found: list[int] = []
     for joint in sorted(loop, key=preference):

@@ -1,4 +1,5 @@
-"""Loop closures in a URDF, itself a tree: constraints, joints of Gazebo, and second joints of one link.
+"""Loop closures in a URDF, itself a tree: constraints, joints of Gazebo, and second joints of one
+link.
 
 A constraint is an element proposed for URDF (urdfdom's pull request 264)::
 
@@ -24,13 +25,17 @@ ClosureKind = Literal["point", "axis", "pose"]
 KINDS: dict[str, ClosureKind] = {
     "revolute": "axis", "continuous": "axis", "spherical": "point", "ball": "point", "fixed": "pose",
 }  # fmt: skip
-"""The constraint of each type of closing joint: on the origin of its frame, also on its axis, or on the whole frame."""
+"""The constraint of each type of closing joint: on the origin of its frame, also on its axis, or on
+the whole frame.
+"""
 _X = "1 0 0"
 _NOWHERE = "0 0 0"
 
 
 def cut_loops(root: Any) -> list[Any]:
-    """Remove joints from a URDF's XML until each link is the child of one joint, a fixed one or the first; return them."""
+    """Remove joints from a URDF's XML until each link is the child of one joint, a fixed one or the
+    first; return them.
+    """
     kept: dict[str, Any] = {}
     cut = []
     for joint in sorted(root.iterfind("joint"), key=lambda joint: joint.get("type") != "fixed"):
@@ -49,16 +54,21 @@ def take_loops(root: Any, links: Collection[str], source: str) -> Iterator[UrdfC
     """
     for element in root.iterfind("constraint"):
         origins = [_origin(element.find(f"{role}_origin"), source) for role in ("parent", "child")]
-        axes = [_vector(element.find(f"{role}_axis"), "xyz", _X, source) for role in ("parent", "child")]
+        axes = [
+            _vector(element.find(f"{role}_axis"), "xyz", _X, source) for role in ("parent", "child")
+        ]
         yield UrdfClosure(*_names(element, links, source), origins[0], origins[1], axes[0], axes[1])
     for element in root.iterfind("gazebo/joint"):
-        ends = [(element.findtext(role) or "").strip().split("::")[-1] for role in ("parent", "child")]
+        ends = [
+            (element.findtext(role) or "").strip().split("::")[-1] for role in ("parent", "child")
+        ]
         # Other joints attach to links outside the URDF, such as the world.
         if all(end in links for end in ends):
             pose = _numbers(element.findtext("pose") or "0 0 0 0 0 0", 6, element, source)
             axis = _numbers(element.findtext("axis/xyz") or _X, 3, element, source)
             T = transform(rotation_of_rpy(pose[3:]), pose[:3])
-            name, kind = element.get("name", "?"), element.get("type", "")
+            name = element.get("name", "?")
+            kind = element.get("type", "")
             yield UrdfClosure(name, kind, ends[0], ends[1], None, T, axis, axis)
     for element in cut_loops(root):
         axis = _vector(element.find("axis"), "xyz", _X, source)
@@ -68,9 +78,16 @@ def take_loops(root: Any, links: Collection[str], source: str) -> Iterator[UrdfC
 
 def _names(element: Any, links: Collection[str], source: str) -> tuple[str, str, str, str]:
     """Return name, type and both links of a joint or constraint."""
-    ends = ["" if (end := element.find(role)) is None else end.get("link", "") for role in ("parent", "child")]
+    ends = [
+        "" if (end := element.find(role)) is None else end.get("link", "")
+        for role in ("parent", "child")
+    ]
     if unknown := [end for end in ends if end not in links]:
-        raise _fault(element, source, f"names the unknown link {unknown[0]!r}; {known_links(unknown[0], links)}")
+        raise _fault(
+            element,
+            source,
+            f"names the unknown link {unknown[0]!r}; {known_links(unknown[0], links)}",
+        )
     return element.get("name", "?"), element.get("type", ""), ends[0], ends[1]
 
 
@@ -81,7 +98,11 @@ def _origin(element: Any, source: str) -> np.ndarray:
 
 def _vector(element: Any, key: str, default: str, source: str) -> np.ndarray:
     """Return three numbers of an attribute or its default, shape (3,)."""
-    return np.array(default.split(), float) if element is None else _numbers(element.get(key, default), 3, element, source)
+    return (
+        np.array(default.split(), float)
+        if element is None
+        else _numbers(element.get(key, default), 3, element, source)
+    )
 
 
 def _numbers(text: str, count: int, element: Any, source: str) -> np.ndarray:
@@ -92,4 +113,6 @@ def _numbers(text: str, count: int, element: Any, source: str) -> np.ndarray:
 
 
 def _fault(element: Any, source: str, text: str) -> RobotFileError:
-    return RobotFileError(f"{source}:{element.sourceline}: <{element.tag}> {element.get('name') or ''} {text}")
+    return RobotFileError(
+        f"{source}:{element.sourceline}: <{element.tag}> {element.get('name') or ''} {text}"
+    )

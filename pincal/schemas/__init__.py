@@ -1,6 +1,7 @@
 """JSON Schemas of the files that pincal reads and writes, generated from their structures.
 
-``python -m pincal.io.schemas`` regenerates them in this folder; a test compares them with the structures.
+``python -m pincal.io.schemas`` regenerates them in this folder; a test compares them with the
+structures.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON Schema of a file.
 
     Args:
-        name: "model", "stations" (a model.json with several), "result", "discovery", "diagnosis", "camera",
-            "information" or "type".
+        name: "model", "stations" (a model.json with several), "result", "discovery", "diagnosis",
+            "camera", "information" or "type".
 
     Example:
         >>> schema_of("camera")["$defs"]["CameraFile"]["required"]

@@ -1,8 +1,9 @@
 """The true machine: an independent oracle that measures a robot whose errors are known.
 
-Tests compare the model with the oracle, which shares nothing with it: ``arm``, ``state``, ``inertia``, ``machine``,
-``moving``, ``paper_machine``, the effects (``drive``, ``elastic``, ``tracker``) and the sensors (``lens``, the set-ups,
-``session``). The rest plans campaigns for ``pincal simulate``: ``planning``, ``typical``, ``request``.
+Tests compare the model with the oracle, which shares nothing with it: ``arm``, ``state``,
+``inertia``, ``machine``, ``moving``, ``paper_machine``, the effects (``drive``, ``elastic``,
+``tracker``) and the sensors (``lens``, the set-ups, ``session``). The rest plans campaigns for
+``pincal simulate``: ``planning``, ``typical``, ``request``.
 """
 
 from pincal.simulate.arm import Arm as Arm

@@ -1,7 +1,8 @@
 """The arm of the true machine: placements, joint axes, bodies, limits, pins of loops.
 
-Every joint gets a working frame whose z axis is the joint axis. Its x axis is the projection of the URDF joint frame's x
-axis (the y axis if x is parallel to the joint axis). With the axis "0 0 1" the two frames coincide.
+Every joint gets a working frame whose z axis is the joint axis. Its x axis is the projection of the
+URDF joint frame's x axis (the y axis if x is parallel to the joint axis). With the axis "0 0 1" the
+two frames coincide.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ class Pin:
     Attributes:
         name: Its name in the URDF.
         joints: The joints that move the two links, -1 for the base.
-        places: Its frames in their working frames at joint position 0, z along its axis, shape (2, 4, 4).
+        places: Its frames in their working frames at joint position 0, z along its axis, shape (2,
+            4, 4).
         has_axis: Whether it is a hinge and not a ball joint.
     """
 
@@ -39,21 +41,23 @@ class Arm:
     Attributes:
         names: Names of the n joints, from base to tip, each after the one that carries it.
         prismatic: Whether a joint is prismatic, shape (n,).
-        placements: Working frame of joint i in the working frame of the joint that carries it (or the base frame) at joint
-            position 0, and last the tip in the working frame of its joint; lengths in m, shape (n + 1, 4, 4).
+        placements: Working frame of joint i in the working frame of the joint that carries it (or
+            the base frame) at joint position 0, and last the tip in the working frame of its joint;
+            lengths in m, shape (n + 1, 4, 4).
         masses: Mass that moves with joint i, up to the next joint [kg], shape (n,).
         centres: Its centre of mass in the working frame of joint i [m], shape (n, 3).
         axes: Rotation from the working frame to the URDF frame of joint i, shape (n, 3, 3).
         lower: Lower joint limits [rad or m]; -pi for a continuous joint, shape (n,).
         upper: Upper joint limits [rad or m], shape (n,).
         mimics: Joint, source joint, multiplier and offset of each mimic joint of the URDF.
-        inertias: Moments of inertia about these centres in the working frames [kg m^2], shape (n, 3, 3); None for point
-            masses.
+        inertias: Moments of inertia about these centres in the working frames [kg m^2], shape (n,
+            3, 3); None for point masses.
         parents: The joint that carries each joint, -1 for the base; by default the one before.
         tip_joint: The joint that moves the tip; by default the last.
         pins: Pins that close loops.
         passive: The joints whose positions follow from the others because of loops.
-        start_joint: The joint that moves the start link, from which the tip is seen; -1 for the base.
+        start_joint: The joint that moves the start link, from which the tip is seen; -1 for the
+            base.
         start: The start link in the working frame of its joint, or in the base frame, shape (4, 4).
     """
 
@@ -88,8 +92,12 @@ class Arm:
 
     @cached_property
     def movers(self) -> np.ndarray:
-        """Sign with which each joint moves the tip relative to the start link: 1 if it carries only the tip, shape (n,)."""
-        return np.asarray(self._supports(self.tip_joint).astype(float) - self._supports(self.start_joint))
+        """Sign with which each joint moves the tip relative to the start link: 1 if it carries only
+        the tip, shape (n,).
+        """
+        return np.asarray(
+            self._supports(self.tip_joint).astype(float) - self._supports(self.start_joint)
+        )
 
     def _supports(self, joint: int) -> np.ndarray:
         """Return which joints move the link of a joint, shape (n,)."""
@@ -106,11 +114,15 @@ class Arm:
 
     def next_joint(self, joint: int) -> int:
         """Return the first joint that a joint carries; -1 if it moves the tip or nothing more."""
-        return self.parents.index(joint) if joint in self.parents and joint != self.tip_joint else -1
+        return (
+            self.parents.index(joint) if joint in self.parents and joint != self.tip_joint else -1
+        )
 
     @cached_property
     def ends(self) -> np.ndarray:
-        """The far end of each link in the working frame of its joint: the next joint, the tip, or itself, (n, 4, 4)."""
+        """The far end of each link in the working frame of its joint: the next joint, the tip, or
+        itself, (n, 4, 4).
+        """
         following = [self.next_joint(i) for i in range(len(self.names))]
         ends = [self.placements[k] if k >= 0 else np.eye(4) for k in following]
         ends[self.tip_joint] = self.placements[-1]
@@ -131,7 +143,9 @@ class Arm:
         for joint, *_ in self.mimics:
             moves[joint] = 0.0
         own = np.flatnonzero(moves.any(axis=1))
-        return np.asarray(self.mimicking(moves[:, own].T).T - self.mimicking(np.zeros((len(own), len(moves)))).T)
+        return np.asarray(
+            self.mimicking(moves[:, own].T).T - self.mimicking(np.zeros((len(own), len(moves)))).T
+        )
 
     @cached_property
     def lengths(self) -> np.ndarray:
@@ -140,7 +154,9 @@ class Arm:
 
     @property
     def reach(self) -> float:
-        """Sum of the distances from joint to joint on the path to the tip [m]; of all joints if there are loops."""
+        """Sum of the distances from joint to joint on the path to the tip [m]; of all joints if
+        there are loops.
+        """
         return float(self.lengths[(self.movers != 0.0) | bool(self.pins)].sum())
 
     def index(self, joint: str | None) -> int:
@@ -156,18 +172,24 @@ class Arm:
 
 
 def frames(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return the frames of an undeformed arm at joint positions q [rad or m], shape (N, n), in the start link's frame.
+    """Return the frames of an undeformed arm at joint positions q [rad or m], shape (N, n), in the
+    start link's frame.
 
     They are base, working frames after q, and tip, shape (N, n + 2, 4, 4).
     """
     places = frames_in_base(arm, q)
-    return places if arm.start_joint < 0 else np.linalg.inv(places[:, arm.start_joint + 1] @ arm.start)[:, None] @ places
+    return (
+        places
+        if arm.start_joint < 0
+        else np.linalg.inv(places[:, arm.start_joint + 1] @ arm.start)[:, None] @ places
+    )
 
 
 def frames_in_base(arm: Arm, q: np.ndarray) -> np.ndarray:
     """Return :func:`frames` in the base frame."""
     moves = np.tile(np.eye(4), (*q.shape, 1, 1))
-    turn, slide = np.where(arm.prismatic, 0.0, q), np.where(arm.prismatic, q, 0.0)
+    turn = np.where(arm.prismatic, 0.0, q)
+    slide = np.where(arm.prismatic, q, 0.0)
     moves[..., 0, 0] = moves[..., 1, 1] = np.cos(turn)
     moves[..., 1, 0] = np.sin(turn)
     moves[..., 0, 1] = -moves[..., 1, 0]
@@ -180,7 +202,9 @@ def frames_in_base(arm: Arm, q: np.ndarray) -> np.ndarray:
 
 
 def transform(rotation: ArrayLike | None = None, place: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-    """Return the transform, shape (4, 4), of a rotation, shape (3, 3), and a translation [m], shape (3,)."""
+    """Return the transform, shape (4, 4), of a rotation, shape (3, 3), and a translation [m], shape
+    (3,).
+    """
     found = np.eye(4)
     found[:3, :3] = np.eye(3) if rotation is None else rotation
     found[:3, 3] = place

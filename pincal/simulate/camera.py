@@ -1,4 +1,6 @@
-"""The set-up of the paper: a camera on the robot's flange that looks at a fixed object with marked points."""
+"""The set-up of the paper: a camera on the robot's flange that looks at a fixed object with marked
+points.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,10 @@ PITCH = 0.025
 
 # Points of one image field, in rows and columns.
 _FIELD = 5
-# The paper's object has two sides with three image fields each; the paper does not state their inclination.
-_FIELDS, _LEAN = 3, np.pi / 4
+# The paper's object has two sides with three image fields each; the paper does not state their
+# inclination.
+_FIELDS = 3
+_LEAN = np.pi / 4
 
 
 @dataclass(frozen=True)
@@ -43,10 +47,16 @@ class CalibrationObject:
     field: np.ndarray
 
     @classmethod
-    def of_points(cls, points: Mapping[str, Any], normals: Mapping[str, Any] | None = None) -> CalibrationObject:
-        """Return an object of one field from named points [m] and, if visible from one side only, normals, shape (3,)."""
+    def of_points(
+        cls, points: Mapping[str, Any], normals: Mapping[str, Any] | None = None
+    ) -> CalibrationObject:
+        """Return an object of one field from named points [m] and, if visible from one side only,
+        normals, shape (3,).
+        """
         towards = None if normals is None else np.array([normals[name] for name in points], float)
-        return cls(tuple(points), np.array([*points.values()], float), towards, np.zeros(len(points), int))
+        return cls(
+            tuple(points), np.array([*points.values()], float), towards, np.zeros(len(points), int)
+        )
 
     @property
     def n_fields(self) -> int:
@@ -57,15 +67,20 @@ class CalibrationObject:
         """Return centre [m], shape (3,), normal, shape (3,), and radius [m] of an image field."""
         places = self.places[self.field == field]
         centre = places.mean(axis=0)
-        normal = np.array([0.0, 0.0, 1.0]) if self.normals is None else self.normals[self.field == field][0]
+        normal = (
+            np.array([0.0, 0.0, 1.0])
+            if self.normals is None
+            else self.normals[self.field == field][0]
+        )
         return centre, normal, float(np.linalg.norm(places - centre, axis=1).max())
 
 
 def paper_object() -> CalibrationObject:
-    """Return the object of the paper (Fig. 5): two sides with points 25 mm apart, three image fields per side.
+    """Return the object of the paper (Fig. 5): two sides with points 25 mm apart, three image
+    fields per side.
 
-    The sides make a roof with its ridge along x; both lean by 45 degrees. Point ``a2_1_3`` is in row 1 and column 3 of
-    the second field of side a.
+    The sides make a roof with its ridge along x; both lean by 45 degrees. Point ``a2_1_3`` is in
+    row 1 and column 3 of the second field of side a.
 
     Example:
         >>> paper = paper_object()
@@ -84,14 +99,17 @@ def paper_object() -> CalibrationObject:
 
 
 def grid_object(rows: int = 7, columns: int = 9) -> CalibrationObject:
-    """Return a plane grid of points 25 mm apart about the origin, normal to z, with rows along y and columns along x.
+    """Return a plane grid of points 25 mm apart about the origin, normal to z, with rows along y
+    and columns along x.
 
     Example:
         >>> grid_object().names[:2], grid_object().places[-1]
         (('p_1_1', 'p_1_2'), array([0.1  , 0.075, 0.   ]))
     """
     corner = -0.5 * PITCH * np.array([columns - 1.0, rows - 1.0, 0.0])
-    return _joined([_plate("p", rows, columns, corner, np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]))])
+    return _joined(
+        [_plate("p", rows, columns, corner, np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]))]
+    )
 
 
 OBJECTS = {"paper": paper_object, "grid": grid_object}
@@ -118,14 +136,18 @@ def _joined(plates: list[tuple[list[str], np.ndarray, np.ndarray]]) -> Calibrati
     )
 
 
-# Points on a plate seen more obliquely than this (cosine of the angle to its normal) can't be detected.
+# Points on a plate seen more obliquely than this (cosine of the angle to its normal) can't be
+# detected.
 _OBLIQUE = 0.25
 # Smallest number of random goals in a round.
 _TRIES = 16
-# Range of a field's radius relative to the image's half height, by which the distance is chosen; margin of the image.
-_FILL, _BORDER = (0.45, 0.85), 0.04
+# Range of a field's radius relative to the image's half height, by which the distance is chosen;
+# margin of the image.
+_FILL = (0.45, 0.85)
+_BORDER = 0.04
 # Rounds of random goals for all views of a field, and to test whether there are any.
-_PATIENCE, _GLANCES = 60, 3
+_PATIENCE = 60
+_GLANCES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +160,8 @@ class View:
         facing: Normal of the object in the base frame, towards the camera, shape (3,).
         distance: Smallest and largest distance of the camera from the point [m].
         tilt: Largest angle between the optical axis and the object's normal [rad].
-        accept: Returns which transforms from camera to base frame, shape (N, 4, 4), are suitable, shape (N,); None: all.
+        accept: Returns which transforms from camera to base frame, shape (N, 4, 4), are suitable,
+            shape (N,); None: all.
     """
 
     camera_pose: np.ndarray
@@ -149,14 +172,20 @@ class View:
     accept: Callable[[np.ndarray], np.ndarray] | None = None
 
     def draw(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return random transforms from camera to base frame that look at the point, shape (count, 4, 4)."""
+        """Return random transforms from camera to base frame that look at the point, shape (count,
+        4, 4).
+        """
         goals = np.tile(np.eye(4), (count, 1, 1))
         goals[:, :3, :3] = self._orientations(count, rng)
-        goals[:, :3, 3] = np.asarray(self.look_at) - rng.uniform(*self.distance, (count, 1)) * goals[:, :3, 2]
+        goals[:, :3, 3] = (
+            np.asarray(self.look_at) - rng.uniform(*self.distance, (count, 1)) * goals[:, :3, 2]
+        )
         return goals
 
     def _orientations(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return random rotations of a camera, tilted from the object's normal, shape (count, 3, 3)."""
+        """Return random rotations of a camera, tilted from the object's normal, shape (count, 3,
+        3).
+        """
         from scipy.spatial.transform import Rotation
 
         onto = Rotation.align_vectors(-np.asarray(self.facing, float)[None], [[0.0, 0.0, 1.0]])[0]
@@ -168,9 +197,16 @@ class View:
 
 
 def plan_views(
-    arm: Arm, n: int, *, rng: np.random.Generator, view: View, min_height: float | None = 0.1, rounds: int = 20
+    arm: Arm,
+    n: int,
+    *,
+    rng: np.random.Generator,
+    view: View,
+    min_height: float | None = 0.1,
+    rounds: int = 20,
 ) -> np.ndarray:
-    """Draw poses of the nominal arm in which the camera looks at a point, shape (n, number of joints).
+    """Draw poses of the nominal arm in which the camera looks at a point, shape (n, number of
+    joints).
 
     The arm stays above a floor at ``min_height`` [m] (None: no floor).
 
@@ -197,9 +233,12 @@ class EyeInHand(SensorSetup):
     Attributes:
         target: The calibration object.
         object_pose: Transform from the object's frame to the robot's base frame, shape (4, 4).
-        camera_pose: Transform from the camera frame (z along the optical axis, x right) to the tip frame, shape (4, 4).
-        lens: The camera, which measures only points in its image; None for a camera that sees everything.
-        in_metres: Whether it measures points in its own frame [m], like a stereo camera, and not their image [px].
+        camera_pose: Transform from the camera frame (z along the optical axis, x right) to the tip
+            frame, shape (4, 4).
+        lens: The camera, which measures only points in its image; None for a camera that sees
+            everything.
+        in_metres: Whether it measures points in its own frame [m], like a stereo camera, and not
+            their image [px].
     """
 
     target: CalibrationObject
@@ -225,7 +264,9 @@ class EyeInHand(SensorSetup):
         """Points of the object in the base frame [m], shape (K, 3)."""
         return np.asarray(self.target.places @ self.object_pose[:3, :3].T + self.object_pose[:3, 3])
 
-    def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
+    def plan(
+        self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1
+    ) -> np.ndarray:
         """Draw poses with one whole image field after the other in view."""
         owner = np.arange(n) * self.target.n_fields // n
         shares = np.bincount(owner, minlength=self.target.n_fields)
@@ -238,7 +279,9 @@ class EyeInHand(SensorSetup):
         """Return whether the arm easily finds views of all fields."""
         try:
             for i in range(self.target.n_fields):
-                plan_views(arm, 1, rng=rng, view=self._view(i), min_height=min_height, rounds=_GLANCES)
+                plan_views(
+                    arm, 1, rng=rng, view=self._view(i), min_height=min_height, rounds=_GLANCES
+                )
         except BadInputError:
             return False
         return True
@@ -269,7 +312,9 @@ class EyeInHand(SensorSetup):
         seen = in_camera(camera, self._places).reshape(-1, 3)
         visible = self._faces(camera, seen) & (self.lens is None or self.lens.sees(seen))
         if not visible.any():
-            raise BadInputError("the camera sees no point of the object in any pose; take poses that look at it")
+            raise BadInputError(
+                "the camera sees no point of the object in any pose; take poses that look at it"
+            )
         rows, point = np.divmod(np.flatnonzero(visible), len(self._places))
         seen = as_read(machine.effects, seen[visible])
         reading = seen if self.in_metres or self.lens is None else self.lens.project(seen)
@@ -279,7 +324,9 @@ class EyeInHand(SensorSetup):
         return Reading(poses, rows, {"point": np.array(self.target.names)[point]} | columns)
 
     def _faces(self, camera: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Return whether the plate of each point, at ``seen`` in the camera's frame, faces the camera, shape (N * K,)."""
+        """Return whether the plate of each point, at ``seen`` in the camera's frame, faces the
+        camera, shape (N * K,).
+        """
         if self.target.normals is None:
             return np.ones(len(seen), bool)
         normals = self.target.normals @ self.object_pose[:3, :3].T
@@ -291,7 +338,10 @@ class EyeInHand(SensorSetup):
         return in_camera(tip @ self.camera_pose, self.object_pose[None, :3, 3])[:, 0]
 
     def truth(self) -> dict[str, Any]:
-        poses = {"T_tip_camera": self.camera_pose.tolist(), "T_base_object": self.object_pose.tolist()}
+        poses = {
+            "T_tip_camera": self.camera_pose.tolist(),
+            "T_base_object": self.object_pose.tolist(),
+        }
         if self.in_metres or self.lens is None:
             return {"noise": {"sigma_m": self.sigma, "sigma_rad": None}} | poses
         noise = {"sigma_m": None, "sigma_rad": None, "sigma_px": self.sigma}
@@ -299,5 +349,7 @@ class EyeInHand(SensorSetup):
 
 
 def in_camera(camera: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return points [m, base frame], shape (K, 3), in the frames of cameras, shape (N, K, 3), given as T_base_camera."""
+    """Return points [m, base frame], shape (K, 3), in the frames of cameras, shape (N, K, 3), given
+    as T_base_camera.
+    """
     return np.asarray(np.einsum("nab,nka->nkb", camera[:, :3, :3], places - camera[:, None, :3, 3]))

@@ -15,7 +15,9 @@ from pincal.simulate.state import Deformation, Loads, Poses
 
 @dataclass(frozen=True, kw_only=True)
 class JointOffset(DriveEffect):
-    """A drive that has lost its zero, as after a collision or a replacement; ``size`` is the angle [rad]."""
+    """A drive that has lost its zero, as after a collision or a replacement; ``size`` is the angle
+    [rad].
+    """
 
     effect: ClassVar[str] = "joint_offset"
     typical_size: ClassVar[float] = 3e-4
@@ -28,8 +30,8 @@ class JointOffset(DriveEffect):
 class GearEccentricity(DriveEffect):
     """Eccentric or elliptical gear wheel; ``size`` is the amplitude [rad].
 
-    Order 1 is a crank: the output points from an eccentric centre to the driven point. Order 2 is a pair of elliptical
-    wheels.
+    Order 1 is a crank: the output points from an eccentric centre to the driven point. Order 2 is a
+    pair of elliptical wheels.
 
     Attributes:
         order: Cycles per revolution, 1 or 2.
@@ -44,21 +46,29 @@ class GearEccentricity(DriveEffect):
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         q = poses.q[:, joint]
         if self.order == 1:
-            x, y = self.size * np.cos(self.phase), self.size * np.sin(self.phase)
-            output, angle = np.arctan2(np.sin(q) + y, np.cos(q) + x), q
+            x = self.size * np.cos(self.phase)
+            y = self.size * np.sin(self.phase)
+            output = np.arctan2(np.sin(q) + y, np.cos(q) + x)
+            angle = q
         elif self.order == 2:
             angle = q - self.phase
-            output = np.arctan2((1.0 + self.size) * np.sin(angle), (1.0 - self.size) * np.cos(angle))
+            output = np.arctan2(
+                (1.0 + self.size) * np.sin(angle), (1.0 - self.size) * np.cos(angle)
+            )
         else:
-            raise BadInputError(f"gear_eccentricity of {self.joint}: order {self.order}; expected 1 or 2")
+            raise BadInputError(
+                f"gear_eccentricity of {self.joint}: order {self.order}; expected 1 or 2"
+            )
         return np.asarray(np.angle(np.exp(1j * (output - angle))))
 
 
 @dataclass(frozen=True, kw_only=True)
 class GearRipple(DriveEffect):
-    """Eccentric wheel on a shaft with ``order`` revolutions per revolution of the joint; ``size`` is the amplitude [rad].
+    """Eccentric wheel on a shaft with ``order`` revolutions per revolution of the joint; ``size``
+    is the amplitude [rad].
 
-    The wheel drives through a point off its centre; the following stages divide its error by their ratio.
+    The wheel drives through a point off its centre; the following stages divide its error by their
+    ratio.
 
     Attributes:
         order: Gear ratio from the wheel's shaft to the joint.
@@ -72,13 +82,17 @@ class GearRipple(DriveEffect):
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         turned = self.order * poses.q[:, joint]
-        # A point on a wheel of radius 1 whose centre is off by e: its angle is the wheel's plus an error.
+        # A point on a wheel of radius 1 whose centre is off by e: its angle is the wheel's plus an
+        # error.
         e = self.size * self.order
         if not e < 1.0:
             raise BadInputError(
-                f"gear_ripple of {self.joint}: size {self.size:g} rad at order {self.order:g}; make it smaller"
+                f"gear_ripple of {self.joint}: size {self.size:g} rad at order "
+                f"{self.order:g}; make it smaller"
             )
-        output = np.arctan2(np.sin(turned) + e * np.sin(self.phase), np.cos(turned) + e * np.cos(self.phase))
+        output = np.arctan2(
+            np.sin(turned) + e * np.sin(self.phase), np.cos(turned) + e * np.cos(self.phase)
+        )
         return np.asarray(np.angle(np.exp(1j * (output - turned))) / self.order)
 
 
@@ -86,11 +100,13 @@ class GearRipple(DriveEffect):
 class EncoderSubdivision(DriveEffect):
     """Encoder with interpolation errors; ``size`` is approximately its largest error [rad].
 
-    Its two signals, sine and cosine of the line, differ in amplitude and have an offset; their arctangent is read.
+    Its two signals, sine and cosine of the line, differ in amplitude and have an offset; their
+    arctangent is read.
 
     Attributes:
         order: Lines per revolution of the joint.
-        offset: Fraction of the error due to an offset of the sine; the rest is a difference in amplitude.
+        offset: Fraction of the error due to an offset of the sine; the rest is a difference in
+            amplitude.
     """
 
     effect: ClassVar[str] = "encoder_subdivision"
@@ -99,12 +115,19 @@ class EncoderSubdivision(DriveEffect):
     offset: float = 0.5
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
-        place, share = self.order * poses.q[:, joint], min(max(self.offset, 0.0), 1.0)
+        place = self.order * poses.q[:, joint]
+        share = min(max(self.offset, 0.0), 1.0)
         error = self.size * self.order
         if not error < 0.5:
-            raise BadInputError(f"encoder_subdivision of {self.joint}: size {self.size:g} rad is more than half a line")
-        # The reading is the recorded position; to first order the true position is off by the opposite amount.
-        read = np.arctan2(np.sin(place) + share * error, np.cos(place) / (1.0 + 2.0 * (1.0 - share) * error))
+            raise BadInputError(
+                f"encoder_subdivision of {self.joint}: size {self.size:g} rad is more "
+                "than half a line"
+            )
+        # The reading is the recorded position; to first order the true position is off by the
+        # opposite amount.
+        read = np.arctan2(
+            np.sin(place) + share * error, np.cos(place) / (1.0 + 2.0 * (1.0 - share) * error)
+        )
         return np.asarray(-np.angle(np.exp(1j * (read - place))) / self.order)
 
 
@@ -115,7 +138,8 @@ class TransmissionError(DriveEffect):
     Attributes:
         seed: The curve's own seed.
         bumps: Number of local bumps of random position, width and height that make up the curve.
-        periodic: Whether the curve repeats after a revolution; otherwise it differs from turn to turn.
+        periodic: Whether the curve repeats after a revolution; otherwise it differs from turn to
+            turn.
     """
 
     effect: ClassVar[str] = "transmission_error"
@@ -179,14 +203,16 @@ class JointCoupling(DeformingEffect):
 class AxisWobble(DeformingEffect):
     """Bearing whose axis tilts as it turns; ``size`` is the tilt [rad].
 
-    The tip of the axis describes a circle, or an ellipse, ``order`` times per revolution. In the frame before q a circle of
-    order 1 is a tilt fixed to the link, which is indistinguishable from geometry.
+    The tip of the axis describes a circle, or an ellipse, ``order`` times per revolution. In the
+    frame before q a circle of order 1 is a tilt fixed to the link, which is indistinguishable from
+    geometry.
 
     Attributes:
         order: Revolutions of the tilt direction per revolution of the joint.
         phase: Direction of the tilt at q = 0 [rad].
         roundness: Ratio of the ellipse's semi-axes: 1 for a circle, 0 for a line along x.
-        frame: ``"before"`` if the tilt is seen from the previous link, ``"after"`` if from the moving one.
+        frame: ``"before"`` if the tilt is seen from the previous link, ``"after"`` if from the
+            moving one.
     """
 
     effect: ClassVar[str] = "axis_wobble"
@@ -208,8 +234,9 @@ class AxisWobble(DeformingEffect):
 class Backlash(DriveEffect):
     """Backlash of a gear; ``size`` is the full backlash [rad].
 
-    The joint lags behind its drive by half the backlash. A recorded direction of approach determines the side; otherwise the
-    joint is dragged from pose to pose in their order and does not move while the drive crosses the backlash.
+    The joint lags behind its drive by half the backlash. A recorded direction of approach
+    determines the side; otherwise the joint is dragged from pose to pose in their order and does
+    not move while the drive crosses the backlash.
     """
 
     effect: ClassVar[str] = "backlash"
@@ -218,10 +245,12 @@ class Backlash(DriveEffect):
     needs_order: ClassVar[bool] = True
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
-        q, half = poses.q[:, joint], 0.5 * self.size
+        q = poses.q[:, joint]
+        half = 0.5 * self.size
         if poses.approach is not None:
             return np.asarray(-half * poses.approach[:, joint])
-        place, lag = 0.0, np.empty_like(q)
+        place = 0.0
+        lag = np.empty_like(q)
         for row, drive in enumerate(q):
             place = drive if row == 0 else min(max(place, drive - half), drive + half)
             lag[row] = place - drive
@@ -230,9 +259,11 @@ class Backlash(DriveEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class ShortOfTarget(DriveEffect):
-    """Drive that is read before it has settled; ``size`` is the fraction of its move that is left [-].
+    """Drive that is read before it has settled; ``size`` is the fraction of its move that is left
+    [-].
 
-    The move starts at the joint's true position in the previous pose. A joint that is not commanded to move stays at rest.
+    The move starts at the joint's true position in the previous pose. A joint that is not commanded
+    to move stays at rest.
     """
 
     effect: ClassVar[str] = "settling"
@@ -242,7 +273,8 @@ class ShortOfTarget(DriveEffect):
     needs_order: ClassVar[bool] = True
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
-        target, place = poses.q[:, joint], np.empty(len(poses.q))
+        target = poses.q[:, joint]
+        place = np.empty(len(poses.q))
         for row, to in enumerate(target):
             if row == 0:
                 place[row] = to
@@ -296,7 +328,9 @@ class JointScatter(DriveEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class JointLag(DriveEffect):
-    """Joint that reaches its recorded position with a delay; ``size`` is the delay [s]. Held poses do not show it."""
+    """Joint that reaches its recorded position with a delay; ``size`` is the delay [s]. Held poses
+    do not show it.
+    """
 
     effect: ClassVar[str] = "joint_lag"
     unit: ClassVar[str] = "s"
@@ -304,12 +338,16 @@ class JointLag(DriveEffect):
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         # Its earlier position: a step back along the path at constant acceleration.
-        return np.asarray(-self.size * poses.velocity[:, joint] + 0.5 * self.size**2 * poses.acceleration[:, joint])
+        return np.asarray(
+            -self.size * poses.velocity[:, joint]
+            + 0.5 * self.size**2 * poses.acceleration[:, joint]
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionWindup(DriveEffect):
-    """Gear wound up by its friction while it moves; ``size`` is the angle [rad]. Held poses do not show it.
+    """Gear wound up by its friction while it moves; ``size`` is the angle [rad]. Held poses do not
+    show it.
 
     Attributes:
         slow: Speed at which friction reaches about 70 % of its size [rad/s].

@@ -1,8 +1,8 @@
 """The interface of the true machine's hidden effects.
 
-Every effect is a small frozen value with the name that discovery reports, the joint on which it acts and a size in the
-unit of its class; size 0 is no effect. Effects are derived from the mechanism (crank, backlash, bumps), not from the linear
-basis functions of the fit.
+Every effect is a small frozen value with the name that discovery reports, the joint on which it
+acts and a size in the unit of its class; size 0 is no effect. Effects are derived from the
+mechanism (crank, backlash, bumps), not from the linear basis functions of the fit.
 """
 
 from __future__ import annotations
@@ -58,9 +58,11 @@ class HiddenEffect(ABC):
         effect: Name of the effect.
         unit: Unit of ``size``; on a prismatic joint m instead of rad.
         scope: The part of the robot on which it acts.
-        column: Column of the table without which the effect is not identifiable; None: no such column.
+        column: Column of the table without which the effect is not identifiable; None: no such
+            column.
         typical_size: Typical size for any arm, in ``unit``.
-        needs_order: Whether it depends on the preceding poses; if its column is the approach, only if that is not recorded.
+        needs_order: Whether it depends on the preceding poses; if its column is the approach, only
+            if that is not recorded.
         joint: Joint on which it acts, None for an effect of the whole arm.
         size: Its size in ``unit``.
     """
@@ -82,13 +84,17 @@ class HiddenEffect(ABC):
 
     @classmethod
     def typical_joints(cls, arm: Arm) -> list[str]:
-        """Return the joints at which the effect is typical: all, unless the class states otherwise."""
+        """Return the joints at which the effect is typical: all, unless the class
+        states otherwise.
+        """
         return list(arm.names)
 
 
 def needs_order(effects: Iterable[HiddenEffect], poses: Poses) -> bool:
     """Return whether effects depend on the preceding poses."""
-    return any(e.needs_order and (poses.approach is None or e.column != "approach") for e in effects)
+    return any(
+        e.needs_order and (poses.approach is None or e.column != "approach") for e in effects
+    )
 
 
 class SizedByLoad:
@@ -111,7 +117,9 @@ class DeformingEffect(HiddenEffect):
 
     @abstractmethod
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        """Add the effect in each pose, in the working frames of the true arm, to the deformation in place."""
+        """Add the effect in each pose, in the working frames of the true arm, to the deformation in
+        place.
+        """
 
 
 class DriveEffect(DeformingEffect):
@@ -123,11 +131,15 @@ class DriveEffect(DeformingEffect):
 
     @abstractmethod
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
-        """Return the addition to the position of the joint with this index [rad or m], shape (N,)."""
+        """Return the addition to the position of the joint with this index [rad or m],
+        shape (N,).
+        """
 
 
 class ReadBackEffect(DriveEffect):
-    """A motion of a drive that its encoder measures: the table has ``read_<joint>`` next to the commanded position."""
+    """A motion of a drive that its encoder measures: the table has ``read_<joint>`` next to the
+    commanded position.
+    """
 
     def read_back(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
         """Return the encoder's reading of the joint with this index [rad or m], shape (N,)."""

@@ -1,6 +1,8 @@
-"""Hidden effects of loads (compliant drives, bearings, links and base) and of temperature, time and payload on the arm.
+"""Hidden effects of loads (compliant drives, bearings, links and base) and of temperature, time and
+payload on the arm.
 
-A positive compliance turns a joint in the sense of the moment that gravity exerts on it: the arm sags.
+A positive compliance turns a joint in the sense of the moment that gravity exerts on it: the arm
+sags.
 """
 
 from __future__ import annotations
@@ -27,8 +29,8 @@ from pincal.simulate.state import Deformation, Loads, Poses
 MOMENT_FRAMES = ("paper", "before", "after")
 """Frames of a bearing's compliance.
 
-``paper`` takes the components of the moment before q and rotates the link about the axes after q; ``before`` and ``after``
-do both in one frame.
+``paper`` takes the components of the moment before q and rotates the link about the axes after q;
+``before`` and ``after`` do both in one frame.
 """
 
 # Reach of the arm for the default dimensions of the gravity compensator [m].
@@ -37,7 +39,9 @@ _COMPENSATOR_REACH = 2.6
 
 @dataclass(frozen=True, kw_only=True)
 class JointElasticity(DriveEffect, SizedByLoad):
-    """Linear wind-up of a drive; ``size`` is the compliance c_z [rad/(N m)], or [m/N] for a prismatic joint."""
+    """Linear wind-up of a drive; ``size`` is the compliance c_z [rad/(N m)], or [m/N] for a
+    prismatic joint.
+    """
 
     effect: ClassVar[str] = "joint_elasticity"
     unit: ClassVar[str] = "rad/(N m)"
@@ -49,7 +53,8 @@ class JointElasticity(DriveEffect, SizedByLoad):
 
 @dataclass(frozen=True, kw_only=True)
 class BearingElasticity(DeformingEffect, SizedByLoad):
-    """Bearing that is compliant about the transverse axes; ``size`` is the compliance about x [rad/(N m)].
+    """Bearing that is compliant about the transverse axes; ``size`` is the compliance about x
+    [rad/(N m)].
 
     Attributes:
         size_y: Compliance about y [rad/(N m)]; that about x if None.
@@ -64,7 +69,9 @@ class BearingElasticity(DeformingEffect, SizedByLoad):
 
     def __post_init__(self) -> None:
         if self.moment_frame not in MOMENT_FRAMES:
-            raise BadInputError(f"moment_frame {self.moment_frame!r}; expected one of {', '.join(MOMENT_FRAMES)}")
+            raise BadInputError(
+                f"moment_frame {self.moment_frame!r}; expected one of {', '.join(MOMENT_FRAMES)}"
+            )
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
         joint = arm.index(self.joint)
@@ -72,14 +79,18 @@ class BearingElasticity(DeformingEffect, SizedByLoad):
         # A carriage tilts where it is; the axes before and after its motion are parallel.
         is_before = self.moment_frame == "before" and not arm.prismatic[joint]
         twist = deformation.before if is_before else deformation.after
-        twist[:, joint, 3:5] += moment * np.array([self.size, self.size if self.size_y is None else self.size_y])
+        twist[:, joint, 3:5] += moment * np.array(
+            [self.size, self.size if self.size_y is None else self.size_y]
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class NonlinearElasticity(DriveEffect, SizedByLoad):
-    """Drive that stiffens with torque; ``size`` is the extra compliance near zero torque [rad/(N m)].
+    """Drive that stiffens with torque; ``size`` is the extra compliance near zero torque [rad/(N
+    m)].
 
-    The extra compliance falls to 1/sqrt(2) of its size at the torque ``stiffening``; its integral is the extra wind-up.
+    The extra compliance falls to 1/sqrt(2) of its size at the torque ``stiffening``; its integral
+    is the extra wind-up.
 
     Attributes:
         stiffening: Torque [N m].
@@ -93,10 +104,15 @@ class NonlinearElasticity(DriveEffect, SizedByLoad):
     def typical_fields(cls, site: Site) -> dict[str, Any]:
         """Return 0.3 mrad of extra wind-up at the rated moment, most of it in its first third."""
         stiffening = 0.3 * site.moment
-        return {"size": 3e-4 / (stiffening * float(np.arcsinh(1.0 / 0.3))), "stiffening": stiffening}
+        return {
+            "size": 3e-4 / (stiffening * float(np.arcsinh(1.0 / 0.3))),
+            "stiffening": stiffening,
+        }
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
-        return np.asarray(self.size * self.stiffening * np.arcsinh(loads.drive[:, joint] / self.stiffening))
+        return np.asarray(
+            self.size * self.stiffening * np.arcsinh(loads.drive[:, joint] / self.stiffening)
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +120,8 @@ class LoadBacklash(DriveEffect, SizedByLoad):
     """Backlash closed by the load; ``size`` is the full backlash [rad].
 
     Attributes:
-        transition: Torque [N m] at which friction lets the joint move about 70 % of the way to one side.
+        transition: Torque [N m] at which friction lets the joint move about 70 % of the way to one
+            side.
     """
 
     effect: ClassVar[str] = "load_backlash"
@@ -122,9 +139,11 @@ class LoadBacklash(DriveEffect, SizedByLoad):
 
 @dataclass(frozen=True, kw_only=True)
 class Hysteresis(DriveEffect, SizedByLoad):
-    """Drive that stops wound up against Coulomb friction; ``size`` is the wind-up per moment on the axis [rad/(N m)].
+    """Drive that stops wound up against Coulomb friction; ``size`` is the wind-up per moment on the
+    axis [rad/(N m)].
 
-    The joint lags behind its last motion, which is taken from the previous pose if the approach was not recorded.
+    The joint lags behind its last motion, which is taken from the previous pose if the approach was
+    not recorded.
 
     Attributes:
         preload: Moment added to the load's in the friction [N m].
@@ -151,7 +170,8 @@ class Hysteresis(DriveEffect, SizedByLoad):
 
 @dataclass(frozen=True, kw_only=True)
 class ServoDroop(ReadBackEffect, SizedByLoad):
-    """Position loop without integral action: the joint droops under load; ``size`` is its compliance [rad/(N m)].
+    """Position loop without integral action: the joint droops under load; ``size`` is its
+    compliance [rad/(N m)].
 
     The joint positions of the table are the commanded ones.
 
@@ -165,7 +185,10 @@ class ServoDroop(ReadBackEffect, SizedByLoad):
     stiction: float = 1e-4
 
     def _motion(self, joint: int, poses: Poses, loads: Loads) -> np.ndarray:
-        return np.asarray(self.size * loads.drive[:, joint] + bool(self.size) * self.stiction * poses.scatter[:, joint])
+        return np.asarray(
+            self.size * loads.drive[:, joint]
+            + bool(self.size) * self.stiction * poses.scatter[:, joint]
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,7 +218,9 @@ class GravityCompensator(DriveEffect, SizedByLoad):
 
     @classmethod
     def typical_fields(cls, site: Site) -> dict[str, Any]:
-        """Return a spring in proportion to the arm that balances about a third of the rated moment."""
+        """Return a spring in proportion to the arm that balances about a third of the
+        rated moment.
+        """
         scale = site.arm.reach / _COMPENSATOR_REACH
         lever = 0.3 * scale
         return {
@@ -209,7 +234,8 @@ class GravityCompensator(DriveEffect, SizedByLoad):
     def torque(self, q: np.ndarray) -> np.ndarray:
         """Return the torque of the spring about the joint axis [N m], shape of q [rad]."""
         x, y, z = self.lever
-        c, s = np.cos(q), np.sin(q)
+        c = np.cos(q)
+        s = np.sin(q)
         end = np.stack((c * x - s * y, s * x + c * y, np.full_like(q, z)), axis=-1)
         span = np.asarray(self.anchor) - end
         length = np.linalg.norm(span, axis=-1, keepdims=True)
@@ -222,7 +248,9 @@ class GravityCompensator(DriveEffect, SizedByLoad):
 
 @dataclass(frozen=True, kw_only=True)
 class LinkBending(DeformingEffect, SizedByLoad):
-    """Link that bends like a cantilever from its joint to the next; ``size`` is 1/(E I) [1/(N m^2)]."""
+    """Link that bends like a cantilever from its joint to the next; ``size`` is 1/(E I) [1/(N
+    m^2)].
+    """
 
     effect: ClassVar[str] = "link_bending"
     unit: ClassVar[str] = "1/(N m^2)"
@@ -230,7 +258,11 @@ class LinkBending(DeformingEffect, SizedByLoad):
     @classmethod
     def typical_joints(cls, arm: Arm) -> list[str]:
         """Return the joints whose link is longer than a tenth of the longest."""
-        return [name for name, length in zip(arm.names, arm.lengths, strict=True) if length > 0.1 * arm.lengths.max()]
+        return [
+            name
+            for name, length in zip(arm.names, arm.lengths, strict=True)
+            if length > 0.1 * arm.lengths.max()
+        ]
 
     @classmethod
     def typical_fields(cls, site: Site) -> dict[str, Any]:
@@ -243,10 +275,13 @@ class LinkBending(DeformingEffect, SizedByLoad):
         span = arm.ends[joint][:3, 3]
         length = float(np.linalg.norm(span))
         if length == 0.0:
-            raise BadInputError(f"link_bending of {self.joint}: the link has no length; name another joint")
+            raise BadInputError(
+                f"link_bending of {self.joint}: the link has no length; name another joint"
+            )
         along = span / length
         moment, force = (
-            value - np.outer(value @ along, along) for value in (loads.end_moment[:, joint], loads.end_force[:, joint])
+            value - np.outer(value @ along, along)
+            for value in (loads.end_moment[:, joint], loads.end_force[:, joint])
         )
         turn = length * moment + length**2 / 2.0 * np.cross(along, force)
         shift = length**2 / 2.0 * np.cross(moment, along) + length**3 / 3.0 * force
@@ -276,7 +311,8 @@ class ThermalExpansion(DeformingEffect):
     """Links that expand with temperature; ``size`` is the coefficient of expansion [1/K].
 
     Attributes:
-        joint: Joint that moves the only link that expands; None for all links, base and flange included.
+        joint: Joint that moves the only link that expands; None for all links, base and flange
+            included.
     """
 
     effect: ClassVar[str] = "thermal_expansion"
@@ -291,10 +327,12 @@ class ThermalExpansion(DeformingEffect):
 
 @dataclass(frozen=True, kw_only=True)
 class ThermalGrowth(DeformingEffect):
-    """Links that expand as the arm warms up by itself; ``size`` is their final relative expansion [-].
+    """Links that expand as the arm warms up by itself; ``size`` is their final relative expansion
+    [-].
 
     Attributes:
-        joint: Joint that moves the only link that expands; None for all links, base and flange included.
+        joint: Joint that moves the only link that expands; None for all links, base and flange
+            included.
         time_constant: Time after which 63 % of the expansion is reached [s].
     """
 
@@ -306,11 +344,18 @@ class ThermalGrowth(DeformingEffect):
     time_constant: float = 3000.0
 
     def deform(self, arm: Arm, poses: Poses, loads: Loads, deformation: Deformation) -> None:
-        _grow(arm, deformation, self.joint, -self.size * np.expm1(-np.maximum(poses.time, 0.0) / self.time_constant))
+        _grow(
+            arm,
+            deformation,
+            self.joint,
+            -self.size * np.expm1(-np.maximum(poses.time, 0.0) / self.time_constant),
+        )
 
 
 def _grow(arm: Arm, deformation: Deformation, joint: str | None, growth: np.ndarray) -> None:
-    """Scale the link that a joint moves, or all, base and flange included, by relative growths, shape (N,)."""
+    """Scale the link that a joint moves, or all, base and flange included, by relative growths,
+    shape (N,).
+    """
     for i in range(len(arm.names)) if joint is None else [arm.index(joint)]:
         shift = growth[:, None] * arm.ends[i][:3, 3]
         deformation.add_at_end_of_link(arm, i, np.hstack((shift, np.zeros_like(shift))))
@@ -348,7 +393,8 @@ class PayloadError(HiddenEffect, SizedByLoad):
     It acts in rows with a declared payload, or in all rows if none is declared at all.
 
     Attributes:
-        com_shift: True minus declared centre of mass of the payload in the tip frame [m], shape (3,).
+        com_shift: True minus declared centre of mass of the payload in the tip frame [m], shape
+            (3,).
     """
 
     effect: ClassVar[str] = "payload_error"
@@ -362,6 +408,8 @@ class PayloadError(HiddenEffect, SizedByLoad):
         return {"size": 0.01 * float(site.arm.masses.sum())}
 
     def true_payload(self, mass: np.ndarray, com: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the true mass [kg], shape (N,), and centre of mass [m, tip frame], shape (N, 3), for those of the table."""
+        """Return the true mass [kg], shape (N,), and centre of mass [m, tip frame], shape (N, 3),
+        for those of the table.
+        """
         carried = mass > 0.0 if np.any(mass > 0.0) else np.ones(len(mass), bool)
         return mass + self.size * carried, com + np.asarray(self.com_shift)

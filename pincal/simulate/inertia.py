@@ -29,13 +29,22 @@ class LinkMotion(NamedTuple):
     acceleration: np.ndarray
 
     def at(self, place: np.ndarray) -> np.ndarray:
-        """Return the acceleration of points fixed to the link, given in its frame, shape (3,) or (N, 3) [m]."""
+        """Return the acceleration of points fixed to the link, given in its frame, shape (3,) or
+        (N, 3) [m].
+        """
         lever = np.einsum("nab,nb->na", self.rotation, np.broadcast_to(place, self.origin.shape))
-        return self.acceleration + np.cross(self.turning, lever) + np.cross(self.rate, np.cross(self.rate, lever))
+        return (
+            self.acceleration
+            + np.cross(self.turning, lever)
+            + np.cross(self.rate, np.cross(self.rate, lever))
+        )
 
 
-def link_motions(arm: Arm, q: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> Iterator[LinkMotion]:
-    """Yield the motion of each link of an undeformed arm or tree, in the order of its joints, and finally of the tip.
+def link_motions(
+    arm: Arm, q: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
+) -> Iterator[LinkMotion]:
+    """Yield the motion of each link of an undeformed arm or tree, in the order of its joints, and
+    finally of the tip.
 
     Joint positions, velocities and accelerations are of shape (N, n) [rad or m, per s, per s^2].
     """
@@ -48,13 +57,16 @@ def link_motions(arm: Arm, q: np.ndarray, velocity: np.ndarray, acceleration: np
         moved = moved + np.cross(turning, way) + np.cross(rate, np.cross(rate, way))
         if j < len(arm.names):
             axis = places[:, j + 1, :3, 2]
-            along, faster = axis * velocity[:, j, None], axis * acceleration[:, j, None]
+            along = axis * velocity[:, j, None]
+            faster = axis * acceleration[:, j, None]
             if arm.prismatic[j]:
                 moved = moved + faster + 2.0 * np.cross(rate, along)
             else:
                 turning = turning + faster + np.cross(rate, along)
                 rate = rate + along
-        known.append(LinkMotion(places[:, j + 1, :3, :3], places[:, j + 1, :3, 3], rate, turning, moved))
+        known.append(
+            LinkMotion(places[:, j + 1, :3, :3], places[:, j + 1, :3, 3], rate, turning, moved)
+        )
         yield known[-1]
 
 
@@ -63,7 +75,8 @@ class Inertia:
     """Inertial forces and couples on the arm, in base axes.
 
     Attributes:
-        forces: At the centre of mass of each link, and last of the payload [N], shape (N, n + 1, 3).
+        forces: At the centre of mass of each link, and last of the payload [N], shape (N, n + 1,
+            3).
         couples: Likewise [N m].
     """
 
@@ -71,11 +84,15 @@ class Inertia:
     couples: np.ndarray
 
     @classmethod
-    def of(cls, arm: Arm, motion: tuple[np.ndarray, ...], payload: np.ndarray, payload_com: np.ndarray) -> Inertia | None:
-        """Return the inertial loads of an arm that moves as if it did not deform; None if nothing moves.
+    def of(
+        cls, arm: Arm, motion: tuple[np.ndarray, ...], payload: np.ndarray, payload_com: np.ndarray
+    ) -> Inertia | None:
+        """Return the inertial loads of an arm that moves as if it did not deform; None if nothing
+        moves.
 
-        ``motion`` contains joint positions, velocities and accelerations, shape (N, n) each [rad or m, per s, per s^2]; the
-        payload [kg], shape (N,), has its centre of mass in the tip frame [m], shape (N, 3).
+        ``motion`` contains joint positions, velocities and accelerations, shape (N, n) each [rad or
+        m, per s, per s^2]; the payload [kg], shape (N,), has its centre of mass in the tip frame
+        [m], shape (N, 3).
         """
         if not any(part.any() for part in motion[1:]):
             return None
@@ -88,5 +105,7 @@ class Inertia:
             if arm.inertias is not None:
                 turned = link.rotation @ arm.inertias[j] @ np.swapaxes(link.rotation, 1, 2)
                 spin = np.einsum("nab,nb->na", turned, link.rate)
-                couples[:, j] = -np.einsum("nab,nb->na", turned, link.turning) - np.cross(link.rate, spin)
+                couples[:, j] = -np.einsum("nab,nb->na", turned, link.turning) - np.cross(
+                    link.rate, spin
+                )
         return cls(forces, couples)

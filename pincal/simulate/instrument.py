@@ -1,4 +1,6 @@
-"""An instrument next to the robot, such as a laser tracker or a camera, that measures targets on the tool."""
+"""An instrument next to the robot, such as a laser tracker or a camera, that measures targets on
+the tool.
+"""
 
 from __future__ import annotations
 
@@ -37,11 +39,11 @@ class Instrument(SensorSetup):
     Attributes:
         reads: One of ``KINDS``.
         pose: Transform from the robot's base frame to the instrument's frame, shape (4, 4).
-        targets: Target in the tip frame: a position [m], shape (3,), or a transform, shape (4, 4); or a mapping
-            from name to one of these. Each target gives a row for every pose.
+        targets: Target in the tip frame: a position [m], shape (3,), or a transform, shape (4, 4);
+            or a mapping from name to one of these. Each target gives a row for every pose.
         sigma_angle: Standard deviation of the orientation about each axis [rad].
-        anchors: Points in the robot's base frame [m], shape (3,), by name, from which distances are measured; default:
-            the instrument's origin.
+        anchors: Points in the robot's base frame [m], shape (3,), by name, from which distances are
+            measured; default: the instrument's origin.
 
     Raises:
         BadInputError: If an attribute has a wrong shape or the kind is unknown.
@@ -65,9 +67,13 @@ class Instrument(SensorSetup):
         if self.reads not in KINDS:
             raise BadInputError(f"kind {self.reads!r}; expected one of {', '.join(KINDS)}")
         if self.anchors and self.reads != "distance":
-            raise BadInputError(f"anchors with kind {self.reads!r}; expected 'distance', or no anchors")
+            raise BadInputError(
+                f"anchors with kind {self.reads!r}; expected 'distance', or no anchors"
+            )
         named = self.targets if isinstance(self.targets, Mapping) else {"": self.targets}
-        object.__setattr__(self, "targets", {name: _transform(target) for name, target in named.items()})
+        object.__setattr__(
+            self, "targets", {name: _transform(target) for name, target in named.items()}
+        )
 
     @property
     def kind(self) -> str:
@@ -77,41 +83,58 @@ class Instrument(SensorSetup):
     def points(self) -> dict[str, np.ndarray]:
         return transformed(self.pose, self.anchors)
 
-    def plan(self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1) -> np.ndarray:
+    def plan(
+        self, arm: Arm, n: int, *, rng: np.random.Generator, min_height: float | None = 0.1
+    ) -> np.ndarray:
         return plan_poses(arm, n, rng, min_height=min_height)
 
     def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
         offsets = np.array([*self.targets.values()])
         seen = ((self.pose @ tips_of(machine, poses))[:, None] @ offsets).reshape(-1, 4, 4)
-        rows, columns = np.repeat(np.arange(len(poses.q)), len(offsets)), Table()
+        rows = np.repeat(np.arange(len(poses.q)), len(offsets))
+        columns = Table()
         if len(offsets) > 1:
             columns["target"] = np.tile(np.array(list(self.targets)), len(poses.q))
         if self.anchors:
             count = len(self.anchors)
-            rows, seen = np.repeat(rows, count), np.repeat(seen, count, axis=0)
+            rows = np.repeat(rows, count)
+            seen = np.repeat(seen, count, axis=0)
             seen[:, :3, 3] -= np.tile(np.array([*self.points.values()]), (len(seen) // count, 1))
             columns = {name: np.repeat(column, count) for name, column in columns.items()}
             columns["anchor"] = np.tile(np.array(list(self.anchors)), len(seen) // count)
         return Reading(poses, rows, columns | self._readings(machine, seen, rng))
 
-    def _readings(self, machine: Machine, seen: np.ndarray, rng: np.random.Generator | None) -> Table:
-        """Return the readings of transforms from target to instrument or anchor, shape (M, 4, 4)."""
+    def _readings(
+        self, machine: Machine, seen: np.ndarray, rng: np.random.Generator | None
+    ) -> Table:
+        """Return the readings of transforms from target to instrument or anchor, shape
+        (M, 4, 4).
+        """
         position = as_read(machine.effects, seen[:, :3, 3])
         if self.reads == "distance":
             distance = np.linalg.norm(position, axis=1)
             return {"distance": distance + draw_noise(distance.shape, self.sigma, rng)}
         position = position + draw_noise(position.shape, self.sigma, rng)
         columns = dict(zip("xyz", position.T, strict=True))
-        return columns | _quaternion(seen[:, :3, :3], self.sigma_angle, rng) if self.reads == "pose" else columns
+        return (
+            columns | _quaternion(seen[:, :3, :3], self.sigma_angle, rng)
+            if self.reads == "pose"
+            else columns
+        )
 
     def line_of_sight(self, tip: np.ndarray) -> np.ndarray:
-        """Return the first target in the frame of the instrument, or relative to the first anchor."""
+        """Return the first target in the frame of the instrument, or relative to the
+        first anchor.
+        """
         seen: np.ndarray = (self.pose @ tip @ next(iter(self.targets.values())))[:, :3, 3]
         return np.asarray(seen - next(iter(self.points.values()), np.zeros(3)))
 
     def truth(self) -> dict[str, Any]:
         found: dict[str, Any] = {
-            "noise": {"sigma_m": self.sigma, "sigma_rad": self.sigma_angle if self.reads == "pose" else None},
+            "noise": {
+                "sigma_m": self.sigma,
+                "sigma_rad": self.sigma_angle if self.reads == "pose" else None,
+            },
             "T_instrument_base": self.pose.tolist(),
             "targets": {name: target.tolist() for name, target in self.targets.items()},
         }
@@ -120,7 +143,8 @@ class Instrument(SensorSetup):
 
 @dataclass(frozen=True, kw_only=True)
 class CellCamera(Instrument):
-    """A camera in front of the robot that sees targets on the tool; its frame has z along the optical axis.
+    """A camera in front of the robot that sees targets on the tool; its frame has z along the
+    optical axis.
 
     Attributes:
         lens: The camera; points outside its image are not measured.
@@ -136,15 +160,20 @@ class CellCamera(Instrument):
         refuse_scale(machine, "an image has none")
         exact = Instrument(pose=self.pose, targets=self.targets)._read(machine, poses, None)
         seen = np.column_stack([exact.columns[axis] for axis in "xyz"])
-        names = exact.columns.get("target", np.full(len(seen), next(iter(self.targets)) or "target"))
+        names = exact.columns.get(
+            "target", np.full(len(seen), next(iter(self.targets)) or "target")
+        )
         inside = self.lens.sees(seen)
         if not inside.any():
             raise BadInputError(
-                "the camera sees the target in no pose; use poses in front of it, or a lens of shorter focal length"
+                "the camera sees the target in no pose; use poses in front of it, or a "
+                "lens of shorter focal length"
             )
         image = self.lens.project(seen[inside])
         image = image + draw_noise(image.shape, self.sigma, rng)
-        return Reading(poses, exact.rows[inside], {"target": names[inside], "u": image[:, 0], "v": image[:, 1]})
+        return Reading(
+            poses, exact.rows[inside], {"target": names[inside], "u": image[:, 0], "v": image[:, 1]}
+        )
 
     def truth(self) -> dict[str, Any]:
         noise = {"sigma_m": None, "sigma_rad": None, "sigma_px": self.sigma}

@@ -1,4 +1,6 @@
-"""Arms in motion: paths with exact derivatives, and how the true tip moves along them by Pinocchio's kinematics."""
+"""Arms in motion: paths with exact derivatives, and how the true tip moves along them by
+Pinocchio's kinematics.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +16,18 @@ from pincal.simulate.planning import is_clear
 from pincal.simulate.state import Deformation, build_chain, configurations
 
 # Number of waves of each joint, and the range of their frequencies [Hz].
-_WAVES, _SLOWEST, _FASTEST = 8, 0.03, 0.6
-# Fraction of the joint range that is used; number of paths drawn, and the factor by which each next one is smaller.
-_SPAN, _TRIES, _SMALLER = 0.95, 60, 0.97
-# Step of finite differences of deformations [s], and speed at which a joint has a direction of approach [rad/s or m/s].
-_STEP, _SLOW = 5e-4, 0.01
+_WAVES = 8
+_SLOWEST = 0.03
+_FASTEST = 0.6
+# Fraction of the joint range that is used; number of paths drawn, and the factor by which each next
+# one is smaller.
+_SPAN = 0.95
+_TRIES = 60
+_SMALLER = 0.97
+# Step of finite differences of deformations [s], and speed at which a joint has a direction of
+# approach [rad/s or m/s].
+_STEP = 5e-4
+_SLOW = 0.01
 # Instants processed at once.
 _PIECE = 5_000
 
@@ -43,20 +52,26 @@ class FourierPath:
         """Return positions, or their derivatives of an order, at times [s], shape (N, n)."""
         found = np.empty((len(time), len(self.centre)))
         for start in range(0, len(time), _PIECE):
-            phase = np.asarray(time, float)[start : start + _PIECE, None, None] * self.rates + 0.5 * np.pi * order
+            phase = (
+                np.asarray(time, float)[start : start + _PIECE, None, None] * self.rates
+                + 0.5 * np.pi * order
+            )
             waves = self.rates**order * (self.sines * np.sin(phase) + self.cosines * np.cos(phase))
             found[start : start + _PIECE] = waves.sum(axis=2)
         return found + self.centre if order == 0 else found
 
     def scaled(self, factor: np.ndarray | float) -> FourierPath:
-        """Return the path with its waves scaled by a factor, shape (n,) or a number, about the same centre."""
+        """Return the path with its waves scaled by a factor, shape (n,) or a number, about the same
+        centre.
+        """
         grown = np.broadcast_to(factor, self.centre.shape)[:, None]
         return FourierPath(self.centre, self.rates, self.sines * grown, self.cosines * grown)
 
 
 @dataclass(frozen=True)
 class ViaPath:
-    """Joint positions that move from pose to pose and stop at each, by polynomials of degree 5 (minimum jerk).
+    """Joint positions that move from pose to pose and stop at each, by polynomials of degree 5
+    (minimum jerk).
 
     Attributes:
         time: Times at which the poses are reached, shape (V,), increasing from 0 [s].
@@ -67,28 +82,41 @@ class ViaPath:
     q: np.ndarray
 
     def at(self, time: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return positions, or their derivatives of an order, at times [s], shape (N, n); at rest before and after."""
+        """Return positions, or their derivatives of an order, at times [s], shape (N, n); at rest
+        before and after.
+        """
         move = np.clip(np.searchsorted(self.time, time, side="right") - 1, 0, len(self.time) - 2)
         seconds = np.diff(self.time)[move]
         part = np.clip((np.asarray(time, float) - self.time[move]) / seconds, 0.0, 1.0)
-        share = np.polynomial.Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0]).deriv(order)(part) / seconds**order
+        share = (
+            np.polynomial.Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0]).deriv(order)(part)
+            / seconds**order
+        )
         moved = share[:, None] * np.diff(self.q, axis=0)[move]
         return np.asarray(self.q[move] + moved if order == 0 else moved)
 
     @classmethod
-    def through(cls, q: np.ndarray, duration: float, *, speed: float = 1.0, acceleration: float = 3.0) -> ViaPath:
-        """Return a path through poses, shape (V, n), always to the nearest next, that lasts at least a duration [s].
+    def through(
+        cls, q: np.ndarray, duration: float, *, speed: float = 1.0, acceleration: float = 3.0
+    ) -> ViaPath:
+        """Return a path through poses, shape (V, n), always to the nearest next, that lasts at
+        least a duration [s].
 
         Speeds and accelerations are limited as those of revolute joints in :func:`draw_path`.
         """
-        left, order = set(range(1, len(q))), [0]
+        left = set(range(1, len(q)))
+        order = [0]
         while left:
             order.append(min(left, key=lambda i: float(np.abs(q[i] - q[order[-1]]).max())))
             left.remove(order[-1])
         far = np.abs(np.diff(q[order], axis=0)).max(axis=1)
         # The largest slope and curvature of 10 s^3 - 15 s^4 + 6 s^5.
-        lasts = np.maximum(np.maximum(1.875 * far / speed, np.sqrt(5.774 * far / acceleration)), 1e-3)
-        return cls(np.append(0.0, np.cumsum(lasts)) * max(duration / float(lasts.sum()), 1.0), q[order])
+        lasts = np.maximum(
+            np.maximum(1.875 * far / speed, np.sqrt(5.774 * far / acceleration)), 1e-3
+        )
+        return cls(
+            np.append(0.0, np.cumsum(lasts)) * max(duration / float(lasts.sum()), 1.0), q[order]
+        )
 
 
 Motion = FourierPath | ViaPath
@@ -112,13 +140,16 @@ def draw_path(
         rng: Source of randomness.
         speed: Largest speed of a joint [rad/s]; half of it for a prismatic one [m/s].
         acceleration: Likewise [rad/s^2].
-        min_height: Height of the floor [m], as in :func:`pincal.simulate.planning.is_clear`; None for no floor.
+        min_height: Height of the floor [m], as in :func:`pincal.simulate.planning.is_clear`; None
+            for no floor.
 
     Raises:
         BadInputError: If the arm hits the floor on every path tried.
     """
-    n, time = len(arm.names), np.arange(0.0, duration, 0.1)
-    middle, half = 0.5 * (arm.upper + arm.lower), 0.5 * _SPAN * (arm.upper - arm.lower)
+    n = len(arm.names)
+    time = np.arange(0.0, duration, 0.1)
+    middle = 0.5 * (arm.upper + arm.lower)
+    half = 0.5 * _SPAN * (arm.upper - arm.lower)
     least = np.where(arm.prismatic, 0.5, 1.0)
     size = 1.0
     for _ in range(_TRIES):
@@ -126,7 +157,9 @@ def draw_path(
         amplitudes = rng.standard_normal((2, n, _WAVES)) / rates
         shape = FourierPath(np.zeros(n), rates, *amplitudes)
         largest = [np.abs(shape.at(time, order)).max(axis=0) for order in range(3)]
-        factor = np.minimum(half / largest[0], least * np.minimum(speed / largest[1], acceleration / largest[2]))
+        factor = np.minimum(
+            half / largest[0], least * np.minimum(speed / largest[1], acceleration / largest[2])
+        )
         # Centres lie in the middle half of the joint range that the waves leave.
         centre = middle + (half - size * factor * largest[0]) * rng.uniform(-0.5, 0.5, n)
         path = _following(arm, shape.scaled(size * factor), centre)
@@ -134,7 +167,8 @@ def draw_path(
             return path
         size *= _SMALLER
     raise BadInputError(
-        f"the arm goes below {min_height} m on each of {_TRIES} random paths; give a lower --floor, or --no-floor"
+        f"the arm goes below {min_height} m on each of {_TRIES} random paths; give a "
+        "lower --floor, or --no-floor"
     )
 
 
@@ -143,7 +177,8 @@ def _following(arm: Arm, path: FourierPath, centre: np.ndarray) -> FourierPath:
     sources = np.arange(len(centre))
     factors = np.ones(len(centre))
     for joint, source, multiplier, _ in arm.mimics:
-        sources[joint], factors[joint] = source, multiplier
+        sources[joint] = source
+        factors[joint] = multiplier
     moved = path.scaled(1.0)
     return FourierPath(
         arm.mimicking(centre[None])[0],
@@ -170,48 +205,68 @@ class TipMotion(NamedTuple):
 
 
 def conditions_along(path: Motion, time: np.ndarray, **others: Any) -> dict[str, Any]:
-    """Return the conditions of a path's poses at times [s], shape (N,): time, motion, direction of approach."""
+    """Return the conditions of a path's poses at times [s], shape (N,): time, motion, direction of
+    approach.
+    """
     velocity = path.at(time, 1)
-    moved = {"velocity": velocity, "acceleration": path.at(time, 2), "approach": np.tanh(velocity / _SLOW)}
+    moved = {
+        "velocity": velocity,
+        "acceleration": path.at(time, 2),
+        "approach": np.tanh(velocity / _SLOW),
+    }
     return {"time": np.asarray(time, float)} | moved | others
 
 
 def tip_motion(machine: TrueMachine, path: Motion, time: np.ndarray, **others: Any) -> TipMotion:
     """Return the tip's motion along a path of the recorded joints, at times of shape (N,) [s].
 
-    Rigid motion is differentiated exactly, deformations, a thousandth of it, by differences. ``others`` are further
-    conditions, such as the payload.
+    Rigid motion is differentiated exactly, deformations, a thousandth of it, by differences.
+    ``others`` are further conditions, such as the payload.
     """
-    parts = [_tip_motion(machine, path, time[k : k + _PIECE], others) for k in range(0, len(time), _PIECE)]
+    parts = [
+        _tip_motion(machine, path, time[k : k + _PIECE], others)
+        for k in range(0, len(time), _PIECE)
+    ]
     return TipMotion(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
-def _tip_motion(machine: TrueMachine, path: Motion, time: np.ndarray, others: dict[str, Any]) -> TipMotion:
+def _tip_motion(
+    machine: TrueMachine, path: Motion, time: np.ndarray, others: dict[str, Any]
+) -> TipMotion:
     import pinocchio as pin
 
     model = build_chain(machine.arm)
-    data, tip = model.createData(), model.njoints - 1
+    data = model.createData()
+    tip = model.njoints - 1
     drives = [model.joints[model.getJointId(name)].idx_v for name in machine.names]
     steps = [_deformed(machine, path, time + shift, others) for shift in (-_STEP, 0.0, _STEP)]
     is_rigid = all(step.change(Deformation.zero(*step.joint.shape)) == 0.0 for step in steps)
     v, a = np.zeros((2, len(time), model.nv))
     here = configurations(path.at(time) + machine.joint_offsets, steps[1])
     if not is_rigid:
-        before, after = (configurations(path.at(time) + machine.joint_offsets, steps[k]) for k in (0, 2))
+        before, after = (
+            configurations(path.at(time) + machine.joint_offsets, steps[k]) for k in (0, 2)
+        )
         for i in range(len(time)):
-            ahead, behind = pin.difference(model, here[i], after[i]), pin.difference(model, before[i], here[i])
-            v[i], a[i] = (ahead + behind) / (2.0 * _STEP), (ahead - behind) / _STEP**2
+            ahead = pin.difference(model, here[i], after[i])
+            behind = pin.difference(model, before[i], here[i])
+            v[i] = (ahead + behind) / (2.0 * _STEP)
+            a[i] = (ahead - behind) / _STEP**2
     v[:, drives] += path.at(time, 1)
     a[:, drives] += path.at(time, 2)
-    T, motions = np.empty((len(time), 4, 4)), np.empty((len(time), 3, 3))
+    T = np.empty((len(time), 4, 4))
+    motions = np.empty((len(time), 3, 3))
     for i in range(len(time)):
         pin.forwardKinematics(model, data, here[i], v[i], a[i])
         T[i] = data.oMi[tip].homogeneous
-        rate, moved = data.v[tip].angular, data.a[tip]
+        rate = data.v[tip].angular
+        moved = data.a[tip]
         motions[i] = rate, moved.angular, moved.linear + np.cross(rate, data.v[tip].linear)
     return TipMotion(T, motions[:, 0], motions[:, 1], motions[:, 2])
 
 
-def _deformed(machine: TrueMachine, path: Motion, time: np.ndarray, others: dict[str, Any]) -> Deformation:
+def _deformed(
+    machine: TrueMachine, path: Motion, time: np.ndarray, others: dict[str, Any]
+) -> Deformation:
     poses = machine.poses(path.at(time), **conditions_along(path, time, **others))
     return machine.equilibrium(poses).deformation

@@ -13,20 +13,31 @@ from pincal.simulate.rods import driving, following
 
 # Rounds of draws after which limits on the poses count as infeasible.
 _ROUNDS = 2000
-# Largest joint step of the inverse kinematics [rad or m] and its damping, for a reach of about a metre.
-_STEP, _DAMPING = 0.3, 1e-4
-# Tolerance of a goal on the nominal arm [m or rad], and the largest number of steps: most goals take ten.
-_REACHED, _REACHING = 1e-9, 60
-# Fraction of the joint range that is used: the true arm needs slightly different positions than the nominal one.
+# Largest joint step of the inverse kinematics [rad or m] and its damping, for a reach of about a
+# metre.
+_STEP = 0.3
+_DAMPING = 1e-4
+# Tolerance of a goal on the nominal arm [m or rad], and the largest number of steps: most goals
+# take ten.
+_REACHED = 1e-9
+_REACHING = 60
+# Fraction of the joint range that is used: the true arm needs slightly different positions than the
+# nominal one.
 _SPAN = 0.95
 # Poses processed at once.
 _PIECE = 5_000
 
 
 def plan_poses(
-    arm: Arm, n: int, rng: np.random.Generator, *, min_height: float | None = 0.1, max_radius: float | None = None
+    arm: Arm,
+    n: int,
+    rng: np.random.Generator,
+    *,
+    min_height: float | None = 0.1,
+    max_radius: float | None = None,
 ) -> np.ndarray:
-    """Draw n random joint positions within the limits [rad or m], shape (n, number of joints), with the arm above the floor.
+    """Draw n random joint positions within the limits [rad or m], shape (n, number of joints), with
+    the arm above the floor.
 
     Args:
         arm: Nominal arm, ``machine.nominal``.
@@ -38,7 +49,8 @@ def plan_poses(
     Raises:
         BadInputError: If hardly any pose of the arm fits the limits.
     """
-    middle, half = (arm.upper + arm.lower) / 2.0, _SPAN * (arm.upper - arm.lower) / 2.0
+    middle = (arm.upper + arm.lower) / 2.0
+    half = _SPAN * (arm.upper - arm.lower) / 2.0
 
     def draw() -> np.ndarray:
         q = following(arm, middle + half * rng.uniform(-1.0, 1.0, (max(n, 16), len(arm.names))))
@@ -50,10 +62,14 @@ def plan_poses(
 
     limits = [f"above {min_height} m"] if min_height is not None else []
     limits += [f"within {max_radius} m of the base"] if max_radius is not None else []
-    return collect_poses(draw, n, rounds=_ROUNDS, shortage=f"lie {' and '.join(limits)}; relax these limits")
+    return collect_poses(
+        draw, n, rounds=_ROUNDS, shortage=f"lie {' and '.join(limits)}; relax these limits"
+    )
 
 
-def collect_poses(draw: Callable[[], np.ndarray], n: int, *, rounds: int, shortage: str) -> np.ndarray:
+def collect_poses(
+    draw: Callable[[], np.ndarray], n: int, *, rounds: int, shortage: str
+) -> np.ndarray:
     """Call ``draw`` for acceptable poses until there are n.
 
     Raises:
@@ -70,8 +86,8 @@ def collect_poses(draw: Callable[[], np.ndarray], n: int, *, rounds: int, shorta
 def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
     """Return whether the arm is above the floor, shape (N,), in poses q, shape (N, n).
 
-    The tip and the origins of the third and all later joints have to be above ``min_height`` in the base frame [m]; None for
-    no floor.
+    The tip and the origins of the third and all later joints have to be above ``min_height`` in the
+    base frame [m]; None for no floor.
     """
     if min_height is None:
         return np.ones(len(q), bool)
@@ -84,7 +100,9 @@ def is_clear(arm: Arm, q: np.ndarray, min_height: float | None) -> np.ndarray:
 
 
 def point_at(tip: np.ndarray, tool: ArrayLike) -> np.ndarray:
-    """Return a point of the tip frame [m], shape (3,), in the base frame, shape (N, 3), for tips of shape (N, 4, 4)."""
+    """Return a point of the tip frame [m], shape (3,), in the base frame, shape (N, 3), for tips of
+    shape (N, 4, 4).
+    """
     return np.asarray(tip[:, :3, :3] @ np.asarray(tool, float) + tip[:, :3, 3])
 
 
@@ -96,14 +114,17 @@ def reach(
     Args:
         arm: Arm without load.
         seed: Joint positions to start from, shape (N, n).
-        goal: Wanted positions of the tool point in the base frame [m], shape (N, 3), or transforms of the tip, (N, 4, 4).
+        goal: Wanted positions of the tool point in the base frame [m], shape (N, 3), or transforms
+            of the tip, (N, 4, 4).
         tool: Tool point in the tip frame [m]; used with positions only.
 
     Returns:
-        Joint positions, shape (N, n), and whether each reaches its goal well within the joint limits, shape (N,).
+        Joint positions, shape (N, n), and whether each reaches its goal well within the joint
+        limits, shape (N,).
     """
     point = np.asarray(tool, float)
-    q, error = np.array(seed, float), np.full(len(seed), np.inf)
+    q = np.array(seed, float)
+    error = np.full(len(seed), np.inf)
     for _ in range(_REACHING):
         left = np.flatnonzero(error >= _REACHED)
         if len(left) == 0:
@@ -116,16 +137,22 @@ def reach(
         if arm.pins:
             q[left] = following(arm, q[left])
     # Whole turns matter to the joint limits only.
-    turns = np.where(arm.prismatic, 0.0, 2.0 * np.pi * np.round((q - 0.5 * (arm.lower + arm.upper)) / (2.0 * np.pi)))
+    turns = np.where(
+        arm.prismatic,
+        0.0,
+        2.0 * np.pi * np.round((q - 0.5 * (arm.lower + arm.upper)) / (2.0 * np.pi)),
+    )
     q = following(arm, np.where((q >= arm.lower) & (q <= arm.upper), q, q - turns))
-    middle, half = 0.5 * (arm.lower + arm.upper), 0.5 * _SPAN * (arm.upper - arm.lower)
+    middle = 0.5 * (arm.lower + arm.upper)
+    half = 0.5 * _SPAN * (arm.upper - arm.lower)
     return q, (error < _REACHED) & np.all(np.abs(q - middle) <= half, axis=1)
 
 
 def newton_step(moves: np.ndarray, jacobian: np.ndarray, missing: np.ndarray) -> np.ndarray:
     """Return the damped joint step of bounded length towards the goal, shape (N, n).
 
-    ``moves`` are the derivatives of all joints by the driven ones, see :func:`pincal.simulate.rods.driving`.
+    ``moves`` are the derivatives of all joints by the driven ones, see
+    :func:`pincal.simulate.rods.driving`.
     """
     jacobian = jacobian @ moves
     transposed = np.swapaxes(jacobian, 1, 2)
@@ -139,14 +166,18 @@ def newton_step(moves: np.ndarray, jacobian: np.ndarray, missing: np.ndarray) ->
 
 
 def position_jacobian(arm: Arm, joint_frames: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return the derivative of points at the tip [start link's frame, m, shape (N, 3)] by the joints, shape (N, 3, n)."""
+    """Return the derivative of points at the tip [start link's frame, m, shape (N, 3)] by the
+    joints, shape (N, 3, n).
+    """
     axes = arm.movers[:, None] * joint_frames[:, 1:-1, :3, 2]
     levers = point[:, None] - joint_frames[:, 1:-1, :3, 3]
     columns = np.where(arm.prismatic[:, None], axes, np.cross(axes, levers))
     return np.swapaxes(columns, 1, 2)
 
 
-def _missing(arm: Arm, joint_frames: np.ndarray, *, goal: np.ndarray, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _missing(
+    arm: Arm, joint_frames: np.ndarray, *, goal: np.ndarray, tool: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     tip = joint_frames[:, -1]
     if goal.ndim == 2:
         point = point_at(tip, tool)
@@ -156,4 +187,6 @@ def _missing(arm: Arm, joint_frames: np.ndarray, *, goal: np.ndarray, tool: np.n
     turn = goal[:, :3, :3] @ np.swapaxes(tip[:, :3, :3], 1, 2)
     missing = np.hstack((goal[:, :3, 3] - tip[:, :3, 3], Rotation.from_matrix(turn).as_rotvec()))
     axes = np.where(arm.prismatic, 0.0, arm.movers)[:, None] * joint_frames[:, 1:-1, :3, 2]
-    return missing, np.hstack((position_jacobian(arm, joint_frames, tip[:, :3, 3]), np.swapaxes(axes, 1, 2)))
+    return missing, np.hstack(
+        (position_jacobian(arm, joint_frames, tip[:, :3, 3]), np.swapaxes(axes, 1, 2))
+    )

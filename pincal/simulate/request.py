@@ -33,10 +33,12 @@ class SetupOptions:
         noise_angle: Noise of an orientation about each axis [rad].
         targets: Number of targets on the tool.
         tool: Target, tool point or camera in the tip frame [m]; drawn if None.
-        at_base: Whether positions are given in the robot's base frame instead of a random instrument's.
+        at_base: Whether positions are given in the robot's base frame instead of a random
+            instrument's.
         sockets: Number of sockets.
         socket_spacing: Distance between the two sockets of a pair [m].
-        anchors: Number of points from which distances are measured; 0: from the instrument's origin.
+        anchors: Number of points from which distances are measured; 0: from the instrument's
+            origin.
         ball_bar: Length of a bar between anchor and tool point [m]; None without one.
         object: Calibration object of a camera, a key of :data:`pincal.simulate.camera.OBJECTS`.
         lens: Given intrinsics of the camera, see :attr:`pincal.simulate.lens.Lens.intrinsics`.
@@ -57,7 +59,9 @@ class SetupOptions:
     min_height: float | None = 0.0
 
 
-def draw_setup(kind: str, arm: Arm, *, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
+def draw_setup(
+    kind: str, arm: Arm, *, rng: np.random.Generator, options: SetupOptions
+) -> SensorSetup:
     """Set up a sensor, a key of ``SENSORS``, around a nominal arm.
 
     Raises:
@@ -73,25 +77,48 @@ def _beside(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions
         return _contact("distance", arm, rng, options)
     instrument, targets = _instrument_and_targets(arm, rng, options)
     anchors = {f"anchor_{i + 1}": contact.place_beside(arm, rng) for i in range(options.anchors)}
-    sigma, sigma_angle = options.sigma, options.noise_angle
-    return Instrument(reads=kind, pose=instrument, targets=targets, anchors=anchors, sigma=sigma, sigma_angle=sigma_angle)
+    sigma = options.sigma
+    sigma_angle = options.noise_angle
+    return Instrument(
+        reads=kind,
+        pose=instrument,
+        targets=targets,
+        anchors=anchors,
+        sigma=sigma,
+        sigma_angle=sigma_angle,
+    )
 
 
 def _contact(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
     instrument, targets = _instrument_and_targets(arm, rng, replace(options, targets=1))
     x, y, z = (float(value) for value in next(iter(targets.values()))[:3, 3])
     spacing: float | None = options.socket_spacing
-    label, count, length = "socket", options.sockets, 0.0
+    label = "socket"
+    count = options.sockets
+    length = 0.0
     if kind == "distance":
-        label, count, length, spacing = "anchor", max(options.anchors, 1), options.ball_bar or 0.0, None
+        label = "anchor"
+        count = max(options.anchors, 1)
+        length = options.ball_bar or 0.0
+        spacing = None
     places = contact.draw_fixed_points(
-        arm, count, rng, tool=(x, y, z), radius=length, spacing=spacing, min_height=options.min_height
+        arm,
+        count,
+        rng,
+        tool=(x, y, z),
+        radius=length,
+        spacing=spacing,
+        min_height=options.min_height,
     )
     fixed = {f"{label}_{i + 1}": place for i, place in enumerate(places)}
-    return contact.Contact(tool=(x, y, z), fixed=fixed, instrument=instrument, sigma=options.sigma, length=length)
+    return contact.Contact(
+        tool=(x, y, z), fixed=fixed, instrument=instrument, sigma=options.sigma, length=length
+    )
 
 
-def _eye_in_hand(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
+def _eye_in_hand(
+    kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions
+) -> SensorSetup:
     camera = contact.draw_camera(arm, rng)
     if options.tool is not None:
         camera[:3, 3] = options.tool
@@ -109,7 +136,9 @@ def _eye_in_hand(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOp
     return replace(setup, object_pose=contact.draw_object(arm, rng, is_seen=is_seen))
 
 
-def _cell_camera(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions) -> SensorSetup:
+def _cell_camera(
+    kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions
+) -> SensorSetup:
     return CellCamera(
         pose=contact.draw_cell_camera(arm, rng),
         targets=_instrument_and_targets(arm, rng, options)[1],
@@ -130,12 +159,17 @@ SENSORS: dict[str, Callable[[str, Arm, np.random.Generator, SetupOptions], Senso
 """Factories of set-ups by :attr:`pincal.measure.measurements.Measurements.kind`."""
 
 
-def _instrument_and_targets(arm: Arm, rng: np.random.Generator, options: SetupOptions) -> tuple[np.ndarray, dict[str, Any]]:
+def _instrument_and_targets(
+    arm: Arm, rng: np.random.Generator, options: SetupOptions
+) -> tuple[np.ndarray, dict[str, Any]]:
     """Return the instrument's pose and the targets, the first at ``options.tool`` if given."""
-    instrument, targets = contact.draw_instrument(arm, rng), contact.draw_targets(arm, options.targets, rng)
+    instrument = contact.draw_instrument(arm, rng)
+    targets = contact.draw_targets(arm, options.targets, rng)
     if options.tool is not None:
         if len(targets) > 1:
-            raise BadInputError(f"tool {options.tool} places one target; expected targets 1, not {len(targets)}")
+            raise BadInputError(
+                f"tool {options.tool} places one target; expected targets 1, not {len(targets)}"
+            )
         next(iter(targets.values()))[:3, 3] = options.tool
     return np.eye(4) if options.at_base else instrument, targets
 
@@ -143,22 +177,30 @@ def _instrument_and_targets(arm: Arm, rng: np.random.Generator, options: SetupOp
 # Conditions that a campaign may record.
 _RECORDED = ("temperature", "time", "approach")
 # Mass of an arm of 1 m reach [kg], and the exponent of its growth with reach.
-_MASS, _GROWTH = 45.0, 2.4
+_MASS = 45.0
+_GROWTH = 2.4
 # Least and largest factor of deviation from these rules.
-_OF_ARM, _OF_LINK = (0.7, 1.3), (0.6, 1.5)
+_OF_ARM = (0.7, 1.3)
+_OF_LINK = (0.6, 1.5)
 # Mass of a joint's drive relative to a link as long as the arm.
 _DRIVE = 0.3
-# Centre of mass of a link: least and largest fraction of the vector to the next joint, and the lateral offset.
-_ALONG, _BESIDE = (0.2, 0.6), 0.1
+# Centre of mass of a link: least and largest fraction of the vector to the next joint, and the
+# lateral offset.
+_ALONG = (0.2, 0.6)
+_BESIDE = 0.1
 
 
 class Stream(IntEnum):
-    """Parts of a simulation with independent random streams: a change to one does not affect the others."""
+    """Parts of a simulation with independent random streams: a change to one does not affect the
+    others.
+    """
 
     ERRORS, ELASTICITY, MASSES, EFFECTS, LAYOUT, POSES, CONDITIONS, NOISE, WEIGHTS = range(9)
 
     def generator(self, seed: int) -> np.random.Generator:
-        """Return the random generator of this part for the seed of the whole simulation, 0 or more."""
+        """Return the random generator of this part for the seed of the whole
+        simulation, 0 or more.
+        """
         if seed < 0:
             raise BadInputError(f"seed {seed}; expected 0 or more")
         return np.random.default_rng([seed, int(self)])
@@ -183,7 +225,8 @@ def draw_machine(
         elastic: Compliance of drives and bearings relative to a typical one.
         masses_off: Standard deviation of masses and centres of mass [%].
         effects: Hidden effects: name and given fields of each.
-        unweighed: Names of the joints whose links have no known mass, for which plausible masses are drawn.
+        unweighed: Names of the joints whose links have no known mass, for which plausible masses
+            are drawn.
 
     Raises:
         BadInputError: If an effect is unknown.
@@ -194,15 +237,21 @@ def draw_machine(
     if elastic:
         machine = draw_typical_elasticity(machine, Stream.ELASTICITY.generator(seed), scale=elastic)
     rng = Stream.EFFECTS.generator(seed)
-    return machine.with_effects(*(typical_effect(machine, name, rng, **values) for name, values in effects))
+    return machine.with_effects(
+        *(typical_effect(machine, name, rng, **values) for name, values in effects)
+    )
 
 
-def _draw_weights(machine: TrueMachine, joints: Sequence[str], rng: np.random.Generator) -> TrueMachine:
+def _draw_weights(
+    machine: TrueMachine, joints: Sequence[str], rng: np.random.Generator
+) -> TrueMachine:
     """Return the machine with random masses and centres of mass of the links of some joints.
 
-    Links and drives get lighter towards the tip, as they carry less; known masses of other links set the scale.
+    Links and drives get lighter towards the tip, as they carry less; known masses of other links
+    set the scale.
     """
-    arm, n = machine.nominal, len(machine.names)
+    arm = machine.nominal
+    n = len(machine.names)
     drawn = np.isin(machine.names, joints)
     if not drawn.any():
         return machine
@@ -212,9 +261,14 @@ def _draw_weights(machine: TrueMachine, joints: Sequence[str], rng: np.random.Ge
     whole = _MASS * arm.reach**_GROWTH * rng.uniform(*_OF_ARM)
     scale = known / sizes[~drawn].sum() if known else whole / sizes.sum()
     ways = arm.ends[:, :3, 3] * rng.uniform(*_ALONG, (n, 1))
-    ways += np.maximum(arm.lengths, 0.1 * arm.reach)[:, None] * rng.uniform(-_BESIDE, _BESIDE, (n, 3))
+    ways += np.maximum(arm.lengths, 0.1 * arm.reach)[:, None] * rng.uniform(
+        -_BESIDE, _BESIDE, (n, 3)
+    )
     masses = np.where(drawn, scale * sizes, arm.masses)
-    return replace(machine, nominal=replace(arm, masses=masses, centres=np.where(drawn[:, None], ways, arm.centres)))
+    return replace(
+        machine,
+        nominal=replace(arm, masses=masses, centres=np.where(drawn[:, None], ways, arm.centres)),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,9 +291,15 @@ class Repetition:
 
 
 def repeat_poses(
-    machine: TrueMachine, q: np.ndarray, wanted: Repetition, *, given: Mapping[str, np.ndarray], seed: int = 0
+    machine: TrueMachine,
+    q: np.ndarray,
+    wanted: Repetition,
+    *,
+    given: Mapping[str, np.ndarray],
+    seed: int = 0,
 ) -> tuple[np.ndarray, Conditions]:
-    """Return the poses of all cycles, shape (cycles N, n), and the conditions under which they are measured.
+    """Return the poses of all cycles, shape (cycles N, n), and the conditions under which they are
+    measured.
 
     Args:
         machine: The machine, whose effects determine which conditions matter.
@@ -249,7 +309,8 @@ def repeat_poses(
         seed: Seed of poses, conditions and noise.
     """
     needed = {effect.column for effect in machine.effects} | set(wanted.recorded)
-    names, poses = [name for name in _RECORDED if name in needed], len(q)
+    names = [name for name in _RECORDED if name in needed]
+    poses = len(q)
     rng = Stream.CONDITIONS.generator(seed)
     drawn = draw_conditions(names, wanted.cycles * poses, joints=len(machine.names), rng=rng)
     fixed = dict(given)
@@ -258,7 +319,10 @@ def repeat_poses(
     if "approach" in drawn:
         # Every cycle approaches a pose from the same side, as in ISO 9283.
         fixed = {"approach": drawn["approach"][:poses]} | fixed
-    repeated = {name: np.tile(value, (wanted.cycles, *[1] * (value.ndim - 1))) for name, value in fixed.items()}
+    repeated = {
+        name: np.tile(value, (wanted.cycles, *[1] * (value.ndim - 1)))
+        for name, value in fixed.items()
+    }
     conditions: Any = drawn | repeated | {"payload_com": wanted.payload_com}
     return np.tile(q, (wanted.cycles, 1)), conditions
 
@@ -269,10 +333,15 @@ def poses_of_table(rows: Measurements) -> tuple[np.ndarray, dict[str, np.ndarray
     Rows of several targets or points measured in one pose count as one pose.
     """
     labels = rows.target if rows.point is None else rows.point
-    begins, seen = np.ones(len(rows), bool), set[str]()
+    begins = np.ones(len(rows), bool)
+    seen = set[str]()
     for i, label in enumerate(labels):
         begins[i] = i == 0 or label in seen or not np.array_equal(rows.q[i], rows.q[i - 1])
         seen = {label} if begins[i] else seen | {label}
     rows = rows.select(begins)
-    given = {name: value for name in (*_RECORDED, "payload") if (value := getattr(rows, name)) is not None}
+    given = {
+        name: value
+        for name in (*_RECORDED, "payload")
+        if (value := getattr(rows, name)) is not None
+    }
     return rows.q, given

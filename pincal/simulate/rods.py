@@ -1,7 +1,7 @@
 """Loops of the true machine: positions of the passive joints, which their pins move.
 
-Passive joints are where the two halves of each pin meet as closely as possible (least squares): as balls or hinges with the
-play that geometric errors require.
+Passive joints are where the two halves of each pin meet as closely as possible (least squares): as
+balls or hinges with the play that geometric errors require.
 """
 
 from __future__ import annotations
@@ -14,30 +14,40 @@ from pincal.simulate.arm import Arm, frames
 _TILT = 0.1
 # Fraction of the largest motion below which joints can't close a gap.
 _USELESS = 1e-4
-# Steps to close a loop, the change at which it is closed [rad or m], and the largest remaining gap [m].
-_STEPS, _CLOSED, _GAP = 20, 1e-13, 0.02
+# Steps to close a loop, the change at which it is closed [rad or m], and the largest remaining gap
+# [m].
+_STEPS = 20
+_CLOSED = 1e-13
+_GAP = 0.02
 # Largest continuation step of the drives [rad or m].
 _LED = 0.2
 
 
 def following(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return joint positions, shape (N, n), with mimic and passive joints set; NaN where loops stay open."""
+    """Return joint positions, shape (N, n), with mimic and passive joints set; NaN where loops stay
+    open.
+    """
     out = arm.mimicking(q)
     return closed(arm, out) if arm.pins else out
 
 
 def driving(arm: Arm, joint_frames: np.ndarray) -> np.ndarray:
-    """Return the derivatives of all joints by the driven ones, shape (n, m) or (N, n, m), at frames of the arm."""
+    """Return the derivatives of all joints by the driven ones, shape (n, m) or (N, n, m), at frames
+    of the arm.
+    """
     if not arm.pins:
         return arm.mimicry
     moves = np.tile(arm.mimicry, (len(joint_frames), 1, 1))
     moves[:, arm.passive] = rates(arm, joint_frames[:, 1:-1], joint_frames[:, :-1]) @ arm.mimicry
-    own = [k for k in range(moves.shape[2]) if np.flatnonzero(arm.mimicry[:, k])[0] not in arm.passive]
+    own = [
+        k for k in range(moves.shape[2]) if np.flatnonzero(arm.mimicry[:, k])[0] not in arm.passive
+    ]
     return moves[..., own]
 
 
 def closed(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return joint positions, shape (N, n), with the passive joints where the loops of an undeformed arm close.
+    """Return joint positions, shape (N, n), with the passive joints where the loops of an
+    undeformed arm close.
 
     They are continued from position 0 of all drives, so that the loops keep their assembly mode.
     """
@@ -57,10 +67,11 @@ def closed(arm: Arm, q: np.ndarray) -> np.ndarray:
 
 
 def closing_step(arm: Arm, axes: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the step of the passive joints that closes the loops, shape (N, p), and the largest gap, shape (N,) [m].
+    """Return the step of the passive joints that closes the loops, shape (N, p), and the largest
+    gap, shape (N,) [m].
 
-    ``axes`` are frames with z along the joint axes, shape (N, n, 4, 4), ``links`` the frames of base and links, shape
-    (N, n + 1, 4, 4).
+    ``axes`` are frames with z along the joint axes, shape (N, n, 4, 4), ``links`` the frames of
+    base and links, shape (N, n + 1, 4, 4).
     """
     missing, J = _gaps(arm, axes, links)
     step = -(np.linalg.pinv(J[..., arm.passive], rcond=_USELESS) @ missing[..., None])[..., 0]
@@ -68,7 +79,9 @@ def closing_step(arm: Arm, axes: np.ndarray, links: np.ndarray) -> tuple[np.ndar
 
 
 def rates(arm: Arm, axes: np.ndarray, links: np.ndarray) -> np.ndarray:
-    """Return derivatives of the passive joints by all others, shape (N, p, n); frames as in :func:`closing_step`."""
+    """Return derivatives of the passive joints by all others, shape (N, p, n); frames as in
+    :func:`closing_step`.
+    """
     _, J = _gaps(arm, axes, links)
     followed = -np.linalg.pinv(J[..., arm.passive], rcond=_USELESS) @ J
     followed[..., arm.passive] = 0.0
@@ -76,12 +89,19 @@ def rates(arm: Arm, axes: np.ndarray, links: np.ndarray) -> np.ndarray:
 
 
 def _gaps(arm: Arm, axes: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return gaps and tilts of all pins, shape (N, m), and their derivatives by the joints, shape (N, m, n)."""
-    w, o = axes[..., :3, 2], axes[..., :3, 3]
-    missing, derivatives = [], []
+    """Return gaps and tilts of all pins, shape (N, m), and their derivatives by the joints, shape
+    (N, m, n).
+    """
+    w = axes[..., :3, 2]
+    o = axes[..., :3, 3]
+    missing = []
+    derivatives = []
     for pin in arm.pins:
-        halves = [links[:, joint + 1] @ place for joint, place in zip(pin.joints, pin.places, strict=True)]
-        moves, turns = [], []
+        halves = [
+            links[:, joint + 1] @ place for joint, place in zip(pin.joints, pin.places, strict=True)
+        ]
+        moves = []
+        turns = []
         for half, joint in zip(halves, pin.joints, strict=True):
             carried = arm.carried[:, joint] if joint >= 0 else np.zeros(len(arm.names), bool)
             turning = np.where(arm.prismatic[:, None], 0.0, np.cross(w, half[:, None, :3, 2]))
@@ -93,5 +113,7 @@ def _gaps(arm: Arm, axes: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np
         if pin.has_axis:
             a, b = (half[:, :3, 2] for half in halves)
             missing.append(_TILT * np.cross(a, b))
-            derivatives.append(_TILT * (np.cross(a[:, None], turns[1]) + np.cross(turns[0], b[:, None])))
+            derivatives.append(
+                _TILT * (np.cross(a[:, None], turns[1]) + np.cross(turns[0], b[:, None]))
+            )
     return np.concatenate(missing, axis=1), np.concatenate(derivatives, axis=2).swapaxes(1, 2)

@@ -1,4 +1,6 @@
-"""Sessions in motion: logs of joints, IMU and instrument, each with its own clock, while the arm follows a path."""
+"""Sessions in motion: logs of joints, IMU and instrument, each with its own clock, while the arm
+follows a path.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +19,24 @@ from pincal.simulate.moving import Motion, ViaPath, conditions_along, draw_path,
 from pincal.simulate.setup import SensorSetup, Table
 
 # Largest random offset [s] and drift [1] of a clock.
-_OFFSET, _DRIFT = 2.0, 1e-4
-# Standard deviations of low-cost IMUs' errors: scale and misalignment [1], biases [m/s^2, rad/s], delay [s].
-_SCALE, _BIAS, _RATE_BIAS, _DELAY = 5e-3, 0.2, 5e-3, 3e-3
+_OFFSET = 2.0
+_DRIFT = 1e-4
+# Standard deviations of low-cost IMUs' errors: scale and misalignment [1], biases [m/s^2, rad/s],
+# delay [s].
+_SCALE = 5e-3
+_BIAS = 0.2
+_RATE_BIAS = 5e-3
+_DELAY = 3e-3
 # Noise densities: 1 mg/sqrt(Hz) and 0.01 deg/s/sqrt(Hz).
-_ACC_DENSITY, _GYRO_DENSITY = 9.80665e-3, 1.7453e-4
+_ACC_DENSITY = 9.80665e-3
+_GYRO_DENSITY = 1.7453e-4
 # Distance of an IMU from the tip along each axis, at most [m].
 _LEVER = 0.06
-# Vibration modes of an arm [Hz], their damping ratio, and the distance of their centre of rotation from the IMU [m].
-_MODES, _DAMPING, _FULCRUM = (11.0, 19.0, 31.0), 0.03, 0.5
+# Vibration modes of an arm [Hz], their damping ratio, and the distance of their centre of rotation
+# from the IMU [m].
+_MODES = (11.0, 19.0, 31.0)
+_DAMPING = 0.03
+_FULCRUM = 0.5
 # Time for a camera to move from one view of its object to the next [s].
 _VIEW = 3.0
 # Rows that a logger loses at once.
@@ -82,7 +93,9 @@ class ImuSetup:
         # A rotation of the accelerometer is part of the mount, so its matrix is triangular.
         lower = np.tril(_SCALE * rng.standard_normal((3, 3)))
         return cls(
-            mount=transform(Rotation.random(rng=rng).as_matrix(), _LEVER * rng.uniform(-1.0, 1.0, 3)),
+            mount=transform(
+                Rotation.random(rng=rng).as_matrix(), _LEVER * rng.uniform(-1.0, 1.0, 3)
+            ),
             acc_matrix=np.eye(3) + lower,
             gyro_matrix=np.eye(3) + _SCALE * rng.standard_normal((3, 3)),
             acc_bias=_BIAS * rng.standard_normal(3),
@@ -101,21 +114,42 @@ class ImuSetup:
         rng: np.random.Generator,
         conditions: Mapping[str, Any],
     ) -> Table:
-        """Return the IMU's readings at times of the joints' clock [s], shape (N,), at a sampling rate [Hz]."""
+        """Return the IMU's readings at times of the joints' clock [s], shape (N,), at a sampling
+        rate [Hz].
+        """
         motion = tip_motion(machine, path, time, **conditions)
-        R, lever = self.mount[:3, :3], self.mount[:3, 3]
+        R = self.mount[:3, :3]
+        lever = self.mount[:3, 3]
         gravity = np.einsum("nba,b->na", motion.T[:, :3, :3], np.asarray(machine.gravity, float))
-        turned = np.cross(motion.turning, lever) + np.cross(motion.rate, np.cross(motion.rate, lever))
+        turned = np.cross(motion.turning, lever) + np.cross(
+            motion.rate, np.cross(motion.rate, lever)
+        )
         force = (motion.acceleration + turned - gravity) @ R
-        later = motion if self.delay == 0.0 else tip_motion(machine, path, time + self.delay, **conditions)
+        later = (
+            motion
+            if self.delay == 0.0
+            else tip_motion(machine, path, time + self.delay, **conditions)
+        )
         shaken = self._shaken(path, time, rate, rng)
         white = rng.standard_normal((2, len(time), 3)) * np.sqrt(0.5 * rate)
-        force = (force + shaken[0]) @ self.acc_matrix.T + self.acc_bias + self.acc_density * white[0]
-        turning = (later.rate @ R + shaken[1]) @ self.gyro_matrix.T + self.gyro_bias + self.gyro_density * white[1]
-        return dict(zip(("ax", "ay", "az", "wx", "wy", "wz"), np.hstack((force, turning)).T, strict=True))
+        force = (
+            (force + shaken[0]) @ self.acc_matrix.T + self.acc_bias + self.acc_density * white[0]
+        )
+        turning = (
+            (later.rate @ R + shaken[1]) @ self.gyro_matrix.T
+            + self.gyro_bias
+            + self.gyro_density * white[1]
+        )
+        return dict(
+            zip(("ax", "ay", "az", "wx", "wy", "wz"), np.hstack((force, turning)).T, strict=True)
+        )
 
-    def _shaken(self, path: Motion, time: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
-        """Return vibrations that grow with speed: accelerations [m/s^2] and angular rates [rad/s], shape (2, N, 3)."""
+    def _shaken(
+        self, path: Motion, time: np.ndarray, rate: float, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Return vibrations that grow with speed: accelerations [m/s^2] and angular rates [rad/s],
+        shape (2, N, 3).
+        """
         from scipy.signal import lfilter
 
         speed = np.linalg.norm(path.at(time, 1), axis=1)
@@ -133,7 +167,10 @@ class ImuSetup:
 
     def truth(self) -> dict[str, Any]:
         """Return its fields, for JSON."""
-        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
+        return {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +183,8 @@ class SessionOptions:
         imu_noise: Densities of accelerometer and gyroscope [m/s^2/sqrt(Hz), rad/s/sqrt(Hz)].
         vibration: Vibration of the arm at full speed, rms along each axis [m/s^2].
         resolution: Step to which joint positions are rounded [rad or m].
-        rates: Sampling rates of joints, IMU and tracker [Hz]; default: 150, 100, 250, or 30 for a camera.
+        rates: Sampling rates of joints, IMU and tracker [Hz]; default: 150, 100, 250, or 30 for a
+            camera.
         drift: Drift of the clocks of IMU and tracker [1]; drawn if None.
         dropped: Fraction of the rows that loggers lose.
         payload: Payload at the tip [kg].
@@ -182,15 +220,27 @@ def draw_session(
     """
     acc, gyro = options.imu_noise
     imu = ImuSetup.draw(setup, acc_density=acc, gyro_density=gyro, vibration=options.vibration)
-    clocks = [Clock.draw(setup, middle=0.5 * options.duration, drift=options.drift) for _ in range(2)]
-    payload = {"payload": options.payload, "payload_com": options.payload_com} if options.payload else {}
+    clocks = [
+        Clock.draw(setup, middle=0.5 * options.duration, drift=options.drift) for _ in range(2)
+    ]
+    payload = (
+        {"payload": options.payload, "payload_com": options.payload_com} if options.payload else {}
+    )
     if isinstance(path, np.random.Generator) and isinstance(tracker, EyeInHand):
         # A random path would hardly ever look at the object.
         views = max(int(options.duration / _VIEW), 2)
-        path = ViaPath.through(tracker.plan(arm, views, rng=path, min_height=options.min_height), options.duration)
-    rates = options.rates or (150.0, 100.0, 30.0 if isinstance(tracker, (EyeInHand, CellCamera)) else 250.0)
+        path = ViaPath.through(
+            tracker.plan(arm, views, rng=path, min_height=options.min_height), options.duration
+        )
+    rates = options.rates or (
+        150.0,
+        100.0,
+        30.0 if isinstance(tracker, (EyeInHand, CellCamera)) else 250.0,
+    )
     return MovingSession(
-        path=path if isinstance(path, ViaPath) else draw_path(arm, options.duration, path, min_height=options.min_height),
+        path=path
+        if isinstance(path, ViaPath)
+        else draw_path(arm, options.duration, path, min_height=options.min_height),
         duration=options.duration,
         tracker=tracker,
         imu=imu if options.imu else None,
@@ -222,7 +272,9 @@ class MovingSession:
     duration: float
     tracker: SensorSetup | None = None
     imu: ImuSetup | None = None
-    rates: Mapping[str, float] = field(default_factory=lambda: {"joints": 150.0, "imu": 100.0, "tracker": 250.0})
+    rates: Mapping[str, float] = field(
+        default_factory=lambda: {"joints": 150.0, "imu": 100.0, "tracker": 250.0}
+    )
     clocks: Mapping[str, Clock] = field(default_factory=dict)
     resolution: float = 0.0
     dropped: float = 0.0
@@ -232,11 +284,14 @@ class MovingSession:
         """Return the tables of "joints" and, if present, of "imu" and "tracker".
 
         Raises:
-            BadInputError: If an effect of the machine depends on preceding poses, which do not exist in motion.
+            BadInputError: If an effect of the machine depends on preceding poses, which do not
+                exist in motion.
         """
         for effect in machine.effects:
             if effect.needs_order and effect.column != "approach":
-                raise BadInputError(f"{effect.effect}: depends on a sequence of held poses; leave it out, or --path")
+                raise BadInputError(
+                    f"{effect.effect}: depends on a sequence of held poses; leave it out, or --path"
+                )
         noises = dict(zip(("joints", "imu", "tracker", "lost"), rng.spawn(4), strict=True))
         time = self._stamps("joints")
         q = self.path.at(time)
@@ -246,18 +301,28 @@ class MovingSession:
             tables["joints"]["payload"] = np.full(len(time), float(self.conditions["payload"]))
         if self.imu is not None:
             stamps = self._stamps("imu")
-            at, rate = self._clock("imu").to_joints(stamps), self.rates["imu"]
-            read = self.imu.read(machine, self.path, at, rate=rate, rng=noises["imu"], conditions=self.conditions)
+            at = self._clock("imu").to_joints(stamps)
+            rate = self.rates["imu"]
+            read = self.imu.read(
+                machine, self.path, at, rate=rate, rng=noises["imu"], conditions=self.conditions
+            )
             tables["imu"] = {"time": stamps} | read
         if self.tracker is not None:
             stamps = self._stamps("tracker")
             at = self._clock("tracker").to_joints(stamps)
             along = conditions_along(self.path, at, **self.conditions)
             read = self.tracker.measure(machine, self.path.at(at), rng=noises["tracker"], **along)
-            recorded = {*machine.names, *(f"approach_{name}" for name in machine.names), "time", "payload"}
+            recorded = {
+                *machine.names,
+                *(f"approach_{name}" for name in machine.names),
+                "time",
+                "payload",
+            }
             # A pose may be read as several rows, or none.
             seen = {"time": stamps[np.searchsorted(at, read["time"])]}
-            tables["tracker"] = seen | {name: value for name, value in read.items() if name not in recorded}
+            tables["tracker"] = seen | {
+                name: value for name, value in read.items() if name not in recorded
+            }
         return {name: self._logged(table, noises["lost"]) for name, table in tables.items()}
 
     def _clock(self, name: str) -> Clock:
@@ -276,9 +341,14 @@ class MovingSession:
 
     def truth(self, arm: Arm) -> dict[str, Any]:
         """Return path, clocks, IMU and instrument, for JSON."""
-        path, logged = vars(self.path), [name for name in ("imu", "tracker") if getattr(self, name) is not None]
+        path = vars(self.path)
+        logged = [name for name in ("imu", "tracker") if getattr(self, name) is not None]
         found: dict[str, Any] = {
-            "path": {"joints": list(arm.names), "duration_s": self.duration, **{k: v.tolist() for k, v in path.items()}},
+            "path": {
+                "joints": list(arm.names),
+                "duration_s": self.duration,
+                **{k: v.tolist() for k, v in path.items()},
+            },
             "rates_hz": dict(self.rates),
             "clocks": {name: asdict(self.clocks[name]) for name in logged},
             "resolution": self.resolution,

@@ -1,7 +1,9 @@
-"""State of the true machine: poses and their conditions, loads, and the deformation that effects cause.
+"""State of the true machine: poses and their conditions, loads, and the deformation that effects
+cause.
 
-The deformable arm is a Pinocchio model with a free joint for the deformation before and after every joint, at the base and
-at the tip. Pinocchio thus places all deformations, and loads are plain sums of cross products over the displaced bodies.
+The deformable arm is a Pinocchio model with a free joint for the deformation before and after every
+joint, at the base and at the tip. Pinocchio thus places all deformations, and loads are plain sums
+of cross products over the displaced bodies.
 """
 
 from __future__ import annotations
@@ -28,8 +30,10 @@ class Poses:
         payload_com: Its centre of mass in the tip frame [m], shape (N, 3).
         temperature: Temperature minus the reference temperature [K], shape (N,).
         time: Time since the start [s], shape (N,).
-        approach: Direction from which each joint arrived (-1, 0, 1), shape (N, n); None: by the order of the poses.
-        scatter: Standard normal draws per joint and pose, scaled by unrepeatable effects, shape (N, n).
+        approach: Direction from which each joint arrived (-1, 0, 1), shape (N, n); None: by the
+            order of the poses.
+        scatter: Standard normal draws per joint and pose, scaled by unrepeatable effects, shape (N,
+            n).
         velocity: Velocity of the joints [rad/s or m/s], shape (N, n); zero where poses are held.
         acceleration: Acceleration of the joints [rad/s^2 or m/s^2], shape (N, n).
     """
@@ -48,19 +52,25 @@ class Poses:
         """Yield the poses in pieces of at most ``size``."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)}
         for start in range(0, len(self.q), size):
-            part: dict[str, Any] = {name: None if of is None else of[start : start + size] for name, of in columns.items()}
+            part: dict[str, Any] = {
+                name: None if of is None else of[start : start + size]
+                for name, of in columns.items()
+            }
             yield Poses(**part)
 
 
 class Conditions(TypedDict, total=False):
-    """Conditions of N poses; a number applies to all of them, and None or a missing entry means not declared.
+    """Conditions of N poses; a number applies to all of them, and None or a missing entry means not
+    declared.
 
     Attributes:
         payload: Declared mass at the tip [kg], shape (N,); default: 0.
-        payload_com: Its centre of mass in the tip frame [m], shape (3,) or (N, 3); default: the tip.
+        payload_com: Its centre of mass in the tip frame [m], shape (3,) or (N, 3); default: the
+            tip.
         temperature: Temperature [deg C], shape (N,); default: the machine's reference temperature.
         time: Time [s], shape (N,); default: 0.
-        approach: Direction from which each joint arrived (-1, 0, 1), shape (N, n), or by joint name, shape (N,).
+        approach: Direction from which each joint arrived (-1, 0, 1), shape (N, n), or by joint
+            name, shape (N,).
         velocity: Velocity of the joints [rad/s or m/s], shape (N, n); default: at rest.
         acceleration: Acceleration of the joints [rad/s^2 or m/s^2], shape (N, n).
     """
@@ -95,22 +105,31 @@ def poses_of(
         BadInputError: If a shape does not fit or a name is unknown.
     """
     if unknown := sorted(conditions.keys() - Conditions.__annotations__.keys()):
-        raise BadInputError(f"{', '.join(unknown)}: unknown; expected {', '.join(Conditions.__annotations__)}")
+        raise BadInputError(
+            f"{', '.join(unknown)}: unknown; expected {', '.join(Conditions.__annotations__)}"
+        )
     n = len(arm.names)
     q = np.array(q, float)
     if q.ndim != 2 or q.shape[1] != n:
-        raise BadInputError(f"q has shape {q.shape}; expected (N, {n}), one column per joint: {', '.join(arm.names)}")
+        raise BadInputError(
+            f"q has shape {q.shape}; expected (N, {n}), one column per joint: "
+            f"{', '.join(arm.names)}"
+        )
     rows = len(q)
-    approach, temperature = conditions.get("approach"), conditions.get("temperature")
+    approach = conditions.get("approach")
+    temperature = conditions.get("temperature")
     if isinstance(approach, Mapping):
         columns = {arm.index(joint): value for joint, value in approach.items()}
         approach = np.column_stack([np.broadcast_to(columns.get(j, 0.0), rows) for j in range(n)])
     warm = 0.0 if temperature is None else np.asarray(temperature, float) - reference_temperature
-    payload, time = conditions.get("payload"), conditions.get("time")
+    payload = conditions.get("payload")
+    time = conditions.get("time")
     return Poses(
         q=q,
         payload=broadcast_copy("payload", 0.0 if payload is None else payload, (rows,)),
-        payload_com=broadcast_copy("payload_com", conditions.get("payload_com", (0.0, 0.0, 0.0)), (rows, 3)),
+        payload_com=broadcast_copy(
+            "payload_com", conditions.get("payload_com", (0.0, 0.0, 0.0)), (rows, 3)
+        ),
         temperature=broadcast_copy("temperature", warm, (rows,)),
         time=broadcast_copy("time", 0.0 if time is None else time, (rows,)),
         approach=None if approach is None else broadcast_copy("approach", approach, (rows, n)),
@@ -121,7 +140,9 @@ def poses_of(
 
 
 def broadcast_copy(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Return a copy of a number or array in a shape; BadInputError, with its ``name``, if it does not broadcast."""
+    """Return a copy of a number or array in a shape; BadInputError, with its ``name``, if it does
+    not broadcast.
+    """
     try:
         return np.array(np.broadcast_to(np.asarray(value, float), shape))
     except ValueError:
@@ -133,12 +154,16 @@ class Loads:
     """Loads of all bodies beyond each joint, in the deformed configuration.
 
     Attributes:
-        before: Moment about the joint's origin, in the working frame before q [N m], shape (N, n, 3).
+        before: Moment about the joint's origin, in the working frame before q [N m], shape (N, n,
+            3).
         after: The same moment in the working frame after q [N m], shape (N, n, 3).
-        drive: Moment about the joint axis [N m], or force along it for a prismatic joint [N], shape (N, n).
-        end_moment: Moment of the bodies beyond link i about its far end, in the frame after q [N m], shape (N, n, 3).
+        drive: Moment about the joint axis [N m], or force along it for a prismatic joint [N], shape
+            (N, n).
+        end_moment: Moment of the bodies beyond link i about its far end, in the frame after q [N
+            m], shape (N, n, 3).
         end_force: Weight of the bodies beyond link i, in the same frame [N], shape (N, n, 3).
-        base: Moment of all moving bodies about the origin of the base frame, in that frame [N m], shape (N, 3).
+        base: Moment of all moving bodies about the origin of the base frame, in that frame [N m],
+            shape (N, 3).
     """
 
     before: np.ndarray
@@ -152,7 +177,9 @@ class Loads:
     def zero(cls, poses: int, joints: int) -> Loads:
         """Return loads of zeros for N poses of n joints."""
         before, after, end_moment, end_force = np.zeros((4, poses, joints, 3))
-        return cls(before, after, np.zeros((poses, joints)), end_moment, end_force, np.zeros((poses, 3)))
+        return cls(
+            before, after, np.zeros((poses, joints)), end_moment, end_force, np.zeros((poses, 3))
+        )
 
 
 @dataclass(frozen=True)
@@ -179,10 +206,13 @@ class Deformation:
     def zero(cls, poses: int, joints: int) -> Deformation:
         """Return a deformation of zeros for N poses of n joints."""
         before, after = np.zeros((2, poses, joints, 6))
-        return cls(np.zeros((poses, joints)), before, after, np.zeros((poses, 6)), np.zeros((poses, 6)))
+        return cls(
+            np.zeros((poses, joints)), before, after, np.zeros((poses, 6)), np.zeros((poses, 6))
+        )
 
     def add_at_end_of_link(self, arm: Arm, joint: int, twist: np.ndarray) -> None:
-        """Add a twist, shape (N, 6), at the far end of a joint's link: at the next joint, or at the tip.
+        """Add a twist, shape (N, 6), at the far end of a joint's link: at the next joint, or at the
+        tip.
 
         The twist is in the frame after q of the joint, given by its index.
         """
@@ -204,7 +234,8 @@ class Equilibrium:
     """The arm in equilibrium.
 
     Attributes:
-        tip: Transform from the tip to the start link, by default the undeformed base, shape (N, 4, 4).
+        tip: Transform from the tip to the start link, by default the undeformed base, shape (N, 4,
+            4).
         deformation: Sum of all effects.
         loads: Loads on the deformed arm.
     """
@@ -214,13 +245,18 @@ class Equilibrium:
     loads: Loads
 
 
-# Indices in the Pinocchio model of the base's joint, and of those before, at and after arm joint 0; the next arm joint is 3
-# further.
-_BASE, _BEFORE, _JOINT, _AFTER = 1, 2, 3, 4
+# Indices in the Pinocchio model of the base's joint, and of those before, at and after arm joint 0;
+# the next arm joint is 3 further.
+_BASE = 1
+_BEFORE = 2
+_JOINT = 3
+_AFTER = 4
 
 
 def build_chain(arm: Arm) -> Any:
-    """Return the ``pinocchio.Model`` of an arm with free joints for deformations; see :func:`configurations`."""
+    """Return the ``pinocchio.Model`` of an arm with free joints for deformations; see
+    :func:`configurations`.
+    """
     import pinocchio as pin
 
     model = pin.Model()
@@ -230,24 +266,33 @@ def build_chain(arm: Arm) -> Any:
     for i, name in enumerate(arm.names):
         drive = pin.JointModelPZ() if arm.prismatic[i] else pin.JointModelRZ()
         placement = pin.SE3(arm.placements[i])
-        parent = model.addJoint(behind[arm.parents[i]], pin.JointModelFreeFlyer(), placement, f"{name} before")
+        parent = model.addJoint(
+            behind[arm.parents[i]], pin.JointModelFreeFlyer(), placement, f"{name} before"
+        )
         parent = model.addJoint(parent, drive, identity, name)
         behind[i] = model.addJoint(parent, pin.JointModelFreeFlyer(), identity, f"{name} after")
-    model.addJoint(behind[arm.tip_joint], pin.JointModelFreeFlyer(), pin.SE3(arm.placements[-1]), "tip")
+    model.addJoint(
+        behind[arm.tip_joint], pin.JointModelFreeFlyer(), pin.SE3(arm.placements[-1]), "tip"
+    )
     return model
 
 
 def configurations(q: np.ndarray, deformation: Deformation) -> np.ndarray:
-    """Return the configurations of the model, shape (N, 15 n + 14), at joint positions q [rad or m], shape (N, n)."""
+    """Return the configurations of the model, shape (N, 15 n + 14), at joint positions q [rad or
+    m], shape (N, n).
+    """
     rows = len(q)
     joints = np.concatenate(
-        (_free(deformation.before), (q + deformation.joint)[..., None], _free(deformation.after)), axis=2
+        (_free(deformation.before), (q + deformation.joint)[..., None], _free(deformation.after)),
+        axis=2,
     )
     return np.hstack((_free(deformation.base), joints.reshape(rows, -1), _free(deformation.tip)))
 
 
 def _free(twist: np.ndarray) -> np.ndarray:
-    """Return translation and quaternion of a free joint, shape (..., 7), for twists of shape (..., 6)."""
+    """Return translation and quaternion of a free joint, shape (..., 7), for twists of shape (...,
+    6).
+    """
     from scipy.spatial.transform import Rotation
 
     rotation = Rotation.from_euler("ZYX", twist[..., :2:-1].reshape(-1, 3))
@@ -256,10 +301,11 @@ def _free(twist: np.ndarray) -> np.ndarray:
 
 
 def place(model: Any, data: Any, q: np.ndarray) -> np.ndarray:
-    """Return the poses of the joints of :func:`build_chain`, last the tip, in configurations q, shape (N, nq).
+    """Return the poses of the joints of :func:`build_chain`, last the tip, in configurations q,
+    shape (N, nq).
 
-    They are transforms to the undeformed base frame, shape (N, number of joints, 4, 4). ``data`` is the model's
-    ``pinocchio.Data``, whose creation takes longer than a thousand poses.
+    They are transforms to the undeformed base frame, shape (N, number of joints, 4, 4). ``data`` is
+    the model's ``pinocchio.Data``, whose creation takes longer than a thousand poses.
     """
     import pinocchio as pin
 
@@ -272,7 +318,9 @@ def place(model: Any, data: Any, q: np.ndarray) -> np.ndarray:
 
 
 def joints_and_links(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the frames of the joints, shape (N, n, 4, 4), and of base and links, shape (N, n + 1, 4, 4), among places."""
+    """Return the frames of the joints, shape (N, n, 4, 4), and of base and links, shape (N, n + 1,
+    4, 4), among places.
+    """
     last = places.shape[1] - 1
     links = np.concatenate((places[:, _BASE : _BASE + 1], places[:, _AFTER:last:3]), axis=1)
     return places[:, _JOINT:last:3], links
@@ -289,8 +337,9 @@ def gravity_loads(
 ) -> Loads:
     """Return the loads on every joint of the deformed arm.
 
-    ``places`` are transforms of :func:`place`, shape (N, 3 n + 3, 4, 4); the payload [kg], shape (N,), has its centre of
-    mass in the tip frame [m], shape (N, 3); gravity is given in the undeformed base frame [m/s^2], shape (3,).
+    ``places`` are transforms of :func:`place`, shape (N, 3 n + 3, 4, 4); the payload [kg], shape
+    (N,), has its centre of mass in the tip frame [m], shape (N, 3); gravity is given in the
+    undeformed base frame [m/s^2], shape (3,).
     """
     last = places.shape[1] - 1
     before, joint, after = (places[:, first:last:3] for first in (_BEFORE, _JOINT, _AFTER))
@@ -299,20 +348,32 @@ def gravity_loads(
     load = np.einsum("nab,nb->na", tip[:, :3, :3], payload_com) + tip[:, :3, 3]
     centres = np.concatenate((links, load[:, None]), axis=1)
     masses = np.column_stack((np.broadcast_to(arm.masses, links.shape[:2]), payload))
-    weights, couples = masses[..., None] * gravity, np.zeros((*masses.shape, 3))
+    weights = masses[..., None] * gravity
+    couples = np.zeros((*masses.shape, 3))
     if inertia is not None:
-        weights, couples = weights + inertia.forces, inertia.couples
+        weights = weights + inertia.forces
+        couples = inertia.couples
     n = len(arm.names)
     beyond = arm.carried & ~np.eye(n, n + 1, dtype=bool)
     moments = _moments(centres, weights, couples, joint[..., :3, 3], arm.carried)
     following = [arm.next_joint(i) for i in range(n)]
-    ends = np.stack([before[:, k] if k >= 0 else after[:, i] for i, k in enumerate(following)], axis=1)[..., :3, 3]
+    ends = np.stack(
+        [before[:, k] if k >= 0 else after[:, i] for i, k in enumerate(following)], axis=1
+    )[..., :3, 3]
     ends[:, arm.tip_joint] = tip[:, :3, 3]
-    base = _moments(centres, weights, couples, places[:, _BASE : _BASE + 1, :3, 3], np.ones((1, n + 1), bool))
-    drive = np.where(arm.prismatic, _turned(joint, _sums(weights, arm.carried))[..., 2], _turned(after, moments)[..., 2])
+    base = _moments(
+        centres, weights, couples, places[:, _BASE : _BASE + 1, :3, 3], np.ones((1, n + 1), bool)
+    )
+    drive = np.where(
+        arm.prismatic,
+        _turned(joint, _sums(weights, arm.carried))[..., 2],
+        _turned(after, moments)[..., 2],
+    )
     if arm.pins:
         # Loads on passive joints are supported by the joints that move them (virtual work).
-        drive += np.einsum("np,npk->nk", drive[:, arm.passive], rates(arm, *joints_and_links(places)))
+        drive += np.einsum(
+            "np,npk->nk", drive[:, arm.passive], rates(arm, *joints_and_links(places))
+        )
         drive[:, arm.passive] = 0.0
     return Loads(
         before=_turned(before, moments),
@@ -325,11 +386,19 @@ def gravity_loads(
 
 
 def _moments(
-    centres: np.ndarray, weights: np.ndarray, couples: np.ndarray, origins: np.ndarray, carried: np.ndarray
+    centres: np.ndarray,
+    weights: np.ndarray,
+    couples: np.ndarray,
+    origins: np.ndarray,
+    carried: np.ndarray,
 ) -> np.ndarray:
-    """Return the sum of (centre - origin k) x weight + couple over the bodies of mask k, shape (N, k, 3)."""
+    """Return the sum of (centre - origin k) x weight + couple over the bodies of mask k, shape (N,
+    k, 3).
+    """
     pairs = zip(np.moveaxis(origins, 1, 0), carried, strict=True)
-    moments = [np.cross(centres[:, b] - o[:, None], weights[:, b]) + couples[:, b] for o, b in pairs]
+    moments = [
+        np.cross(centres[:, b] - o[:, None], weights[:, b]) + couples[:, b] for o, b in pairs
+    ]
     return np.stack([each.sum(axis=1) for each in moments], axis=1)
 
 

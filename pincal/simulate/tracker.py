@@ -1,8 +1,8 @@
 """Errors of a laser tracker, derived from the true geometry of its parts.
 
-A tracker turns its head until its beam meets the target, and reads its angle encoders and distance meter there. An effect
-maps true positions in the frame of a perfect tracker (origin at the intersection of the axes, z the standing axis) to the
-positions read by the imperfect one.
+A tracker turns its head until its beam meets the target, and reads its angle encoders and distance
+meter there. An effect maps true positions in the frame of a perfect tracker (origin at the
+intersection of the axes, z the standing axis) to the positions read by the imperfect one.
 """
 
 from __future__ import annotations
@@ -59,13 +59,17 @@ class _Circle(ReadingEffect):
         """Return positions at the angles read by one reading head."""
         read = list(spherical(position))
         angle = read[self._coordinate]
-        read[self._coordinate] = angle + np.arcsin(self.size * np.sin(self.order * angle - self.phase))
+        read[self._coordinate] = angle + np.arcsin(
+            self.size * np.sin(self.order * angle - self.phase)
+        )
         return cartesian(*read)
 
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentAzimuth(_Circle):
-    """Azimuth encoder of a tracker, eccentric or oval; ``size`` is the amplitude of its error [rad]."""
+    """Azimuth encoder of a tracker, eccentric or oval; ``size`` is the amplitude of its error
+    [rad].
+    """
 
     effect: ClassVar[str] = "instrument_azimuth"
     _coordinate: ClassVar[int] = 0
@@ -73,7 +77,9 @@ class InstrumentAzimuth(_Circle):
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentElevation(_Circle):
-    """Elevation encoder of a tracker, eccentric or oval; ``size`` is the amplitude of its error [rad]."""
+    """Elevation encoder of a tracker, eccentric or oval; ``size`` is the amplitude of its error
+    [rad].
+    """
 
     effect: ClassVar[str] = "instrument_elevation"
     _coordinate: ClassVar[int] = 1
@@ -81,10 +87,12 @@ class InstrumentElevation(_Circle):
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentTilt(ReadingEffect):
-    """Axes of a tracker that are not perpendicular; ``size`` scales the fields, which are in radians and metres.
+    """Axes of a tracker that are not perpendicular; ``size`` scales the fields, which are in
+    radians and metres.
 
     Attributes:
-        transit: Tilt of the transit axis about the horizontal line of sight, from perpendicular to the standing axis.
+        transit: Tilt of the transit axis about the horizontal line of sight, from perpendicular to
+            the standing axis.
         beam: Rotation of the beam to the right, from perpendicular to the transit axis.
         index: Elevation read with a level beam.
         behind: Offset of the transit axis behind the standing axis, seen from the target.
@@ -111,9 +119,13 @@ class InstrumentTilt(ReadingEffect):
     def _met(self, azimuth: np.ndarray, elevation: np.ndarray, distance: np.ndarray) -> np.ndarray:
         """Return the end of the beam at encoder angles and range, shape (N, 3) [m]."""
         along = np.multiply.outer(distance, np.array([1.0, 0.0, 0.0]))
-        beam = _turned("z", -self.size * self.beam, along) - self.size * np.array([0.0, self.right, self.below])
+        beam = _turned("z", -self.size * self.beam, along) - self.size * np.array(
+            [0.0, self.right, self.below]
+        )
         risen = _turned("y", self.size * self.index - elevation, beam)
-        tilted = _turned("x", self.size * self.transit, risen) - self.size * np.array([self.behind, 0.0, 0.0])
+        tilted = _turned("x", self.size * self.transit, risen) - self.size * np.array(
+            [self.behind, 0.0, 0.0]
+        )
         return _turned("z", azimuth, tilted)
 
 
@@ -169,7 +181,9 @@ def cartesian(azimuth: np.ndarray, elevation: np.ndarray, distance: np.ndarray) 
 
 
 def as_read(effects: tuple[HiddenEffect, ...], position: np.ndarray) -> np.ndarray:
-    """Return the readings of true positions [m], shape (N, 3), by an instrument with its errors among the effects."""
+    """Return the readings of true positions [m], shape (N, 3), by an instrument with its errors
+    among the effects.
+    """
     for effect in effects:
         if isinstance(effect, ReadingEffect):
             position = effect.as_read(position)

@@ -1,4 +1,6 @@
-"""Reading the arm of the true machine from a URDF with Pinocchio: placements, axes, bodies, limits, pins of loops."""
+"""Reading the arm of the true machine from a URDF with Pinocchio: placements, axes, bodies, limits,
+pins of loops.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from pincal.simulate.arm import Arm, Pin, frames, transform
 
 # The default axis of a joint.
 _X = "1 0 0"
-# Sine of the angle between a joint axis and the x axis of its frame below which x has no projection.
+# Sine of the angle between a joint axis and the x axis of its frame below which x has no
+# projection.
 _PARALLEL = 1e-6
 
 
@@ -30,24 +33,30 @@ def read_arm(
 ) -> Arm:
     """Read the arm between two frames of a URDF with Pinocchio.
 
-    Joints that are not between base and tip are locked at 0, with their bodies fixed to the links that carry them.
+    Joints that are not between base and tip are locked at 0, with their bodies fixed to the links
+    that carry them.
 
     Args:
         urdf: Path of a URDF file, or its XML text.
         tip: Name of the link at the end of the arm.
         base: Name of the link on which the arm stands; default: the root of the URDF.
         start: Name of the link in whose frame positions are given; default: the base.
-        joints: Names of the moving joints, each after the one that carries it; default: those between base and tip.
-        passive: Those of them whose positions follow from the URDF's loops; without any, loops stay open.
+        joints: Names of the moving joints, each after the one that carries it; default: those
+            between base and tip.
+        passive: Those of them whose positions follow from the URDF's loops; without any, loops stay
+            open.
 
     Raises:
-        RobotFileError: If the URDF can't be read, a frame is missing or no joint lies between base and tip.
+        RobotFileError: If the URDF can't be read, a frame is missing or no joint lies between base
+            and tip.
     """
     import pinocchio as pin
 
     root = _root(urdf)
     halves = take_pins(root)
-    full = _load(ElementTree.tostring(root, encoding="unicode"), "URDF text" if _is_text(urdf) else str(urdf))
+    full = _load(
+        ElementTree.tostring(root, encoding="unicode"), "URDF text" if _is_text(urdf) else str(urdf)
+    )
     path = [full.getJointId(name) for name in joints] or _path(full, tip, base)
     locked = [index for index in range(1, full.njoints) if index not in path]
     model = pin.buildReducedModel(full, locked, pin.neutral(full)) if locked else full
@@ -57,7 +66,9 @@ def read_arm(
 
 
 class Half(NamedTuple):
-    """One half of a pin in a URDF: link, frame on it (None: the other half's at zero) and axis in the frame."""
+    """One half of a pin in a URDF: link, frame on it (None: the other half's at zero) and axis in
+    the frame.
+    """
 
     link: str
     place: np.ndarray | None
@@ -65,15 +76,23 @@ class Half(NamedTuple):
 
 
 def take_pins(root: ElementTree.Element) -> list[tuple[str, bool, Half, Half]]:
-    """Return name, whether it is a hinge, and halves of each pin of a URDF; remove second joints of a link from it."""
+    """Return name, whether it is a hinge, and halves of each pin of a URDF; remove second joints of
+    a link from it.
+    """
     found = []
 
     def add(element: ElementTree.Element, one: Half, other: Half) -> None:
-        found.append((element.get("name", ""), element.get("type") in ("revolute", "continuous"), one, other))
+        found.append(
+            (element.get("name", ""), element.get("type") in ("revolute", "continuous"), one, other)
+        )
 
     for element in root.iterfind("constraint"):
         one, other = (
-            Half(_link(element, role), _origin(element.find(f"{role}_origin")), _axis(element.find(f"{role}_axis")))
+            Half(
+                _link(element, role),
+                _origin(element.find(f"{role}_origin")),
+                _axis(element.find(f"{role}_axis")),
+            )
             for role in ("parent", "child")
         )
         add(element, one, other)
@@ -83,9 +102,14 @@ def take_pins(root: ElementTree.Element) -> list[tuple[str, bool, Half, Half]]:
         add(element, Half(parent, None, axis), Half(child, np.eye(4), axis))
     seen = set[str]()
     for joint in sorted(root.findall("joint"), key=lambda joint: joint.get("type") != "fixed"):
-        child, axis = _link(joint, "child"), _axis(joint.find("axis"))
+        child = _link(joint, "child")
+        axis = _axis(joint.find("axis"))
         if child in seen:
-            add(joint, Half(_link(joint, "parent"), _origin(joint.find("origin")), axis), Half(child, np.eye(4), axis))
+            add(
+                joint,
+                Half(_link(joint, "parent"), _origin(joint.find("origin")), axis),
+                Half(child, np.eye(4), axis),
+            )
             root.remove(joint)
         seen.add(child)
     return found
@@ -104,11 +128,18 @@ def _origin(element: ElementTree.Element | None) -> np.ndarray:
     from scipy.spatial.transform import Rotation
 
     xyz, rpy = ("0 0 0" if element is None else element.get(key, "0 0 0") for key in ("xyz", "rpy"))
-    return transform(Rotation.from_euler("xyz", np.array(rpy.split(), float)).as_matrix(), np.array(xyz.split(), float))
+    return transform(
+        Rotation.from_euler("xyz", np.array(rpy.split(), float)).as_matrix(),
+        np.array(xyz.split(), float),
+    )
 
 
 def _with_pins(
-    arm: Arm, model: Any, base: str | None, halves: list[tuple[str, bool, Half, Half]], passive: Collection[str]
+    arm: Arm,
+    model: Any,
+    base: str | None,
+    halves: list[tuple[str, bool, Half, Half]],
+    passive: Collection[str],
 ) -> Arm:
     import pinocchio as pin
 
@@ -117,7 +148,8 @@ def _with_pins(
     origin = data.oMf[_frame_id(model, base)].inverse() if base else pin.SE3.Identity()
     # Working frames of the joints at position 0, and last the base's.
     working = np.roll(frames(arm, np.zeros((1, len(arm.names))))[0, :-1], -1, axis=0)
-    links, moved = {}, {}
+    links = {}
+    moved = {}
     for frame, place in zip(model.frames, data.oMf, strict=True):
         if frame.type == pin.BODY:
             name = model.names[frame.parentJoint]
@@ -127,10 +159,16 @@ def _with_pins(
     for name, is_hinge, one, other in halves:
         end = links[other.link] @ other.place
         start = end if one.place is None else links[one.link] @ one.place
-        places = [place @ transform(_working_frame(half.axis)) for place, half in ((start, one), (end, other))]
+        places = [
+            place @ transform(_working_frame(half.axis))
+            for place, half in ((start, one), (end, other))
+        ]
         joints = moved[one.link], moved[other.link]
         if joints[0] != joints[1]:
-            inside = [np.linalg.solve(working[joint], place) for joint, place in zip(joints, places, strict=True)]
+            inside = [
+                np.linalg.solve(working[joint], place)
+                for joint, place in zip(joints, places, strict=True)
+            ]
             pins.append(Pin(name, joints, np.array(inside), is_hinge))
     return replace(arm, pins=tuple(pins), passive=tuple(arm.index(name) for name in passive))
 
@@ -139,7 +177,11 @@ def _root(urdf: str | Path) -> ElementTree.Element:
     if not _is_text(urdf) and not Path(urdf).is_file():
         raise RobotFileError(f"{urdf}: no such file; expected a URDF")
     try:
-        return ElementTree.fromstring(str(urdf)) if _is_text(urdf) else ElementTree.parse(urdf).getroot()
+        return (
+            ElementTree.fromstring(str(urdf))
+            if _is_text(urdf)
+            else ElementTree.parse(urdf).getroot()
+        )
     except ElementTree.ParseError as error:
         raise RobotFileError(f"{'URDF text' if _is_text(urdf) else urdf}: {error}") from error
 
@@ -157,14 +199,18 @@ def _is_text(urdf: str | Path) -> bool:
     return str(urdf).lstrip().startswith("<")
 
 
-def _mimics(root: ElementTree.Element, names: tuple[str, ...]) -> tuple[tuple[int, int, float, float], ...]:
+def _mimics(
+    root: ElementTree.Element, names: tuple[str, ...]
+) -> tuple[tuple[int, int, float, float], ...]:
     """Return the mimic joints of the arm: joint, source, multiplier and offset."""
     found = []
     for joint in root.iterfind("joint"):
         mimic = joint.find("mimic")
         if mimic is not None and joint.get("name") in names and mimic.get("joint") in names:
             indices = names.index(str(joint.get("name"))), names.index(str(mimic.get("joint")))
-            found.append((*indices, float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))))
+            found.append(
+                (*indices, float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0)))
+            )
     return tuple(found)
 
 
@@ -179,24 +225,35 @@ def _frame_id(model: Any, name: str) -> int:
 
 
 def _path(model: Any, tip: str, base: str | None) -> list[int]:
-    tip_joint, base_joint = (model.frames[_frame_id(model, end)].parentJoint if end else 0 for end in (tip, base))
-    path = [index for index in model.supports[tip_joint] if index and index not in model.supports[base_joint]]
+    tip_joint, base_joint = (
+        model.frames[_frame_id(model, end)].parentJoint if end else 0 for end in (tip, base)
+    )
+    path = [
+        index
+        for index in model.supports[tip_joint]
+        if index and index not in model.supports[base_joint]
+    ]
     if not path:
-        raise RobotFileError(f"no joint between base {base!r} and tip {tip!r}; name a tip that the joints move")
+        raise RobotFileError(
+            f"no joint between base {base!r} and tip {tip!r}; name a tip that the joints move"
+        )
     return path
 
 
 def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Sequence[str]) -> Arm:
     import pinocchio as pin
 
-    data, q = model.createData(), pin.neutral(model)
+    data = model.createData()
+    q = pin.neutral(model)
     pin.computeJointJacobians(model, data, q)
     pin.framesForwardKinematics(model, data, q)
     origin = data.oMf[_frame_id(model, base)] if base else pin.SE3.Identity()
     joints = [model.getJointId(name) for name in order]
     twists = [_twist(model, data, i) for i in joints]
     prismatic = np.array([not np.any(twist[3:]) for twist in twists])
-    axes = np.array([_working_frame(t[:3] if p else t[3:]) for t, p in zip(twists, prismatic, strict=True)])
+    axes = np.array(
+        [_working_frame(t[:3] if p else t[3:]) for t, p in zip(twists, prismatic, strict=True)]
+    )
     working = {0: origin.homogeneous} | {
         i: data.oMi[i].homogeneous @ transform(axis) for i, axis in zip(joints, axes, strict=True)
     }
@@ -211,8 +268,15 @@ def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Se
         prismatic=prismatic,
         placements=np.array(placements),
         masses=np.array([model.inertias[i].mass for i in joints]),
-        centres=np.array([axis.T @ model.inertias[i].lever for i, axis in zip(joints, axes, strict=True)]),
-        inertias=np.array([axis.T @ model.inertias[i].inertia @ axis for i, axis in zip(joints, axes, strict=True)]),
+        centres=np.array(
+            [axis.T @ model.inertias[i].lever for i, axis in zip(joints, axes, strict=True)]
+        ),
+        inertias=np.array(
+            [
+                axis.T @ model.inertias[i].inertia @ axis
+                for i, axis in zip(joints, axes, strict=True)
+            ]
+        ),
         axes=axes,
         lower=lower,
         upper=upper,
@@ -224,21 +288,31 @@ def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Se
 
 
 def _twist(model: Any, data: Any, joint: int) -> np.ndarray:
-    """Return the direction, linear then angular, in which a joint moves its own frame, shape (6,)."""
+    """Return the direction, linear then angular, in which a joint moves its own frame,
+    shape (6,).
+    """
     import pinocchio as pin
 
     if model.joints[joint].nv != 1:
-        raise RobotFileError(f"joint {model.names[joint]!r}: has several freedoms; expected revolute or prismatic")
+        raise RobotFileError(
+            f"joint {model.names[joint]!r}: has several freedoms; expected revolute or prismatic"
+        )
     jacobian = np.reshape(pin.getJointJacobian(model, data, joint, pin.LOCAL), (6, -1))
     return np.asarray(jacobian[:, model.joints[joint].idx_v])
 
 
-def _limits(model: Any, prismatic: np.ndarray, joints: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+def _limits(
+    model: Any, prismatic: np.ndarray, joints: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return limits; default: half a turn, or half a metre, to either side."""
-    lower, upper = [], []
+    lower = []
+    upper = []
     for slides, joint in zip(prismatic, [model.joints[i] for i in joints], strict=True):
-        low, high = model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]
-        bounded = joint.nq == 1 and np.isfinite([low, high]).all() and low < high and high - low < 1e3
+        low = model.lowerPositionLimit[joint.idx_q]
+        high = model.upperPositionLimit[joint.idx_q]
+        bounded = (
+            joint.nq == 1 and np.isfinite([low, high]).all() and low < high and high - low < 1e3
+        )
         reach = 0.5 if slides else np.pi
         lower.append(low if bounded else -reach)
         upper.append(high if bounded else reach)
@@ -246,7 +320,9 @@ def _limits(model: Any, prismatic: np.ndarray, joints: Sequence[int]) -> tuple[n
 
 
 def _working_frame(axis: np.ndarray) -> np.ndarray:
-    """Return the rotation whose z is the axis and whose x is the URDF frame's x (or y) projected."""
+    """Return the rotation whose z is the axis and whose x is the URDF frame's x (or y)
+    projected.
+    """
     z = axis / np.linalg.norm(axis)
     x = np.eye(3)[0] - z[0] * z
     if np.linalg.norm(x) < _PARALLEL:

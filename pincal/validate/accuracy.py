@@ -1,16 +1,18 @@
-r"""Errors of a model at measured poses in practical units, and accuracy and repeatability by ISO 9283.
+r"""Errors of a model at measured poses in practical units, and accuracy and repeatability by ISO
+9283.
 
-The error at a pose is the distance between the predicted and the measured target: the position accuracy of ISO 9283 for a
-single measurement. The orientation error is one angle.
+The error at a pose is the distance between the predicted and the measured target: the position
+accuracy of ISO 9283 for a single measurement. The orientation error is one angle.
 
-Replicates, repeated measurements of one pose, are found by :mod:`pincal.measure.poses`. With l_j the distance of replicate j
-from the mean of n replicates,
+Replicates, repeated measurements of one pose, are found by :mod:`pincal.measure.poses`. With l_j
+the distance of replicate j from the mean of n replicates,
 
 .. math:: AP = |\bar x - x_c|, \quad RP = \bar l + 3 S_l, \quad AP_a = |\bar a - a_c|, \quad RP_a = 3 S_a
 
-(ISO 9283:1998, 7.2; S with n - 1; a, b, c turn about x, y, z). The commanded pose of the standard is here the prediction for
-the joint positions that were read: AP is the accuracy of a controller that uses this model. Both follow from residuals, so
-that small differences in the final joint positions do not count as the arm's error.
+(ISO 9283:1998, 7.2; S with n - 1; a, b, c turn about x, y, z). The commanded pose of the standard
+is here the prediction for the joint positions that were read: AP is the accuracy of a controller
+that uses this model. Both follow from residuals, so that small differences in the final joint
+positions do not count as the arm's error.
 
 A pose with any replicate among the fitted rows does not count as held out.
 """
@@ -39,15 +41,20 @@ _ANGLES = "abc"
 ERROR_UNITS = ("mm", "mrad", "px", "m/s^2", "mrad/s")
 """Units of errors."""
 
-ANGLE_WORDS = {"AP_mm": "mm"} | {f"AP_{a}_mrad": f"mrad about {axis}" for a, axis in zip(_ANGLES, "xyz", strict=True)}
+ANGLE_WORDS = {"AP_mm": "mm"} | {
+    f"AP_{a}_mrad": f"mrad about {axis}" for a, axis in zip(_ANGLES, "xyz", strict=True)
+}
 """Unit of each kind of accuracy."""
 
 
-def pose_error_sizes(station: Station, values: np.ndarray, *, residuals: np.ndarray | None = None) -> dict[str, np.ndarray]:
-    """Return the size of the error at each row by its unit, one of ``ERROR_UNITS``, shape (N,) each; empty without rows.
+def pose_error_sizes(
+    station: Station, values: np.ndarray, *, residuals: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
+    """Return the size of the error at each row by its unit, one of ``ERROR_UNITS``, shape (N,)
+    each; empty without rows.
 
-    Errors of images are also given in mm, across the view at the distance of the point. ``residuals``, shape (m, N), are of
-    predictions by nearby values; default: by these.
+    Errors of images are also given in mm, across the view at the distance of the point.
+    ``residuals``, shape (m, N), are of predictions by nearby values; default: by these.
     """
     if not len(station):
         return {}
@@ -65,8 +72,8 @@ def pose_error_sizes(station: Station, values: np.ndarray, *, residuals: np.ndar
 def error_summary(station: Station, values: np.ndarray) -> dict[str, float]:
     """Return the statistics of the errors by name and unit; empty without rows.
 
-    They are ``mean_mm``, ``median_mm``, ``rms_mm``, ``p95_mm`` (95th percentile) and ``max_mm``; for orientations
-    ``mean_mrad`` and so on, for images ``mean_px`` and so on.
+    They are ``mean_mm``, ``median_mm``, ``rms_mm``, ``p95_mm`` (95th percentile) and ``max_mm``;
+    for orientations ``mean_mrad`` and so on, for images ``mean_px`` and so on.
     """
     return error_statistics([pose_error_sizes(station, values)])
 
@@ -74,7 +81,8 @@ def error_summary(station: Station, values: np.ndarray) -> dict[str, float]:
 def error_statistics(
     parts: Iterable[Mapping[str, ArrayLike]], *, shares: Iterable[np.ndarray] | None = None
 ) -> dict[str, float]:
-    """Return the statistics of errors by unit, as from :func:`pose_error_sizes`, of several stations together.
+    """Return the statistics of errors by unit, as from :func:`pose_error_sizes`, of several
+    stations together.
 
     Args:
         parts: the errors of each station.
@@ -86,7 +94,9 @@ def error_statistics(
     for part, share in zip(parts, given, strict=False):
         for unit, sizes in part.items():
             errors.setdefault(unit, []).append(sizes)
-            weights.setdefault(unit, []).append(np.ones(np.shape(sizes)) if share is None else share)
+            weights.setdefault(unit, []).append(
+                np.ones(np.shape(sizes)) if share is None else share
+            )
     return {
         name: value
         for unit, of_unit in errors.items()
@@ -95,19 +105,24 @@ def error_statistics(
 
 
 def leading_block(fit: ModelFit) -> int:
-    """Return the number of the first block of readings that determines positions; if none does, of the first of all."""
+    """Return the number of the first block of readings that determines positions; if none does, of
+    the first of all.
+    """
     stations = ((station, blocks.start) for station, _, blocks in fit.stations)
     return next((first for station, first in stations if station.sensor.reads_place), 0)
 
 
 def leading_unit(statistics: Mapping[str, float]) -> str:
-    """Return the unit of the leading errors: of positions or, if no reading determines any, images or accelerations."""
+    """Return the unit of the leading errors: of positions or, if no reading determines any, images
+    or accelerations.
+    """
     return next(unit for unit in ("mm", "px", "m/s^2") if f"mean_{unit}" in statistics)
 
 
 def _statistics(errors: np.ndarray, weights: np.ndarray, unit: str) -> Iterator[tuple[str, float]]:
     if np.all(weights == weights[0]):
-        middle, most = np.median(errors), np.percentile(errors, 95)
+        middle = np.median(errors)
+        most = np.percentile(errors, 95)
     else:
         middle, most = (weighted_quantile(errors, weights, part) for part in (0.5, 0.95))
     yield f"mean_{unit}", float(np.average(errors, weights=weights))
@@ -118,7 +133,8 @@ def _statistics(errors: np.ndarray, weights: np.ndarray, unit: str) -> Iterator[
 
 
 def weighted_quantile(values: np.ndarray, weights: np.ndarray, part: float) -> float:
-    """Return the value below which a part of the weight lies, halfway between the middles of two weights.
+    """Return the value below which a part of the weight lies, halfway between the middles of two
+    weights.
 
     Example:
         >>> weighted_quantile(np.array([3.0, 1.0, 2.0]), np.array([1.0, 1.0, 2.0]), 0.5)
@@ -137,7 +153,8 @@ class Replicates:
         part: "train" or "test".
         table: the rows.
         station: model and readings.
-        pose: shape (N,), number of each row's pose; the tables of one calibration share the numbers.
+        pose: shape (N,), number of each row's pose; the tables of one calibration share the
+            numbers.
         counted: shape (N,), rows that are no outliers.
     """
 
@@ -164,7 +181,9 @@ def position_accuracy(residuals: np.ndarray) -> tuple[float, float]:
 
 
 def angle_accuracy(residuals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return AP and RP of one pose's orientation about each axis, shape (3,) [rad], for residuals as above [rad]."""
+    """Return AP and RP of one pose's orientation about each axis, shape (3,) [rad], for residuals
+    as above [rad].
+    """
     return np.abs(residuals.mean(axis=1)), 3.0 * residuals.std(axis=1, ddof=1)
 
 
@@ -178,42 +197,53 @@ def iso9283(
 
     Args:
         parts: fitted and held-out rows, of which outliers are excluded.
-        models: name of a model -> shape (P,), its values; the last one's figures are given pose by pose.
-        residuals: name of a model -> shape (m, N), attained minus predicted readings of all rows, where these are of
-            other predictions than by ``models``, such as of fits without the pose.
+        models: name of a model -> shape (P,), its values; the last one's figures are given pose by
+            pose.
+        residuals: name of a model -> shape (m, N), attained minus predicted readings of all rows,
+            where these are of other predictions than by ``models``, such as of fits without the
+            pose.
 
     Returns:
-        This entry of ``result.json``: number of poses and cycles, mean and largest AP and RP by model and part [mm, mrad],
+        This entry of ``result.json``: number of poses and cycles, mean and largest AP and RP by
+        model and part [mm, mrad],
             and the poses one by one. None without any such pose, or where no position is measured.
     """
     if not parts[0].station.sensor.reads_pose:
         return None
     if residuals is None:
         residuals = {
-            model: np.hstack([part.station.residuals(values) for part in parts]) for model, values in models.items()
+            model: np.hstack([part.station.residuals(values) for part in parts])
+            for model, values in models.items()
         }
     by_model = {model: _all_poses(parts, of_model) for model, of_model in residuals.items()}
     poses = by_model[list(models)[-1]]
     if not poses:
         return None
-    cycles, rows = [pose["cycles"] for pose in poses], [pose["rows"] for pose in poses]
+    cycles = [pose["cycles"] for pose in poses]
+    rows = [pose["rows"] for pose in poses]
     counts = {part: rows.count(part) for part in dict.fromkeys(rows)}
     return {
         "poses": counts,
         "cycles": {"min": min(cycles), "max": max(cycles), "standard": CYCLES},
-        **{m: {part: _summary([e for e in found if e["rows"] == part]) for part in counts} for m, found in by_model.items()},
+        **{
+            m: {part: _summary([e for e in found if e["rows"] == part]) for part in counts}
+            for m, found in by_model.items()
+        },
         "per_pose": poses,
     }
 
 
 def _all_poses(parts: Sequence[Replicates], residuals: np.ndarray) -> list[dict[str, Any]]:
-    """Return AP and RP of each pose with replicates, in the order of the tables, of residuals of shape (m, N)."""
+    """Return AP and RP of each pose with replicates, in the order of the tables, of residuals of
+    shape (m, N).
+    """
     pose = np.concatenate([np.where(v.counted, v.pose, -1) for v in parts])
     rows = [(v, i) for v in parts for i in range(len(v.table))]
     found = []
     for members in groups(pose):
         part, i = rows[members[0]]
-        table, is_fitted = part.table, any(rows[member][0].part == "train" for member in members)
+        table = part.table
+        is_fitted = any(rows[member][0].part == "train" for member in members)
         entry: dict[str, Any] = {
             "file": table.source,
             "line": int(table.rows[i]),
@@ -227,14 +257,18 @@ def _all_poses(parts: Sequence[Replicates], residuals: np.ndarray) -> list[dict[
 
 
 def groups(pose: np.ndarray) -> list[np.ndarray]:
-    """Return the row indices of each pose with replicates, given the number of each row's pose, shape (N,), -1 for none."""
+    """Return the row indices of each pose with replicates, given the number of each row's pose,
+    shape (N,), -1 for none.
+    """
     order = np.argsort(pose, kind="stable")
     cuts = np.flatnonzero(np.diff(pose[order])) + 1
     return [rows for rows in np.split(order, cuts) if len(rows) > 1 and pose[rows[0]] >= 0]
 
 
 def _figures(residuals: np.ndarray) -> dict[str, float]:
-    """Return AP and RP by name [mm, mrad], of residuals of a position, shape (3, n), or a pose, shape (6, n)."""
+    """Return AP and RP by name [mm, mrad], of residuals of a position, shape (3, n), or a pose,
+    shape (6, n).
+    """
     accuracy, repeatability = position_accuracy(residuals[:3])
     found = {"AP_mm": 1e3 * accuracy, "RP_mm": 1e3 * repeatability}
     if len(residuals) == 6:
@@ -246,7 +280,10 @@ def _figures(residuals: np.ndarray) -> dict[str, float]:
 def _summary(poses: list[dict[str, Any]]) -> dict[str, dict[str, float]]:
     names = [name for name in poses[0] if name.startswith(("AP", "RP"))]
     values = {name: [pose[name] for pose in poses] for name in names}
-    return {name: {"mean": float(np.mean(found)), "max": float(np.max(found))} for name, found in values.items()}
+    return {
+        name: {"mean": float(np.mean(found)), "max": float(np.max(found))}
+        for name, found in values.items()
+    }
 
 
 def cycle_words(iso: Mapping[str, Any]) -> str:
@@ -256,6 +293,14 @@ def cycle_words(iso: Mapping[str, Any]) -> str:
         >>> cycle_words({"poses": {"train": 4, "test": 1}, "cycles": {"min": 3, "max": 5, "standard": 30}})
         '5 poses, 3 to 5 cycles each; ISO 9283 specifies 30, so AP and especially RP are rough estimates'
     """
-    poses, least, most = sum(iso["poses"].values()), iso["cycles"]["min"], iso["cycles"]["max"]
-    words = f"{counted(poses, 'pose')}, {least if least == most else f'{least} to {most}'} cycles each"
-    return words if least >= CYCLES else f"{words}; ISO 9283 specifies {CYCLES}, so AP and especially RP are rough estimates"
+    poses = sum(iso["poses"].values())
+    least = iso["cycles"]["min"]
+    most = iso["cycles"]["max"]
+    words = (
+        f"{counted(poses, 'pose')}, {least if least == most else f'{least} to {most}'} cycles each"
+    )
+    return (
+        words
+        if least >= CYCLES
+        else f"{words}; ISO 9283 specifies {CYCLES}, so AP and especially RP are rough estimates"
+    )

@@ -21,8 +21,8 @@ _LEAST = 1e-3
 def check_clocks(tables: Sequence[Measurements], fit: ModelFit) -> None:
     """Refuse a table whose clock jumps, given the rows of each station and their calibration.
 
-    A nominal arm shows only large jumps (:func:`pincal.motion.starts.check_clock`); residuals of the calibrated one show
-    jumps by a single image.
+    A nominal arm shows only large jumps (:func:`pincal.motion.starts.check_clock`); residuals of
+    the calibrated one show jumps by a single image.
 
     Raises:
         MeasurementError: naming the row from which on the clock is shifted.
@@ -33,23 +33,38 @@ def check_clocks(tables: Sequence[Measurements], fit: ModelFit) -> None:
         if not (is_offset & solution.free[places]).any() or table.time is None:
             continue
         some = station.sample(_ROWS)
-        jump = _jump(some, solution.values[places], solution.free[places], is_offset, solution.estimated[blocks])
+        jump = _jump(
+            some,
+            solution.values[places],
+            solution.free[places],
+            is_offset,
+            solution.estimated[blocks],
+        )
         if jump.is_sure(_LEAST):
             line = table.rows[table.time >= jump.time].min(initial=table.rows.max())
             raise MeasurementError(f"{table.source}, about line {line}: {jump}")
 
 
-def _jump(station: Station, values: np.ndarray, free: np.ndarray, is_offset: np.ndarray, noise: np.ndarray) -> Jump:
-    """Return the likeliest jump of a station's clock, whose offset is one of the free parameters (masks)."""
+def _jump(
+    station: Station, values: np.ndarray, free: np.ndarray, is_offset: np.ndarray, noise: np.ndarray
+) -> Jump:
+    """Return the likeliest jump of a station's clock, whose offset is one of the free parameters
+    (masks).
+    """
     assert station.conditions.time is not None
-    parts = [(left.T, columns.transpose(2, 1, 0)) for _, left, columns in station.linearise(values, free)]
+    parts = [
+        (left.T, columns.transpose(2, 1, 0)) for _, left, columns in station.linearise(values, free)
+    ]
     scale = station.weights[:, None] / np.repeat(noise, station.block_sizes)
     left, columns = (np.concatenate(of) for of in zip(*parts, strict=True))
-    left, columns = left * scale, columns * scale[:, :, None]
+    left = left * scale
+    columns = columns * scale[:, :, None]
     Q = np.linalg.qr(columns.reshape(left.size, -1))[0]
 
     def projected(steps: np.ndarray) -> np.ndarray:
         flat = steps.reshape(left.size, -1)
         return np.asarray((flat - Q @ (Q.T @ flat)).reshape(steps.shape))
 
-    return likeliest_jump(station.conditions.time, left, columns[:, :, np.argmax(is_offset[free])], projected)
+    return likeliest_jump(
+        station.conditions.time, left, columns[:, :, np.argmax(is_offset[free])], projected
+    )

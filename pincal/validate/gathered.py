@@ -1,13 +1,14 @@
 """Whether errors cluster: wrong readings occur anywhere, errors of a robot in one place.
 
-Rejected rows that are neighbours in the positions of a joint, or in the order of the rows, are counted in windows from one
-of them to another. The probability that as many of all rejected rows fall into a window of so many rows is at most binomial;
-all windows are accounted for (Bonferroni). It is a scan statistic: Kulldorff 1997, Commun. Stat. 26, 1481-1496.
+Rejected rows that are neighbours in the positions of a joint, or in the order of the rows, are
+counted in windows from one of them to another. The probability that as many of all rejected rows
+fall into a window of so many rows is at most binomial; all windows are accounted for (Bonferroni).
+It is a scan statistic: Kulldorff 1997, Commun. Stat. 26, 1481-1496.
 
-A bump of a drive, which need not make outliers, displaces the targets of all poses in a narrow window of its joint: the
-errors along the joint's lever have one sign there. The mean of each such window, each row clipped so that a few wrong
-readings do not make one, is compared with all other windows of that width: a model error everywhere makes these larger, too,
-and is no bump.
+A bump of a drive, which need not make outliers, displaces the targets of all poses in a narrow
+window of its joint: the errors along the joint's lever have one sign there. The mean of each such
+window, each row clipped so that a few wrong readings do not make one, is compared with all other
+windows of that width: a model error everywhere makes these larger, too, and is no bump.
 """
 
 from __future__ import annotations
@@ -27,16 +28,22 @@ from pincal.measure.poses import SCATTER, same_joints
 # False-alarm probability for a cluster of outliers.
 _CHANCE = 1e-4
 # Fewest outliers that make a cluster, and the most for which all windows are tested.
-_FEWEST, _MOST = 3, 200
-# Fewest rows in a window in which a joint may have a bump, the ratio of consecutive widths, and the largest fraction of all
-# rows in a window: others have to show what windows are like.
-_IN_BUMP, _WIDER, _PART = 5, 1.4, 1 / 8
-# Multiples of the typical error to which rows are clipped, and beyond which they are outliers and excluded: a few wrong rows
-# make no bump.
-_CLIPPED, _OUTLIER = 4.0, 8.0
-# False-alarm probability for a bump; number of permutations that determine it, and the p-value for disjoint windows, 5 to 50
-# times as large, up to which they are drawn.
-_CHANCE_OF_BUMP, _ORDERS, _LIKELY = 0.005, 200, 0.25
+_FEWEST = 3
+_MOST = 200
+# Fewest rows in a window in which a joint may have a bump, the ratio of consecutive widths, and the
+# largest fraction of all rows in a window: others have to show what windows are like.
+_IN_BUMP = 5
+_WIDER = 1.4
+_PART = 1 / 8
+# Multiples of the typical error to which rows are clipped, and beyond which they are outliers and
+# excluded: a few wrong rows make no bump.
+_CLIPPED = 4.0
+_OUTLIER = 8.0
+# False-alarm probability for a bump; number of permutations that determine it, and the p-value for
+# disjoint windows, 5 to 50 times as large, up to which they are drawn.
+_CHANCE_OF_BUMP = 0.005
+_ORDERS = 200
+_LIKELY = 0.25
 # Errors whose windows are computed at once.
 _AT_ONCE = 50_000
 # Standard deviation over the median absolute error, for normal noise.
@@ -54,7 +61,8 @@ class Gathering:
     Attributes:
         rows: the rows of the station.
         among: number of rows there, rejected or not.
-        variable: name of the joint along whose positions they cluster, "line" for the order of the rows.
+        variable: name of the joint along whose positions they cluster, "line" for the order of the
+            rows.
         low, high: its range [rad or m; line].
         p_value: probability of as many outliers in any such place.
         size: mean error of the joint there [rad or m]; None for outliers.
@@ -70,7 +78,9 @@ class Gathering:
 
 
 def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
-    """Return the most significant cluster of rejected rows, a mask of shape (N,); None if they may lie anywhere."""
+    """Return the most significant cluster of rejected rows, a mask of shape (N,); None if they may
+    lie anywhere.
+    """
     if station.conditions.inertial is not None:
         # A moving arm passes a place within a moment: consecutive wrong readings there are one.
         rejected = rejected & ~np.append(False, rejected[:-1])
@@ -80,7 +90,10 @@ def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
     order = np.arange(len(rejected), dtype=float) if station.position is None else station.position
     features = [*station.conditions.q.T, order]
     found = [
-        (p_value, k, low, high) for k, x in enumerate(features) if np.ptp(x) for p_value, low, high in _thickest(x, rejected)
+        (p_value, k, low, high)
+        for k, x in enumerate(features)
+        if np.ptp(x)
+        for p_value, low, high in _thickest(x, rejected)
     ]
     if not found:
         return None
@@ -89,27 +102,38 @@ def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
     if p_value > _CHANCE:
         return None
     inside = (features[k] >= low) & (features[k] <= high)
-    return Gathering(np.flatnonzero(inside & rejected), int(inside.sum()), names[k], low, high, p_value)
+    return Gathering(
+        np.flatnonzero(inside & rejected), int(inside.sum()), names[k], low, high, p_value
+    )
 
 
 def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
-    """Return the range of a joint in which all targets are displaced alike, as by a bump of its drive; None if none is.
+    """Return the range of a joint in which all targets are displaced alike, as by a bump of its
+    drive; None if none is.
 
-    Arms in motion are not tested: an error that lasts for a moment is in a narrow window of each joint. Arguments as for
+    Arms in motion are not tested: an error that lasts for a moment is in a narrow window of each
+    joint. Arguments as for
     :func:`fields_of_setup`, rejected rows included.
     """
     is_moving = station.conditions.inertial is not None
-    if is_moving or not station.sensor.reads_pose or station.serial is not None or len(station) * _PART < _IN_BUMP:
+    if (
+        is_moving
+        or not station.sensor.reads_pose
+        or station.serial is not None
+        or len(station) * _PART < _IN_BUMP
+    ):
         return None
     pose = np.unique(same_joints(station.conditions.q, SCATTER), return_inverse=True)[1].ravel()
     if (pose.max() + 1) * _PART < _IN_BUMP:
         return None
-    off, fields = station.displacements(values), list(fields_of_joints(station, values))
+    off = station.displacements(values)
+    fields = list(fields_of_joints(station, values))
     every = [_Windows.along(field, station, off, pose) for field in fields]
     if not every:
         return None
     surprises = [float(windows.surprises(windows.off).max()) for windows in every]
-    best, most = every[int(np.argmax(surprises))], max(surprises)
+    best = every[int(np.argmax(surprises))]
+    most = max(surprises)
     if np.exp(-most) * len(best.q) * len(best.widths) > _LIKELY:
         return None
     p_value = best.chance(most) * len(fields)
@@ -139,8 +163,12 @@ class _Windows:
     off: np.ndarray
 
     @classmethod
-    def along(cls, field: MotionField, station: Station, off: np.ndarray, pose: np.ndarray) -> _Windows:
-        """Return the windows of a joint for errors ``off`` of the targets, shape (rows, 3) [m], at poses, shape (rows,)."""
+    def along(
+        cls, field: MotionField, station: Station, off: np.ndarray, pose: np.ndarray
+    ) -> _Windows:
+        """Return the windows of a joint for errors ``off`` of the targets, shape (rows, 3) [m], at
+        poses, shape (rows,).
+        """
         _, first = np.unique(pose, return_index=True)
         q = station.conditions.q[first, station.model.chain.robot.joint_names.index(field.name)]
         order = np.argsort(q, kind="stable")
@@ -158,10 +186,14 @@ class _Windows:
     def _clipped(self, off: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the typical size of errors [m], and clipped errors in units of it, shape (N,)."""
         typical = max(_NORMAL * float(np.median(np.abs(off))), 1e-300)
-        return typical, np.where(np.abs(off) < _OUTLIER * typical, np.clip(off / typical, -_CLIPPED, _CLIPPED), 0.0)
+        return typical, np.where(
+            np.abs(off) < _OUTLIER * typical, np.clip(off / typical, -_CLIPPED, _CLIPPED), 0.0
+        )
 
     def _means(self, clipped: np.ndarray) -> Iterator[np.ndarray]:
-        """Yield for each width the means of all windows, in standard deviations, for clipped errors, shape (D, N)."""
+        """Yield for each width the means of all windows, in standard deviations, for clipped
+        errors, shape (D, N).
+        """
         sums = np.pad(np.cumsum(self.lever * clipped, axis=1), ((0, 0), (1, 0)))
         squares = np.append(0.0, np.cumsum(self.lever**2))
         for m in self.widths:
@@ -169,7 +201,9 @@ class _Windows:
             yield means / np.maximum(1.0, _NORMAL * np.median(means, axis=1, keepdims=True))
 
     def surprises(self, off: np.ndarray) -> np.ndarray:
-        """Return minus the log p-value of the most significant window of each width, shape (widths,)."""
+        """Return minus the log p-value of the most significant window of each width, shape
+        (widths,).
+        """
         return self._surprises(self._clipped(off)[1][None])[:, 0]
 
     def _surprises(self, clipped: np.ndarray) -> np.ndarray:
@@ -193,21 +227,28 @@ class _Windows:
     def gathering(self, p_value: float) -> Gathering:
         """Return the most significant window."""
         k = int(np.argmax(self.surprises(self.off)))
-        first, m = int(np.argmax(list(self._means(self._clipped(self.off)[1][None]))[k][0])), self.widths[k]
+        first = int(np.argmax(list(self._means(self._clipped(self.off)[1][None]))[k][0]))
+        m = self.widths[k]
         inside = slice(first, first + m)
         # Wrong readings among them are clipped for the size, too.
         typical, clipped = self._clipped(self.off)
-        size = typical * float(self.lever[inside] @ clipped[inside] / (self.lever[inside] @ self.lever[inside]))
-        low, high = self.q[first], self.q[first + m - 1]
+        size = typical * float(
+            self.lever[inside] @ clipped[inside] / (self.lever[inside] @ self.lever[inside])
+        )
+        low = self.q[first]
+        high = self.q[first + m - 1]
         rows = np.flatnonzero(np.isin(self.pose, self.order[inside]))
         return Gathering(rows, len(rows), self.joint, float(low), float(high), p_value, size)
 
 
 def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, float, float]]:
-    """Yield the p-value and the ends of the window of x with the most significant number of rejected rows."""
+    """Yield the p-value and the ends of the window of x with the most significant number of
+    rejected rows.
+    """
     order = np.sort(x)
     ends = np.sort(x[rejected])
-    first, last = np.searchsorted(order, ends, "left"), np.searchsorted(order, ends, "right")
+    first = np.searchsorted(order, ends, "left")
+    last = np.searchsorted(order, ends, "right")
     i, j = np.triu_indices(len(ends), _FEWEST - 1)
     if len(i):
         chances = bdtrc(j - i, len(ends), (last[j] - first[i]) / len(x))
@@ -218,7 +259,8 @@ def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, floa
 def in_common(station: Station, values: np.ndarray, table: Measurements, apart: np.ndarray) -> str:
     """Return what rows that do not fit have in common, in words; empty if nothing is found.
 
-    ``apart``, shape (N,), are the rows of the table, and of the calibrated model's station, that do not fit.
+    ``apart``, shape (N,), are the rows of the table, and of the calibrated model's station, that do
+    not fit.
     """
     for name, unit, feature in _features(table):
         for word, inside in _subsamples(feature, apart):
@@ -231,16 +273,32 @@ def in_common(station: Station, values: np.ndarray, table: Measurements, apart: 
     for field in fields_of_joints(station, values):
         along = field.directions[apart, :, 0]
         angle = float(np.sum(off * along) / max(float(np.sum(along**2)), 1e-300))
-        explained.append((1.0 - float(np.sum((off - along * angle) ** 2)) / squares, field.name, angle, field.unit))
+        explained.append(
+            (
+                1.0 - float(np.sum((off - along * angle) ** 2)) / squares,
+                field.name,
+                angle,
+                field.unit,
+            )
+        )
     share, name, angle, unit = max(explained, default=(0.0, "", 0.0, ""))
-    return f"{name} appears to be misread by {abs(angle) * 1e3:.3g} m{unit} in them" if share >= _EXPLAINED else ""
+    return (
+        f"{name} appears to be misread by {abs(angle) * 1e3:.3g} m{unit} in them"
+        if share >= _EXPLAINED
+        else ""
+    )
 
 
 def _features(table: Measurements) -> Iterator[tuple[str, str, np.ndarray]]:
     """Yield name, unit and values of each column that rows may have in common."""
     joints = ((name, "", q) for name, q in zip(table.joint_names, table.q.T, strict=True))
     conditions = (("payload", " kg", table.payload), ("temperature", " deg C", table.temperature))
-    for name, unit, column in (("line", "", table.rows.astype(float)), ("time", " s", table.time), *joints, *conditions):
+    for name, unit, column in (
+        ("line", "", table.rows.astype(float)),
+        ("time", " s", table.time),
+        *joints,
+        *conditions,
+    ):
         if column is not None:
             yield name, unit, column
 
@@ -249,10 +307,12 @@ def _subsamples(feature: np.ndarray, apart: np.ndarray) -> Iterator[tuple[str, n
     """Yield the rows below and above the value that best separates those that do not fit."""
     order = np.argsort(feature, kind="stable")
     wrong = np.cumsum(apart[order])
-    n, total = len(apart), int(apart.sum())
+    n = len(apart)
+    total = int(apart.sum())
     ends = np.flatnonzero(np.append(np.diff(feature[order]) > 0, False))
     if not len(ends):
         return
-    right, values = wrong[ends] + (n - (ends + 1)) - (total - wrong[ends]), feature[order][ends]
+    right = wrong[ends] + (n - (ends + 1)) - (total - wrong[ends])
+    values = feature[order][ends]
     yield "at most", feature <= values[np.argmax(right)]
     yield "at least", feature > values[np.argmin(right)]

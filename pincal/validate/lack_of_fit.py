@@ -1,7 +1,9 @@
-"""Lack of fit against pure error: whether a model is incomplete, independently of the declared noise.
+"""Lack of fit against pure error: whether a model is incomplete, independently of the declared
+noise.
 
-Replicates of a pose differ by the random errors of instrument and robot, whatever the model. If residuals exceed that
-scatter, the model is incomplete: an F test on the sums of squares (Draper and Smith, Applied Regression Analysis, 2.1).
+Replicates of a pose differ by the random errors of instrument and robot, whatever the model. If
+residuals exceed that scatter, the model is incomplete: an F test on the sums of squares (Draper and
+Smith, Applied Regression Analysis, 2.1).
 :mod:`pincal.validate.accuracy` defines which rows are replicates of one pose.
 """
 
@@ -21,7 +23,8 @@ from pincal.units import format_readable
 from pincal.validate.accuracy import Replicates, groups, iso9283
 from pincal.validate.misfit import MISFIT, NoiseTest, is_informative, misfit_at
 
-# Replicates that differ by less than this multiple of a reading's rounding carry no information on the noise.
+# Replicates that differ by less than this multiple of a reading's rounding carry no information on
+# the noise.
 _ROUNDINGS = 10.0
 
 
@@ -40,7 +43,8 @@ class Degrees:
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Outcome of the F test of lack of fit; ``str()`` gives it in words. The fields are those of ``result.json``.
+    """Outcome of the F test of lack of fit; ``str()`` gives it in words. The fields are those of
+    ``result.json``.
 
     Attributes:
         F: mean square of the misfit over that of the pure error.
@@ -48,7 +52,8 @@ class LackOfFit:
         degrees: effective degrees of freedom, corrected for uneven scatter.
         evenness: that correction, see :func:`evenness`.
         poses: number of poses with replicates.
-        pure_error: standard deviation of one component between replicates, by block of readings ("sigma_m" [m], ...).
+        pure_error: standard deviation of one component between replicates, by block of readings
+            ("sigma_m" [m], ...).
 
     Example:
         >>> str(LackOfFit(1.02, 0.4, Degrees(60.0, 870.0), 1.0, 8, {"sigma_m": 5.02e-5}))
@@ -68,15 +73,23 @@ class LackOfFit:
         return self.p_value < MISFIT
 
     def __str__(self) -> str:
-        test = f"F({self.degrees.misfit:.0f}, {self.degrees.pure_error:.0f}) = {self.F:.3g}, p {self.p_value:.2g}"
+        test = (
+            f"F({self.degrees.misfit:.0f}, {self.degrees.pure_error:.0f}) = {self.F:.3g}, p "
+            f"{self.p_value:.2g}"
+        )
         if self.is_significant:
-            return f"{test}: the residuals exceed the scatter between replicates; the model is incomplete"
+            return (
+                f"{test}: the residuals exceed the scatter between replicates; the model is "
+                "incomplete"
+            )
         return f"{test}: the residuals are within the scatter between replicates"
 
     def is_too_small(self, together: float = 1.0) -> bool:
-        """Return whether replicates scatter by more than the means of poses about the model allow, as after a change.
+        """Return whether replicates scatter by more than the means of poses about the model allow,
+        as after a change.
 
-        ``together`` is the number of stops over that of readings: those of one stop share its arrival.
+        ``together`` is the number of stops over that of readings: those of one stop share its
+        arrival.
         """
         of_misfit = together * self.degrees.misfit
         of_replicates = together * self.degrees.pure_error
@@ -84,25 +97,35 @@ class LackOfFit:
 
     @property
     def noise_test(self) -> NoiseTest | None:
-        """The residuals compared with the scatter between replicates; None if the degrees of freedom are too few."""
+        """The residuals compared with the scatter between replicates; None if the degrees of
+        freedom are too few.
+        """
         if not is_informative(self.degrees.misfit, self.degrees.pure_error):
             return None
-        return NoiseTest("the scatter between repeated measurements of a pose", self.F**0.5, self.p_value)
+        return NoiseTest(
+            "the scatter between repeated measurements of a pose", self.F**0.5, self.p_value
+        )
 
     @property
     def scatter(self) -> str:
         """The scatter between replicates of a pose in words."""
-        sizes = [format_readable(sigma, name.removeprefix("sigma_")) for name, sigma in self.pure_error.items()]
+        sizes = [
+            format_readable(sigma, name.removeprefix("sigma_"))
+            for name, sigma in self.pure_error.items()
+        ]
         return f"{' and '.join(sizes)} per coordinate at {self.poses} poses"
 
 
-def lack_of_fit(parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarray, *, spent: float) -> LackOfFit | None:
-    r"""Test whether the residuals of the fitted rows exceed the scatter between replicates: an F test.
+def lack_of_fit(
+    parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarray, *, spent: float
+) -> LackOfFit | None:
+    r"""Test whether the residuals of the fitted rows exceed the scatter between replicates: an F
+    test.
 
     .. math:: F = \frac{(SS - SS_{pure}) / (N - p - f_{pure})}{SS_{pure} / f_{pure}}
 
-    Declared noise does not enter, only the ratio of position and orientation noise. Pure error is pooled over all parts; the
-    degrees of freedom are corrected by :func:`evenness`.
+    Declared noise does not enter, only the ratio of position and orientation noise. Pure error is
+    pooled over all parts; the degrees of freedom are corrected by :func:`evenness`.
 
     Args:
         parts: the fitted rows, then the held-out ones.
@@ -115,17 +138,27 @@ def lack_of_fit(parts: Sequence[Replicates], values: np.ndarray, sigma: np.ndarr
     """
     squares = [replicate_squares(part, values, sigma) for part in parts]
     fitted = squares[0]
-    return _f_test(squares, parts[0].station, fitted.total - fitted.pure, fitted.readings - spent - fitted.degrees)
+    return _f_test(
+        squares,
+        parts[0].station,
+        fitted.total - fitted.pure,
+        fitted.readings - spent - fitted.degrees,
+    )
 
 
 def _is_enough(parts: Sequence[ReplicateSquares], station: Station) -> bool:
     """Return whether replicates differ by more than rounding."""
     pure = np.sum([part.by_block for part in parts], axis=0)
     sizes = [np.sqrt(squares / degrees) if degrees else 0.0 for squares, degrees in pure]
-    return any(size > _ROUNDINGS * block.rounding for size, block in zip(sizes, station.sensor.blocks, strict=True))
+    return any(
+        size > _ROUNDINGS * block.rounding
+        for size, block in zip(sizes, station.sensor.blocks, strict=True)
+    )
 
 
-def _f_test(parts: Sequence[ReplicateSquares], station: Station, misfit: float, degrees: float) -> LackOfFit | None:
+def _f_test(
+    parts: Sequence[ReplicateSquares], station: Station, misfit: float, degrees: float
+) -> LackOfFit | None:
     if not _is_enough(parts, station) or degrees < 1.0:
         return None
     free = sum(part.degrees for part in parts)
@@ -155,31 +188,39 @@ def replicate_statistics(
     found: np.ndarray | None = None,
     pose: np.ndarray | None = None,
 ) -> tuple[dict[str, Any] | None, LackOfFit | None]:
-    r"""Return accuracy, repeatability and lack of fit of rows that were not fitted, where they contain replicates.
+    r"""Return accuracy, repeatability and lack of fit of rows that were not fitted, where they
+    contain replicates.
 
-    The test is whether residuals exceed what noise and calibration uncertainty allow: their covariance is that of the
-    noise, estimated from the replicates, plus that of the calibrated values, :math:`s^2 D + J C J^T`.
+    The test is whether residuals exceed what noise and calibration uncertainty allow: their
+    covariance is that of the noise, estimated from the replicates, plus that of the calibrated
+    values, :math:`s^2 D + J C J^T`.
 
     Args:
         station: the calibrated model over the rows.
         values: shape (P,), its values.
         table: the rows, the mean of each stop.
-        sigma: shape (blocks,), standard deviations of one component in the calibration; only their ratio counts.
+        sigma: shape (blocks,), standard deviations of one component in the calibration; only their
+            ratio counts.
         covariance: shape (P, P), of the values.
         found: shape (P,), parameters that were estimated from these rows; default: none.
-        pose: shape (N,), number of each row's pose and target; default: rows with the same joints, target and load.
+        pose: shape (N,), number of each row's pose and target; default: rows with the same joints,
+            target and load.
 
     Returns:
-        ``iso9283`` as in ``result.json``, and the test of lack of fit; None where rows do not determine them.
+        ``iso9283`` as in ``result.json``, and the test of lack of fit; None where rows do not
+        determine them.
     """
     pose = replicate_groups([table])[0] if pose is None else pose
     rows_of = Replicates("test", table, station, pose, np.ones(len(table), bool))
     lack = None
     squares = replicate_squares(rows_of, values, sigma)
     if _is_enough([squares], station):
-        scale, everything = squares.pure / squares.degrees, np.ones(len(table))
+        scale = squares.pure / squares.degrees
+        everything = np.ones(len(table))
         noise = sigma * np.sqrt(scale)
-        left = misfit_at(station, values, covariance=covariance, found=found, sigma=noise, robust=everything)
+        left = misfit_at(
+            station, values, covariance=covariance, found=found, sigma=noise, robust=everything
+        )
         degrees = squares.readings - left.found - squares.degrees
         lack = _f_test([squares], station, scale * left.square - squares.pure, degrees)
     return iso9283([rows_of], {"calibrated": values}), lack
@@ -187,7 +228,8 @@ def replicate_statistics(
 
 @dataclass(frozen=True)
 class ReplicateSquares:
-    """Sums of squared residuals in units of the variances, and of the differences between replicates.
+    """Sums of squared residuals in units of the variances, and of the differences between
+    replicates.
 
     Attributes:
         total: sum of squares.
@@ -195,7 +237,8 @@ class ReplicateSquares:
         pure: sum of squares about the poses' means.
         degrees: its degrees of freedom.
         poses: number of poses with replicates.
-        by_block: shape (blocks, 2), ``pure``, in the units of the readings, and ``degrees`` of each block.
+        by_block: shape (blocks, 2), ``pure``, in the units of the readings, and ``degrees`` of each
+            block.
         spread: from :func:`scatter_of`.
     """
 
@@ -208,8 +251,11 @@ class ReplicateSquares:
     spread: np.ndarray
 
 
-def replicate_squares(rows_of: Replicates, values: np.ndarray, sigma: np.ndarray) -> ReplicateSquares:
-    """Return the squares of the rows that are no outliers; replicates in other parts are not compared with them.
+def replicate_squares(
+    rows_of: Replicates, values: np.ndarray, sigma: np.ndarray
+) -> ReplicateSquares:
+    """Return the squares of the rows that are no outliers; replicates in other parts are not
+    compared with them.
 
     ``sigma``, shape (blocks,), are standard deviations of one component.
     """
@@ -217,13 +263,16 @@ def replicate_squares(rows_of: Replicates, values: np.ndarray, sigma: np.ndarray
     weight = rows_of.station.weights[rows] ** 2
     residuals = rows_of.station.residuals(values)[:, rows]
     _, pose = np.unique(rows_of.pose[rows], return_inverse=True)
-    count, mass = np.bincount(pose), np.bincount(pose, weight)
+    count = np.bincount(pose)
+    mass = np.bincount(pose, weight)
     again = count > 1
     degrees = int((count[again] - 1).sum())
     means = np.stack([np.bincount(pose, weight * component) / mass for component in residuals])
     apart = np.sqrt(weight) * (residuals - means[:, pose])
     blocks = rows_of.station.block_rows
-    by_block = np.array([((apart[b][:, again[pose]] ** 2).sum(), degrees * (b.stop - b.start)) for b in blocks])
+    by_block = np.array(
+        [((apart[b][:, again[pose]] ** 2).sum(), degrees * (b.stop - b.start)) for b in blocks]
+    )
     scale = np.repeat(sigma, [b.stop - b.start for b in blocks])[:, None]
     return ReplicateSquares(
         total=float((weight * (residuals / scale) ** 2).sum()),
@@ -237,7 +286,8 @@ def replicate_squares(rows_of: Replicates, values: np.ndarray, sigma: np.ndarray
 
 
 def scatter_of(apart: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    r"""Return statistics of how evenly readings scatter over poses and components, to be added over tables.
+    r"""Return statistics of how evenly readings scatter over poses and components, to be added over
+    tables.
 
     With S the covariance in a pose of n = f + 1 > 2 replicates, unbiased
     :math:`\widehat{tr \Sigma^2} = \frac{f^2}{(f - 1)(f + 2)} (tr S^2 - (tr S)^2 / f)`.
@@ -247,7 +297,8 @@ def scatter_of(apart: np.ndarray, pose: np.ndarray) -> np.ndarray:
         pose: shape (N,), numbers of the poses.
 
     Returns:
-        Sums over the poses of tr S, of the estimate of tr Sigma^2, of the variance of tr S, and of m; shape (4,).
+        Sums over the poses of tr S, of the estimate of tr Sigma^2, of the variance of tr S, and of
+        m; shape (4,).
     """
     sums = np.zeros(4)
     for rows in groups(pose):
@@ -260,11 +311,13 @@ def scatter_of(apart: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def evenness(spread: np.ndarray) -> float:
-    """Return the factor on the degrees of freedom of sums of squares of readings that scatter unevenly or are correlated.
+    """Return the factor on the degrees of freedom of sums of squares of readings that scatter
+    unevenly or are correlated.
 
-    A robot scatters more where it is stretched out, and its errors in x, y and z are correlated; sums of squares then vary
-    more than those of independent readings (Box, Ann. Math. Stat. 25, 1954, Eq. 3.1). The factor is 1 if readings are
-    independent with equal variances, down to 1 / readings.
+    A robot scatters more where it is stretched out, and its errors in x, y and z are correlated;
+    sums of squares then vary more than those of independent readings (Box, Ann. Math. Stat. 25,
+    1954, Eq. 3.1). The factor is 1 if readings are independent with equal variances, down to 1 /
+    readings.
 
     Args:
         spread: shape (4,), sums of :func:`scatter_of`.

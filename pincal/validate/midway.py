@@ -1,19 +1,21 @@
 r"""Changes midway in a table: the instrument was moved, a joint remastered, or the tool exchanged.
 
-Each is a motion of the targets from some row on, along a field of directions of its own: uniform for an instrument that was
-moved, the lever of a joint with another zero, fixed in the tool's frame for another tool. One scan over rows and fields
-finds the most significant step. With r the residuals, C their covariance, F the columns of the fitted parameters, and U the
-step,
+Each is a motion of the targets from some row on, along a field of directions of its own: uniform
+for an instrument that was moved, the lever of a joint with another zero, fixed in the tool's frame
+for another tool. One scan over rows and fields finds the most significant step. With r the
+residuals, C their covariance, F the columns of the fitted parameters, and U the step,
 
 .. math:: g = r^T P U (U^T P U)^{-1} U^T P r, \quad P = C^{-1} - C^{-1} F (F^T C^{-1} F)^{-1} F^T C^{-1}
 
-is its gain. Errors of consecutive rows are correlated: a model has the same error at neighbouring poses, and instruments
-drift. So C is that of white noise plus a process whose correlation decays along the rows, estimated by maximum likelihood
-together with the step. A step is accepted only if it, with its C, is far more likely than the most likely C without any: a
-drift or a random walk is no step.
+is its gain. Errors of consecutive rows are correlated: a model has the same error at neighbouring
+poses, and instruments drift. So C is that of white noise plus a process whose correlation decays
+along the rows, estimated by maximum likelihood together with the step. A step is accepted only if
+it, with its C, is far more likely than the most likely C without any: a drift or a random walk is
+no step.
 
-A variable that changes most between two rows, as time does overnight, is itself nearly a step there: an effect that follows
-it is no better explanation than a step unless it explains more (``along``).
+A variable that changes most between two rows, as time does overnight, is itself nearly a step
+there: an effect that follows it is no better explanation than a step unless it explains more
+(``along``).
 """
 
 from __future__ import annotations
@@ -32,36 +34,42 @@ from pincal.measure.extrinsics import sample_rows
 _EACH = 10
 # Residuals are clipped to this multiple of the typical one: single wrong readings make no step.
 _CLIPPED = 5.0
-# Gain, in units of the variance of means of neighbours, above which a step is examined. Simulated machines have up to 12,
-# real arms measured along a grid 31.
+# Gain, in units of the variance of means of neighbours, above which a step is examined. Simulated
+# machines have up to 12, real arms measured along a grid 31.
 _EXAMINED = 25.0
 # False-alarm probability for a step, over all rows and fields, if the covariance were known.
 _CHANCE = 1e-4
 # Twice the log likelihood ratio, a thousand to one, within which causes are not distinguished.
 _DISTINGUISHED = 13.8
-# In noise that is correlated along the rows, a step has to be this multiple of the residuals: a smaller one may be the
-# model's error, as of a UR10 without its drives' curves (1.06 times, from one half of a table to the other). A touched
-# target is 2 times. In white noise the likelihood decides.
+# In noise that is correlated along the rows, a step has to be this multiple of the residuals: a
+# smaller one may be the model's error, as of a UR10 without its drives' curves (1.06 times, from
+# one half of a table to the other). A touched target is 2 times. In white noise the likelihood
+# decides.
 _LEAST_PART = 1.2
 # Off-diagonal part of the precision, relative to its diagonal, that shows correlation.
 _CORRELATED = 0.01
-# A drift is a curve of this degree along the rows: it explains six sevenths of a step in the middle, less of one elsewhere,
-# and nearly all of a robot that warms up.
+# A drift is a curve of this degree along the rows: it explains six sevenths of a step in the
+# middle, less of one elsewhere, and nearly all of a robot that warms up.
 _DRIFT = 3
 # Rows that suffice to detect a step; around it all rows within so many of these are examined.
-_FEW, _AROUND = 400, 3
+_FEW = 400
+_AROUND = 3
 # Directions of the fitted parameters weaker than this, relative to the strongest, are excluded.
 _RANK = 1e-5
-# Functions of a curve that may each follow a step; of more, neighbours do together, as the curve is smooth: the few rows
-# would not distinguish so many, nor leave anything of a step.
+# Functions of a curve that may each follow a step; of more, neighbours do together, as the curve is
+# smooth: the few rows would not distinguish so many, nor leave anything of a step.
 _FUNCTIONS = 24
-# Trial correlation lengths, in rows, and variances of the process from one row to the next, in units of white noise: from
-# what 400 rows would hardly show to the process alone. The longest is a random walk.
-_LENGTHS, _WALKS = (3.0, 10.0, 30.0, 100.0, 1000.0), (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
+# Trial correlation lengths, in rows, and variances of the process from one row to the next, in
+# units of white noise: from what 400 rows would hardly show to the process alone. The longest is a
+# random walk.
+_LENGTHS = (3.0, 10.0, 30.0, 100.0, 1000.0)
+_WALKS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
 # Largest fraction of the rows that may be missing between two of them.
 _LONGEST_GAP = 0.2
-# Rounds in which a step and its noise are estimated in turn; iterations of a robust estimate of a step's size.
-_TRIES, _TURNS = 4, 20
+# Rounds in which a step and its noise are estimated in turn; iterations of a robust estimate of a
+# step's size.
+_TRIES = 4
+_TURNS = 20
 
 
 @dataclass(frozen=True)
@@ -81,9 +89,14 @@ class StepCause:
     def __str__(self) -> str:
         shown = f"{1e3 * self.size:.3g} m{self.unit}"
         if self.name == "instrument":
-            return f"readings are shifted by {shown}: was the instrument or the robot's base touched?"
+            return (
+                f"readings are shifted by {shown}: was the instrument or the robot's base touched?"
+            )
         if self.name == "tool":
-            return f"the target is displaced by {shown} on the tool: was it touched, or the tool exchanged?"
+            return (
+                f"the target is displaced by {shown} on the tool: was it touched, or the tool "
+                "exchanged?"
+            )
         if self.name == "load":
             return f"the arm is bent by {shown} as by another load: was a payload changed?"
         return f"{self.name} is off by {shown}: was it remastered?"
@@ -117,7 +130,8 @@ class _Rows:
         fields: of possible changes.
         growth: growth about some point, as of a robot or an instrument that warms up.
         at: shape (n,), position of each row in the table, 1 apart in the median.
-        pose: shape (n,), number of the pose of each row; several targets of a pose share the arrival of the drives.
+        pose: shape (n,), number of the pose of each row; several targets of a pose share the
+            arrival of the drives.
     """
 
     off: np.ndarray
@@ -145,11 +159,20 @@ class _Best:
     @property
     def step(self) -> np.ndarray:
         """The field from the step on, shape (n, 3, m)."""
-        return np.where(np.arange(len(self.field.directions))[:, None, None] >= self.row, self.field.directions, 0.0)
+        return np.where(
+            np.arange(len(self.field.directions))[:, None, None] >= self.row,
+            self.field.directions,
+            0.0,
+        )
 
 
 def change_in(
-    station: Station, values: np.ndarray, free: np.ndarray, lines: np.ndarray, *, along: np.ndarray | None = None
+    station: Station,
+    values: np.ndarray,
+    free: np.ndarray,
+    lines: np.ndarray,
+    *,
+    along: np.ndarray | None = None,
 ) -> StepChange | None:
     """Return where, in the order of the rows, something changed, and what; None if nothing did.
 
@@ -158,14 +181,15 @@ def change_in(
         values: shape (P,), of its parameters.
         free: shape (P,), which of them were fitted.
         lines: shape (N,), line of each row, or its position in the order.
-        along: shape (N,), a variable such as the time: if a motion in proportion to it is far more likely than the step,
-            nothing changed at once.
+        along: shape (N,), a variable such as the time: if a motion in proportion to it is far more
+            likely than the step, nothing changed at once.
     """
     order = np.argsort(lines, kind="stable")
     if not station.sensor.reads_pose or len(order) < 4 * _EACH:
         return None
     few = sample_rows(len(order), _FEW)
-    # Held-out rows are missing between others, and noise evolves there; a night counts as a limited number of rows.
+    # Held-out rows are missing between others, and noise evolves there; a night counts as a limited
+    # number of rows.
     gaps = np.diff(lines[order[few]].astype(float), prepend=lines[order[0]])
     gaps = np.minimum(gaps / max(float(np.median(gaps)), 1e-9), _LONGEST_GAP * len(few))
     rows = _rows(station.select(order[few]), values, free, np.cumsum(gaps))
@@ -178,7 +202,8 @@ def change_in(
     ):
         return None
     if along is not None and best.gain + _DISTINGUISHED < max(
-        _drift(rows, field, _centred(along[order[few]])[:, None], noise) for field in (best.field, rows.growth)
+        _drift(rows, field, _centred(along[order[few]])[:, None], noise)
+        for field in (best.field, rows.growth)
     ):
         return None
     after = _robust_step(rows, best)[best.row :]
@@ -192,7 +217,11 @@ def change_in(
         if _excess(step) > max(_excess(best) - _DISTINGUISHED, 0.0):
             causes.setdefault(step.field.name, _cause(rows, step))
     first, *others = causes.values()
-    place = order[few[best.row]] if len(few) == len(order) else order[_near(station, values, free, order, few, best)]
+    place = (
+        order[few[best.row]]
+        if len(few) == len(order)
+        else order[_near(station, values, free, order, few, best)]
+    )
     return StepChange(int(lines[place]), first, tuple(others))
 
 
@@ -200,7 +229,10 @@ def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray
     """Return the data of rows in order."""
     # Displacements follow from the readings without whitening.
     station, n = replace(station, whitening=None, serial=None, arrival=None), len(station)
-    parts = (jacobian.columns(_FUNCTIONS, slice(3)) for _, _, jacobian in station.linearise_shared(values, free))
+    parts = (
+        jacobian.columns(_FUNCTIONS, slice(3))
+        for _, _, jacobian in station.linearise_shared(values, free)
+    )
     J = np.concatenate([part.transpose(2, 1, 0) for part in parts]).reshape(3 * n, -1)
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     sizes, axes = np.linalg.eigh(J.T @ J)
@@ -217,7 +249,9 @@ def _clipped(off: np.ndarray) -> np.ndarray:
 
 
 def _is_loud(rows: _Rows) -> bool:
-    """Return whether some step exceeds the differences between means of neighbours: a cheap test that few tables pass."""
+    """Return whether some step exceeds the differences between means of neighbours: a cheap test
+    that few tables pass.
+    """
     best = _plain(rows)
     left = rows.residuals(_clipped(rows.off) - best.step @ best.motion)
     width = int(np.sqrt(len(left)))
@@ -226,33 +260,45 @@ def _is_loud(rows: _Rows) -> bool:
 
 
 def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
-    """Return the best step along each field, gains in units of the noise, its precision, and the best one's likelihood.
+    """Return the best step along each field, gains in units of the noise, its precision, and the
+    best one's likelihood.
 
-    The precision has shape (n, n); the likelihood is twice the log ratio to no step. A joint with uneven arrival scatters
-    more along its lever than in other directions: if the best step is along it, all gains are reduced accordingly.
+    The precision has shape (n, n); the likelihood is twice the log ratio to no step. A joint with
+    uneven arrival scatters more along its lever than in other directions: if the best step is along
+    it, all gains are reduced accordingly.
     """
     best = _plain(rows)
     for _ in range(_TRIES):
         precision, likelihood = _noise_with(rows, best)
-        steps, before = _scan(rows, precision), best
+        steps = _scan(rows, precision)
+        before = best
         best = max(steps, key=_excess)
         if best.row == before.row and best.field is before.field:
             break
     even = 1.0 / max(_unevenness(rows, best), _togetherness(rows, best))
-    return [replace(step, gain=even * step.gain) for step in steps], even * precision, even * likelihood
+    return (
+        [replace(step, gain=even * step.gain) for step in steps],
+        even * precision,
+        even * likelihood,
+    )
 
 
 def _unevenness(rows: _Rows, step: _Best) -> float:
-    """Return the ratio of the variance along the lever of a joint to the average one; at least 1."""
+    """Return the ratio of the variance along the lever of a joint to the average one;
+    at least 1.
+    """
     if step.field.freedoms > 1:
         return 1.0
-    left, way = rows.residuals(_clipped(rows.off - _robust_step(rows, step))), step.field.directions @ step.motion
+    left = rows.residuals(_clipped(rows.off - _robust_step(rows, step)))
+    way = step.field.directions @ step.motion
     along = float(np.sum(np.sum(left * way, axis=1) ** 2) / np.sum(way**2))
     return max(along / float(np.mean(left**2)), 1.0)
 
 
 def _togetherness(rows: _Rows, step: _Best) -> float:
-    """Return the variance of sums of residuals over the targets of a pose, relative to independent ones; at least 1."""
+    """Return the variance of sums of residuals over the targets of a pose, relative to independent
+    ones; at least 1.
+    """
     left = rows.residuals(_clipped(rows.off - _robust_step(rows, step)))
     count = np.bincount(rows.pose)
     if count.max() == 1:
@@ -267,7 +313,9 @@ def _plain(rows: _Rows) -> _Best:
 
 
 def _limit(step: _Best) -> float:
-    """Return the largest gain by chance, in units of the noise, over all rows and with all freedoms of a field."""
+    """Return the largest gain by chance, in units of the noise, over all rows and with all freedoms
+    of a field.
+    """
     return float(chdtri(step.field.freedoms, _CHANCE / len(step.field.directions)))
 
 
@@ -277,8 +325,11 @@ def _excess(step: _Best) -> float:
 
 
 def _scan(rows: _Rows, precision: np.ndarray | None) -> list[_Best]:
-    """Return the best step along each field, for a precision of each coordinate of shape (n, n); default: 1."""
-    n, off = len(rows.off), _clipped(rows.off)
+    """Return the best step along each field, for a precision of each coordinate of shape (n, n);
+    default: 1.
+    """
+    n = len(rows.off)
+    off = _clipped(rows.off)
     metric = np.eye(n) if precision is None else precision
     fitted = rows.fitted.reshape(n, -1)
     seen = (metric @ fitted).reshape(rows.fitted.shape)
@@ -289,11 +340,17 @@ def _scan(rows: _Rows, precision: np.ndarray | None) -> list[_Best]:
     seen = seen @ basis
     left = off - (rows.fitted @ basis) @ np.tensordot(seen, off, axes=((0, 1), (0, 1)))
     weighed = metric @ left
-    return [_best(field, metric, weighed, seen, is_plain=precision is None) for field in rows.fields]
+    return [
+        _best(field, metric, weighed, seen, is_plain=precision is None) for field in rows.fields
+    ]
 
 
-def _best(field: MotionField, metric: np.ndarray, weighed: np.ndarray, seen: np.ndarray, *, is_plain: bool) -> _Best:
-    """Return the best step along a field, for weighted residuals, shape (n, 3), and parameters, shape (n, 3, r)."""
+def _best(
+    field: MotionField, metric: np.ndarray, weighed: np.ndarray, seen: np.ndarray, *, is_plain: bool
+) -> _Best:
+    """Return the best step along a field, for weighted residuals, shape (n, 3), and parameters,
+    shape (n, 3, r).
+    """
     D = field.directions
     n, _, m = D.shape
     sums = _after(np.einsum("nam,na->nm", D, weighed))
@@ -311,7 +368,9 @@ def _best(field: MotionField, metric: np.ndarray, weighed: np.ndarray, seen: np.
     scale = np.sqrt(np.maximum(np.einsum("naa->na", own), 1e-300))
     normal = normal / (scale[:, :, None] * scale[:, None, :]) + _RANK * np.eye(m)
     inside = slice(_EACH, n - _EACH + 1)
-    motions = np.linalg.solve(normal[inside], (sums / scale)[inside, :, None])[:, :, 0] / scale[inside]
+    motions = (
+        np.linalg.solve(normal[inside], (sums / scale)[inside, :, None])[:, :, 0] / scale[inside]
+    )
     gains = np.sum(motions * sums[inside], axis=1)
     k = int(np.argmax(gains))
     return _Best(field, k + _EACH, float(gains[k]), motions[k])
@@ -323,17 +382,21 @@ def _after(values: np.ndarray) -> np.ndarray:
 
 
 def _noise_with(rows: _Rows, step: _Best) -> tuple[np.ndarray, float]:
-    """Return the precision of the residuals of a step, shape (n, n), and twice its log likelihood ratio to no step.
+    """Return the precision of the residuals of a step, shape (n, n), and twice its log likelihood
+    ratio to no step.
 
     The likelihood is restricted, with the fitted parameters marginalised.
     """
-    n, r = len(rows.off), rows.fitted.shape[2]
+    n = len(rows.off)
+    r = rows.fitted.shape[2]
     explained = _robust_step(rows, step)
     off = explained + _clipped(rows.off - explained)
     scaled = step.step / np.maximum(np.abs(step.step).max(axis=(0, 1)), 1e-300)
     columns = np.concatenate([rows.fitted, scaled, off[:, :, None]], axis=2).reshape(n, -1)
     apart = np.abs(rows.at[:, None] - rows.at)
-    degrees, without, best = 3 * n - r, np.inf, np.inf
+    degrees = 3 * n - r
+    without = np.inf
+    best = np.inf
     precision = np.eye(n)
     for length, walk in ((1.0, 0.0), *((length, walk) for length in _LENGTHS for walk in _WALKS)):
         C = np.eye(n) + 0.5 * walk * length * np.exp(-apart / length)
@@ -346,33 +409,49 @@ def _noise_with(rows: _Rows, step: _Best) -> tuple[np.ndarray, float]:
         without = min(without, costs[0])
         if costs[1] < best:
             variance = squares[1] / (degrees - step.field.freedoms)
-            best, precision = costs[1], cho_solve((L, True), np.eye(n), check_finite=False) / variance
+            best = costs[1]
+            precision = cho_solve((L, True), np.eye(n), check_finite=False) / variance
     return precision, without - best
 
 
 def _robust_step(rows: _Rows, step: _Best) -> np.ndarray:
-    """Return the displacements that a step explains, shape (n, 3), its size estimated with clipped residuals."""
+    """Return the displacements that a step explains, shape (n, 3), its size estimated with clipped
+    residuals.
+    """
     X = np.concatenate([step.step, rows.fitted], axis=2).reshape(rows.off.size, -1)
     inverse = np.linalg.pinv(X)
     fitted = np.zeros_like(rows.off)
     for _ in range(_TURNS):
-        fitted = (X @ (inverse @ (fitted + _clipped(rows.off - fitted)).ravel())).reshape(rows.off.shape)
+        fitted = (X @ (inverse @ (fitted + _clipped(rows.off - fitted)).ravel())).reshape(
+            rows.off.shape
+        )
     m = step.field.freedoms
-    return np.asarray((X[:, :m] @ (inverse[:m] @ (fitted + _clipped(rows.off - fitted)).ravel())).reshape(rows.off.shape))
+    return np.asarray(
+        (X[:, :m] @ (inverse[:m] @ (fitted + _clipped(rows.off - fitted)).ravel())).reshape(
+            rows.off.shape
+        )
+    )
 
 
 def _cause(rows: _Rows, step: _Best) -> StepCause:
     """Return the cause of a step: displacement of the targets, or of a joint."""
-    moved, lever = _robust_step(rows, step), step.step
+    moved = _robust_step(rows, step)
+    lever = step.step
     if step.field.name in ("instrument", "tool"):
         after = moved[step.row :]
         return StepCause(step.field.name, float(np.sqrt(np.mean(np.sum(after**2, axis=1)))), "m")
-    return StepCause(step.field.name, float(abs(np.sum(moved * lever[:, :, 0]) / np.sum(lever**2))), step.field.unit)
+    return StepCause(
+        step.field.name,
+        float(abs(np.sum(moved * lever[:, :, 0]) / np.sum(lever**2))),
+        step.field.unit,
+    )
 
 
 def _curves_along_rows(rows: _Rows) -> np.ndarray:
     """Return functions that vary smoothly along the rows, shape (n, k)."""
-    return np.asarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(rows.off)), _DRIFT)[:, 1:])
+    return np.asarray(
+        np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(rows.off)), _DRIFT)[:, 1:]
+    )
 
 
 def _centred(x: np.ndarray) -> np.ndarray:
@@ -382,11 +461,16 @@ def _centred(x: np.ndarray) -> np.ndarray:
 
 
 def _drift(rows: _Rows, field: MotionField, curves: np.ndarray, precision: np.ndarray) -> float:
-    """Return the gain of a motion along a field that follows some functions of the rows, shape (n, k)."""
+    """Return the gain of a motion along a field that follows some functions of the rows, shape (n,
+    k).
+    """
     n = len(rows.off)
     drift = (field.directions[:, :, :, None] * curves[:, None, None, :]).reshape(n, 3, -1)
-    X = np.concatenate([rows.fitted, drift / np.maximum(np.abs(drift).max(axis=(0, 1)), 1e-300)], axis=2)
-    off, squares = _clipped(rows.off), []
+    X = np.concatenate(
+        [rows.fitted, drift / np.maximum(np.abs(drift).max(axis=(0, 1)), 1e-300)], axis=2
+    )
+    off = _clipped(rows.off)
+    squares = []
     for columns in (rows.fitted, X):
         seen = (precision @ columns.reshape(n, -1)).reshape(columns.shape)
         inner = np.tensordot(columns, seen, axes=((0, 1), (0, 1)))
@@ -395,9 +479,19 @@ def _drift(rows: _Rows, field: MotionField, curves: np.ndarray, precision: np.nd
     return squares[1] - squares[0]
 
 
-def _near(station: Station, values: np.ndarray, free: np.ndarray, order: np.ndarray, few: np.ndarray, best: _Best) -> int:
+def _near(
+    station: Station,
+    values: np.ndarray,
+    free: np.ndarray,
+    order: np.ndarray,
+    few: np.ndarray,
+    best: _Best,
+) -> int:
     """Return the first row after a step, searched among all rows near it."""
-    around = few[max(best.row - _AROUND * _EACH, 0)], few[min(best.row + _AROUND * _EACH, len(few) - 1)]
+    around = (
+        few[max(best.row - _AROUND * _EACH, 0)],
+        few[min(best.row + _AROUND * _EACH, len(few) - 1)],
+    )
     places = np.arange(around[0], around[1] + 1)
     rows = _rows(station.select(order[places]), values, free, places.astype(float))
     same = [step for step in _scan(rows, None) if step.field.name == best.field.name]

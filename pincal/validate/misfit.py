@@ -1,14 +1,16 @@
-r"""Misfit of readings to a model, compared with noise and the calibration's uncertainty, and the verdict that follows.
+r"""Misfit of readings to a model, compared with noise and the calibration's uncertainty, and the
+verdict that follows.
 
-With residuals r of rows that the calibration did not use, weights W by the noise, Jacobians R and F with respect to
-parameters known with covariance C and to those estimated from these rows,
+With residuals r of rows that the calibration did not use, weights W by the noise, Jacobians R and F
+with respect to parameters known with covariance C and to those estimated from these rows,
 
 .. math:: \chi^2 = r^T V^{-1} r, \quad V = W^{-1} + R C R^T, \quad F \text{ projected out,}
 
-follows the chi-square distribution if the model is complete. It follows from the same A and b as a station's part of a joint
-fit, see :mod:`pincal.identify.posterior`.
+follows the chi-square distribution if the model is complete. It follows from the same A and b as a
+station's part of a joint fit, see :mod:`pincal.identify.posterior`.
 
-Every command judges a model by one rule, :func:`judge`: by a noise that does not depend on the model, and by reservations.
+Every command judges a model by one rule, :func:`judge`: by a noise that does not depend on the
+model, and by reservations.
 """
 
 from __future__ import annotations
@@ -27,36 +29,45 @@ from pincal.identify.station import Station
 from pincal.notes import Note
 
 MISFIT = 1e-3
-"""Significance level at which residuals count as too large for the noise, in every test of this kind.
+"""Significance level at which residuals count as too large for the noise, in every test of this
+kind.
 
-One false alarm in a thousand calibrations. tests/test_replicates.py checks level and power of the test for lack of fit.
+One false alarm in a thousand calibrations. tests/test_replicates.py checks level and power of the
+test for lack of fit.
 """
-# Residuals of real arms on another day, relative to noise and uncertainty: a UR10 discovered in one month has 1.7 times as
-# much in the next. Above this, there is another cause.
+# Residuals of real arms on another day, relative to noise and uncertainty: a UR10 discovered in one
+# month has 1.7 times as much in the next. Above this, there is another cause.
 _FAR = 5.0
-# Reduction of the squares, as a fraction, for which the displacement of a station matters: a tenth of the error.
+# Reduction of the squares, as a fraction, for which the displacement of a station matters: a tenth
+# of the error.
 _MATTERS = 0.2
-# The model error of an arm is a field over the poses. A few rows in a corner of the workspace may fit better with another
-# placement, by this multiple of its square: in blocks of 12 to 400 rows of a UR10 under its geometry up to 2.2.
+# The model error of an arm is a field over the poses. A few rows in a corner of the workspace may
+# fit better with another placement, by this multiple of its square: in blocks of 12 to 400 rows of
+# a UR10 under its geometry up to 2.2.
 _LOCAL = 3.0
 
 
 SURE = 0.6
-"""Fraction of the subsamples of a search, half of the poses each, in which a name has to occur to be more than a hint.
+"""Fraction of the subsamples of a search, half of the poses each, in which a name has to occur to
+be more than a hint.
 
 ``tests/stability_study.py`` measures how many of such names are right.
 """
-TWICE, POWER = 2.0, 0.9
-"""Power with which residuals of this multiple of the noise have to be detected for the verdict "adequate".
+TWICE = 2.0
+POWER = 0.9
+"""Power with which residuals of this multiple of the noise have to be detected for the verdict
+"adequate".
 
-The model error is then 1.7 times the noise, which any plot of the residuals shows. At :data:`MISFIT` that takes 18 degrees
-of freedom with declared noise, and 30 of pure error with a hundred of the misfit.
+The model error is then 1.7 times the noise, which any plot of the residuals shows. At
+:data:`MISFIT` that takes 18 degrees of freedom with declared noise, and 30 of pure error with a
+hundred of the misfit.
 """
 
 
 @dataclass(frozen=True)
 class Misfit:
-    """Misfit of a model to rows that its calibration did not use, all squares in units of the noise.
+    """Misfit of a model to rows that its calibration did not use, all squares in units of the
+    noise.
 
     Attributes:
         square: chi-square, the calibration's uncertainty accounted for.
@@ -64,8 +75,8 @@ class Misfit:
         expected: its expectation for noise and the calibration's uncertainty alone.
         degrees: degrees of freedom of both.
         found: number of directions estimated from the same rows.
-        systematic: fraction of the noise's squares that is probably model error: noise was estimated from residuals, and
-            good instruments have less.
+        systematic: fraction of the noise's squares that is probably model error: noise was
+            estimated from residuals, and good instruments have less.
     """
 
     square: float
@@ -77,7 +88,9 @@ class Misfit:
 
     @property
     def ratio(self) -> float:
-        """Residuals relative to their expectation, root mean square; 1 without degrees of freedom."""
+        """Residuals relative to their expectation, root mean square; 1 without degrees
+        of freedom.
+        """
         return float(np.sqrt(self.plain / self.expected)) if self.degrees else 1.0
 
     @property
@@ -87,7 +100,9 @@ class Misfit:
 
     @property
     def p_value(self) -> float:
-        """Probability of a chi-square as large for noise and the calibration's uncertainty alone."""
+        """Probability of a chi-square as large for noise and the calibration's
+        uncertainty alone.
+        """
         return float(chdtrc(self.degrees, self.square)) if self.degrees else 1.0
 
     @property
@@ -132,7 +147,8 @@ def misfit_at(
         covariance: shape (P, P), prior covariance of the parameters; zero for exact ones.
         sigma: shape (blocks,), standard deviation of one component of each block of readings.
         robust: shape (N,), 0 for excluded rows.
-        found: shape (P,), parameters estimated from these rows, whose covariance is ignored; default: none.
+        found: shape (P,), parameters estimated from these rows, whose covariance is ignored;
+            default: none.
     """
     found = np.zeros(len(values), bool) if found is None else found
     free = found | (np.diag(covariance) > 0.0)
@@ -166,7 +182,9 @@ def misfit_at(
 
 
 def explained_by_uncertainty(form: Form, covariance: np.ndarray) -> float:
-    """Return by how much r' r exceeds r' (1 + J C J')^-1 r, for H = J' J and g = J' r, by Woodbury's identity."""
+    """Return by how much r' r exceeds r' (1 + J C J')^-1 r, for H = J' J and g = J' r, by
+    Woodbury's identity.
+    """
     size, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(size, 0.0))
     inner = np.eye(len(size)) + root.T @ form.H @ root
@@ -174,7 +192,9 @@ def explained_by_uncertainty(form: Form, covariance: np.ndarray) -> float:
 
 
 class Verdict(StrEnum):
-    """Whether a model explains the data down to their noise; the values are those of the files and of the report."""
+    """Whether a model explains the data down to their noise; the values are those of the files and
+    of the report.
+    """
 
     ADEQUATE = "adequate"
     NOT_ADEQUATE = "not adequate"
@@ -194,7 +214,8 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict:
 
 @dataclass(frozen=True)
 class NoiseTest:
-    """Residuals compared with a noise known without the model: declared, or from poses that were measured again.
+    """Residuals compared with a noise known without the model: declared, or from poses that were
+    measured again.
 
     Attributes:
         noise: which noise, in words.
@@ -213,7 +234,8 @@ class NoiseTest:
 
 
 def is_informative(degrees: float, of_noise: float = np.inf) -> bool:
-    """Return whether a test at :data:`MISFIT` with these degrees of freedom detects residuals of twice the noise.
+    """Return whether a test at :data:`MISFIT` with these degrees of freedom detects residuals of
+    twice the noise.
 
     ``of_noise`` are the degrees of freedom of the noise; infinite for a declared one.
 
@@ -223,7 +245,8 @@ def is_informative(degrees: float, of_noise: float = np.inf) -> bool:
         >>> is_informative(100.0, 29.0), is_informative(100.0, 30.0)
         (False, True)
     """
-    # For a small fraction of a degree a quantile underflows to zero, and the power would seem to be 1.
+    # For a small fraction of a degree a quantile underflows to zero, and the power would seem to be
+    # 1.
     if degrees < 1.0 or of_noise < 1.0:
         return False
     if np.isinf(of_noise):
@@ -243,8 +266,9 @@ def judge(
 ) -> Verdict:
     """Return the verdict on a model.
 
-    It is "adequate" only if its residuals agree with a known noise, there are enough poses, and there is no reservation.
-    Without a known noise, or with too few poses, nothing can speak for it, but something may speak against it.
+    It is "adequate" only if its residuals agree with a known noise, there are enough poses, and
+    there is no reservation. Without a known noise, or with too few poses, nothing can speak for it,
+    but something may speak against it.
 
     Args:
         noise_test: the residuals compared with a noise known without the model; None without any.

@@ -14,14 +14,16 @@ from pincal.validate.lack_of_fit import LackOfFit
 
 
 class NoiseRecord(TypedDict):
-    """Standard deviation of one component of each block of readings: what the fit used, and the estimate from its residuals.
+    """Standard deviation of one component of each block of readings: what the fit used, and the
+    estimate from its residuals.
 
     Attributes:
         source: whether the noise was declared by the user or estimated from the residuals.
-        sigma_m, sigma_rad, sigma_px: noise that the fit used, of lengths [m], angles [rad] and image coordinates [px].
+        sigma_m, sigma_rad, sigma_px: noise that the fit used, of lengths [m], angles [rad] and
+            image coordinates [px].
         sigma_m_s2, sigma_rad_s: of an IMU's specific forces [m/s^2] and angular rates [rad/s].
-        residual_sigma_m, residual_sigma_rad, residual_sigma_px, residual_sigma_m_s2, residual_sigma_rad_s: estimate from the
-            residuals of the fitted rows, corrected for degrees of freedom.
+        residual_sigma_m, residual_sigma_rad, residual_sigma_px, residual_sigma_m_s2, residual_sigma_rad_s:
+            estimate from the residuals of the fitted rows, corrected for degrees of freedom.
     """
 
     source: Literal["declared", "estimated"]
@@ -52,7 +54,8 @@ class RowCounts(TypedDict):
 
     Attributes:
         train: fitted.
-        test: held out, not used by the fit; or predicted by a fit without their fold, see ``validation``.
+        test: held out, not used by the fit; or predicted by a fit without their fold, see
+            ``validation``.
     """
 
     train: int
@@ -71,7 +74,8 @@ class Correlation(TypedDict):
     correlation: float
 
 
-# Model ("nominal", "calibrated") -> part ("train", "test") -> statistic with its unit ("mean_mm", "p95_mrad") -> value.
+# Model ("nominal", "calibrated") -> part ("train", "test") -> statistic with its unit ("mean_mm",
+# "p95_mrad") -> value.
 Errors = dict[str, dict[str, dict[str, float]]]
 
 
@@ -81,8 +85,9 @@ class MovedParameter(TypedDict):
     Attributes:
         name: of the parameter; JOINT.curve for the curve of a drive that the model does not have.
         unit: its unit.
-        change: difference from the first station that determines it; for an effect of this station alone: its
-            value; for a curve: root mean square of the difference over the station's rows, its mean apart.
+        change: difference from the first station that determines it; for an effect of this station
+            alone: its value; for a curve: root mean square of the difference over the station's
+            rows, its mean apart.
         sigma: standard deviation of the change.
         moved: whether it changed significantly since the previous station.
     """
@@ -101,12 +106,13 @@ class StationRecord(TypedDict):
         name: of the station.
         kind: of its measurements.
         rows: numbers of rows.
-        moved_mm: displacement of the instrument relative to the robot since the first station, if both determine the whole
-            base frame.
+        moved_mm: displacement of the instrument relative to the robot since the first station, if
+            both determine the whole base frame.
         noise: as for the whole.
         outliers: lines of rejected rows.
         error: of the station's rows.
-        left_out: errors of the model of the other stations, only the station's own frames fitted to it.
+        left_out: errors of the model of the other stations, only the station's own frames fitted to
+            it.
         left_out_geometric: the same for their geometric model.
         parameters: of the robot, those that changed at any of the stations.
         iso9283: as for the whole, where the station measured poses more than once.
@@ -134,9 +140,10 @@ class ValidationWay:
     """How the errors at rows that were not fitted were found.
 
     Attributes:
-        way: "regions" of joint space, "stretches" of consecutive rows, "sessions" or "random": each pose was predicted by a
-            fit without its fold of this kind, the way in which predictions are worse; "held out": by rows that no fit has
-            used; or "station": each station by the others.
+        way: "regions" of joint space, "stretches" of consecutive rows, "sessions" or "random": each
+            pose was predicted by a fit without its fold of this kind, the way in which predictions
+            are worse; "held out": by rows that no fit has used; or "station": each station by the
+            others.
         folds: number of folds; 0 for rows that were held out.
     """
 
@@ -146,15 +153,16 @@ class ValidationWay:
 
 @dataclass(frozen=True)
 class ClockRecord:
-    """Clock of an instrument that reads an arm in motion: its stamp t is the joints' time t + offset + drift (t - middle).
+    """Clock of an instrument that reads an arm in motion: its stamp t is the joints' time t +
+    offset + drift (t - middle).
 
     Attributes:
         station: name of the station, "" for a single one.
         offset_s, offset_sigma_s: offset and its standard deviation [s].
         drift_ppm, drift_sigma_ppm: drift and its standard deviation [1e-6].
         middle_s: stamp at which the offset holds [s].
-        gyro_early_s, gyro_early_sigma_s: lead of an IMU's rate stamps over acceleration stamps of the same moment [s]; else
-            null.
+        gyro_early_s, gyro_early_sigma_s: lead of an IMU's rate stamps over acceleration stamps of
+            the same moment [s]; else null.
     """
 
     station: str
@@ -190,13 +198,15 @@ class Improvement:
 class Elsewhere:
     """Position error that the calibrated model itself expects away from the measured poses.
 
-    It follows from the covariance of the parameters, which is as wide as their priors in what the poses leave open. Errors
-    that the model does not describe are not included.
+    It follows from the covariance of the parameters, which is as wide as their priors in what the
+    poses leave open. Errors that the model does not describe are not included.
 
     Attributes:
-        mean_mm: expected distance from the predicted to the true position, mean over the poses [mm].
+        mean_mm: expected distance from the predicted to the true position, mean over the poses
+            [mm].
         worst_mm: at the worst of the poses [mm].
-        where: in which range of which joint it is largest, and whether that was measured; "" if in no range of one joint.
+        where: in which range of which joint it is largest, and whether that was measured; "" if in
+            no range of one joint.
         poses: number of poses.
         over: their file; "" for random poses within the joint limits.
     """
@@ -212,35 +222,44 @@ class Elsewhere:
 class Outcome:
     """All of ``result.json`` besides the parameters.
 
-    ``iso9283`` and ``lack_of_fit`` are None where no pose was measured more than once, and then not in the file; nor is
-    ``stations`` where there is only one. Several stations have their own each.
+    ``iso9283`` and ``lack_of_fit`` are None where no pose was measured more than once, and then not
+    in the file; nor is ``stations`` where there is only one. Several stations have their own each.
 
     Attributes:
         noise: of the readings.
         rows: numbers of rows.
         rank: number of parameters, or combinations of them, that the data identify.
-        condition: condition number of the identifiable part, each parameter in units of its typical size.
-        chi2_reduced: sum of squared residuals over the noise, per degree of freedom; about 1 for a complete model.
-        chi2_p_value: probability of a value as large if the model is complete; null where the noise was estimated.
+        condition: condition number of the identifiable part, each parameter in units of its typical
+            size.
+        chi2_reduced: sum of squared residuals over the noise, per degree of freedom; about 1 for a
+            complete model.
+        chi2_p_value: probability of a value as large if the model is complete; null where the noise
+            was estimated.
         iterations: steps of the solver in all.
         seconds: time that the fit took [s].
         converged: whether the last step was negligible.
         outliers: lines of the rejected rows.
         correlations: pairs of parameters with strongly correlated estimates.
         stages: the stages of the fit.
-        error: by model ("nominal": base and tool fitted alone; "calibrated") and rows ("train", "test"): statistics with
-            their units, such as ``mean_mm``, ``rms_mm``, ``p95_mm``, ``max_mm``, ``mean_mrad``.
+        error: by model ("nominal": base and tool fitted alone; "calibrated") and rows ("train",
+            "test"): statistics with their units, such as ``mean_mm``, ``rms_mm``, ``p95_mm``,
+            ``max_mm``, ``mean_mrad``.
         warnings: further messages, doubts first; plain texts in files of version 0.1.0.
-        degrees: readings of distinct poses beyond the parameters that they determine; not in files of version 0.1.0.
-        iso9283: pose accuracy AP and pose repeatability RP (ISO 9283) by model and rows, and pose by pose [mm, mrad].
+        degrees: readings of distinct poses beyond the parameters that they determine; not in files
+            of version 0.1.0.
+        iso9283: pose accuracy AP and pose repeatability RP (ISO 9283) by model and rows, and pose
+            by pose [mm, mrad].
         lack_of_fit: test of the residuals against the scatter between repeated measurements.
-        repeatability: scatter of one coordinate of a position between readings within a stop of the robot (the instrument),
-            between stops at a pose (the arrival of the drives), and of the poses about the model; of a single station.
+        repeatability: scatter of one coordinate of a position between readings within a stop of the
+            robot (the instrument), between stops at a pose (the arrival of the drives), and of the
+            poses about the model; of a single station.
         stations: results of each station.
         validation: how the errors of "test" were found; not in files of version 0.1.0.
-        improvement: how far predictions are improved, by link and region, where no instrument observed the robot.
+        improvement: how far predictions are improved, by link and region, where no instrument
+            observed the robot.
         clocks: of the instruments that read an arm in motion.
-        elsewhere: position error to expect away from the measured poses; not where no instrument observed positions.
+        elsewhere: position error to expect away from the measured poses; not where no instrument
+            observed positions.
     """
 
     noise: NoiseRecord

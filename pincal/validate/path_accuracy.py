@@ -1,13 +1,15 @@
 r"""Path accuracy and path repeatability by ISO 9283 of an arm that drives one path n times.
 
-With x_c(s) the commanded path, and x_j(s) where cycle j crosses the plane through x_c(s) perpendicular to the path,
+With x_c(s) the commanded path, and x_j(s) where cycle j crosses the plane through x_c(s)
+perpendicular to the path,
 
 .. math:: AT_p = \max_s |\bar x(s) - x_c(s)|, \quad RT_p = \max_s \, (\bar l(s) + 3 S_l(s)), \quad
           AT_a = \max_s |\bar a(s) - a_c(s)|, \quad RT_a = \max_s \, 3 S_a(s)
 
-(ISO 9283:1998, 8.2 and 8.3; l_j is the distance of cycle j from the mean of all, S with n - 1; a, b, c turn about x, y, z).
-As with poses, the commanded path is the model's prediction for the joint positions that were read. A single cycle has
-accuracy only, which includes the noise of the instrument.
+(ISO 9283:1998, 8.2 and 8.3; l_j is the distance of cycle j from the mean of all, S with n - 1; a,
+b, c turn about x, y, z). As with poses, the commanded path is the model's prediction for the joint
+positions that were read. A single cycle has accuracy only, which includes the noise of the
+instrument.
 """
 
 from __future__ import annotations
@@ -22,18 +24,24 @@ from pincal.measure.measurements import Measurements
 CYCLES_OF_PATH = 10
 """Cycles of a path that ISO 9283 requires."""
 
-# Joint positions coincide if they differ by less than this fraction of their motion, root mean square.
+# Joint positions coincide if they differ by less than this fraction of their motion, root mean
+# square.
 _SAME = 0.01
 # Fraction of a cycle that the last one may lack.
 _SHORT = 0.02
 # Fraction of the median speed below which an arm stands still.
 _SLOW = 0.01
-# Largest numbers of time steps and of moments in the search for cycles; steps that count as one; and frequency of a lag,
-# relative to the most frequent one, from which the shortest is the period.
-_STEPS, _ASKED, _BESIDE, _OFTEN = 20_000, 1_000, 4, 0.5
+# Largest numbers of time steps and of moments in the search for cycles; steps that count as one;
+# and frequency of a lag, relative to the most frequent one, from which the shortest is the period.
+_STEPS = 20_000
+_ASKED = 1_000
+_BESIDE = 4
+_OFTEN = 0.5
 
 
-def path_accuracy(station: Station, values: np.ndarray, table: Measurements) -> dict[str, Any] | None:
+def path_accuracy(
+    station: Station, values: np.ndarray, table: Measurements
+) -> dict[str, Any] | None:
     """Return accuracy and repeatability along the path of a session in motion.
 
     Args:
@@ -42,8 +50,10 @@ def path_accuracy(station: Station, values: np.ndarray, table: Measurements) -> 
         table: the rows.
 
     Returns:
-        Number of cycles and of points of the path, ``AT_mm`` and, for poses, ``AT_a_mrad``, ``AT_b_mrad``, ``AT_c_mrad``;
-            for more than one cycle also ``RT_mm`` and so on. None for held poses, or where no position is measured.
+        Number of cycles and of points of the path, ``AT_mm`` and, for poses, ``AT_a_mrad``,
+        ``AT_b_mrad``, ``AT_c_mrad``;
+            for more than one cycle also ``RT_mm`` and so on. None for held poses, or where no
+            position is measured.
     """
     if table.moving is None or table.time is None or not station.sensor.reads_pose:
         return None
@@ -53,14 +63,17 @@ def path_accuracy(station: Station, values: np.ndarray, table: Measurements) -> 
     return along_path(table.time[order], table.q[order], path, station.residuals(values)[:, order])
 
 
-def along_path(time: np.ndarray, q: np.ndarray, path: np.ndarray, residuals: np.ndarray) -> dict[str, Any]:
+def along_path(
+    time: np.ndarray, q: np.ndarray, path: np.ndarray, residuals: np.ndarray
+) -> dict[str, Any]:
     """Return the result of :func:`path_accuracy`.
 
     Args:
         time: shape (N,), increasing [s].
         q: joint positions, shape (N, n).
         path: commanded positions, shape (N, 3) [m].
-        residuals: attained minus commanded position [m], shape (3, N), or pose [m, rad], shape (6, N).
+        residuals: attained minus commanded position [m], shape (3, N), or pose [m, rad], shape (6,
+            N).
     """
     way = np.gradient(path, time, axis=0)
     speed = np.linalg.norm(way, axis=1, keepdims=True)
@@ -78,10 +91,15 @@ def along_path(time: np.ndarray, q: np.ndarray, path: np.ndarray, residuals: np.
     mean = cycles.mean(axis=0)
     found: dict[str, Any] = {"cycles": n, "points": len(mean), "standard": CYCLES_OF_PATH}
     found |= {"AT_mm": 1e3 * float(np.linalg.norm(mean[:, :3], axis=1).max())}
-    found |= {f"AT_{a}_mrad": 1e3 * float(np.abs(of).max()) for a, of in zip("abc", mean[:, 3:].T, strict=False)}
+    found |= {
+        f"AT_{a}_mrad": 1e3 * float(np.abs(of).max())
+        for a, of in zip("abc", mean[:, 3:].T, strict=False)
+    }
     if n > 1:
         distance = np.linalg.norm(cycles[:, :, :3] - mean[:, :3], axis=2)
-        found |= {"RT_mm": 1e3 * float((distance.mean(axis=0) + 3.0 * distance.std(axis=0, ddof=1)).max())}
+        found |= {
+            "RT_mm": 1e3 * float((distance.mean(axis=0) + 3.0 * distance.std(axis=0, ddof=1)).max())
+        }
         spread = 3e3 * cycles[:, :, 3:].std(axis=0, ddof=1).T
         found |= {f"RT_{a}_mrad": float(of.max()) for a, of in zip("abc", spread, strict=False)}
     return found
@@ -102,8 +120,12 @@ def cycles_of(time: np.ndarray, q: np.ndarray) -> tuple[float, float, int]:
     # Lags after which the joints are back at their positions at some moments.
     asked = np.arange(0, count, max(count // _ASKED, 1))
     found = KDTree(z.T).query_ball_point(z.T[asked], near) if near else np.empty(0, object)
-    lags = np.concatenate([np.asarray(hits) - i for hits, i in zip(found, asked, strict=False)] or [np.zeros(0, int)])
-    often = np.convolve(np.bincount(lags[lags > 0], minlength=count), np.ones(2 * _BESIDE + 1), "same")
+    lags = np.concatenate(
+        [np.asarray(hits) - i for hits, i in zip(found, asked, strict=False)] or [np.zeros(0, int)]
+    )
+    often = np.convolve(
+        np.bincount(lags[lags > 0], minlength=count), np.ones(2 * _BESIDE + 1), "same"
+    )
     away = int(np.argmin(often))
     if not often[away:].any():
         return once
@@ -130,9 +152,15 @@ def path_words(found: dict[str, Any]) -> str:
         'AT 0.2500 mm; one cycle, the noise of the instrument included: repeat the path, ISO 9283 specifies 10 cycles'
     """
     parts = {name: name.rsplit("_", 1) for name in found if name.startswith(("AT_", "RT_"))}
-    sizes = [f"{of.replace('_', ' ')} {found[name]:.4f} {unit}" for name, (of, unit) in parts.items()]
-    n, asked = found["cycles"], found["standard"]
-    rest = f"one cycle, the noise of the instrument included: repeat the path, ISO 9283 specifies {asked} cycles"
+    sizes = [
+        f"{of.replace('_', ' ')} {found[name]:.4f} {unit}" for name, (of, unit) in parts.items()
+    ]
+    n = found["cycles"]
+    asked = found["standard"]
+    rest = (
+        "one cycle, the noise of the instrument included: repeat the path, ISO 9283 "
+        f"specifies {asked} cycles"
+    )
     if n > 1:
         rest = f"{n} cycles" + (f"; ISO 9283 specifies {asked}" if n < asked else "")
     return f"{', '.join(sizes)}; {rest}"

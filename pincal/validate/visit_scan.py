@@ -27,12 +27,15 @@ from pincal.identify.criteria import VISITS
 from pincal.identify.motion_fields import MotionField
 from pincal.identify.visit_scatter import Arrivals, arrivals_of
 
-# Probability of a sound deviation to whose size larger ones are clipped: single wrong readings make no pattern.
+# Probability of a sound deviation to whose size larger ones are clipped: single wrong readings make
+# no pattern.
 _CLIPPED = 1e-4
 # Iterations of a robust estimate of a size.
 _TURNS = 20
-# Number of permutations, and of them at once; gains beyond theirs are judged by a Gumbel distribution.
-_ORDERS, _AT_ONCE = 300, 20
+# Number of permutations, and of them at once; gains beyond theirs are judged by a Gumbel
+# distribution.
+_ORDERS = 300
+_AT_ONCE = 20
 # P-value, without multiplicity, above which nothing is permuted.
 _LIKELY = 0.01
 # Directions weaker than this relative to the strongest are excluded.
@@ -78,7 +81,9 @@ class Best:
 
     @property
     def likelihood(self) -> float:
-        """Minus twice the log of that p-value, by which patterns and fields of unequal freedoms are compared."""
+        """Minus twice the log of that p-value, by which patterns and fields of unequal freedoms are
+        compared.
+        """
         return 2.0 * self.surprise
 
 
@@ -149,7 +154,9 @@ class Scan:
 
     @classmethod
     def of(cls, visits: Visits, explained: np.ndarray) -> Scan:
-        """Return the scan of readings of which a part, shape (n, 3), is explained already, up to its size."""
+        """Return the scan of readings of which a part, shape (n, 3), is explained already, up to
+        its size.
+        """
         left = visits.off - explained
         covariance = visits.scatter(left).covariance(visits.levers)
         white = np.linalg.inv(np.linalg.cholesky(covariance))
@@ -175,7 +182,9 @@ class Scan:
         found = []
         for field, gains, freedoms in self._gains(pattern, self.clipped[None]):
             k = int(np.argmax(gains[0]))
-            found.append(Best(field, k, float(gains[0, k]), self.total, freedoms, self.visits.degrees))
+            found.append(
+                Best(field, k, float(gains[0, k]), self.total, freedoms, self.visits.degrees)
+            )
         return found
 
     def gains(self, pattern: Pattern, field: MotionField) -> np.ndarray:
@@ -184,7 +193,9 @@ class Scan:
         return np.asarray(next(found)[0])
 
     def chance(self, pattern: Pattern) -> float:
-        """Return the probability that sound visits show a pattern of this kind that is as significant."""
+        """Return the probability that sound visits show a pattern of this kind that is as
+        significant.
+        """
         surprise = max((best.surprise for best in self.best(pattern)), default=0.0)
         if np.exp(-surprise) > _LIKELY:
             return 1.0
@@ -203,10 +214,13 @@ class Scan:
         return -float(np.expm1(-np.exp((float(orders.mean()) - surprise) / scale - np.euler_gamma)))
 
     def motion(self, pattern: Pattern, best: Best) -> np.ndarray:
-        """Return the displacements that a pattern explains, shape (n, 3) [m], by a robust estimate of its size."""
+        """Return the displacements that a pattern explains, shape (n, 3) [m], by a robust estimate
+        of its size.
+        """
         visits = self.visits
         x = visits.centred(pattern.x[:, best.pattern])
-        off, turn = visits.off, self.white[visits.thing]
+        off = visits.off
+        turn = self.white[visits.thing]
         directions = best.field.directions[visits.thing]
         columns = (directions[:, :, None, :] * x[:, None, :, None]).reshape(len(x), 3, -1)
         X = (turn @ columns).reshape(off.size, -1)
@@ -222,8 +236,12 @@ class Scan:
             size = inverse @ (fitted + left).ravel()
         return np.asarray(columns @ size)
 
-    def _gains(self, pattern: Pattern, white: np.ndarray) -> Iterator[tuple[MotionField, np.ndarray, int]]:
-        """Yield each field, its gains for B sets of whitened deviations, shape (B, n, 3), as (B, K), and its freedoms."""
+    def _gains(
+        self, pattern: Pattern, white: np.ndarray
+    ) -> Iterator[tuple[MotionField, np.ndarray, int]]:
+        """Yield each field, its gains for B sets of whitened deviations, shape (B, n, 3), as (B,
+        K), and its freedoms.
+        """
         visits = self.visits
         n, K, C = pattern.x.shape
         if not K:
@@ -232,22 +250,30 @@ class Scan:
         flat = x.reshape(n, K * C)
         order = np.argsort(visits.thing, kind="stable")
         starts = np.append(0, np.cumsum(visits.count)[:-1])
-        pairs = np.stack([x[order][:, :, a] * x[order][:, :, b] for a in range(C) for b in range(C)], axis=2)
+        pairs = np.stack(
+            [x[order][:, :, a] * x[order][:, :, b] for a in range(C) for b in range(C)], axis=2
+        )
         inner = np.add.reduceat(pairs, starts, axis=0).reshape(len(visits.count), K, C, C)
         for field, directions in zip(visits.fields, self.fields, strict=True):
             m = field.freedoms
             if not m or field.name in pattern.without:
                 continue
             squares = np.einsum("tam,tan->tmn", directions, directions)
-            normal = np.einsum("tkcd,tmn->kcmdn", inner, squares, optimize=True).reshape(K, C * m, C * m)
+            normal = np.einsum("tkcd,tmn->kcmdn", inner, squares, optimize=True).reshape(
+                K, C * m, C * m
+            )
             inverse = _inverses(normal)
             along = np.einsum("nam,Bna->Bnm", directions[visits.thing], white, optimize=True)
-            score = np.einsum("nk,Bnm->Bkm", flat, along, optimize=True).reshape(len(white), K, C * m)
+            score = np.einsum("nk,Bnm->Bkm", flat, along, optimize=True).reshape(
+                len(white), K, C * m
+            )
             yield field, np.einsum("Bkp,kpq,Bkq->Bk", score, inverse, score, optimize=True), C * m
 
 
 def _middle(long: np.ndarray) -> float:
-    """Return the typical length of whitened residuals over that of a standard normal one, at least 1."""
+    """Return the typical length of whitened residuals over that of a standard normal one, at least
+    1.
+    """
     return max(float(np.median(long)) / float(np.sqrt(chdtri(3, 0.5))), 1.0)
 
 
@@ -267,4 +293,6 @@ def _surprise(gain: np.ndarray, total: float, freedoms: int, degrees: int) -> np
     p_value = fdtrc(freedoms, left, gain / freedoms / (rest / left))
     # Far beyond any chance the p-value underflows.
     far = 0.5 * left * np.log(total / rest)
-    return np.asarray(np.where(p_value > 1e-280, -np.log(np.maximum(p_value, 1e-300)), np.maximum(far, 644.0)))
+    return np.asarray(
+        np.where(p_value > 1e-280, -np.log(np.maximum(p_value, 1e-300)), np.maximum(far, 644.0))
+    )

@@ -1,8 +1,10 @@
-"""Changes between visits of the same poses: a step, a drift along the rows, or a difference by the number of the visit.
+"""Changes between visits of the same poses: a step, a drift along the rows, or a difference by the
+number of the visit.
 
-A fit uses the mean of all visits of a pose, in which a change between two passes is invisible: it moves all means alike. The
-deviations of single visits from this mean show it, whatever the model (:mod:`pincal.validate.visit_scan`). Readings of one
-stop share its arrival and are averaged before; readings within a stop are compared with each other in the same way.
+A fit uses the mean of all visits of a pose, in which a change between two passes is invisible: it
+moves all means alike. The deviations of single visits from this mean show it, whatever the model
+(:mod:`pincal.validate.visit_scan`). Readings of one stop share its arrival and are averaged before;
+readings within a stop are compared with each other in the same way.
 """
 
 from __future__ import annotations
@@ -14,7 +16,12 @@ import numpy as np
 from scipy.special import bdtrc, chdtri
 
 from pincal.identify.criteria import VISITS
-from pincal.identify.motion_fields import MotionField, field_of_load, fields_of_joints, fields_of_setup
+from pincal.identify.motion_fields import (
+    MotionField,
+    field_of_load,
+    fields_of_joints,
+    fields_of_setup,
+)
 from pincal.identify.station import Station
 from pincal.identify.visit_scatter import Arrivals
 from pincal.measure.measurements import Measurements
@@ -25,7 +32,8 @@ from pincal.validate.visit_scan import Best, Pattern, Scan, Visits
 
 # Changes looked for in one table, the most significant first.
 _MOST = 3
-# Stops from which on a step may begin at most, spread over the table; those around the best are then all tried.
+# Stops from which on a step may begin at most, spread over the table; those around the best are
+# then all tried.
 _CUTS = 150
 # Passes up to which a step between two of them is looked for by itself.
 _MOST_PASSES = 5
@@ -35,7 +43,8 @@ _BOTH_SIDES = 3
 _TURNS = 2
 # Degree of the curves of a drift that is not steady.
 _DRIFT = 3
-# Twice the log likelihood ratio within which a line is as likely as the best: 95 % for one parameter.
+# Twice the log likelihood ratio within which a line is as likely as the best: 95 % for one
+# parameter.
 _SAME_LINE = 3.84
 # The same within which the simpler of two patterns is taken.
 _AS_GOOD = 3.84
@@ -76,11 +85,18 @@ class VisitChange:
         far = f"by up to {1e3 * self.size:.2g} mm"
         first, *others = (cause.name for cause in self.causes)
         if self.kind == "drift":
-            seen = " or ".join(dict.fromkeys(_DRIFTS.get(name, f"{name} drifts") for name in (first, *others)))
+            seen = " or ".join(
+                dict.fromkeys(_DRIFTS.get(name, f"{name} drifts") for name in (first, *others))
+            )
             return f"{what} drift apart along the rows {far}: {seen}"
-        seen = " or ".join(dict.fromkeys(_SEEN.get(name, f"along {name}") for name in (first, *others)))
+        seen = " or ".join(
+            dict.fromkeys(_SEEN.get(name, f"along {name}") for name in (first, *others))
+        )
         columns = dict.fromkeys(_COLUMNS.get(name, f"approach_{name}") for name in (first, *others))
-        return f"{what} differ {self.pattern} {far}, {seen}; a column would tell why: {', '.join(columns)}"
+        return (
+            f"{what} differ {self.pattern} {far}, {seen}; a column would tell why: "
+            f"{', '.join(columns)}"
+        )
 
 
 _DRIFTS = {
@@ -128,13 +144,17 @@ class _Rows:
         return patterns if (touched := self._touched()) is None else [touched, *patterns]
 
     def _touched(self) -> Pattern | None:
-        """Return the steps of the instrument between two passes, where it is most likely to be touched."""
+        """Return the steps of the instrument between two passes, where it is most likely to be
+        touched.
+        """
         begun, first = np.unique(self.passes, return_index=True)
         if not 1 < len(begun) <= _MOST_PASSES:
             return None
         after = (self.passes[:, None] >= begun[1:]).astype(float)
         others = frozenset(field.name for field in self.visits.fields) - {"instrument"}
-        return Pattern("step", after[:, :, None], others, VISITS.touched, self.visits.visit[first[1:]])
+        return Pattern(
+            "step", after[:, :, None], others, VISITS.touched, self.visits.visit[first[1:]]
+        )
 
     def steps(self) -> Pattern:
         """Return the steps from each stop on."""
@@ -146,11 +166,17 @@ class _Rows:
         return Pattern("step", after[:, :, None], frozenset({"growth"}), begins=begins)
 
     def begins(self, most: int) -> np.ndarray:
-        """Return the numbers of the stops from which a step may begin, at most so many, shape (K,)."""
+        """Return the numbers of the stops from which a step may begin, at most so many,
+        shape (K,).
+        """
         numbers = np.unique(self.visits.visit)[1:]
         thing = self.visits.thing
         after = np.array([np.bincount(thing, self.visits.visit >= number) for number in numbers])
-        both = np.count_nonzero((after > 0) & (after < self.visits.count), axis=1) if len(numbers) else after
+        both = (
+            np.count_nonzero((after > 0) & (after < self.visits.count), axis=1)
+            if len(numbers)
+            else after
+        )
         numbers = numbers[both >= min(_BOTH_SIDES, len(self.visits.count))]
         few = np.unique(np.linspace(0, len(numbers) - 1, min(most, len(numbers))).astype(int))
         return np.asarray(numbers[few])
@@ -160,12 +186,18 @@ class _Rows:
         return Pattern("drift", curves[:, None, :])
 
     def _order(self) -> Pattern:
-        several = [self.rank.astype(float), (self.rank > 0).astype(float), (self.rank % 2).astype(float)]
+        several = [
+            self.rank.astype(float),
+            (self.rank > 0).astype(float),
+            (self.rank % 2).astype(float),
+        ]
         kinds = several if self.rank.max() > 1 else several[:1]
         return Pattern("order", np.stack(kinds, axis=1)[:, :, None])
 
 
-def changes_between_visits(station: Station, values: np.ndarray, table: Measurements) -> list[VisitChange]:
+def changes_between_visits(
+    station: Station, values: np.ndarray, table: Measurements
+) -> list[VisitChange]:
     """Return what changed between visits of the same poses, and between readings of the same stops.
 
     Args:
@@ -203,7 +235,8 @@ class VisitScatter:
         return float(np.sqrt(np.median(squares / chdtri(degrees, 0.5))))
 
     def larger(self, noise: float) -> float:
-        """Return the probability that so many poses, or stops, differ by more than the median for a noise [m].
+        """Return the probability that so many poses, or stops, differ by more than the median for a
+        noise [m].
 
         A sign test: some consecutive rows of a pose may be of two stops, which nothing tells.
         """
@@ -218,20 +251,27 @@ class VisitScatter:
         return squares, 3.0 * (visits.count - 1.0)
 
     def square(self, noise: float, arrival: float) -> tuple[float, float]:
-        """Return the sum of squares for a noise [m] and an arrival of all joints [rad or m], and its degrees of freedom.
+        """Return the sum of squares for a noise [m] and an arrival of all joints [rad or m], and
+        its degrees of freedom.
 
         Targets that are read in one stop share its arrival, so they count as one.
         """
         visits = self.visits
         joints = visits.levers.shape[2]
-        covariance = Arrivals(np.full(3, noise), np.full(joints, arrival)).covariance(visits.levers)[visits.thing]
+        covariance = Arrivals(np.full(3, noise), np.full(joints, arrival)).covariance(
+            visits.levers
+        )[visits.thing]
         squares = np.sum(visits.off * np.linalg.solve(covariance, visits.off[:, :, None])[:, :, 0])
         together = 1.0 if not arrival else len(np.unique(visits.visit)) / len(visits.visit)
         return float(squares) * together, visits.degrees * together
 
 
-def scatters_of(station: Station, values: np.ndarray, table: Measurements) -> Iterator[VisitScatter]:
-    """Yield the scatter between visits of the same poses, then between readings of the same stops; arguments as before."""
+def scatters_of(
+    station: Station, values: np.ndarray, table: Measurements
+) -> Iterator[VisitScatter]:
+    """Yield the scatter between visits of the same poses, then between readings of the same stops;
+    arguments as before.
+    """
     for rows in _rows_of(station, values, table):
         yield VisitScatter(rows.visits, rows.within)
 
@@ -245,10 +285,12 @@ def _changes(rows: _Rows) -> Iterator[VisitChange]:
         if not seen:
             return
         bests = [max(scan.best(pattern), key=lambda found: found.likelihood) for pattern in seen]
-        # A step, most of all one between passes, or a difference from visit to visit, may be the same pattern as a drift,
-        # and explains it with less.
+        # A step, most of all one between passes, or a difference from visit to visit, may be the
+        # same pattern as a drift, and explains it with less.
         enough = max(best.likelihood for best in bests) - _AS_GOOD
-        pattern, best = next(pair for pair in zip(seen, bests, strict=True) if pair[1].likelihood >= enough)
+        pattern, best = next(
+            pair for pair in zip(seen, bests, strict=True) if pair[1].likelihood >= enough
+        )
         if pattern.begins is not None and len(pattern.begins) == _CUTS:
             pattern = rows.steps()
         for _ in range(_TURNS):
@@ -268,7 +310,9 @@ def _described(rows: _Rows, scan: Scan, *, pattern: Pattern, best: Best) -> Visi
     causes = dict[str, StepCause]()
     for other in every:
         if other.likelihood > best.likelihood - VISITS.as_likely:
-            causes.setdefault(other.field.name, _cause(rows, scan.motion(pattern, other), pattern, other))
+            causes.setdefault(
+                other.field.name, _cause(rows, scan.motion(pattern, other), pattern, other)
+            )
     if "instrument" in causes:
         # Growth about a point that is far away is the same.
         causes.pop("growth", None)
@@ -283,7 +327,8 @@ def _described(rows: _Rows, scan: Scan, *, pattern: Pattern, best: Best) -> Visi
         gains = scan.gains(pattern, best.field)
         ratios = best.degrees * -np.log(np.maximum(scan.total - gains, 1e-12 * scan.total))
         close = begins[ratios > ratios.max() - _SAME_LINE]
-        # Poses that were visited once tell nothing of what lies between the last visit before and the first one after.
+        # Poses that were visited once tell nothing of what lies between the last visit before and
+        # the first one after.
         before = rows.visits.visit[rows.visits.visit < close[0]].max()
         lines = int(rows.lines[before + 1]), int(rows.lines[close[-1]])
         return replace(change, line=line, lines=lines)
@@ -291,7 +336,9 @@ def _described(rows: _Rows, scan: Scan, *, pattern: Pattern, best: Best) -> Visi
 
 
 def _cause(rows: _Rows, motion: np.ndarray, pattern: Pattern, best: Best) -> StepCause:
-    """Return the cause of a displacement of shape (n, 3): its size is that of the target [m] or of the joint."""
+    """Return the cause of a displacement of shape (n, 3): its size is that of the target [m] or of
+    the joint.
+    """
     visits = rows.visits
     field = best.field
     whole = motion - motion[np.unique(visits.thing, return_index=True)[1]][visits.thing]
@@ -306,7 +353,9 @@ def _cause(rows: _Rows, motion: np.ndarray, pattern: Pattern, best: Best) -> Ste
 
 
 def _largest_difference(visits: Visits, motion: np.ndarray) -> float:
-    """Return the largest distance between two visits of a pose in a displacement of shape (n, 3) [m]."""
+    """Return the largest distance between two visits of a pose in a displacement of shape (n, 3)
+    [m].
+    """
     low = np.full((len(visits.count), 3), np.inf)
     high = -low
     np.minimum.at(low, visits.thing, motion)
@@ -316,7 +365,11 @@ def _largest_difference(visits: Visits, motion: np.ndarray) -> float:
 
 def _rows_of(station: Station, values: np.ndarray, table: Measurements) -> Iterator[_Rows]:
     """Yield the visits of poses, then the readings within stops, where there are several."""
-    if not station.sensor.reads_pose or table.moving is not None or table.readings_per_row is not None:
+    if (
+        not station.sensor.reads_pose
+        or table.moving is not None
+        or table.readings_per_row is not None
+    ):
         return
     plan = plan_of(table)
     if not (plan.is_revisited or plan.is_repeated):
@@ -327,11 +380,21 @@ def _rows_of(station: Station, values: np.ndarray, table: Measurements) -> Itera
     if plan.is_revisited:
         pairs = np.column_stack([plan.stop, plan.thing])
         yield from _visits(
-            station, values, plan, off, lines=table.rows, kept=kept, slots=pairs, group=plan.thing, visit=plan.stop
+            station,
+            values,
+            plan,
+            off,
+            lines=table.rows,
+            kept=kept,
+            slots=pairs,
+            group=plan.thing,
+            visit=plan.stop,
         )
     if plan.is_repeated:
         rank = _ranks(plan)
-        group = np.unique(np.column_stack([plan.stop, plan.thing]), axis=0, return_inverse=True)[1].ravel()
+        group = np.unique(np.column_stack([plan.stop, plan.thing]), axis=0, return_inverse=True)[
+            1
+        ].ravel()
         visit = plan.stop * (int(rank.max()) + 1) + rank
         pairs = np.column_stack([visit, group])
         yield from _visits(
@@ -350,7 +413,9 @@ def _rows_of(station: Station, values: np.ndarray, table: Measurements) -> Itera
 
 
 def _ranks(plan: Plan) -> np.ndarray:
-    """Return the number of each reading among those of its target in its stop, from 0, shape (N,)."""
+    """Return the number of each reading among those of its target in its stop, from 0,
+    shape (N,).
+    """
     rank = np.zeros(len(plan), int)
     seen = dict[tuple[int, int], int]()
     for row in plan.order.tolist():
@@ -374,7 +439,9 @@ def _visits(
     rank: np.ndarray | None = None,
     within: bool = False,
 ) -> Iterator[_Rows]:
-    """Yield the readings of groups with several visits; arrays of shape (N,), ``slots`` (N, 2) whose rows are averaged."""
+    """Yield the readings of groups with several visits; arrays of shape (N,), ``slots`` (N, 2)
+    whose rows are averaged.
+    """
     rows = plan.order[kept[plan.order]]
     _, first, slot = np.unique(slots[rows], axis=0, return_index=True, return_inverse=True)
     slot = slot.ravel()
@@ -383,7 +450,8 @@ def _visits(
     first = rows[first]
     several = np.bincount(group[first], minlength=int(group.max()) + 1) > 1
     again = several[group[first]]
-    means, first = means[again], first[again]
+    means = means[again]
+    first = first[again]
     if not len(first):
         return
     thing = np.unique(group[first], return_inverse=True)[1].ravel()
@@ -393,13 +461,19 @@ def _visits(
     joints = list(fields_of_joints(at, values))
     setup = list(fields_of_setup(at, values))
     fields = (*setup[1:], *joints, field_of_load(at, values), setup[0])
-    levers = np.concatenate([field.directions for field in joints], axis=2) if joints else np.zeros((len(at), 3, 0))
+    levers = (
+        np.concatenate([field.directions for field in joints], axis=2)
+        if joints
+        else np.zeros((len(at), 3, 0))
+    )
     visits = Visits(np.zeros_like(means), thing, visit[first], _distinct(fields), levers)
     visits = replace(visits, off=visits.centred(means))
     begins = np.unique(plan.stop[plan.order], return_index=True)[1]
     along = 2.0 * plan.stop[first] / max(len(begins) - 1, 1) - 1.0
     rank = plan.visit if rank is None else rank
-    yield _Rows(visits, first, lines[plan.order[begins]], along, rank[first], plan.passes[first], within)
+    yield _Rows(
+        visits, first, lines[plan.order[begins]], along, rank[first], plan.passes[first], within
+    )
 
 
 def _distinct(fields: tuple[MotionField, ...]) -> tuple[MotionField, ...]:

@@ -1,4 +1,5 @@
-"""The calibrated robot in three dimensions: its deviations as arrows, in a page that opens offline or from a local server.
+"""The calibrated robot in three dimensions: its deviations as arrows, in a page that opens offline
+or from a local server.
 
 Example:
     >>> import numpy as np

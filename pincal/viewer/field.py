@@ -1,4 +1,6 @@
-"""Fields of position deviations: arrows from nominal or predicted to actual positions of the target."""
+"""Fields of position deviations: arrows from nominal or predicted to actual positions of the
+target.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.report.words import effect_words
 
-# Number of poses over which nominal base and tool are fitted to the calibrated robot if there are no measurements.
+# Number of poses over which nominal base and tool are fitted to the calibrated robot if there are
+# no measurements.
 _ENOUGH = 400
 # Random poses per cell of the grid, enough that hardly any cell is missed.
 _DRAWS = 40
@@ -43,7 +46,8 @@ class FieldPoses:
         target: shape (N,), index into the chain's targets.
         lines: shape (N,), line of each row in its file; None for poses from no file.
         held_out: shape (N,), rows that were held out of the fit; None if unknown.
-        position: shape (N, 3), measured positions in the instrument's frame [m]; None without positions.
+        position: shape (N, 3), measured positions in the instrument's frame [m]; None without
+            positions.
     """
 
     name: str
@@ -59,7 +63,8 @@ class Layer:
     """One field of arrows.
 
     Attributes:
-        name: its path in the control tree, such as "deviations/before" or "workspace/explained by ...".
+        name: its path in the control tree, such as "deviations/before" or "workspace/explained by
+            ...".
         poses: name of the poses at which it is given.
         points: shape (N, 3), tails, in the instrument's frame [m].
         vectors: shape (N, 3), from tail to head [m], true to scale.
@@ -94,9 +99,15 @@ class Fields:
 
     def transformed(self, T: np.ndarray) -> Fields:
         """Return the fields transformed by ``T``, shape (4, 4), into another frame."""
-        R, t = T[:3, :3].T, T[:3, 3]
-        layers = (replace(layer, points=layer.points @ R + t, vectors=layer.vectors @ R) for layer in self.layers)
-        poses = (p if p.position is None else replace(p, position=p.position @ R + t) for p in self.poses)
+        R = T[:3, :3].T
+        t = T[:3, 3]
+        layers = (
+            replace(layer, points=layer.points @ R + t, vectors=layer.vectors @ R)
+            for layer in self.layers
+        )
+        poses = (
+            p if p.position is None else replace(p, position=p.position @ R + t) for p in self.poses
+        )
         return replace(self, layers=tuple(layers), poses=tuple(poses))
 
 
@@ -110,10 +121,11 @@ def deviation_fields(
 ) -> Fields:
     """Return the deviations of a robot over measured poses and over its workspace.
 
-    Over measured poses: from nominal (only base and tool fitted) to measured, from calibrated to measured, and for each
-    effect from the prediction without it to the prediction with it, all else unchanged. Over the workspace: from nominal to
-    calibrated, and again each effect. A distance determines only the deviation along the line of sight; for readings that
-    determine no direction, "before" leads to the calibrated prediction.
+    Over measured poses: from nominal (only base and tool fitted) to measured, from calibrated to
+    measured, and for each effect from the prediction without it to the prediction with it, all else
+    unchanged. Over the workspace: from nominal to calibrated, and again each effect. A distance
+    determines only the deviation along the line of sight; for readings that determine no direction,
+    "before" leads to the calibrated prediction.
 
     Args:
         calibrated: the robot.
@@ -133,43 +145,69 @@ def deviation_fields(
     notes: list[str] = []
     conditions = position = None
     if measurements is not None and len(measurements):
-        conditions, position = calibrated.conditions(measurements), measurements.position
-        poses.append(FieldPoses("measured", measurements.q, conditions.target, measurements.rows, held_out, position))
+        conditions = calibrated.conditions(measurements)
+        position = measurements.position
+        poses.append(
+            FieldPoses(
+                "measured", measurements.q, conditions.target, measurements.rows, held_out, position
+            )
+        )
         nominal, note = _nominal_from_data(calibrated, measurements, held_out)
         notes += note
         layers += _measured_layers(calibrated, measurements, conditions, nominal)
     if grid > 0:
         over, part, note = _workspace(calibrated, grid, seed, conditions)
-        # Distances and contacts do not determine the base well, which would show as deviations elsewhere in the workspace.
+        # Distances and contacts do not determine the base well, which would show as deviations
+        # elsewhere in the workspace.
         if position is None:
             nominal = _nominal_from_predictions(part, over)
         notes += note
-        before, after = part.model.own(nominal), part.model_values
-        tails, heads = _positions(part.model, before, over), _positions(part.model, after, over)
+        before = part.model.own(nominal)
+        after = part.model_values
+        tails = _positions(part.model, before, over)
+        heads = _positions(part.model, after, over)
         words = "from nominal, base and tool fitted, to calibrated prediction"
-        layers.append(Layer("workspace/nominal to calibrated", "workspace", tails, heads - tails, words))
+        layers.append(
+            Layer("workspace/nominal to calibrated", "workspace", tails, heads - tails, words)
+        )
         layers += _explained("workspace", "workspace", part.model, after, over, heads)
         poses.append(FieldPoses("workspace", over.q, over.target))
     if not layers:
-        raise BadInputError("nothing to show: no measured poses, and no points of the workspace requested")
+        raise BadInputError(
+            "nothing to show: no measured poses, and no points of the workspace requested"
+        )
     return Fields(tuple(layers), tuple(poses), tuple(notes))
 
 
 def _measured_layers(
-    calibrated: CalibratedModel, measurements: Measurements, conditions: Conditions, nominal: np.ndarray
+    calibrated: CalibratedModel,
+    measurements: Measurements,
+    conditions: Conditions,
+    nominal: np.ndarray,
 ) -> Iterator[Layer]:
-    model, values = calibrated.model, calibrated.values
+    model = calibrated.model
+    values = calibrated.values
     problem = calibrated.readings(measurements)
-    for name, of, words in (("before", nominal, "nominal, base and tool fitted"), ("after", values, "calibrated")):
+    for name, of, words in (
+        ("before", nominal, "nominal, base and tool fitted"),
+        ("after", values, "calibrated"),
+    ):
         tails = _positions(model, model.own(of), conditions)
         meaning = f"from {words} to {problem.sensor.deviation_end}"
         yield Layer(f"deviations/{name}", "measured", tails, problem.displacements(of), meaning)
     own = model.own(values)
-    yield from _explained("deviations", "measured", model, own, conditions, _positions(model, own, conditions))
+    yield from _explained(
+        "deviations", "measured", model, own, conditions, _positions(model, own, conditions)
+    )
 
 
 def _explained(
-    folder: str, poses: str, model: Model, values: np.ndarray, conditions: Conditions, whole: np.ndarray
+    folder: str,
+    poses: str,
+    model: Model,
+    values: np.ndarray,
+    conditions: Conditions,
+    whole: np.ndarray,
 ) -> Iterator[Layer]:
     """Yield a layer for each effect, from the prediction without it to the prediction with it."""
     used = set()
@@ -182,7 +220,9 @@ def _explained(
                 name += " again"
             used.add(name)
             tails = _positions(model, without, conditions)
-            words = f"from the prediction without {name} to the prediction with it, all else unchanged"
+            words = (
+                f"from the prediction without {name} to the prediction with it, all else unchanged"
+            )
             yield Layer(f"{folder}/explained by {name}", poses, tails, whole - tails, words)
 
 
@@ -199,25 +239,32 @@ def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.n
 def _nominal_from_data(
     calibrated: CalibratedModel, measurements: Measurements, held_out: np.ndarray | None
 ) -> tuple[np.ndarray, list[str]]:
-    """Return the values with only base and tool fitted, to the rows that the calibration was fitted to."""
+    """Return the values with only base and tool fitted, to the rows that the calibration was fitted
+    to.
+    """
     if calibrated.nominal_values is not None:
         return calibrated.nominal_values, []
     problem = calibrated.readings(measurements)
     fitted = np.ones(len(problem), bool) if held_out is None else ~held_out
     if fitted.sum() < min(len(problem), 6):
         words = (
-            "base and tool of the nominal robot are fitted to the rows shown, since few of them were used by the calibration"
+            "base and tool of the nominal robot are fitted to the rows shown, since few of "
+            "them were used by the calibration"
         )
         return _frames_fitted(calibrated, problem), [words]
     return _frames_fitted(calibrated, problem.select(fitted)), []
 
 
 def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> np.ndarray:
-    """Return the values with only base and tool fitted, to the calibrated robot over its workspace."""
+    """Return the values with only base and tool fitted, to the calibrated robot over
+    its workspace.
+    """
     rows = np.unique(np.linspace(0, len(over) - 1, _ENOUGH).astype(int))
     sample = over.select(rows)
     poses = calibrated.predict(sample)
-    sensor = simulatable()["pose" if calibrated.model.has_tool_orientation else "position"].simulated(poses)
+    sensor = simulatable()[
+        "pose" if calibrated.model.has_tool_orientation else "position"
+    ].simulated(poses)
     return _frames_fitted(calibrated, Station(calibrated.model, sample, sensor, np.ones(len(rows))))
 
 
@@ -234,37 +281,59 @@ def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
     station.split(free)[0][:] &= largest_basis(station.model, station.conditions)[1]
     nothing = np.full(len(start), np.inf)
     noise = Noise((None,) * len(station.sensor.blocks))
-    return likeliest_values(Problem((station,)), start, free, Priors(nothing, nothing), noise, Course("huber", rough=True))
+    return likeliest_values(
+        Problem((station,)),
+        start,
+        free,
+        Priors(nothing, nothing),
+        noise,
+        Course("huber", rough=True),
+    )
 
 
 def _workspace(
     calibrated: CalibratedModel, grid: int, seed: int, seen: Conditions | None
 ) -> tuple[Conditions, CalibratedModel, list[str]]:
-    """Return poses all over the workspace, the model that can predict there, and notes on assumptions."""
-    payload = float(np.mean(calibrated.covered.payload)) if seen is None else float(np.median(seen.payload))
+    """Return poses all over the workspace, the model that can predict there, and notes on
+    assumptions.
+    """
+    payload = (
+        float(np.mean(calibrated.covered.payload))
+        if seen is None
+        else float(np.median(seen.payload))
+    )
     columns = {} if seen is None else {"temperature": seen.temperature, "time": seen.time}
-    known = {name: float(np.median(values)) for name, values in columns.items() if values is not None}
+    known = {
+        name: float(np.median(values)) for name, values in columns.items() if values is not None
+    }
 
     def is_known(effect: Effect) -> bool:
-        return not any(need in ("temperature", "time") and need not in known for need in effect.needs)
+        return not any(
+            need in ("temperature", "time") and need not in known for need in effect.needs
+        )
 
     left_out = [effect_name(effect) for effect in calibrated.model.effects if not is_known(effect)]
     part = calibrated.with_effects(is_known) if left_out else calibrated
     q = _workspace_poses(part, grid, payload=payload, known=known, seed=seed)
     over = _at_conditions(q, calibrated, payload, known)
     notes = [
-        f"workspace: {len(q)} points within the joint ranges of the calibration, each reached by one pose, at a payload of "
+        f"workspace: {len(q)} points within the joint ranges of the calibration, each "
+        "reached by one pose, at a payload of "
         f"{payload:g} kg"
     ]
     if left_out:
-        notes.append(f"workspace: without {', '.join(left_out)}, whose conditions are known at measured poses only")
+        notes.append(
+            f"workspace: without {', '.join(left_out)}, whose conditions are known at "
+            "measured poses only"
+        )
     return over, part, notes
 
 
 def _workspace_poses(
     calibrated: CalibratedModel, places: int, *, payload: float, known: dict[str, float], seed: int
 ) -> np.ndarray:
-    """Return joint positions within the calibrated range, shape (about ``places``, n), one for each cell of a regular grid.
+    """Return joint positions within the calibrated range, shape (about ``places``, n), one for each
+    cell of a regular grid.
 
     Of random poses, the one nearest to the centre of a cell is taken.
     """
@@ -272,7 +341,10 @@ def _workspace_poses(
     lower, upper = calibrated.covered.q.T
     q = rng.uniform(lower, upper, (min(_DRAWS * places, max(_MOST_DRAWS, places)), len(lower)))
     q = calibrated.model.chain.robot.following(q)
-    pieces = (_at_conditions(q[i : i + _PIECE], calibrated, payload, known) for i in range(0, len(q), _PIECE))
+    pieces = (
+        _at_conditions(q[i : i + _PIECE], calibrated, payload, known)
+        for i in range(0, len(q), _PIECE)
+    )
     reached = np.concatenate([calibrated.predict(piece)[:, :, 3] for piece in pieces])
     size = _cell_size(reached, places)
     off_centre = np.linalg.norm(reached - np.round(reached / size) * size, axis=1)
@@ -281,11 +353,16 @@ def _workspace_poses(
     return np.asarray(q[order[first]])
 
 
-def _at_conditions(q: np.ndarray, calibrated: CalibratedModel, payload: float, known: dict[str, float]) -> Conditions:
-    """Return the conditions of joint positions, shape (N, n), with the same payload [kg], temperature and time."""
+def _at_conditions(
+    q: np.ndarray, calibrated: CalibratedModel, payload: float, known: dict[str, float]
+) -> Conditions:
+    """Return the conditions of joint positions, shape (N, n), with the same payload [kg],
+    temperature and time.
+    """
     plain = Conditions.at(q, payload=payload, payload_centre=calibrated.payload_centre)
     columns = {name: np.full(len(q), value) for name, value in known.items()}
-    # Directions of approach are unknown, 0 as for a table without these columns; joints are at the commanded positions.
+    # Directions of approach are unknown, 0 as for a table without these columns; joints are at the
+    # commanded positions.
     unknown = np.zeros(q.shape)
     return replace(plain, approach=unknown, move=unknown, droop=unknown, **columns)
 
@@ -295,7 +372,8 @@ def _cell_size(reached: np.ndarray, places: int) -> float:
     extent = float(np.ptp(reached, axis=0).max())
     if extent == 0.0:
         return 1.0
-    low, high = extent / 1e3, 2.0 * extent
+    low = extent / 1e3
+    high = 2.0 * extent
     for _ in range(_HALVINGS):
         size = float(np.sqrt(low * high))
         count = len(np.unique(_cells(reached, size)))

@@ -1,4 +1,5 @@
-"""The page: meshcat's viewer, a scene as numbers, and a control panel, in one file that needs no network.
+"""The page: meshcat's viewer, a scene as numbers, and a control panel, in one file that needs no
+network.
 
 A server on this machine can move the robot in open pages. A viewer of the user's own, such as
 Pinocchio's ``MeshcatVisualizer``, can show a field of deviations, too.
@@ -40,7 +41,8 @@ if TYPE_CHECKING:
 
 # The page contains everything and may load nothing. The viewer's library evaluates code of its own.
 _POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; img-src data: blob:; "
+    "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src "
+    "'unsafe-inline'; img-src data: blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'"
 )
 
@@ -106,7 +108,9 @@ def _viewer() -> str:
     try:
         return path.read_text(encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"{path}: meshcat's viewer can't be read ({error.strerror}); install meshcat again") from None
+        raise OutputError(
+            f"{path}: meshcat's viewer can't be read ({error.strerror}); install meshcat again"
+        ) from None
 
 
 _HOST = "127.0.0.1"
@@ -129,10 +133,14 @@ class LiveView:
         try:
             self._server = _Server((_HOST, port), _Handler)
         except (OSError, OverflowError) as error:
-            raise OutputError(f"{_HOST}:{port}: can't serve here ({error}); choose another port") from None
+            raise OutputError(
+                f"{_HOST}:{port}: can't serve here ({error}); choose another port"
+            ) from None
         self._server.view = self
         self.url = f"http://{_HOST}:{self._server.server_address[1]}/"
-        self._thread = threading.Thread(target=self._server.serve_forever, name="pincal-view", daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, name="pincal-view", daemon=True
+        )
         self._thread.start()
 
     def pose(self, q: np.ndarray) -> None:
@@ -143,12 +151,15 @@ class LiveView:
         """
         values = np.asarray(q, float)
         if values.shape != self._scene.q.shape or not np.isfinite(values).all():
-            raise BadInputError(f"a pose of shape {values.shape}; expected {len(self._scene.q)} finite numbers")
+            raise BadInputError(
+                f"a pose of shape {values.shape}; expected {len(self._scene.q)} finite numbers"
+            )
         self._send({"q": values.tolist()})
 
     def replace(self, scene: Scene) -> None:
         """Show another scene in every open page."""
-        self._scene, self._page = scene, page(scene, live=True).encode()
+        self._scene = scene
+        self._page = page(scene, live=True).encode()
         self._send({"reload": True})
 
     def wait(self) -> None:
@@ -231,7 +242,8 @@ class _Handler(BaseHTTPRequestHandler):
         elif self.path == "/":
             content = self.server.view._page
             self._begin(
-                "text/html; charset=utf-8", {"Content-Length": str(len(content)), "X-Content-Type-Options": "nosniff"}
+                "text/html; charset=utf-8",
+                {"Content-Length": str(len(content)), "X-Content-Type-Options": "nosniff"},
             )
             self.wfile.write(content)
         elif self.path == "/events":
@@ -285,13 +297,16 @@ def draw_field(
 ) -> Layer:
     """Draw a deviation field as arrows into a meshcat viewer that shows the robot.
 
-    The viewer's world is the root of the URDF, as in ``MeshcatVisualizer``. A field of the same name is replaced.
+    The viewer's world is the root of the URDF, as in ``MeshcatVisualizer``. A field of the same
+    name is replaced.
 
     Args:
-        viz: a ``meshcat.Visualizer``, or a viewer that has one as ``viewer``, such as Pinocchio's ``MeshcatVisualizer``.
+        viz: a ``meshcat.Visualizer``, or a viewer that has one as ``viewer``, such as Pinocchio's
+            ``MeshcatVisualizer``.
         calibrated: the robot.
         measurements: its measured poses; default: none, arrows cover the workspace.
-        layer: which field, by its name; default: the first one, from nominal to measured or to calibrated.
+        layer: which field, by its name; default: the first one, from nominal to measured or to
+            calibrated.
         scale: scale factor of the arrows; default: a round number that makes them visible.
         path: node of meshcat's tree below which the field is drawn, under its own name.
         grid: approximate number of workspace points with an arrow; 0 for none.
@@ -310,26 +325,38 @@ def draw_field(
         raise BadInputError(f"scale is {scale}; expected a positive number")
     model = calibrated.to_model()
     robot = model.model.chain.robot
-    fields = deviation_fields(model, measurements, grid=grid).transformed(_root_of(robot) @ np.linalg.inv(base_of(model)))
+    fields = deviation_fields(model, measurements, grid=grid).transformed(
+        _root_of(robot) @ np.linalg.inv(base_of(model))
+    )
     names = [field.name for field in fields.layers]
     if layer is not None and layer not in names:
-        raise BadInputError(f"no field {layer!r}; expected one of {', '.join(nearest_first([layer], names))}")
+        raise BadInputError(
+            f"no field {layer!r}; expected one of {', '.join(nearest_first([layer], names))}"
+        )
     found = fields.layers[0 if layer is None else names.index(layer)]
     factor = visible_scale(found, robot.reach) if scale is None else scale
     ends, colours = _strokes(found, factor)
-    lines = g.LineSegments(g.PointsGeometry(ends.T, color=colours.T), g.LineBasicMaterial(vertexColors=True))
+    lines = g.LineSegments(
+        g.PointsGeometry(ends.T, color=colours.T), g.LineBasicMaterial(vertexColors=True)
+    )
     viewer = viz if isinstance(viz, meshcat.Visualizer) else viz.viewer
     viewer[path][found.name].set_object(lines)
     return found
 
 
 def _strokes(field: Layer, factor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of an arrow's three strokes, shape (6 N, 3) [m], and their colours by length, shape (6 N, 3)."""
+    """Return the ends of an arrow's three strokes, shape (6 N, 3) [m], and their colours by length,
+    shape (6 N, 3).
+    """
     from matplotlib import colormaps
 
-    tails, along = field.points, factor * field.vectors
-    heads, size = tails + along, np.linalg.norm(along, axis=1, keepdims=True)
-    side = np.cross(along, np.where(np.abs(along[:, 2:]) < 0.9 * size, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
+    tails = field.points
+    along = factor * field.vectors
+    heads = tails + along
+    size = np.linalg.norm(along, axis=1, keepdims=True)
+    side = np.cross(
+        along, np.where(np.abs(along[:, 2:]) < 0.9 * size, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    )
     side *= 0.5 * _HEAD * size / np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-300)
     back = heads - _HEAD * along
     ends = np.stack([tails, heads, heads, back + side, heads, back - side], axis=1).reshape(-1, 3)
@@ -338,7 +365,9 @@ def _strokes(field: Layer, factor: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _root_of(robot: Robot) -> np.ndarray:
-    """Return the base of the arm in the root of its URDF, shape (4, 4), the joints before it at zero."""
+    """Return the base of the arm in the root of its URDF, shape (4, 4), the joints before it at
+    zero.
+    """
     import pinocchio as pin
 
     if not robot.urdf:

@@ -30,7 +30,8 @@ _NO_TILT = 1e-12
 
 @dataclass(frozen=True)
 class Axis:
-    """One joint axis, nominal and with its distortion exaggerated, in the link frame that it is mounted on.
+    """One joint axis, nominal and with its distortion exaggerated, in the link frame that it is
+    mounted on.
 
     Attributes:
         joint: name.
@@ -47,16 +48,20 @@ class Axis:
     offset: float
 
 
-def axes_of(calibrated: CalibratedModel, factor: float | None = None) -> tuple[tuple[Axis, ...], float]:
+def axes_of(
+    calibrated: CalibratedModel, factor: float | None = None
+) -> tuple[tuple[Axis, ...], float]:
     """Return the joint axes and the factor by which their distortions are exaggerated.
 
     Args:
         calibrated: the robot.
-        factor: of tilts and offsets; default: a round number that makes the largest visible without exaggeration.
+        factor: of tilts and offsets; default: a round number that makes the largest visible without
+            exaggeration.
     """
     chain = calibrated.model.chain
     coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
-    # Position of each joint frame of the URDF along its axis, from the origin of the Denavit-Hartenberg frame [m].
+    # Position of each joint frame of the URDF along its axis, from the origin of the
+    # Denavit-Hartenberg frame [m].
     after = chain.robot.kinematics.after
     heights = [float((B @ T)[2, 3]) for B, T in zip(after, chain.robot.T_link_joint, strict=True)]
     found = [_distortion(chain, coordinates, i, height) for i, height in enumerate(heights)]
@@ -75,7 +80,9 @@ def axes_of(calibrated: CalibratedModel, factor: float | None = None) -> tuple[t
             float(np.linalg.norm(tilt)),
             float(np.linalg.norm(offset)),
         )
-        for name, (frame, tilt, offset), height in zip(chain.robot.joint_names, found, heights, strict=True)
+        for name, (frame, tilt, offset), height in zip(
+            chain.robot.joint_names, found, heights, strict=True
+        )
     ), factor
 
 
@@ -91,8 +98,12 @@ def round_down(value: float) -> float:
     return float(step * power)
 
 
-def _distortion(chain: Chain, coordinates: np.ndarray, i: int, height: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the frame of the nominal axis in the link before it, and tilt [rad] and offset [m] across it, shape (2,)."""
+def _distortion(
+    chain: Chain, coordinates: np.ndarray, i: int, height: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the frame of the nominal axis in the link before it, and tilt [rad] and offset [m]
+    across it, shape (2,).
+    """
 
     def mounted(values: np.ndarray) -> np.ndarray:
         link = np.eye(4)
@@ -109,7 +120,9 @@ def _distortion(chain: Chain, coordinates: np.ndarray, i: int, height: float) ->
     return np.linalg.inv(link) @ nominal, change[:2, 2], change[:2, 3] + change[:2, 2] * height
 
 
-def _line(frame: np.ndarray, tilt: np.ndarray, offset: np.ndarray, height: float, half: float) -> np.ndarray:
+def _line(
+    frame: np.ndarray, tilt: np.ndarray, offset: np.ndarray, height: float, half: float
+) -> np.ndarray:
     """Return the ends of a line about the z axis of a frame, shape (2, 3)."""
     angle = float(np.linalg.norm(tilt))
     across = tilt / angle if angle > 0.0 else np.zeros(2)
@@ -119,8 +132,10 @@ def _line(frame: np.ndarray, tilt: np.ndarray, offset: np.ndarray, height: float
     return np.asarray(ends @ frame[:3, :3].T + frame[:3, 3])
 
 
-# Largest length of nearly all arrows, as a fraction of the robot's reach and of the distance between arrows.
-_DRAWN, _CROWDED = 0.12, 0.8
+# Largest length of nearly all arrows, as a fraction of the robot's reach and of the distance
+# between arrows.
+_DRAWN = 0.12
+_CROWDED = 0.8
 
 
 @dataclass(frozen=True)
@@ -148,7 +163,8 @@ class Scene:
         lower: shape (n,), ends of the joints' sliders [rad or m].
         upper: shape (n,), upper ends.
         q: shape (n,), the initial pose.
-        T_scene_base: shape (4, 4), pose of the robot's base in the scene, in which gravity points down.
+        T_scene_base: shape (4, 4), pose of the robot's base in the scene, in which gravity points
+            down.
         kinematics: of the arm.
         shapes: of its links.
         axes: its joint axes, with distortions times ``axis_scale``.
@@ -182,10 +198,12 @@ class Scene:
         Raises:
             BadInputError: if the pose is not one finite number per joint.
         """
-        found, names = self.q if q is None else np.asarray(q, float), self.joints
+        found = self.q if q is None else np.asarray(q, float)
+        names = self.joints
         if found.shape != (len(names),) or not np.isfinite(found).all():
             raise BadInputError(
-                f"a pose of {found.size} values ({found.tolist()}); expected {len(names)}: {', '.join(names)}"
+                f"a pose of {found.size} values ({found.tolist()}); expected "
+                f"{len(names)}: {', '.join(names)}"
             )
         return replace(self, q=found, notes=(*notes, *self.notes))
 
@@ -224,7 +242,8 @@ def build_scene(
     fields = deviation_fields(calibrated, measurements, held_out=held_out, grid=grid)
     shapes, missing = shapes_of(chain.robot, mesh_folders)
     axes, axis_scale = axes_of(calibrated, axis_scale)
-    upright, coordinates = _upright(chain.gravity), calibrated.model.rigid_coordinates(calibrated.model_values)
+    upright = _upright(chain.gravity)
+    coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
     T_scene_instrument = upright @ np.linalg.inv(base_of(calibrated))
     lower, upper = _slider_ends(calibrated, fields.poses)
     return Scene(
@@ -246,8 +265,12 @@ def build_scene(
     )
 
 
-def _slider_ends(calibrated: CalibratedModel, poses: tuple[FieldPoses, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ends of the joints' sliders, shape (n,) each, which enclose the limits and all poses shown."""
+def _slider_ends(
+    calibrated: CalibratedModel, poses: tuple[FieldPoses, ...]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends of the joints' sliders, shape (n,) each, which enclose the limits and all
+    poses shown.
+    """
     robot = calibrated.model.chain.robot
     lower = np.vstack([calibrated.covered.q[:, 0], *(part.q for part in poses)]).min(axis=0)
     upper = np.vstack([calibrated.covered.q[:, 1], *(part.q for part in poses)]).max(axis=0)
@@ -261,7 +284,9 @@ def base_of(calibrated: CalibratedModel) -> np.ndarray:
     """Return the robot's base in the instrument's frame, shape (4, 4)."""
     chain = calibrated.model.chain
     coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
-    return placed(chain.base_rotation, coordinates[[chain.base(symbol) for symbol in FRAME_SYMBOLS]])
+    return placed(
+        chain.base_rotation, coordinates[[chain.base(symbol) for symbol in FRAME_SYMBOLS]]
+    )
 
 
 def visible_scale(layer: Layer, reach: float) -> float:
@@ -293,17 +318,26 @@ def _upright(gravity: np.ndarray) -> np.ndarray:
 
 
 def _frames(
-    calibrated: CalibratedModel, upright: np.ndarray, T_scene_instrument: np.ndarray, coordinates: np.ndarray
+    calibrated: CalibratedModel,
+    upright: np.ndarray,
+    T_scene_instrument: np.ndarray,
+    coordinates: np.ndarray,
 ) -> tuple[DrawnFrame, ...]:
-    chain, n = calibrated.model.chain, calibrated.model.chain.robot.n_joints
-    known = {p.name: v for p, v in zip(calibrated.model.parameters, calibrated.values, strict=False)}
+    chain = calibrated.model.chain
+    n = calibrated.model.chain.robot.n_joints
+    known = {
+        p.name: v for p, v in zip(calibrated.model.parameters, calibrated.values, strict=False)
+    }
     found = [DrawnFrame("base", 0, upright)]
     # A contact has no instrument: everything is relative to the robot's base.
     if any(p.effect == "base_frame" for p in calibrated.model.parameters):
         found.append(DrawnFrame("instrument", 0, T_scene_instrument))
     for target, reference in zip(chain.targets, chain.tool_rotations, strict=True):
         one = len(chain.targets) == 1
-        at = [coordinates[chain.tool(s)] if one else known.get(f"{target}.{s}", 0.0) for s in FRAME_SYMBOLS]
+        at = [
+            coordinates[chain.tool(s)] if one else known.get(f"{target}.{s}", 0.0)
+            for s in FRAME_SYMBOLS
+        ]
         placement = chain.robot.frames.T_last_tip @ placed(reference, np.array(at, float))
         found.append(DrawnFrame(target, n, placement))
     return tuple(found)
@@ -315,7 +349,8 @@ def held_out_rows(
     """Return which rows of a table were held out of a calibration, and how this is known, in words.
 
     Args:
-        provenance: of the calibrated model; names its input files with their SHA-256, the training table first.
+        provenance: of the calibrated model; names its input files with their SHA-256, the training
+            table first.
         residuals: the calibration's ``residuals.csv``; need not exist.
         data: the table's file.
         measurements: its rows.
@@ -328,10 +363,18 @@ def held_out_rows(
     inputs = provenance.get("inputs")
     known = list(inputs.values()) if isinstance(inputs, dict) else []
     if not known:
-        return None, f"the model names no input files, so it is unknown which rows of {data.name} it was fitted to"
-    digest, unseen = hashlib.sha256(data.read_bytes()).hexdigest(), np.ones(len(measurements), bool)
+        return (
+            None,
+            f"the model names no input files, so it is unknown which rows of {data.name} "
+            "it was fitted to",
+        )
+    digest = hashlib.sha256(data.read_bytes()).hexdigest()
+    unseen = np.ones(len(measurements), bool)
     if digest not in known:
-        return unseen, f"{data.name} is not one of the model's input files: all rows count as held out"
+        return (
+            unseen,
+            f"{data.name} is not one of the model's input files: all rows count as held out",
+        )
     try:
         table = pl.read_csv(residuals)
         if "station" in table.columns:
@@ -341,7 +384,15 @@ def held_out_rows(
             return unseen, f"{data.name} was held out of the fit as a whole"
         fitted = table.filter(pl.col("rows") == "fitted")["line"].cast(pl.Int64).to_numpy()
     except (OSError, pl.exceptions.PolarsError):
-        return None, f"{residuals.name}, which lists the held-out rows, is not in the model's folder: no row is marked"
+        return (
+            None,
+            f"{residuals.name}, which lists the held-out rows, is not in the model's "
+            "folder: no row is marked",
+        )
     held = ~np.isin(measurements.rows, fitted)
-    words = f"{held.sum()} of {len(held)} rows were held out of the fit" if held.any() else "no row was held out of the fit"
+    words = (
+        f"{held.sum()} of {len(held)} rows were held out of the fit"
+        if held.any()
+        else "no row was held out of the fit"
+    )
     return held, words

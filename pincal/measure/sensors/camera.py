@@ -1,12 +1,14 @@
-"""Cameras: in the hand, observing named points of a fixed object in space or in the image, or fixed, observing the tool.
+"""Cameras: in the hand, observing named points of a fixed object in space or in the image, or
+fixed, observing the tool.
 
-For a camera in the hand the target on the tool is the camera's frame (z along the view, x right, y down), and the
-instrument's frame is the object's. If no point of the object is known, points are found in the robot's base frame (paper,
-section IV.A).
+For a camera in the hand the target on the tool is the camera's frame (z along the view, x right, y
+down), and the instrument's frame is the object's. If no point of the object is known, points are
+found in the robot's base frame (paper, section IV.A).
 
-Starts: P - R_i (W c_i + t) = p_i, with a point c_i in the camera's frame and P in the base frame, is linear in P and in the
-camera's pose t, W on the tool. P is eliminated by subtracting the mean over each point's rows. An image lacks the depth of
-c_i: :mod:`pincal.measure.lens` finds the pose at which lines of sight intersect in the points.
+Starts: P - R_i (W c_i + t) = p_i, with a point c_i in the camera's frame and P in the base frame,
+is linear in P and in the camera's pose t, W on the tool. P is eliminated by subtracting the mean
+over each point's rows. An image lacks the depth of c_i: :mod:`pincal.measure.lens` finds the pose
+at which lines of sight intersect in the points.
 """
 
 from __future__ import annotations
@@ -21,7 +23,14 @@ from pincal.measure.extrinsics import Extrinsics, by_target, sample_rows
 from pincal.measure.fields import CONDITIONS, POINT, Field, TableRows
 from pincal.measure.lens import NEAREST, Lens, camera_starts, slopes
 from pincal.measure.point_sensor import PointSensor, centred, solved
-from pincal.measure.sensor import Additive, Block, Excluded, KnownParameters, OwnParameters, Plausible
+from pincal.measure.sensor import (
+    Additive,
+    Block,
+    Excluded,
+    KnownParameters,
+    OwnParameters,
+    Plausible,
+)
 from pincal.measure.sensors.pose import check_spread
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
@@ -41,7 +50,9 @@ class Images(Additive, KnownParameters):
         setup: with the camera, if it is known.
     """
 
-    blocks: ClassVar[tuple[Block, ...]] = (Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),)
+    blocks: ClassVar[tuple[Block, ...]] = (
+        Block("image", "px", 2, rounding=1e-9, noise=0.1, axes="uv"),
+    )
     follows: ClassVar[str] = "as ratios"
     deviation_end: ClassVar[str] = "the component across the view that the image measures"
 
@@ -69,7 +80,12 @@ class Images(Additive, KnownParameters):
     def lens(self, own: np.ndarray) -> Lens:
         """Return the camera for values of the sensor's parameters."""
         parameters = self.setup.lens_parameters()
-        return Lens(*(p.nominal + value for p, value in zip(parameters, own[-len(parameters) :], strict=True)))
+        return Lens(
+            *(
+                p.nominal + value
+                for p, value in zip(parameters, own[-len(parameters) :], strict=True)
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -80,7 +96,9 @@ class CameraSensor(PointSensor):
     twist_rows: ClassVar[int] = 6
     names_points: ClassVar[str | None] = "point"
     default_target: ClassVar[str] = "camera"
-    pose_limit: ClassVar[str] = "of the camera; each image determines six coordinates, however many points it shows"
+    pose_limit: ClassVar[str] = (
+        "of the camera; each image determines six coordinates, however many points it shows"
+    )
     has_camera: ClassVar[bool] = True
     is_on_tool: ClassVar[bool] = True
     thing: ClassVar[str] = "a point"
@@ -90,14 +108,20 @@ class CameraSensor(PointSensor):
 
     @final
     def unobservable_with(self, known: int) -> Iterator[str]:
-        """Yield the pose of the object, if none of its points is known, and the scale, if images do not determine it."""
+        """Yield the pose of the object, if none of its points is known, and the scale, if images do
+        not determine it.
+        """
         if not known:
             yield (
-                "the points of the calibration object are unknown, so they are identified in the robot's base frame; "
+                "the points of the calibration object are unknown, so they are identified "
+                "in the robot's base frame; "
                 "--points FILE.csv (columns point x y z) adds information"
             )
             if not (self.has_scale or self.points.distances):
-                yield "images of unknown points do not determine the scale, which relies on the nominal lengths of the arm"
+                yield (
+                    "images of unknown points do not determine the scale, which relies on the "
+                    "nominal lengths of the arm"
+                )
 
     @final
     def seen(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -109,7 +133,8 @@ class CameraSensor(PointSensor):
     def seen_motion(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return the motion of each row's point in the camera's frame, shape (P, 3, N)."""
         away = (self.points.positions(own)[self.index] - poses[:, :, 3]).T
-        shift, turn = motion[:, :3], motion[:, 3:]
+        shift = motion[:, :3]
+        turn = motion[:, 3:]
         moved = np.empty(shift.shape)
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             moved[:, i] = turn[:, k] * away[j] - turn[:, j] * away[k] - shift[:, i]
@@ -121,7 +146,10 @@ class CameraPointSensor(CameraSensor, Additive, Plausible):
     """3D: the point in the camera's frame, shape (N, 3) [m]."""
 
     kind: ClassVar[str] = "camera_point"
-    fields: ClassVar[tuple[Field, ...]] = (Field("camera_point", ("cx", "cy", "cz"), "length"), POINT)
+    fields: ClassVar[tuple[Field, ...]] = (
+        Field("camera_point", ("cx", "cy", "cz"), "length"),
+        POINT,
+    )
     blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3),)
     per_row: ClassVar[tuple[str, ...]] = ("index", "camera_point")
     has_scale: ClassVar[bool] = True
@@ -142,10 +170,14 @@ class CameraPointSensor(CameraSensor, Additive, Plausible):
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield the camera's pose in the hand at which the points of the object are fixed."""
-        p, R, c = tips[:, :, 3], tips[:, :, :3], self.camera_point
+        p = tips[:, :, 3]
+        R = tips[:, :, :3]
+        c = self.camera_point
         products = np.einsum("nab,nc->nabc", R, c).reshape(len(p), 3, 9)
         A = np.concatenate([products, R], axis=2)
-        W = nearest_rotation(solved(-centred(A, self.index), centred(p, self.index))[:9].reshape(3, 3))
+        W = nearest_rotation(
+            solved(-centred(A, self.index), centred(p, self.index))[:9].reshape(3, 3)
+        )
         seen = np.einsum("nab,bc,nc->na", R, W, c)
         t = solved(-centred(R, self.index), centred(p + seen, self.index))
         yield self.start_at_means(p + seen + R @ t, transform(W, t)[None])
@@ -153,7 +185,9 @@ class CameraPointSensor(CameraSensor, Additive, Plausible):
     @property
     def impossible(self) -> Excluded:
         behind = self.camera_point[:, 2] <= 0.0
-        return Excluded(behind, "have cz <= 0, a point behind the camera", "points in front of the camera")
+        return Excluded(
+            behind, "have cz <= 0, a point behind the camera", "points in front of the camera"
+        )
 
     @classmethod
     def check_plausible(cls, table: TableRows, reach_m: float) -> None:
@@ -186,14 +220,18 @@ class CameraPixelSensor(CameraSensor, Images):
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return the component across the view, at the distance of the point."""
-        depth, lens = np.maximum(self.seen(poses, own)[:, 2], NEAREST), self.lens(own)
-        across = np.stack([residuals[0] / lens.fx * depth, residuals[1] / lens.fy * depth, 0.0 * depth])
+        depth = np.maximum(self.seen(poses, own)[:, 2], NEAREST)
+        lens = self.lens(own)
+        across = np.stack(
+            [residuals[0] / lens.fx * depth, residuals[1] / lens.fy * depth, 0.0 * depth]
+        )
         return np.asarray(-np.einsum("nij,jn->ni", poses[:, :, :3], across))
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield the best poses and focal lengths of the camera."""
         rows = sample_rows(len(self), _SAMPLE, self.groups)
-        nominal, known = self.setup.lens_values, self.setup.lens
+        nominal = self.setup.lens_values
+        known = self.setup.lens
         views = self.index, len(self.points.names), tips, self.pixel
         for hand, places, lens in camera_starts(*views, known=known, rows=rows):
             yield self.start_with_points(places, hand[None], rest=lens.values - nominal)
@@ -231,12 +269,18 @@ class FixedCameraSensor(Images, OwnParameters):
         return self.least_displacement(residuals, poses, own)
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the pose by images of the tips, then of the targets, if the images determine their positions on the tool."""
+        """Yield the pose by images of the tips, then of the targets, if the images determine their
+        positions on the tool.
+        """
         rows = sample_rows(len(self), _SAMPLE, target)
-        lens, tips, target, pixel = self.setup.lens, tips[rows], target[rows], self.pixel[rows]
+        lens = self.setup.lens
+        tips = tips[rows]
+        target = target[rows]
+        pixel = self.pixel[rows]
         if lens is not None:
             pixel = slopes(lens, pixel)
-        p, R = tips[:, :, 3], tips[:, :, :3]
+        p = tips[:, :, 3]
+        R = tips[:, :, :3]
         tools = np.tile(np.eye(4), (n_targets, 1, 1))
         yield self._start(_matrix(p, pixel)[0], tools)
         M, products = _matrix(p, pixel, by_target(R.reshape(-1, 9), target, n_targets))
@@ -257,10 +301,15 @@ class FixedCameraSensor(Images, OwnParameters):
         nominal = self.setup.lens_values
         if self.setup.lens is not None:
             scale = np.linalg.svd(M[:, :3], compute_uv=False).mean()
-            return Extrinsics(transform(nearest_rotation(M[:, :3]), M[:, 3] / scale), tools, np.zeros(len(nominal)))
+            return Extrinsics(
+                transform(nearest_rotation(M[:, :3]), M[:, 3] / scale),
+                tools,
+                np.zeros(len(nominal)),
+            )
         K, R = rq(M[:, :3])
         signs = np.where(np.diag(K) < 0.0, -1.0, 1.0)
-        K, R = K * signs, signs[:, None] * R
+        K = K * signs
+        R = signs[:, None] * R
         place = np.linalg.solve(K, M[:, 3])
         K = K / K[2, 2]
         values = np.concatenate([[K[0, 0], K[1, 1], K[0, 2], K[1, 2]], np.zeros(len(nominal) - 4)])
@@ -268,13 +317,20 @@ class FixedCameraSensor(Images, OwnParameters):
 
 
 def _each_times(matrices: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Return the matrix of each row, shape (N, a, b), times columns, shape (P, b, N): shape (P, a, N)."""
+    """Return the matrix of each row, shape (N, a, b), times columns, shape (P, b, N): shape (P, a,
+    N).
+    """
     # Eight times as fast with contiguous rows.
-    return np.asarray(np.einsum("abn,pbn->pan", np.ascontiguousarray(matrices.transpose(1, 2, 0)), columns))
+    return np.asarray(
+        np.einsum("abn,pbn->pan", np.ascontiguousarray(matrices.transpose(1, 2, 0)), columns)
+    )
 
 
-def _matrix(p: np.ndarray, image: np.ndarray, columns: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the matrix that projects points to their images, and the coefficients of further columns.
+def _matrix(
+    p: np.ndarray, image: np.ndarray, columns: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the matrix that projects points to their images, and the coefficients of further
+    columns.
 
     Args:
         p: shape (N, 3), points in the robot's base frame.
@@ -282,11 +338,14 @@ def _matrix(p: np.ndarray, image: np.ndarray, columns: np.ndarray | None = None)
         columns: shape (N, 9 T), rotations of the tip, target by target.
 
     Returns:
-        Shape (3, 4), for a right-handed camera with the points in front of it; shape (T, 3, 3, 3), [a, c, d] multiplies
-        element [c, d] of the rotation in row a, None without columns or with too few rows for them.
+        Shape (3, 4), for a right-handed camera with the points in front of it; shape (T, 3, 3, 3),
+        [a, c, d] multiplies element [c, d] of the rotation in row a, None without columns or with
+        too few rows for them.
     """
-    n, middle = len(p), image.mean(axis=0)
-    width, size = np.abs(image - middle).max(), np.abs(p).max()
+    n = len(p)
+    middle = image.mean(axis=0)
+    width = np.abs(image - middle).max()
+    size = np.abs(p).max()
     X = np.hstack([p / size, np.ones((n, 1))] + ([] if columns is None else [columns]))
     k = X.shape[1]
     if 2 * n < 3 * k:

@@ -1,7 +1,9 @@
-r"""Distances to a target from the instrument, or from several named anchors, such as those of a ball-bar.
+r"""Distances to a target from the instrument, or from several named anchors, such as those of a
+ball-bar.
 
-Starts: with the nominal arm's poses (R_i, p_i), c the vector from the instrument's point to the base, and the tool
-t, d_i^2 = |p_i|^2 + 2 p_i.c + 2 (R_i^T p_i).t + 2 c^T R_i t + const is linear in c, t and c (x) t.
+Starts: with the nominal arm's poses (R_i, p_i), c the vector from the instrument's point to the
+base, and the tool t, d_i^2 = |p_i|^2 + 2 p_i.c + 2 (R_i^T p_i).t + 2 c^T R_i t + const is linear in
+c, t and c (x) t.
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ class Distances(Additive, Plausible):
 
     @abstractmethod
     def lines(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the lines of sight, from the origin of each distance to the target, shape (3, N) [m]."""
+        """Return the lines of sight, from the origin of each distance to the target, shape (3, N)
+        [m].
+        """
 
     @final
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -57,12 +61,15 @@ class Distances(Additive, Plausible):
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return the motion of both ends along the line of sight."""
         direction = self._direction(poses, own)
-        along, by_own = np.einsum("in,pin->pn", direction, motion)[:, None], self.by_own(direction)
+        along = np.einsum("in,pin->pn", direction, motion)[:, None]
+        by_own = self.by_own(direction)
         return np.concatenate([along, by_own]) if len(by_own) else along
 
     @abstractmethod
     def by_own(self, direction: np.ndarray) -> np.ndarray:
-        """Return the derivative with respect to own parameters, shape (own, 1, N), for lines of sight of length 1."""
+        """Return the derivative with respect to own parameters, shape (own, 1, N), for lines of
+        sight of length 1.
+        """
 
     @final
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
@@ -77,17 +84,21 @@ class Distances(Additive, Plausible):
     def check_plausible(cls, table: TableRows, reach_m: float) -> None:
         distance = table.array("distance")
         check_spread(table, distance[:, None], label="distance", reach_m=reach_m)
-        middle, longest = float(np.median(distance)), float(distance.max())
+        middle = float(np.median(distance))
+        longest = float(distance.max())
         unit = table.units.get("distance", "m")
         if middle > _MOST_DISTANCE_M:
             raise MeasurementError(
-                f"{table.source}: distance of {middle:.4g} m under the unit [{unit}]; expected at most "
-                f"{_MOST_DISTANCE_M:g} m; looks like millimetres: write `distance [mm]`, or their unit"
+                f"{table.source}: distance of {middle:.4g} m under the unit [{unit}]; "
+                "expected at most "
+                f"{_MOST_DISTANCE_M:g} m; looks like millimetres: write `distance [mm]`, "
+                "or their unit"
             )
         if longest < _LEAST * reach_m:
             raise MeasurementError(
                 f"{table.source}: distance of at most {longest * 1000:.3g} mm; expected the whole "
-                f"distance, not a deviation; values in metres under [{unit}]? Then write `distance [m]`"
+                f"distance, not a deviation; values in metres under [{unit}]? Then write "
+                "`distance [m]`"
             )
 
 
@@ -95,8 +106,8 @@ class Distances(Additive, Plausible):
 class DistanceSensor(Distances, Simulatable):
     """1D: the distance, shape (N,) [m], from the instrument's point to the target.
 
-    The instrument's frame has its origin at this point and is parallel to the robot's base, as distances determine no
-    orientation.
+    The instrument's frame has its origin at this point and is parallel to the robot's base, as
+    distances determine no orientation.
     """
 
     fields: ClassVar[tuple[Field, ...]] = (DISTANCE,)
@@ -145,19 +156,27 @@ class PointDistances(Distances, PointSensor):
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield anchors by their own distances, with the tool as the mean over the anchors."""
         found = [
-            list(_starts(self.distance[rows], tips[rows], target[rows], n_targets)) if rows.any() else []
+            list(_starts(self.distance[rows], tips[rows], target[rows], n_targets))
+            if rows.any()
+            else []
             for rows in (self.index == k for k in range(len(self.points.names)))
         ]
         for deep in (False, True):
-            chosen = [starts[min(int(deep), len(starts) - 1)] if starts else None for starts in found]
-            anchors = np.array([np.zeros(3) if start is None else -start.base[:3, 3] for start in chosen])
+            chosen = [
+                starts[min(int(deep), len(starts) - 1)] if starts else None for starts in found
+            ]
+            anchors = np.array(
+                [np.zeros(3) if start is None else -start.base[:3, 3] for start in chosen]
+            )
             tools = np.mean([start.tools for start in chosen if start is not None], axis=0)
             yield self.start_with_points(anchors, tools)
 
 
 @dataclass(frozen=True)
 class AnchoredDistanceSensor(PointDistances):
-    """1D: distances, shape (N,) [m], each from a named anchor to the target, such as the length of a ball-bar."""
+    """1D: distances, shape (N,) [m], each from a named anchor to the target, such as the length of
+    a ball-bar.
+    """
 
     fields: ClassVar[tuple[Field, ...]] = (DISTANCE, Field("anchor", ("anchor",), "name"))
     names_points: ClassVar[str | None] = "anchor"
@@ -169,14 +188,20 @@ class AnchoredDistanceSensor(PointDistances):
             yield _NO_BASE
         if len(self.points.names) == 1:
             yield (
-                "distances from one anchor measure one direction per pose: several anchors around the arm give more "
+                "distances from one anchor measure one direction per pose: several "
+                "anchors around the arm give more "
                 "information"
             )
 
 
-def _starts(d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-    """Yield the poses by distances ``d`` from one point, shape (N,); tools at the tip, then as measured."""
-    p, R = tips[:, :, 3], tips[:, :, :3]
+def _starts(
+    d: np.ndarray, tips: np.ndarray, target: np.ndarray, n_targets: int
+) -> Iterator[Extrinsics]:
+    """Yield the poses by distances ``d`` from one point, shape (N,); tools at the tip, then as
+    measured.
+    """
+    p = tips[:, :, 3]
+    R = tips[:, :, :3]
     tools = np.tile(np.eye(4), (n_targets, 1, 1))
     squares = (d**2 - np.einsum("ni,ni->n", p, p))[:, None]
     solution, _ = least_squares(np.hstack([2.0 * p, np.ones((len(p), 1))]), squares)

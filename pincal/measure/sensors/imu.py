@@ -1,21 +1,23 @@
 r"""Readings of an IMU on the tool: specific force and angular rate, by finite differences of poses.
 
-In a level frame, whose z points against gravity, the target is the IMU and its pose :math:`(R, p)` a function of time. Poses
-at :math:`t - h, t, t + h` give
+In a level frame, whose z points against gravity, the target is the IMU and its pose :math:`(R, p)`
+a function of time. Poses at :math:`t - h, t, t + h` give
 
 .. math:: f = R_0^T \left( \frac{p_+ - 2 p_0 + p_-}{h^2} + g e_z \right), \quad
-          \omega = \mathrm{vee} \frac{S_+ - S_-}{2 h}, \quad \dot\omega = \mathrm{vee} \frac{S_+ + S_-}{h^2},
-          \quad S_\pm = R_0^T R_\pm ,
+          \omega = \mathrm{vee} \frac{S_+ - S_-}{2 h}, \quad \dot\omega = \mathrm{vee} \frac{S_+ +
+          S_-}{h^2}, \quad S_\pm = R_0^T R_\pm ,
 
-vee being that of the antisymmetric part. So the columns of each effect follow from the motions of these poses. With
+vee being that of the antisymmetric part. So the columns of each effect follow from the motions of
+these poses. With
 :math:`\delta_\pm = R_0^T (d\varphi_\pm - d\varphi_0)`,
 
 .. math:: df = R_0^T \left( \frac{dp_+ - 2 dp_0 + dp_-}{h^2} - d\varphi_0 \times (a + g e_z) \right), \quad
-          d\omega = \frac{T_+ \delta_+ - T_- \delta_-}{2 h}, \quad d\dot\omega = \frac{T_+ \delta_+ + T_- \delta_-}{h^2},
-          \quad T = \tfrac{1}{2} (\mathrm{tr}(S) I - S) .
+          d\omega = \frac{T_+ \delta_+ - T_- \delta_-}{2 h}, \quad d\dot\omega = \frac{T_+ \delta_+
+          + T_- \delta_-}{h^2}, \quad T = \tfrac{1}{2} (\mathrm{tr}(S) I - S) .
 
-A row is the mean over a Gaussian window in time, by which the readings are filtered, evaluated by Gauss-Hermite quadrature.
-An IMU reads :math:`(I + C_a) f + b_a` and :math:`(I + C_w)(\omega + \delta \dot\omega) + b_w`.
+A row is the mean over a Gaussian window in time, by which the readings are filtered, evaluated by
+Gauss-Hermite quadrature. An IMU reads :math:`(I + C_a) f + b_a` and
+:math:`(I + C_w)(\omega + \delta \dot\omega) + b_w`.
 """
 
 from __future__ import annotations
@@ -38,12 +40,17 @@ from pincal.units import STANDARD_GRAVITY
 
 FORCE = Field("specific_force", ("ax", "ay", "az"), "acceleration")
 RATE = Field("angular_rate", ("wx", "wy", "wz"), "angular rate")
-# Step of the differences [s]: accurate to 5e-6 for motions of 5 Hz, with rounding errors of 1e-8 m/s^2.
+# Step of the differences [s]: accurate to 5e-6 for motions of 5 Hz, with rounding errors of 1e-8
+# m/s^2.
 _STEP = 2.5e-4
 # Quadrature nodes of a window: exact for polynomials of degree 5 in time.
 _MOMENTS = 3
-# Errors of low-cost IMUs: scale and misalignment [1], biases [m/s^2, rad/s], delay of the gyroscope [s].
-_SCALE, _FORCE_BIAS, _RATE_BIAS, _DELAY = 0.02, 0.5, 0.02, 0.02
+# Errors of low-cost IMUs: scale and misalignment [1], biases [m/s^2, rad/s], delay of the gyroscope
+# [s].
+_SCALE = 0.02
+_FORCE_BIAS = 0.5
+_RATE_BIAS = 0.02
+_DELAY = 0.02
 # Rotation of the accelerometer is part of the mount, so its matrix is triangular.
 _OF_FORCE = [(i, j) for i in range(3) for j in range(i + 1)]
 _OF_RATE = [(i, j) for i in range(3) for j in range(3)]
@@ -73,7 +80,9 @@ class Window:
 
     @property
     def offsets(self) -> np.ndarray:
-        """Times at which poses are needed, from the middle, shape (3 K,) [s]: before, at and after each node."""
+        """Times at which poses are needed, from the middle, shape (3 K,) [s]: before, at and after
+        each node.
+        """
         return np.asarray((self._rule[0][:, None] + np.array([-_STEP, 0.0, _STEP])).ravel())
 
     def triples(self, poses: np.ndarray) -> np.ndarray:
@@ -97,14 +106,19 @@ class Inertial:
 
     @classmethod
     def of(cls, poses: np.ndarray, window: Window, gravity: float = STANDARD_GRAVITY) -> Inertial:
-        """Return the readings for poses at the O offsets of each row's window, in a level frame, shape (N O, 3, 4)."""
+        """Return the readings for poses at the O offsets of each row's window, in a level frame,
+        shape (N O, 3, 4).
+        """
         weights = window.weights[None, :, None]
-        return cls(*((weights * part).sum(axis=1) for part in _ideal(window.triples(poses), gravity)))
+        return cls(
+            *((weights * part).sum(axis=1) for part in _ideal(window.triples(poses), gravity))
+        )
 
 
 def _ideal(poses: np.ndarray, gravity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return force, rate and turning at all nodes, shape (N, K, 3) each."""
-    R0, upward = poses[:, :, 1, :, :3], _upward(poses, gravity)
+    R0 = poses[:, :, 1, :, :3]
+    upward = _upward(poses, gravity)
     before, after = _relative(poses)
     force = np.einsum("nkba,nkb->nka", R0, upward)
     return force, _vee(after - before) / (2.0 * _STEP), _vee(after + before) / _STEP**2
@@ -135,11 +149,15 @@ def _skew(v: np.ndarray) -> np.ndarray:
     """Return the matrices of the cross products with vectors, shape (..., 3, 3)."""
     x, y, z = np.moveaxis(v, -1, 0)
     o = np.zeros_like(x)
-    return np.stack([np.stack(row, axis=-1) for row in ((o, -z, y), (z, o, -x), (-y, x, o))], axis=-2)
+    return np.stack(
+        [np.stack(row, axis=-1) for row in ((o, -z, y), (z, o, -x), (-y, x, o))], axis=-2
+    )
 
 
 def _maps(poses: np.ndarray, gravity: float) -> np.ndarray:
-    """Return the linear maps from motions, shape (N, K, 9, 3, 6): rows of force, rate, turning; poses; their motions."""
+    """Return the linear maps from motions, shape (N, K, 9, 3, 6): rows of force, rate, turning;
+    poses; their motions.
+    """
     back = poses[:, :, 1, :, :3].swapaxes(-1, -2)
     out = np.zeros((*back.shape[:2], 9, 3, 6))
     for k, weight in enumerate((1.0, -2.0, 1.0)):
@@ -155,7 +173,9 @@ def _maps(poses: np.ndarray, gravity: float) -> np.ndarray:
 
 
 def imu_parameters() -> tuple[Parameter, ...]:
-    """Return the errors of an IMU as parameters: scale and misalignment, biases, delay of the gyroscope."""
+    """Return the errors of an IMU as parameters: scale and misalignment, biases, delay of the
+    gyroscope.
+    """
     found = [(f"acc_{'xyz'[i]}{'xyz'[j]}", "1", _SCALE) for i, j in _OF_FORCE]
     found += [(f"acc_bias_{axis}", "m/s^2", _FORCE_BIAS) for axis in "xyz"]
     found += [(f"gyro_{'xyz'[i]}{'xyz'[j]}", "1", _SCALE) for i, j in _OF_RATE]
@@ -185,39 +205,53 @@ class ImuErrors:
     @classmethod
     def of(cls, own: np.ndarray) -> ImuErrors:
         """Return the errors for values of :func:`imu_parameters`, shape (22,)."""
-        acc, gyro = np.eye(3), np.eye(3) + own[9:18].reshape(3, 3)
+        acc = np.eye(3)
+        gyro = np.eye(3) + own[9:18].reshape(3, 3)
         for value, place in zip(own[:6], _OF_FORCE, strict=True):
             acc[place] += value
         return cls(acc, own[6:9], gyro, own[18:21], float(own[21]))
 
     def readings(self, ideal: Inertial) -> np.ndarray:
-        """Return the readings with errors, shape (6, N): specific force [m/s^2], angular rate [rad/s]."""
+        """Return the readings with errors, shape (6, N): specific force [m/s^2], angular rate
+        [rad/s].
+        """
         force = self.acc @ ideal.force.T + self.acc_bias[:, None]
         rate = self.gyro @ (ideal.rate + self.delay * ideal.turning).T + self.gyro_bias[:, None]
         return np.concatenate([force, rate])
 
     def columns(
-        self, poses: np.ndarray, motion: np.ndarray, window: Window, gravity: float = STANDARD_GRAVITY
+        self,
+        poses: np.ndarray,
+        motion: np.ndarray,
+        window: Window,
+        gravity: float = STANDARD_GRAVITY,
     ) -> np.ndarray:
-        """Return the derivatives of the readings with respect to P parameters that move the IMU, shape (P, 6, N).
+        """Return the derivatives of the readings with respect to P parameters that move the IMU,
+        shape (P, 6, N).
 
-        Poses are as in :meth:`Inertial.of`, with translation and rotation per parameter in the level frame's axes, shape
-        (P, 6, N O).
+        Poses are as in :meth:`Inertial.of`, with translation and rotation per parameter in the
+        level frame's axes, shape (P, 6, N O).
         """
         maps = _maps(window.triples(poses), gravity) * window.weights[None, :, None, None, None]
         later = maps[:, :, 3:6] + self.delay * maps[:, :, 6:]
-        read = [np.einsum("ab,nkbqm->mnkqa", M, of) for M, of in ((self.acc, maps[:, :, :3]), (self.gyro, later))]
+        read = [
+            np.einsum("ab,nkbqm->mnkqa", M, of)
+            for M, of in ((self.acc, maps[:, :, :3]), (self.gyro, later))
+        ]
         shape = len(motion), len(maps), len(window.offsets)
-        # One linear map per row for each component of the motions of its poses, without reordering them.
+        # One linear map per row for each component of the motions of its poses, without reordering
+        # them.
         by_pose = np.concatenate(read, axis=-1).reshape(6, *shape[1:], 6)
-        moves, columns = motion.reshape(shape[0], 6, *shape[1:]), np.zeros((shape[1], shape[0], 6))
+        moves = motion.reshape(shape[0], 6, *shape[1:])
+        columns = np.zeros((shape[1], shape[0], 6))
         for component, by_component in enumerate(by_pose):
             columns += moves[:, component].swapaxes(0, 1) @ by_component
         return np.ascontiguousarray(columns.transpose(1, 2, 0))
 
     def own_columns(self, ideal: Inertial) -> np.ndarray:
         """Return the derivatives of the readings with respect to the errors, shape (22, 6, N)."""
-        later, out = ideal.rate + self.delay * ideal.turning, np.zeros((22, 6, len(ideal.rate)))
+        later = ideal.rate + self.delay * ideal.turning
+        out = np.zeros((22, 6, len(ideal.rate)))
         for p, (i, j) in enumerate(_OF_FORCE):
             out[p, i] = ideal.force[:, j]
         for p, (i, j) in enumerate(_OF_RATE):
@@ -230,7 +264,8 @@ class ImuErrors:
 
 @dataclass(frozen=True)
 class ImuSensor(Sensor, OwnParameters):
-    """IMU on the tool: specific force, shape (N, 3) [m/s^2], and angular rate, shape (N, 3) [rad/s], in windows of its log.
+    """IMU on the tool: specific force, shape (N, 3) [m/s^2], and angular rate, shape (N, 3)
+    [rad/s], in windows of its log.
 
     The instrument's frame is level, with z opposite to gravity; the target is the IMU.
     """
@@ -256,8 +291,10 @@ class ImuSensor(Sensor, OwnParameters):
     def of(cls, table: TableRows, setup: Setup) -> Self:
         if getattr(table, "moving", None) is None:
             raise MeasurementError(
-                f"{table.source}: an IMU is read along the path of the joints; give both as streams with their times: a "
-                "folder with joints.csv and imu.csv, or --joints LOG --imu LOG, which may be one file"
+                f"{table.source}: an IMU is read along the path of the joints; give both "
+                "as streams with their times: a "
+                "folder with joints.csv and imu.csv, or --joints LOG --imu LOG, which may "
+                "be one file"
             )
         return cls(table.array(FORCE.name), table.array(RATE.name))
 
@@ -274,36 +311,58 @@ class ImuSensor(Sensor, OwnParameters):
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         ideal = Inertial.of(poses, self._window(poses))
-        return np.asarray(np.vstack([self.force.T, self.rate.T]) - ImuErrors.of(own).readings(ideal))
+        return np.asarray(
+            np.vstack([self.force.T, self.rate.T]) - ImuErrors.of(own).readings(ideal)
+        )
 
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        errors, window = ImuErrors.of(own), self._window(poses)
-        return np.concatenate([errors.columns(poses, motion, window), errors.own_columns(Inertial.of(poses, window))])
+        errors = ImuErrors.of(own)
+        window = self._window(poses)
+        return np.concatenate(
+            [errors.columns(poses, motion, window), errors.own_columns(Inertial.of(poses, window))]
+        )
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return zeros: acceleration and rate determine no position."""
         return np.zeros((len(self), 3))
 
     def _window(self, poses: np.ndarray) -> Window:
-        """Return a window with as many nodes as these poses have; their offsets contain its width."""
+        """Return a window with as many nodes as these poses have; their offsets contain
+        its width.
+        """
         return Window(float(len(poses) > 3 * len(self)))
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the mount by the rates of IMU and tip, with the lever arm and the upward direction by the forces."""
+        """Yield the mount by the rates of IMU and tip, with the lever arm and the upward direction
+        by the forces.
+        """
         window = self._window(tips)
-        ideal, R = Inertial.of(tips, window, 0.0), tips[len(window.offsets) // 2 :: len(window.offsets), :, :3]
+        ideal = Inertial.of(tips, window, 0.0)
+        R = tips[len(window.offsets) // 2 :: len(window.offsets), :, :3]
         centred = [rate - rate.mean(axis=0) for rate in (ideal.rate, self.rate)]
         mount = nearest_rotation(centred[0].T @ centred[1])
         spin = _skew(ideal.rate)
-        features = [R.swapaxes(1, 2), _skew(ideal.turning) + spin @ spin, np.tile(np.eye(3), (len(R), 1, 1))]
+        features = [
+            R.swapaxes(1, 2),
+            _skew(ideal.turning) + spin @ spin,
+            np.tile(np.eye(3), (len(R), 1, 1)),
+        ]
         left = self.force @ mount.T - ideal.force
-        solution = np.linalg.lstsq(np.concatenate(features, axis=2).reshape(-1, 9), left.ravel(), rcond=1e-9)[0]
+        solution = np.linalg.lstsq(
+            np.concatenate(features, axis=2).reshape(-1, 9), left.ravel(), rcond=1e-9
+        )[0]
         tools = np.tile(transform(mount, solution[3:6]), (n_targets, 1, 1))
-        level = shortest_turn(solution[:3] / np.linalg.norm(solution[:3]), np.array([0.0, 0.0, 1.0]))
-        yield Extrinsics(transform(level[:3, :3], np.zeros(3)), tools, np.zeros(len(self.own_parameters)))
+        level = shortest_turn(
+            solution[:3] / np.linalg.norm(solution[:3]), np.array([0.0, 0.0, 1.0])
+        )
+        yield Extrinsics(
+            transform(level[:3, :3], np.zeros(3)), tools, np.zeros(len(self.own_parameters))
+        )
 
     def unobservable(self) -> Iterator[str]:
         yield (
-            "an IMU does not determine the position and heading of the robot, the zeros of the first and the last joint, "
-            "those of parallel joints separately, nor lengths, which are held as in the URDF unless other rows give them"
+            "an IMU does not determine the position and heading of the robot, the zeros "
+            "of the first and the last joint, "
+            "those of parallel joints separately, nor lengths, which are held as in the "
+            "URDF unless other rows give them"
         )

@@ -1,10 +1,12 @@
-r"""Fixed planes of unknown pose: a probe touches them, or a dial gauge measures its distance from them.
+r"""Fixed planes of unknown pose: a probe touches them, or a dial gauge measures its distance from
+them.
 
-A plane is n.x = d in the robot's base frame; the probe's tip at x reads (n.x - d) / |n|, zero where it touches. A ball of
-some radius and the sign of a dial are absorbed in d and n. The length of n is arbitrary and constrained to 1.
+A plane is n.x = d in the robot's base frame; the probe's tip at x reads (n.x - d) / |n|, zero where
+it touches. A ball of some radius and the sign of a dial are absorbed in d and n. The length of n is
+arbitrary and constrained to 1.
 
-Starts: with the nominal arm's poses (R_i, p_i) and the tip t on the tool, n.p_i + (n (x) t):R_i - d = s r_i is
-linear in n, n (x) t, d and s up to one factor.
+Starts: with the nominal arm's poses (R_i, p_i) and the tip t on the tool, n.p_i + (n (x) t):R_i - d
+= s r_i is linear in n, n (x) t, d and s up to one factor.
 """
 
 from __future__ import annotations
@@ -61,13 +63,16 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
     @classmethod
     @final
     def of(cls, table: TableRows, setup: Setup) -> Self:
-        """Return the readings of a table; refuse a plane with a known position, or that the setup does not have."""
+        """Return the readings of a table; refuse a plane with a known position, or that the setup
+        does not have.
+        """
         points = setup.named()
         index = index_of(table, points)
         if points.known[index].any():
             name = points.names[int(index[points.known[index]][0])]
             raise MeasurementError(
-                f"{table.source}: plane {name!r} is one of the known points; a plane's pose is identified"
+                f"{table.source}: plane {name!r} is one of the known points; a plane's "
+                "pose is identified"
             )
         planes = tuple(name for name, place in points.places.items() if place is None)
         return cls(planes, points.slot[index], cls.read(table))
@@ -81,7 +86,11 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
     def own_parameters(self) -> tuple[Parameter, ...]:
         units = ("1", "1", "1", "m")
         both = list(zip(_SYMBOLS, units, strict=True))
-        return tuple(Parameter(f"{name}.{s}", unit, "plane", 0.0, ANYWHERE) for name in self.planes for s, unit in both)
+        return tuple(
+            Parameter(f"{name}.{s}", unit, "plane", 0.0, ANYWHERE)
+            for name in self.planes
+            for s, unit in both
+        )
 
     @property
     def row_groups(self) -> np.ndarray:
@@ -95,20 +104,29 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         jacobian = np.zeros((len(self.planes), 4, len(self.planes)))
         each = np.arange(len(self.planes))
         jacobian[each, :3, each] = normals / length[:, None]
-        return Constraints(1.0 - length, jacobian.reshape(len(own), -1), np.full(len(self.planes), _LENGTH))
+        return Constraints(
+            1.0 - length, jacobian.reshape(len(own), -1), np.full(len(self.planes), _LENGTH)
+        )
 
     @final
     def unusable_rows(self) -> Iterator[Excluded]:
         """Yield planes with too few readings to do more than locate them."""
         rows, listed = poor_groups(np.array(self.planes)[self.index], _FEWEST)
-        reason = f"are of a plane with fewer than {_FEWEST} readings, which only determine its pose ({listed})"
+        reason = (
+            f"are of a plane with fewer than {_FEWEST} readings, which only determine its "
+            f"pose ({listed})"
+        )
         yield Excluded(rows, reason, f"{_FEWEST} readings and more of a plane, in other poses")
 
     @classmethod
     @final
     def unscorable_rows(cls, table: TableRows, setup: Setup) -> Iterator[Excluded]:
         rows, listed = rows_of_new(table, setup)
-        yield Excluded(rows, f"are of planes not used in the calibration ({listed})", "planes of the calibration")
+        yield Excluded(
+            rows,
+            f"are of planes not used in the calibration ({listed})",
+            "planes of the calibration",
+        )
 
     def shifted(self, change: np.ndarray) -> Self:
         return replace(self, reading=self.reading + change[0])
@@ -135,7 +153,9 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield the planes through the tips, then with the probe at its best fit to all planes."""
-        yield Extrinsics(np.eye(4), np.tile(np.eye(4), (n_targets, 1, 1)), self._through(tips[:, :, 3]))
+        yield Extrinsics(
+            np.eye(4), np.tile(np.eye(4), (n_targets, 1, 1)), self._through(tips[:, :, 3])
+        )
         tools = transform(np.eye(3), self._probes(tips, target, n_targets))
         for _ in range(_ROUNDS):
             own = self._through(self._ends(tips, target, tools))
@@ -147,23 +167,37 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
 
     def unobservable(self) -> Iterator[str]:
         yield "planes determine only the relative geometry of the arm, not the pose of its base"
-        yield "planes of unknown pose do not determine the scale of the arm, which relies on its nominal lengths"
+        yield (
+            "planes of unknown pose do not determine the scale of the arm, which relies on "
+            "its nominal lengths"
+        )
 
-    def _heights(self, poses: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _heights(
+        self, poses: np.ndarray, own: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return each row's normal, shape (N, 3), its length and n.x - d, shape (N,) each."""
         plane = own.reshape(-1, 4)[self.index]
         normal = plane[:, :3]
-        return normal, np.linalg.norm(normal, axis=1), np.einsum("ni,ni->n", normal, poses[:, :, 3]) - plane[:, 3]
+        return (
+            normal,
+            np.linalg.norm(normal, axis=1),
+            np.einsum("ni,ni->n", normal, poses[:, :, 3]) - plane[:, 3],
+        )
 
     @staticmethod
     def _ends(tips: np.ndarray, target: np.ndarray, tools: np.ndarray) -> np.ndarray:
-        return np.asarray(tips[:, :, 3] + np.einsum("nij,nj->ni", tips[:, :, :3], tools[target, :3, 3]))
+        return np.asarray(
+            tips[:, :, 3] + np.einsum("nij,nj->ni", tips[:, :, :3], tools[target, :3, 3])
+        )
 
     def _through(self, ends: np.ndarray) -> np.ndarray:
-        """Return the planes at the measured distances from points, shape (N, 3), as shape (4 planes,)."""
+        """Return the planes at the measured distances from points, shape (N, 3), as shape (4
+        planes,).
+        """
         own = np.tile([0.0, 0.0, 1.0, 0.0], (len(self.planes), 1))
         for k in range(len(self.planes)):
-            x, reading = ends[self.index == k], self.reading[self.index == k]
+            x = ends[self.index == k]
+            reading = self.reading[self.index == k]
             found = []
             for sign in (1.0, -1.0) if len(x) else ():
                 normal = np.zeros(3)
@@ -179,20 +213,29 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
         return own.ravel()
 
     def _probes(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> np.ndarray:
-        """Return the positions of the probes on the tool, shape (targets, 3), zero if no plane has enough rows."""
-        total, count = np.zeros((n_targets, 3)), 0
+        """Return the positions of the probes on the tool, shape (targets, 3), zero if no plane has
+        enough rows.
+        """
+        total = np.zeros((n_targets, 3))
+        count = 0
         for k in range(len(self.planes)):
             here = self.index == k
-            p, reading = tips[here, :, 3], self.reading[here]
+            p = tips[here, :, 3]
+            reading = self.reading[here]
             products = by_target(tips[here, :, :3].reshape(-1, 9), target[here], n_targets)
             size = max(float(np.abs(p).max(initial=0.0)), 1e-12)
-            A = np.hstack([p / size, products, np.ones((len(p), 1))] + ([reading[:, None] / size] if reading.any() else []))
+            A = np.hstack(
+                [p / size, products, np.ones((len(p), 1))]
+                + ([reading[:, None] / size] if reading.any() else [])
+            )
             if len(A) <= A.shape[1]:
                 continue
             null = np.linalg.eigh(A.T @ A)[1][:, 0]
             normal = null[:3] / size
             n_t = null[3 : 3 + 9 * n_targets].reshape(n_targets, 3, 3)
-            total += len(A) * np.einsum("c,tcd->td", normal, n_t) / max(float(normal @ normal), 1e-300)
+            total += (
+                len(A) * np.einsum("c,tcd->td", normal, n_t) / max(float(normal @ normal), 1e-300)
+            )
             count += len(A)
         return total / max(count, 1)
 

@@ -1,7 +1,7 @@
 """Poses of a target: its position and its orientation.
 
-Where it starts: R_m,i = R R_i X with base R and tool X is a homogeneous linear system in R and X^T; then the positions of
-base and tool are linear.
+Where it starts: R_m,i = R R_i X with base R and tool X is a homogeneous linear system in R and X^T;
+then the positions of base and tool are linear.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ def span_m(reach_m: float) -> float:
 
 
 def check_spread(table: TableRows, points: np.ndarray, *, label: str, reach_m: float) -> float:
-    """Return the approximate diameter of points, shape (N, k) [m]; refuse more than the arm can span.
+    """Return the approximate diameter of points, shape (N, k) [m]; refuse more than the arm can
+    span.
 
     A message names the column ``label``, and the unit that seems to be meant.
     """
@@ -45,10 +46,14 @@ def check_spread(table: TableRows, points: np.ndarray, *, label: str, reach_m: f
     spread = float(np.linalg.norm(points - points[worst], axis=1).max())
     if spread <= most:
         return spread
-    text = f"{table.source}: values of {label} lie {spread:.4g} m apart; expected at most {most:.3g} m"
+    text = (
+        f"{table.source}: values of {label} lie {spread:.4g} m apart; expected at most {most:.3g} m"
+    )
     is_unit = np.mean(from_centre > most) > _MANY and spread / 1000 <= most
     if is_unit and label not in table.units:
-        raise MeasurementError(f"{text}; looks like millimetres: write `{label} [mm]` in the header, or their unit")
+        raise MeasurementError(
+            f"{text}; looks like millimetres: write `{label} [mm]` in the header, or their unit"
+        )
     raise MeasurementError(f"{text}; check line {table.rows[worst]}, the unit and the robot's size")
 
 
@@ -65,8 +70,14 @@ def _mirrored(positions: np.ndarray, *, axes: tuple[int, ...]) -> np.ndarray:
 
 # Positions alone do not distinguish these reflections; orientations do.
 _OR = "or the frame is left-handed"
-_SWAPS = ((f"the columns {'xyz'[i]!r} and {'xyz'[j]!r} appear to be swapped, {_OR}", (i, j)) for i, j in _PAIRS)
-_TURNS = ((f"the column {axis!r} appears to have the wrong sign, {_OR}", (i,)) for i, axis in enumerate("xyz"))
+_SWAPS = (
+    (f"the columns {'xyz'[i]!r} and {'xyz'[j]!r} appear to be swapped, {_OR}", (i, j))
+    for i, j in _PAIRS
+)
+_TURNS = (
+    (f"the column {axis!r} appears to have the wrong sign, {_OR}", (i,))
+    for i, axis in enumerate("xyz")
+)
 POSITION = Field(
     "position",
     ("x", "y", "z"),
@@ -82,7 +93,9 @@ _LEAST_SPREAD = 1e-3
 
 
 class PlausiblePositions(Plausible):
-    """Readings with positions, which exceed the span of the arm, or hardly move, in a wrong unit."""
+    """Readings with positions, which exceed the span of the arm, or hardly move, in a
+    wrong unit.
+    """
 
     @classmethod
     @final
@@ -90,11 +103,15 @@ class PlausiblePositions(Plausible):
         spread = check_spread(table, table.array("position"), label="x", reach_m=reach_m)
         if np.median(np.ptp(table.q, axis=0)) < _MOVED:
             return
-        text = f"{table.source}: the joints move, but the positions stay within {spread * 1000:.3g} mm"
+        text = (
+            f"{table.source}: the joints move, but the positions stay within {spread * 1000:.3g} mm"
+        )
         unit = next((table.units[name] for name in POSITION.columns if name in table.units), "m")
         # Metres under [mm] shrink the whole workspace by a factor of 1000.
         if unit != "m" and spread <= _LEAST_SPREAD * span_m(reach_m):
-            raise MeasurementError(f"{text}; values in metres under `x [{unit}]`? Then write `x [m]` in the header")
+            raise MeasurementError(
+                f"{text}; values in metres under `x [{unit}]`? Then write `x [m]` in the header"
+            )
         if spread < _LEAST_SPREAD * reach_m:
             warn(f"{text}; is the target held in place, or has the instrument frozen?")
 
@@ -132,14 +149,20 @@ class PositionSensor(PlausiblePositions, Additive, Simulatable):
         return residuals.T
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield the base fitted to the tips, then to the targets, if the readings determine their positions on the tool."""
-        m, p, R = self.position, tips[:, :, 3], tips[:, :, :3]
+        """Yield the base fitted to the tips, then to the targets, if the readings determine their
+        positions on the tool.
+        """
+        m = self.position
+        p = tips[:, :, 3]
+        R = tips[:, :, :3]
         tools = np.tile(np.eye(4), (n_targets, 1, 1))
         columns = by_target(R.reshape(-1, 9), target, n_targets)
         solution, complete = least_squares(np.hstack([p, columns, np.ones((len(p), 1))]), m)
         rotation = nearest_rotation(solution[:3].T)
         for t in range(n_targets if complete else 0):
-            products = solution[3 + 9 * t : 12 + 9 * t].T.reshape(3, 3, 3)  # [a, c, d] = R[a, c] t[d]
+            products = solution[3 + 9 * t : 12 + 9 * t].T.reshape(
+                3, 3, 3
+            )  # [a, c, d] = R[a, c] t[d]
             tools[t, :3, 3] = np.einsum("ac,acd->d", rotation, products) / 3.0
         yield Extrinsics(transform(*align(p, m)), tools)
         if complete:
@@ -156,7 +179,10 @@ QUATERNION = Field(
     "quaternion",
     ("qx", "qy", "qz", "qw"),
     "number",
-    Rule(f"norm 1 within {_TOLERANCE:.0%}", lambda value: np.abs(np.linalg.norm(value, axis=1) - 1) <= _TOLERANCE),
+    Rule(
+        f"norm 1 within {_TOLERANCE:.0%}",
+        lambda value: np.abs(np.linalg.norm(value, axis=1) - 1) <= _TOLERANCE,
+    ),
     is_unit=True,
     mistakes=(
         ("the quaternion appears to be written with w first", lambda value: value[:, [1, 2, 3, 0]]),
@@ -173,11 +199,16 @@ QUATERNION = Field(
 
 @dataclass(frozen=True)
 class PoseSensor(PlausiblePositions, Sensor, Simulatable):
-    """6D: position, shape (N, 3) [m], and orientation, shape (N, 3, 3), of the tool in the instrument's frame."""
+    """6D: position, shape (N, 3) [m], and orientation, shape (N, 3, 3), of the tool in the
+    instrument's frame.
+    """
 
     kind: ClassVar[str] = "pose"
     fields: ClassVar[tuple[Field, ...]] = (POSITION, QUATERNION)
-    blocks: ClassVar[tuple[Block, ...]] = (Block("position", "m", 3), Block("orientation", "rad", 3))
+    blocks: ClassVar[tuple[Block, ...]] = (
+        Block("position", "m", 3),
+        Block("orientation", "rad", 3),
+    )
     tool_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     base_symbols: ClassVar[tuple[str, ...]] = FRAME_SYMBOLS
     twist_rows: ClassVar[int] = 6
@@ -196,22 +227,34 @@ class PoseSensor(PlausiblePositions, Sensor, Simulatable):
         return cls(poses[:, :, 3], poses[:, :, :3])
 
     def shifted(self, change: np.ndarray) -> Self:
-        """Return poses moved by ``change``, shape (6, N) [m, rad]; exact to first order in the rotation."""
-        return replace(self, position=self.position + change[:3].T, rotation=exponentials(change[3:].T) @ self.rotation)
+        """Return poses moved by ``change``, shape (6, N) [m, rad]; exact to first order in the
+        rotation.
+        """
+        return replace(
+            self,
+            position=self.position + change[:3].T,
+            rotation=exponentials(change[3:].T) @ self.rotation,
+        )
 
     def residuals(self, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return position [m] and the rotation vector from predicted to measured orientation [rad], shape (6, N)."""
+        """Return position [m] and the rotation vector from predicted to measured orientation [rad],
+        shape (6, N).
+        """
         return np.vstack([self.position.T - poses[:, :, 3].T, turns(self.rotation, poses)])
 
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return the motion; the rotation through the inverse right Jacobian of the rotation vector."""
+        """Return the motion; the rotation through the inverse right Jacobian of the rotation
+        vector.
+        """
         return np.asarray(turned(turns(self.rotation, poses), motion))
 
     def displacement(self, residuals: np.ndarray, poses: np.ndarray, own: np.ndarray) -> np.ndarray:
         return residuals[:3].T
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
-        """Yield base and tools, with rotations by the orientations, then translations by the positions."""
+        """Yield base and tools, with rotations by the orientations, then translations by the
+        positions.
+        """
         tools = np.tile(np.eye(4), (n_targets, 1, 1))
         blocks = np.zeros((9 + 9 * n_targets, 9 + 9 * n_targets))
         for t in range(n_targets):
@@ -225,10 +268,14 @@ class PoseSensor(PlausiblePositions, Sensor, Simulatable):
         rotation = nearest_rotation(sign * base)
         for t in range(n_targets):
             tools[t, :3, :3] = nearest_rotation(sign * null[9 + 9 * t : 18 + 9 * t].reshape(3, 3)).T
-        lever = by_target(np.einsum("ab,nbc->nac", rotation, tips[:, :, :3]), np.asarray(target), n_targets)
+        lever = by_target(
+            np.einsum("ab,nbc->nac", rotation, tips[:, :, :3]), np.asarray(target), n_targets
+        )
         ones = np.tile(np.eye(3), (len(tips), 1, 1))
         A = np.concatenate([ones, lever], axis=2).reshape(3 * len(tips), -1)
-        solution = np.linalg.lstsq(A, (self.position - tips[:, :, 3] @ rotation.T).ravel(), rcond=RANK)[0]
+        solution = np.linalg.lstsq(
+            A, (self.position - tips[:, :, 3] @ rotation.T).ravel(), rcond=RANK
+        )[0]
         for t in range(n_targets):
             tools[t, :3, 3] = solution[3 + 3 * t : 6 + 3 * t]
         yield Extrinsics(transform(rotation, solution[:3]), tools)
@@ -238,7 +285,9 @@ class PoseSensor(PlausiblePositions, Sensor, Simulatable):
 
 
 def _rotation_equations(tips: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return the rows of R R_i - R_m,i Y = 0 in the unknowns R and Y = X^T, each row-major, shape (9 N, 18)."""
+    """Return the rows of R R_i - R_m,i Y = 0 in the unknowns R and Y = X^T, each row-major, shape
+    (9 N, 18).
+    """
     eye = np.eye(3)
     left = np.einsum("ac,ndb->nabcd", eye, tips)  # d(R R_i)[a, b] / d R[c, d]
     right = -np.einsum("nac,bd->nabcd", measured, eye)  # d(R_m Y)[a, b] / d Y[c, d]
@@ -262,7 +311,9 @@ def turns(measured: np.ndarray, poses: np.ndarray) -> np.ndarray:
     By quaternions, whose largest element is found first (Shepperd 1978).
     """
     n = len(measured)
-    out, R, q = np.empty((3, n)), np.empty((3, 3)), np.empty(4)
+    out = np.empty((3, n))
+    R = np.empty((3, 3))
+    q = np.empty(4)
     for k in range(n):
         for i in range(3):
             for j in range(3):
@@ -271,13 +322,20 @@ def turns(measured: np.ndarray, poses: np.ndarray) -> np.ndarray:
                     + measured[k, i, 1] * poses[k, j, 1]
                     + measured[k, i, 2] * poses[k, j, 2]
                 )
-        trace, a = R[0, 0] + R[1, 1] + R[2, 2], 0
+        trace = R[0, 0] + R[1, 1] + R[2, 2]
+        a = 0
         for i in range(1, 3):
             if R[i, i] > R[a, a]:
                 a = i
-        b, c = (a + 1) % 3, (a + 2) % 3
+        b = (a + 1) % 3
+        c = (a + 2) % 3
         if trace >= R[a, a]:
-            q[0], q[1], q[2], q[3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], 1.0 + trace
+            q[0], q[1], q[2], q[3] = (
+                R[2, 1] - R[1, 2],
+                R[0, 2] - R[2, 0],
+                R[1, 0] - R[0, 1],
+                1.0 + trace,
+            )
         else:
             q[a], q[3] = 1.0 - trace + 2.0 * R[a, a], R[c, b] - R[b, c]
             q[b], q[c] = R[b, a] + R[a, b], R[c, a] + R[a, c]
@@ -287,7 +345,11 @@ def turns(measured: np.ndarray, poses: np.ndarray) -> np.ndarray:
         size = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2)
         norm = np.sqrt(size**2 + q[3] ** 2)
         angle = 2.0 * np.arctan2(size, q[3])
-        scale = angle / size if angle > _SMALL else (2.0 + angle**2 / 12.0 + 7.0 * angle**4 / 2880.0) / norm
+        scale = (
+            angle / size
+            if angle > _SMALL
+            else (2.0 + angle**2 / 12.0 + 7.0 * angle**4 / 2880.0) / norm
+        )
         for i in range(3):
             out[i, k] = scale * q[i]
     return out
@@ -295,16 +357,21 @@ def turns(measured: np.ndarray, poses: np.ndarray) -> np.ndarray:
 
 @compiled(nogil=True)
 def turned(turn: np.ndarray, motion: np.ndarray) -> np.ndarray:
-    """Return motions, shape (D, 6, N), with rotations converted to changes of rotation vectors ``turn``, shape (3, N).
+    """Return motions, shape (D, 6, N), with rotations converted to changes of rotation vectors
+    ``turn``, shape (3, N).
 
-    These are by the inverse right Jacobian: log(exp(phi) exp(-w)) = phi - J_r^-1 w + O(w^2) [Sola et al. 2018, Eq. 144].
+    These are by the inverse right Jacobian: log(exp(phi) exp(-w)) = phi - J_r^-1 w + O(w^2) [Sola
+    et al. 2018, Eq. 144].
     """
     n_columns, _, n = motion.shape
-    out, rows = np.empty(motion.shape), np.empty((3, 3, _TILE))
+    out = np.empty(motion.shape)
+    rows = np.empty((3, 3, _TILE))
     for first in range(0, n, _TILE):
         end = min(first + _TILE, n)
         for k in range(first, end):
-            x, y, z = turn[0, k], turn[1, k], turn[2, k]
+            x = turn[0, k]
+            y = turn[1, k]
+            z = turn[2, k]
             angle2 = x * x + y * y + z * z
             angle = np.sqrt(angle2)
             if angle < _SMALL:
@@ -321,9 +388,14 @@ def turned(turn: np.ndarray, motion: np.ndarray) -> np.ndarray:
         for d in range(n_columns):
             out[d, :3, first:end] = motion[d, :3, first:end]
             # Loops over slices are vectorised.
-            u, v, w = motion[d, 3, first:end], motion[d, 4, first:end], motion[d, 5, first:end]
+            u = motion[d, 3, first:end]
+            v = motion[d, 4, first:end]
+            w = motion[d, 5, first:end]
             for i in range(3):
-                a, b, c, to = rows[i, 0], rows[i, 1], rows[i, 2], out[d, 3 + i, first:end]
+                a = rows[i, 0]
+                b = rows[i, 1]
+                c = rows[i, 2]
+                to = out[d, 3 + i, first:end]
                 for k in range(len(to)):
                     to[k] = a[k] * u[k] + b[k] * v[k] + c[k] * w[k]
     return out

@@ -1,12 +1,14 @@
-"""Contacts without any instrument: of the tool point with sockets, and between points of two links of the robot.
+"""Contacts without any instrument: of the tool point with sockets, and between points of two links
+of the robot.
 
-The tool point is held in sockets, so that its distance from a socket is zero. Between links, balls touch at a known distance
-of their centres, or points coincide: each row names two points, ``LINK:NAME`` each, and their distance. The path leads from
-the first link to the second, which take the roles of base and tool, and the points are fixed to them. Points of the same
-name in several tables or pairs of links are the same.
+The tool point is held in sockets, so that its distance from a socket is zero. Between links, balls
+touch at a known distance of their centres, or points coincide: each row names two points,
+``LINK:NAME`` each, and their distance. The path leads from the first link to the second, which take
+the roles of base and tool, and the points are fixed to them. Points of the same name in several
+tables or pairs of links are the same.
 
-Starts: a fixed point P and a tool t satisfy P - R_i t = p_i, linear in P and t, with the nominal arm's poses (R_i, p_i). P
-is eliminated by subtracting the mean over each point's rows.
+Starts: a fixed point P and a tool t satisfy P - R_i t = p_i, linear in P and t, with the nominal
+arm's poses (R_i, p_i). P is eliminated by subtracting the mean over each point's rows.
 """
 
 from __future__ import annotations
@@ -27,14 +29,18 @@ from pincal.measure.setup import NamedPoints
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import transform
 
-_SCALE = "contacts without a known length do not determine the scale of the robot, which relies on its nominal lengths"
+_SCALE = (
+    "contacts without a known length do not determine the scale of the robot, which relies on "
+    "its nominal lengths"
+)
 
 
 @dataclass(frozen=True)
 class Coincidences(PointSensor):
     """3D: coincidence of the target with a named point.
 
-    Rows of a point that is not among ``points`` (``index`` -1, -2, ...) are judged by their distance from their own mean.
+    Rows of a point that is not among ``points`` (``index`` -1, -2, ...) are judged by their
+    distance from their own mean.
 
     Attributes:
         shift: shape (N, 3), offset of each row's target from its point [m]; None for zero.
@@ -69,7 +75,9 @@ class Coincidences(PointSensor):
     def jacobian(self, poses: np.ndarray, motion: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return the motion of the tool point minus the socket's."""
         if self.is_whole and len(motion):
-            motion = motion - np.stack([self._about_means(column, np.zeros_like(column)) for column in motion])
+            motion = motion - np.stack(
+                [self._about_means(column, np.zeros_like(column)) for column in motion]
+            )
         by_place = np.zeros((3, 3, len(self)))
         by_place[[0, 1, 2], [0, 1, 2]] = -1.0
         return np.concatenate([motion, self.by_points(by_place)])
@@ -79,14 +87,19 @@ class Coincidences(PointSensor):
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield tool points at the tip, then those that move least in their sockets."""
-        p, R = tips[:, :, 3], tips[:, :, :3]
+        p = tips[:, :, 3]
+        R = tips[:, :, :3]
         columns = by_target(R, target, n_targets)
         offsets = solved(-centred(columns, self.index), centred(p, self.index))
         yield self.start_at_means(p, np.tile(np.eye(4), (n_targets, 1, 1)))
-        yield self.start_at_means(p + columns @ offsets, transform(np.eye(3), offsets.reshape(n_targets, 3)))
+        yield self.start_at_means(
+            p + columns @ offsets, transform(np.eye(3), offsets.reshape(n_targets, 3))
+        )
 
     def _about_means(self, values: np.ndarray, place: np.ndarray) -> np.ndarray:
-        """Return ``place``, shape (3, N), with unknown points at the mean of their rows' ``values``, shape (3, N)."""
+        """Return ``place``, shape (3, N), with unknown points at the mean of their rows'
+        ``values``, shape (3, N).
+        """
         for unknown in np.unique(self.index[self.index < 0]):
             rows = self.index == unknown
             place[:, rows] = values[:, rows].mean(axis=1, keepdims=True)
@@ -111,42 +124,65 @@ class ContactSensor(Coincidences, Simulatable):
         assert places is not None, "contacts need places"
         points = poses[:, :, 3]
         index = np.linalg.norm(points[:, None] - places, axis=2).argmin(axis=1)
-        return cls(NamedPoints({f"socket_{k + 1}": None for k in range(len(places))}), index, points - places[index])
+        return cls(
+            NamedPoints({f"socket_{k + 1}": None for k in range(len(places))}),
+            index,
+            points - places[index],
+        )
 
     def unobservable_with(self, known: int) -> Iterator[str]:
         if not known:
-            yield "contacts determine only the relative geometry of the arm, not the pose of its base"
+            yield (
+                "contacts determine only the relative geometry of the arm, not the pose of its base"
+            )
         if known < 2 and not self.points.distances:
             yield (
-                "contacts without a known length do not determine the scale of the arm, which relies on its nominal "
+                "contacts without a known length do not determine the scale of the arm, "
+                "which relies on its nominal "
                 "lengths: give the distance between two sockets (--socket-distance A B METRES)"
             )
 
 
 def between_links(table: Any) -> Any:
-    """Return a table of contacts with the links of their points, and the second point as the target.
+    """Return a table of contacts with the links of their points, and the second point as the
+    target.
 
     Raises:
         MeasurementError: for a point that is not LINK:NAME, or two points of one link.
     """
     links = []
     for field in (FIRST, SECOND):
-        names, first, inverse = np.unique(table.array(field.name), return_index=True, return_inverse=True)
+        names, first, inverse = np.unique(
+            table.array(field.name), return_index=True, return_inverse=True
+        )
         where = (f'{table.source}, line {table.rows[row]}, "{field}"' for row in first)
-        links.append(np.array([link_of(str(name), where=at) for name, at in zip(names, where, strict=True)])[inverse])
+        links.append(
+            np.array([link_of(str(name), where=at) for name, at in zip(names, where, strict=True)])[
+                inverse
+            ]
+        )
     if np.any(same := links[0] == links[1]):
-        line, link = table.rows[same][0], links[0][same][0]
-        raise MeasurementError(f"{table.source}, line {line}: both points are on {link}; expected points of two links")
+        line = table.rows[same][0]
+        link = links[0][same][0]
+        raise MeasurementError(
+            f"{table.source}, line {line}: both points are on {link}; expected points of two links"
+        )
     return replace(table, from_link=links[0], to_link=links[1], target=table.array(SECOND.name))
 
 
 @dataclass(frozen=True)
 class LinkDistanceSensor(PointDistances, Divided):
-    """1D: known distances, shape (N,) [m], between points of two links, such as the centres of balls that touch."""
+    """1D: known distances, shape (N,) [m], between points of two links, such as the centres of
+    balls that touch.
+    """
 
     kind: ClassVar[str] = "contact distance"
     is_of_joints: ClassVar[bool] = True
-    fields: ClassVar[tuple[Field, ...]] = (Field("distance", ("distance",), "length", NOT_NEGATIVE), FIRST, SECOND)
+    fields: ClassVar[tuple[Field, ...]] = (
+        Field("distance", ("distance",), "length", NOT_NEGATIVE),
+        FIRST,
+        SECOND,
+    )
     names_points: ClassVar[str | None] = "first"
     thing: ClassVar[str] = "a point of a link"
     deviation_end: ClassVar[str] = "the point that it touches"
@@ -154,15 +190,24 @@ class LinkDistanceSensor(PointDistances, Divided):
 
     @classmethod
     def parts(cls, table: Any) -> Iterator[tuple[str, Any]]:
-        """Yield contacts at a distance, and coincidences, which are readings in three directions."""
-        whole, distance = between_links(table), table.array("distance")
+        """Yield contacts at a distance, and coincidences, which are readings in three
+        directions.
+        """
+        whole = between_links(table)
+        distance = table.array("distance")
         if (apart := distance > 0.0).any():
             yield "distance", whole.select(apart)
         if not apart.all():
             rows = whole.select(~apart)
             yield (
                 "contact",
-                replace(rows, readings={FIRST.name: rows.array(FIRST.name), SECOND.name: rows.array(SECOND.name)}),
+                replace(
+                    rows,
+                    readings={
+                        FIRST.name: rows.array(FIRST.name),
+                        SECOND.name: rows.array(SECOND.name),
+                    },
+                ),
             )
 
     def unobservable_with(self, known: int) -> Iterator[str]:
@@ -172,7 +217,9 @@ class LinkDistanceSensor(PointDistances, Divided):
 
 @dataclass(frozen=True)
 class LinkContactSensor(Coincidences, Divided):
-    """3D: coincidence of points of two links, such as a ball of one hand in a socket of the other."""
+    """3D: coincidence of points of two links, such as a ball of one hand in a socket of
+    the other.
+    """
 
     kind: ClassVar[str] = "contact"
     fields: ClassVar[tuple[Field, ...]] = (FIRST, SECOND)

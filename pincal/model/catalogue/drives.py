@@ -41,13 +41,15 @@ def _check_order(effect: Effect, joint: str, order: int) -> None:
 
 @dataclass(frozen=True)
 class GearEccentricity(DriveHarmonic):
-    r"""An eccentric (order 1) or elliptical (order 2) wheel: the joint turns by :math:`s \sin kq + c \cos kq` more.
+    r"""An eccentric (order 1) or elliptical (order 2) wheel: the joint turns by
+    :math:`s \sin kq + c \cos kq` more.
 
-    Over much less than a revolution, order 1 resembles an offset, a ratio and a compensator together.
+    Over much less than a revolution, order 1 resembles an offset, a ratio and a compensator
+    together.
 
     Distinguished by:
-        poses over a full revolution; a second payload, if gravity has the same sine. The two orders together are equivalent
-        to a gravity compensator; higher orders are a transmission error.
+        poses over a full revolution; a second payload, if gravity has the same sine. The two orders
+        together are equivalent to a gravity compensator; higher orders are a transmission error.
 
     Source:
         Whitney, Lozinski and Rourke (1986); Judd and Knasinski (1990).
@@ -60,7 +62,8 @@ class GearEccentricity(DriveHarmonic):
     order: Order = 1
     name: ClassVar[str] = "gear_eccentricity"
     meaning: ClassVar[str] = (
-        "a gear wheel is eccentric or elliptical: a sinusoidal joint error, once or twice per revolution"
+        "a gear wheel is eccentric or elliptical: a sinusoidal joint error, once or twice "
+        "per revolution"
     )
     pattern: ClassVar[str] = "eccentric_{wave}{order}"
     typical: ClassVar[float] = WAVE
@@ -70,7 +73,9 @@ class GearEccentricity(DriveHarmonic):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        yield from (Candidate(cls(joint, order)) for joint in situation.revolute for order in ORDERS)
+        yield from (
+            Candidate(cls(joint, order)) for joint in situation.revolute for order in ORDERS
+        )
 
 
 @dataclass(frozen=True)
@@ -78,8 +83,8 @@ class GearRatio(DriveEffect):
     """Relative error r of a gear or encoder ratio: r q is added to the joint position.
 
     Distinguished by:
-        poses over a full revolution: over a part of it a sine and a straight line are similar. A position repeated after a
-        revolution shows a ratio at once.
+        poses over a full revolution: over a part of it a sine and a straight line are similar. A
+        position repeated after a revolution shows a ratio at once.
 
     Source:
         Judd and Knasinski (1990).
@@ -114,7 +119,8 @@ class JointCoupling(DriveEffect):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        robot, joints = situation.chain.robot, [(situation.index(joint), joint) for joint in situation.joints]
+        robot = situation.chain.robot
+        joints = [(situation.index(joint), joint) for joint in situation.joints]
         yield from (
             Candidate(cls(joint, source))
             for i, joint in joints
@@ -123,7 +129,9 @@ class JointCoupling(DriveEffect):
         )
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """The leak over the motion [1], or rad/m and m/rad between revolute and prismatic joints."""
+        """The leak over the motion [1], or rad/m and m/rad between revolute and
+        prismatic joints.
+        """
         units = drive_unit(chain, self.joint), drive_unit(chain, self.source)
         unit = "1" if units[0] == units[1] else "/".join(units)
         return parameters_of(self, self.joint, (f"coupling_{self.source}",), unit=unit, size=RATIO)
@@ -136,15 +144,18 @@ class JointCoupling(DriveEffect):
 class AxisWobble(Discoverable):
     r"""A bearing whose axis tilts about x and y as it turns: each by :math:`s \sin kq + c \cos kq`.
 
-    The tilt acts before q (on s_x, s_y), where a constant tilt is the axis distortion and a tilt fixed to the link is a
-    circle of order 1. Hence the forward circle of order 1 before q (two of four parameters) duplicates constant geometry of
-    the link, and the stationary circle of order 1 after q duplicates s_x, s_y. In cycles per revolution seen from the
-    previous link, "before" spans :math:`\pm k` and "after" :math:`1 \pm k`: (1, after) is part of (2, before), (1, before)
-    of (2, after). The axis tilts about the bearing: at its position on the axis, in the paper the foot of the common normal.
+    The tilt acts before q (on s_x, s_y), where a constant tilt is the axis distortion and a tilt
+    fixed to the link is a circle of order 1. Hence the forward circle of order 1 before q (two of
+    four parameters) duplicates constant geometry of the link, and the stationary circle of order 1
+    after q duplicates s_x, s_y. In cycles per revolution seen from the previous link, "before"
+    spans :math:`\pm k` and "after" :math:`1 \pm k`: (1, after) is part of (2, before), (1, before)
+    of (2, after). The axis tilts about the bearing: at its position on the axis, in the paper the
+    foot of the common normal.
 
     Distinguished by:
-        moving the joint alone in many small steps, with one target far off its axis and one close to it: a wobble moves
-        both, a drive error only the far one. Orientation (6D) shows it directly.
+        moving the joint alone in many small steps, with one target far off its axis and one close
+        to it: a wobble moves both, a drive error only the far one. Orientation (6D) shows it
+        directly.
 
     Source:
         tilt error motion of ISO 230-7.
@@ -152,7 +163,8 @@ class AxisWobble(Discoverable):
     Attributes:
         joint: the joint, a revolute one.
         order: k, cycles per revolution.
-        frame: whether the tilt is seen from the previous link ("before") or from the moving one ("after").
+        frame: whether the tilt is seen from the previous link ("before") or from the moving one
+            ("after").
     """
 
     joint: str
@@ -164,7 +176,9 @@ class AxisWobble(Discoverable):
     def __post_init__(self) -> None:
         _check_order(self, self.joint, self.order)
         if self.frame not in WOBBLE_FRAMES:
-            raise BadInputError(f"{self.name} of {self.joint}: frame {self.frame!r}; expected before or after")
+            raise BadInputError(
+                f"{self.name} of {self.joint}: frame {self.frame!r}; expected before or after"
+            )
 
     @property
     def locus(self) -> Locus:
@@ -173,7 +187,9 @@ class AxisWobble(Discoverable):
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         for joint in situation.revolute:
-            yield from (Candidate(cls(joint, order, frame)) for order in ORDERS for frame in WOBBLE_FRAMES)
+            yield from (
+                Candidate(cls(joint, order, frame)) for order in ORDERS for frame in WOBBLE_FRAMES
+            )
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes of sine and cosine about x, then about y [rad]."""
@@ -181,7 +197,9 @@ class AxisWobble(Discoverable):
         symbols = [f"{kind}_{axis}_{wave}{self.order}" for axis in "xy" for wave in ("sin", "cos")]
         return parameters_of(self, self.joint, symbols, unit="rad", size=TILT)
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         both = waves(self.order * positions(chain, conditions, self.joint))
         tilts = [(2 * axis + p, axis, wave) for axis in range(2) for p, wave in enumerate(both)]
         return tilt_terms(chain, conditions, self.joint, seen_from=self.frame, tilts=tilts)
@@ -189,20 +207,23 @@ class AxisWobble(Discoverable):
 
 @dataclass(frozen=True)
 class Backlash(DriveEffect):
-    """Backlash of a gear: b times the direction of approach (-1, 0, 1) is added to the joint position.
+    """Backlash of a gear: b times the direction of approach (-1, 0, 1) is added to the joint
+    position.
 
     A joint that lags behind its drive by half the backlash has b = - backlash / 2.
 
     Distinguished by:
-        reaching each pose from both directions, recorded in `approach_<joint>`. A payload distinguishes backlash from
-        hysteresis, which grows with the load.
+        reaching each pose from both directions, recorded in `approach_<joint>`. A payload
+        distinguishes backlash from hysteresis, which grows with the load.
 
     Source:
         Slamani, Nubiola and Bonev (2012).
     """
 
     name: ClassVar[str] = "backlash"
-    meaning: ClassVar[str] = "backlash: the joint stops short, depending on the direction of approach"
+    meaning: ClassVar[str] = (
+        "backlash: the joint stops short, depending on the direction of approach"
+    )
     symbol: ClassVar[str] = "backlash"
     typical: ClassVar[float] = PLAY
     follows: ClassVar[str] = "approach"
@@ -211,20 +232,24 @@ class Backlash(DriveEffect):
 
 @dataclass(frozen=True)
 class ShortOfTarget(DriveEffect):
-    """Drive that has not settled when it is measured: c times the last move is added to the joint position.
+    """Drive that has not settled when it is measured: c times the last move is added to the joint
+    position.
 
     A joint that falls short of its target by a fraction of its move has c < 0.
 
     Distinguished by:
-        reaching each pose from both directions by long and short moves, rows in the order of measurement (`--rows-in-order`,
-        or a column `time`): backlash does not depend on the distance moved. A pause before each reading eliminates it.
+        reaching each pose from both directions by long and short moves, rows in the order of
+        measurement (`--rows-in-order`, or a column `time`): backlash does not depend on the
+        distance moved. A pause before each reading eliminates it.
 
     Source:
         position stabilization time and overshoot in ISO 9283.
     """
 
     name: ClassVar[str] = "settling"
-    meaning: ClassVar[str] = "the joint has not settled: it falls short by a fraction of its last move"
+    meaning: ClassVar[str] = (
+        "the joint has not settled: it falls short by a fraction of its last move"
+    )
     symbol: ClassVar[str] = "settling"
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = RATIO
@@ -237,8 +262,8 @@ class ThermalOffset(DriveEffect):
     """Joint offset that shifts with temperature: by c (T - reference).
 
     Distinguished by:
-        the same poses cold and warm, with the temperature recorded. Thermal expansion moves the target along the arm, an
-        offset shift moves it across.
+        the same poses cold and warm, with the temperature recorded. Thermal expansion moves the
+        target along the arm, an offset shift moves it across.
 
     Source:
         Heisel, Richter and Wurst (1997).
@@ -268,20 +293,25 @@ class ThermalOffset(DriveEffect):
 class ServoDroop(DriveEffect):
     """Steady-state position error: p (commanded - read back) is added to the fitted joint position.
 
-    If the positions read back are fitted, p is 0 if the encoder measures all of the error and 1 if the joint is where it was
-    commanded; if the commanded ones are fitted, p is -1 if the encoder measures all of it. An error proportional to the
-    torque resembles linear elasticity; friction and integral action distinguish them.
+    If the positions read back are fitted, p is 0 if the encoder measures all of the error and 1 if
+    the joint is where it was commanded; if the commanded ones are fitted, p is -1 if the encoder
+    measures all of it. An error proportional to the torque resembles linear elasticity; friction
+    and integral action distinguish them.
 
     Distinguished by:
-        commanded and read positions, both recorded (`commanded_<joint>` or `read_<joint>`), with two payloads: the
-        steady-state error of a controller without integral action is proportional to the load, like elasticity.
+        commanded and read positions, both recorded (`commanded_<joint>` or `read_<joint>`), with
+        two payloads: the steady-state error of a controller without integral action is proportional
+        to the load, like elasticity.
 
     Source:
         steady-state error of position control, Siciliano et al. (2009), section 8.5.
     """
 
     name: ClassVar[str] = "servo_droop"
-    meaning: ClassVar[str] = "steady-state position error: the joint rests between the commanded and the read-back position"
+    meaning: ClassVar[str] = (
+        "steady-state position error: the joint rests between the commanded and the "
+        "read-back position"
+    )
     symbol: ClassVar[str] = "droop"
     unit: ClassVar[str] = "1"
     typical: ClassVar[float] = PLAY

@@ -19,21 +19,24 @@ from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
 class ThermalExpansion(Discoverable):
     """Thermal expansion of lengths: by alpha_T (T - reference) times their nominal value.
 
-    For the whole arm these are d and a of every joint, and the constant offsets from the base to joint 1 and from the last
-    link to the tip, which act on base and tool x, y, z: the URDF's frames determine which of a robot's lengths are d and a.
-    For one joint it is the vector from the URDF's joint to the next joint, or to the tip: d and a, without the parts of d
-    and of the next joint's d beyond these joints.
+    For the whole arm these are d and a of every joint, and the constant offsets from the base to
+    joint 1 and from the last link to the tip, which act on base and tool x, y, z: the URDF's frames
+    determine which of a robot's lengths are d and a. For one joint it is the vector from the URDF's
+    joint to the next joint, or to the tip: d and a, without the parts of d and of the next joint's
+    d beyond these joints.
 
     Distinguished by:
-        the same poses cold and warm, stretched out and folded: expansion is proportional to the arm's length. A
-        temperature-dependent scale of the instrument is equivalent, unless it measures a known length.
+        the same poses cold and warm, stretched out and folded: expansion is proportional to the
+        arm's length. A temperature-dependent scale of the instrument is equivalent, unless it
+        measures a known length.
 
     Source:
         Heisel, Richter and Wurst (1997).
 
     Attributes:
         joint: the joint that moves the only link that expands; None for the whole arm.
-        reference: temperature at which lengths are nominal [deg C]; another value only changes the lengths.
+        reference: temperature at which lengths are nominal [deg C]; another value only changes the
+            lengths.
     """
 
     joint: str | None = None
@@ -53,9 +56,15 @@ class ThermalExpansion(Discoverable):
         """Coefficient of expansion [1/K]."""
         return parameters_of(self, self.joint or "arm", ("alpha_T",), unit="1/K", size=GROWTH)
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         warm = recorded(self, "temperature", conditions.temperature) - self.reference
-        return tuple(Term(0, k, length * warm) for k, length in lengths_that_grow(chain, self.joint).items() if length)
+        return tuple(
+            Term(0, k, length * warm)
+            for k, length in lengths_that_grow(chain, self.joint).items()
+            if length
+        )
 
 
 @dataclass(frozen=True)
@@ -63,14 +72,15 @@ class BaseDrift(Discoverable):
     """Drift of base or instrument: its coordinates change by rate times (time - reference).
 
     Distinguished by:
-        measuring one target on the base or the floor repeatedly, which shows the instrument's own drift. Repeating the first
-        poses of the robot at the end shows the rest.
+        measuring one target on the base or the floor repeatedly, which shows the instrument's own
+        drift. Repeating the first poses of the robot at the end shows the rest.
 
     Source:
         drift of pose characteristics in ISO 9283.
 
     Attributes:
-        reference: time without drift [s]; the mean is well conditioned, another value only changes the base.
+        reference: time without drift [s]; the mean is well conditioned, another value only changes
+            the base.
         turns: whether it also rotates.
     """
 
@@ -95,27 +105,36 @@ class BaseDrift(Discoverable):
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Rates along the instrument's axes [m/s] and about the base's [rad/s]."""
-        shift = parameters_of(self, "base", [f"{s}_t" for s in FRAME_SYMBOLS[:3]], unit="m/s", size=GROWTH)
+        shift = parameters_of(
+            self, "base", [f"{s}_t" for s in FRAME_SYMBOLS[:3]], unit="m/s", size=GROWTH
+        )
         if not self.turns:
             return shift
-        return shift + parameters_of(self, "base", [f"{s}_t" for s in FRAME_SYMBOLS[3:]], unit="rad/s", size=GROWTH)
+        return shift + parameters_of(
+            self, "base", [f"{s}_t" for s in FRAME_SYMBOLS[3:]], unit="rad/s", size=GROWTH
+        )
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         since = recorded(self, "time", conditions.time) - self.reference
-        return tuple(Term(p, chain.base(symbol), since) for p, symbol in enumerate(FRAME_SYMBOLS[: 6 if self.turns else 3]))
+        return tuple(
+            Term(p, chain.base(symbol), since)
+            for p, symbol in enumerate(FRAME_SYMBOLS[: 6 if self.turns else 3])
+        )
 
 
 @dataclass(frozen=True)
 class MeasurementScale(Discoverable):
     """Scale error of an instrument: every length is measured (1 + s) times as long.
 
-    To first order d and a of every joint (and the travel of a prismatic one) grow by s; base and tool are constants,
-    absorbed by their own parameters. With all lengths free this adds nothing (rank 0): it needs a known length, such as
-    links fixed at their nominal lengths.
+    To first order d and a of every joint (and the travel of a prismatic one) grow by s; base and
+    tool are constants, absorbed by their own parameters. With all lengths free this adds nothing
+    (rank 0): it needs a known length, such as links fixed at their nominal lengths.
 
     Distinguished by:
-        a known length, such as a scale bar next to the robot: with all link lengths free, a larger robot and a smaller unit
-        of length are equivalent.
+        a known length, such as a scale bar next to the robot: with all link lengths free, a larger
+        robot and a smaller unit of length are equivalent.
 
     Source:
         length measurement errors of laser trackers in ISO 10360-10.
@@ -134,20 +153,31 @@ class MeasurementScale(Discoverable):
         """Relative error of the scale [1]."""
         return parameters_of(self, "instrument", ("scale",), unit="1", size=TILT)
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        ones, types = np.ones(len(conditions)), chain.robot.joint_types
-        ways = {int(k): conditions.q[:, i] for i, k in enumerate(chain.drives) if types[i] == "prismatic"}
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
+        ones = np.ones(len(conditions))
+        types = chain.robot.joint_types
+        ways = {
+            int(k): conditions.q[:, i]
+            for i, k in enumerate(chain.drives)
+            if types[i] == "prismatic"
+        }
         lengths = {k: length * ones + ways.get(k, 0.0) for k, length in _lengths(chain).items()}
         return tuple(Term(0, k, length) for k, length in lengths.items() if np.any(length))
 
 
 def lengths_that_grow(chain: Chain, joint: str | None) -> dict[int, float]:
-    """Return the expanding lengths of the link that a joint moves, or of the whole arm, by coordinate [m]."""
+    """Return the expanding lengths of the link that a joint moves, or of the whole arm, by
+    coordinate [m].
+    """
     return _whole(chain) if joint is None else _link(chain, joint_index(chain, joint))
 
 
 def _lengths(chain: Chain) -> dict[int, float]:
-    """Return the nominal lengths of the links by coordinate [m]: d and a of every joint, and the mounts of branches."""
+    """Return the nominal lengths of the links by coordinate [m]: d and a of every joint, and the
+    mounts of branches.
+    """
     places = [chain.joint(i, symbol) for i in range(chain.robot.n_joints) for symbol in "da"]
     lengths = {k: float(chain.nominal[k]) for k in places}
     for i, T in zip(chain.robot.frames.branches, chain.robot.frames.T_branch_first, strict=True):
@@ -165,19 +195,30 @@ def _whole(chain: Chain) -> dict[int, float]:
 
 
 def _flange(chain: Chain) -> dict[int, float]:
-    """Return the vector from the last link's frame to the tip, in the axes of the tip, by coordinate [m]."""
+    """Return the vector from the last link's frame to the tip, in the axes of the tip, by
+    coordinate [m].
+    """
     T = chain.path.T_joint_tip
-    return {chain.tool(symbol): float(way) for symbol, way in zip("xyz", T[:3, :3].T @ T[:3, 3], strict=True)}
+    return {
+        chain.tool(symbol): float(way)
+        for symbol, way in zip("xyz", T[:3, :3].T @ T[:3, 3], strict=True)
+    }
 
 
 def _link(chain: Chain, i: int) -> dict[int, float]:
     """Return the vector from joint i to the next, as the URDF places them, by coordinate [m].
 
-    With u_i the height of the URDF's joint i on its axis:  p_(i+1) - p_i = (d_i - u_i) z_i + a_i x_i + u_(i+1) z_(i+1).
+    With u_i the height of the URDF's joint i on its axis:  p_(i+1) - p_i = (d_i - u_i) z_i + a_i
+    x_i + u_(i+1) z_(i+1).
     """
-    d, a = chain.joint(i, "d"), chain.joint(i, "a")
+    d = chain.joint(i, "d")
+    a = chain.joint(i, "a")
     way = {d: float(chain.nominal[d]) - chain.height_on_axis(i), a: float(chain.nominal[a])}
     if i == chain.path.tip_joint:
         return way | _flange(chain)
     following = chain.robot.next_joint(i)
-    return way if following is None else way | {chain.joint(following, "d"): chain.height_on_axis(following)}
+    return (
+        way
+        if following is None
+        else way | {chain.joint(following, "d"): chain.height_on_axis(following)}
+    )

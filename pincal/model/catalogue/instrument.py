@@ -1,13 +1,15 @@
-r"""Effects of an instrument that reads positions: encoders, axes and distance meter of a tracker; stretched coordinates.
+r"""Effects of an instrument that reads positions: encoders, axes and distance meter of a tracker;
+stretched coordinates.
 
 A tracker reads azimuth A, elevation E and range r of its target; the table contains
 
 .. math:: x = r \cos E \cos A, \quad y = r \cos E \sin A, \quad z = r \sin E .
 
-An error of a reading moves the target across or along the line of sight, as a function of the target's position: as read, or
-as predicted by the model before it is read. All these effects belong to the station. They need positions in the tracker's
-own frame, with its origin at the intersection of the tracker's axes and z along the standing axis. In a transformed frame
-(the robot's, or the hall's) they are other functions; if its origin is where no tracker can stand, they are not tested.
+An error of a reading moves the target across or along the line of sight, as a function of the
+target's position: as read, or as predicted by the model before it is read. All these effects belong
+to the station. They need positions in the tracker's own frame, with its origin at the intersection
+of the tracker's axes and z along the standing axis. In a transformed frame (the robot's, or the
+hall's) they are other functions; if its origin is where no tracker can stand, they are not tested.
 Stretched coordinates are the same effect in any frame.
 """
 
@@ -31,7 +33,8 @@ from pincal.parameters import Parameter, Scope
 Orders = Literal[1, 2]
 _ORDERS: tuple[Orders, ...] = (1, 2)
 _STRETCHED = ("x", "y", "xy", "xz", "yz")
-# Distance to the standing axis, or to the tracker, below which directions across it are undefined [m].
+# Distance to the standing axis, or to the tracker, below which directions across it are undefined
+# [m].
 _AT_AXIS = 1e-9
 
 
@@ -58,8 +61,11 @@ class Sight(NamedTuple):
     def of(cls, sighted: np.ndarray) -> Sight:
         """Return the sight of targets at positions of shape (N, 3) [m]."""
         x, y, z = np.asarray(sighted, float).T
-        across, r = np.maximum(np.hypot(x, y), _AT_AXIS), np.maximum(np.sqrt(x**2 + y**2 + z**2), _AT_AXIS)
-        cos, sin, zero = x / across, y / across, np.zeros_like(x)
+        across = np.maximum(np.hypot(x, y), _AT_AXIS)
+        r = np.maximum(np.sqrt(x**2 + y**2 + z**2), _AT_AXIS)
+        cos = x / across
+        sin = y / across
+        zero = np.zeros_like(x)
         return cls(
             r,
             np.arctan2(y, x),
@@ -78,13 +84,25 @@ class _Reading(Discoverable):
 
     @abstractmethod
     def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
-        """Return the displacement of the reading per unit of each parameter, shape (3, N) each [m]."""
+        """Return the displacement of the reading per unit of each parameter, shape (3,
+        N) each [m].
+        """
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         if conditions.sighted is None:
-            raise BadInputError(f"{self.name} needs the target's position in the instrument's frame; expected positions")
+            raise BadInputError(
+                f"{self.name} needs the target's position in the instrument's frame; "
+                "expected positions"
+            )
         moves = enumerate(self._moves(Sight.of(conditions.sighted)))
-        return tuple(Term(p, chain.base(axis), way[k]) for p, way in moves for k, axis in enumerate("xyz") if way[k].any())
+        return tuple(
+            Term(p, chain.base(axis), way[k])
+            for p, way in moves
+            for k, axis in enumerate("xyz")
+            if way[k].any()
+        )
 
 
 @dataclass(frozen=True)
@@ -107,12 +125,18 @@ class _Circle(_Reading):
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes s and c of each order [rad]."""
-        symbols = [f"{self.locus.acts_on}_{wave}{k}" for k in _ORDERS[: self.orders] for wave in ("sin", "cos")]
+        symbols = [
+            f"{self.locus.acts_on}_{wave}{k}"
+            for k in _ORDERS[: self.orders]
+            for wave in ("sin", "cos")
+        ]
         return parameters_of(self, "instrument", symbols, unit="rad", size=TILT)
 
     @abstractmethod
     def _read(self, sight: Sight) -> tuple[np.ndarray, np.ndarray]:
-        """Return the encoder's angle [rad], shape (N,), and the target's motion per unit of it, shape (3, N) [m]."""
+        """Return the encoder's angle [rad], shape (N,), and the target's motion per unit of it,
+        shape (3, N) [m].
+        """
 
     def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
         angle, lever = self._read(sight)
@@ -121,11 +145,13 @@ class _Circle(_Reading):
 
 @dataclass(frozen=True)
 class InstrumentAzimuth(_Circle):
-    r"""Azimuth encoder of a tracker, eccentric (k = 1) and elliptical (k = 2): reads :math:`s \sin kA + c \cos kA` more.
+    r"""Azimuth encoder of a tracker, eccentric (k = 1) and elliptical (k = 2): reads
+    :math:`s \sin kA + c \cos kA` more.
 
     Distinguished by:
-        the same poses with the tracker at another position: its error depends on its own azimuth, the robot's errors on the
-        robot's pose. From one position, the first joint's drive has a similar effect on a target that rotates with it.
+        the same poses with the tracker at another position: its error depends on its own azimuth,
+        the robot's errors on the robot's pose. From one position, the first joint's drive has a
+        similar effect on a target that rotates with it.
 
     Source:
         Muralikrishnan et al. (2009), x6 and x9, the geometric error model of laser trackers.
@@ -136,7 +162,8 @@ class InstrumentAzimuth(_Circle):
 
     name: ClassVar[str] = "instrument_azimuth"
     meaning: ClassVar[str] = (
-        "the tracker's azimuth encoder is eccentric or elliptical: a sinusoidal error, once or twice per revolution"
+        "the tracker's azimuth encoder is eccentric or elliptical: a sinusoidal error, "
+        "once or twice per revolution"
     )
     locus: ClassVar[Locus] = Locus(acts_on="azimuth")
 
@@ -146,11 +173,12 @@ class InstrumentAzimuth(_Circle):
 
 @dataclass(frozen=True)
 class InstrumentElevation(_Circle):
-    r"""Elevation encoder of a tracker, eccentric (k = 1) and elliptical (k = 2): reads :math:`s \sin kE + c \cos kE` more.
+    r"""Elevation encoder of a tracker, eccentric (k = 1) and elliptical (k = 2): reads
+    :math:`s \sin kE + c \cos kE` more.
 
     Distinguished by:
-        the same poses with the tracker at another position, nearer or farther, higher or lower: its error depends on its own
-        elevation, the robot's errors on the robot's pose.
+        the same poses with the tracker at another position, nearer or farther, higher or lower: its
+        error depends on its own elevation, the robot's errors on the robot's pose.
 
     Source:
         Muralikrishnan et al. (2009), x7 and x9, the geometric error model of laser trackers.
@@ -161,7 +189,8 @@ class InstrumentElevation(_Circle):
 
     name: ClassVar[str] = "instrument_elevation"
     meaning: ClassVar[str] = (
-        "the tracker's elevation encoder is eccentric or elliptical: a sinusoidal error, once or twice per revolution"
+        "the tracker's elevation encoder is eccentric or elliptical: a sinusoidal error, "
+        "once or twice per revolution"
     )
     locus: ClassVar[Locus] = Locus(acts_on="elevation")
 
@@ -173,15 +202,16 @@ class InstrumentElevation(_Circle):
 class InstrumentTilt(_Reading):
     r"""Axes of a tracker that are not perpendicular or do not intersect.
 
-    The transit axis deviates from perpendicular to the standing axis by t, the beam from perpendicular to the transit axis
-    by c, and the zero of the elevation is off by i: :math:`\Delta A = t \tan E + c / \cos E`, :math:`\Delta E = i`. With
-    offsets, the transit axis misses the standing axis by f, and the beam misses their intersection by l (to the left) and u
-    (upwards). The standing axis's own orientation is absorbed by the base frame. Two-face readings are free of t, c, i, l,
-    u.
+    The transit axis deviates from perpendicular to the standing axis by t, the beam from
+    perpendicular to the transit axis by c, and the zero of the elevation is off by i:
+    :math:`\Delta A = t \tan E + c / \cos E`, :math:`\Delta E = i`. With offsets, the transit axis
+    misses the standing axis by f, and the beam misses their intersection by l (to the left) and u
+    (upwards). The standing axis's own orientation is absorbed by the base frame. Two-face readings
+    are free of t, c, i, l, u.
 
     Distinguished by:
-        two-face measurements of the same target. From another position of the tracker the robot's poses have other
-        elevations, while the robot's errors are the same.
+        two-face measurements of the same target. From another position of the tracker the robot's
+        poses have other elevations, while the robot's errors are the same.
 
     Source:
         Muralikrishnan et al. (2009), x1, x2, x4, x5, the geometric error model of laser trackers.
@@ -202,24 +232,33 @@ class InstrumentTilt(_Reading):
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Angles t, c, i [rad], and offsets f, l, u [m]."""
-        angles = parameters_of(self, "instrument", ("transit_tilt", "beam_tilt", "index"), unit="rad", size=TILT)
+        angles = parameters_of(
+            self, "instrument", ("transit_tilt", "beam_tilt", "index"), unit="rad", size=TILT
+        )
         ways = ("transit_offset", "beam_left", "beam_up") if self.offsets else ()
         return angles + parameters_of(self, "instrument", ways, unit="m", size=TILT)
 
     def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
-        r, sine, cosine = sight.range, np.sin(sight.elevation), np.cos(sight.elevation)
+        r = sight.range
+        sine = np.sin(sight.elevation)
+        cosine = np.cos(sight.elevation)
         moves = [r * sine * sight.level, r * sight.level, r * sight.up]
         # Horizontally outwards, at any elevation.
-        return [*moves, cosine * sight.along - sine * sight.up, sight.level, sight.up] if self.offsets else moves
+        return (
+            [*moves, cosine * sight.along - sine * sight.up, sight.level, sight.up]
+            if self.offsets
+            else moves
+        )
 
 
 @dataclass(frozen=True)
 class InstrumentRange(_Reading):
-    """Zero offset of a tracker's distance meter, added to every range; its scale error is ``measurement_scale``.
+    """Zero offset of a tracker's distance meter, added to every range; its scale error is
+    ``measurement_scale``.
 
     Distinguished by:
-        measuring the same target from both ends of a line and from between them; or poses near the tracker and far from
-        it, as from a second position.
+        measuring the same target from both ends of a line and from between them; or poses near the
+        tracker and far from it, as from a second position.
 
     Source:
         Muralikrishnan et al. (2009), x8 ("bird bath"); R0 of ISO 10360-10.
@@ -243,18 +282,20 @@ class InstrumentRange(_Reading):
 
 @dataclass(frozen=True)
 class InstrumentStretch(_Reading):
-    r"""Instrument whose coordinates are stretched: it reads lengths in one direction longer than in another.
+    r"""Instrument whose coordinates are stretched: it reads lengths in one direction longer than in
+    another.
 
-    :math:`\Delta p = E p`, with E symmetric: the stretches of lengths along x and y relative to z, and the shears xy, xz and
+    :math:`\Delta p = E p`, with E symmetric: the stretches of lengths along x and y relative to z,
+      and the shears xy, xz and
     yz. An equal stretch in all directions is ``measurement_scale``.
 
     Distinguished by:
-        a length standard in several directions, or the same poses with the instrument rotated: the directions rotate with
-        the instrument, but not the robot's errors.
+        a length standard in several directions, or the same poses with the instrument rotated: the
+        directions rotate with the instrument, but not the robot's errors.
 
     Source:
-        affine distortion of reconstructions by cameras with wrong parameters (Hartley and Zisserman, 2004); 1 to 3 in a
-        thousand on a real camera tracker.
+        affine distortion of reconstructions by cameras with wrong parameters (Hartley and
+        Zisserman, 2004); 1 to 3 in a thousand on a real camera tracker.
     """
 
     name: ClassVar[str] = "instrument_stretch"
@@ -265,31 +306,39 @@ class InstrumentStretch(_Reading):
 
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
-        unread = "no positions in an instrument frame" if situation.conditions.sighted is None else ""
+        unread = (
+            "no positions in an instrument frame" if situation.conditions.sighted is None else ""
+        )
         yield Candidate(cls(), obstacle=unread)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Stretches of x and y beyond that of z, and shears [1]."""
-        return parameters_of(self, "instrument", [f"stretch_{axes}" for axes in _STRETCHED], unit="1", size=RATIO)
+        return parameters_of(
+            self, "instrument", [f"stretch_{axes}" for axes in _STRETCHED], unit="1", size=RATIO
+        )
 
     def _moves(self, sight: Sight) -> Sequence[np.ndarray]:
-        p, unit = sight.range * sight.along, np.eye(3)
+        p = sight.range * sight.along
+        unit = np.eye(3)
         pairs = (["xyz".index(axis) for axis in (axes[0], axes[-1])] for axes in _STRETCHED)
         return [np.outer(unit[i], p[j]) + (i != j) * np.outer(unit[j], p[i]) for i, j in pairs]
 
 
 def _obstacle(situation: PoseSet) -> str:
     """Return why readings can't be tested for a tracker's errors, empty if they can."""
-    chain, conditions = situation.chain, situation.conditions
+    chain = situation.chain
+    conditions = situation.conditions
     if conditions.sighted is None:
         return "no positions in an instrument frame"
     tips = Model(chain, ()).predict(np.zeros(0), conditions)[:, :, 3]
     base = np.median(conditions.sighted - tips, axis=0)
-    away, reach = np.linalg.norm(base), np.median(np.linalg.norm(conditions.sighted - base, axis=1))
+    away = np.linalg.norm(base)
+    reach = np.median(np.linalg.norm(conditions.sighted - base, axis=1))
     # No tracker can stand amid the poses: the frame of the readings is the robot's or the cell's.
     if away >= reach:
         return ""
     return (
-        f"the frame of the readings has its origin {away:.2g} m from the robot's base, where no tracker can be: give "
+        f"the frame of the readings has its origin {away:.2g} m from the robot's base, "
+        "where no tracker can be: give "
         "them in the tracker's own frame"
     )

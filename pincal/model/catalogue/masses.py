@@ -14,7 +14,8 @@ from pincal.model.effect import Body, Effect, Family, Locus, Term
 from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
 
-# Uncertainty of masses and centres of mass guessed from an arm's shape: fractions of the link's own mass, and of its size.
+# Uncertainty of masses and centres of mass guessed from an arm's shape: fractions of the link's own
+# mass, and of its size.
 _MASS_SIZE = 0.5
 _CENTRE_SIZE = 0.3
 _AXES: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -24,14 +25,16 @@ _SHORTEST = 0.1
 
 @dataclass(frozen=True)
 class LinkMass(Effect):
-    """Mass of each link and first moment of mass about its guessed centre; the static moments are linear in both.
+    """Mass of each link and first moment of mass about its guessed centre; the static moments are
+    linear in both.
 
-    Observable only through the compliances, gamma = k n, they are identified up to a common factor of all masses and the
-    inverse of all compliances, unless the payload varies; the priors fix this factor, and predictions do not depend on it.
+    Observable only through the compliances, gamma = k n, they are identified up to a common factor
+    of all masses and the inverse of all compliances, unless the payload varies; the priors fix this
+    factor, and predictions do not depend on it.
 
     Distinguished by:
-        known payloads: without them only the product of masses and compliances is observable. The mass from the data sheet
-        (`--mass`) is equivalent.
+        known payloads: without them only the product of masses and compliances is observable. The
+        mass from the data sheet (`--mass`) is equivalent.
 
     Source:
         Atkeson, An and Hollerbach (1986).
@@ -42,7 +45,9 @@ class LinkMass(Effect):
 
     joints: tuple[str, ...] | None = None
     name: ClassVar[str] = "link_mass"
-    meaning: ClassVar[str] = "masses and centres of mass of links that are missing in the robot description"
+    meaning: ClassVar[str] = (
+        "masses and centres of mass of links that are missing in the robot description"
+    )
     family: ClassVar[Family] = Family.LOAD
     locus: ClassVar[Locus] = Locus(acts_on="gamma", follows=MOMENT)
     is_constant: ClassVar[bool] = True
@@ -51,13 +56,18 @@ class LinkMass(Effect):
         """Mass [kg], and first moment of mass about the guessed centre [kg m]."""
         found = []
         for i in self._indices(chain):
-            joint, mass = chain.robot.joint_names[i], float(chain.robot.masses[i])
+            joint = chain.robot.joint_names[i]
+            mass = float(chain.robot.masses[i])
             found.append(Parameter(f"{joint}.mass", "kg", self.name, mass, _MASS_SIZE * mass))
             size = _CENTRE_SIZE * mass * self._length(chain, i)
-            found += [Parameter(f"{joint}.mc_{axis}", "kg m", self.name, 0.0, size) for axis in "xyz"]
+            found += [
+                Parameter(f"{joint}.mc_{axis}", "kg m", self.name, 0.0, size) for axis in "xyz"
+            ]
         return tuple(found)
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         """None: masses act through the moments that load the compliances."""
         return ()
 
@@ -71,7 +81,11 @@ class LinkMass(Effect):
 
     def _indices(self, chain: Chain) -> list[int]:
         names = chain.robot.joint_names
-        return list(range(len(names))) if self.joints is None else [names.index(name) for name in self.joints]
+        return (
+            list(range(len(names)))
+            if self.joints is None
+            else [names.index(name) for name in self.joints]
+        )
 
     @staticmethod
     def _length(chain: Chain, i: int) -> float:
@@ -80,7 +94,9 @@ class LinkMass(Effect):
 
 
 def with_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Return effects with the link masses missing in the robot's description if anything is elastic, else without masses."""
+    """Return effects with the link masses missing in the robot's description if anything is
+    elastic, else without masses.
+    """
     if not any(effect.uses_moments for effect in effects):
         return tuple(effect for effect in effects if not isinstance(effect, LinkMass))
     if not robot.massless or any(isinstance(effect, LinkMass) for effect in effects):
@@ -94,6 +110,8 @@ def notes_on_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     if not robot.massless or not any(effect.uses_moments for effect in effects):
         return ()
     return (
-        f"the robot description has no usable masses for {len(robot.massless)} links: moments are those of "
-        f"its shape, {robot.masses.sum():.3g} kg in all; a calibration estimates them with the compliances",
+        f"the robot description has no usable masses for {len(robot.massless)} links: "
+        "moments are those of "
+        f"its shape, {robot.masses.sum():.3g} kg in all; a calibration estimates them "
+        "with the compliances",
     )

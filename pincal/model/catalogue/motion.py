@@ -1,6 +1,7 @@
 r"""Effects of motion: clock offsets, joints that lag, drives wound up by friction.
 
-All of them depend on the joints' velocities and vanish at rest, so that a calibration from motion applies to held poses.
+All of them depend on the joints' velocities and vanish at rest, so that a calibration from motion
+applies to held poses.
 """
 
 from __future__ import annotations
@@ -27,11 +28,12 @@ _LAG = 1e-3
 
 @dataclass(frozen=True)
 class InstrumentClock(Effect):
-    r"""The instrument's clock is offset from the joints' clock: its reading belongs to the pose at a later time.
+    r"""The instrument's clock is offset from the joints' clock: its reading belongs to the pose at
+    a later time.
 
-    A reading at time t belongs to the joints at :math:`t + \tau_0 + \tau_1 (t - t_m)`, so that :math:`\dot q_j` times the
-    difference is added to every drive, to first order: the times are synchronised to a millisecond beforehand. Like the pose
-    of the instrument it is unconstrained.
+    A reading at time t belongs to the joints at :math:`t + \tau_0 + \tau_1 (t - t_m)`, so that
+    :math:`\dot q_j` times the difference is added to every drive, to first order: the times are
+    synchronised to a millisecond beforehand. Like the pose of the instrument it is unconstrained.
 
     Distinguished by:
         motions that start and stop. An offset equals the same lag of all joints.
@@ -40,7 +42,8 @@ class InstrumentClock(Effect):
         pincal's own; temporal calibration as in Furgale, Rehder and Siegwart (2013).
 
     Attributes:
-        middle: time t_m about which the clock drifts [s]; the middle of a session is well conditioned.
+        middle: time t_m about which the clock drifts [s]; the middle of a session is well
+            conditioned.
         drifts: whether it also runs at another rate.
     """
 
@@ -55,27 +58,35 @@ class InstrumentClock(Effect):
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Offset [s] and drift [1]."""
         symbols = (("offset", "s"), ("drift", "1"))[: 1 + self.drifts]
-        return tuple(Parameter(f"clock.{symbol}", unit, self.name, 0.0, ANYWHERE) for symbol, unit in symbols)
+        return tuple(
+            Parameter(f"clock.{symbol}", unit, self.name, 0.0, ANYWHERE) for symbol, unit in symbols
+        )
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         if conditions.velocity is None:
             return ()
         since = [np.ones(len(conditions))]
         if self.drifts:
             since.append(recorded(self, "time", conditions.time) - self.middle)
         pairs = zip(chain.drives.tolist(), conditions.velocity.T, strict=True)
-        return tuple(Term(p, k, way * t) for k, way in pairs for p, t in enumerate(since) if way.any())
+        return tuple(
+            Term(p, k, way * t) for k, way in pairs for p, t in enumerate(since) if way.any()
+        )
 
 
 @dataclass(frozen=True)
 class JointLag(DriveInMotion):
-    r"""Joint that reaches its recorded position with a delay: :math:`-\tau \dot q` is added to its position.
+    r"""Joint that reaches its recorded position with a delay: :math:`-\tau \dot q` is added to its
+    position.
 
-    An equal lag of all joints is an offset of the instrument's clock; differences between joints are due to encoders that
-    are read one after the other, or to velocity errors of position loops.
+    An equal lag of all joints is an offset of the instrument's clock; differences between joints
+    are due to encoders that are read one after the other, or to velocity errors of position loops.
 
     Distinguished by:
-        the same path at two speeds and in both directions: a lag grows with the speed, friction does not.
+        the same path at two speeds and in both directions: a lag grows with the speed, friction
+        does not.
 
     Source:
         velocity error of position control, Siciliano et al. (2009), section 8.3.
@@ -93,11 +104,13 @@ class JointLag(DriveInMotion):
 
 @dataclass(frozen=True)
 class FrictionWindup(DriveInMotion):
-    r"""Drive that is wound up by its own friction, against the direction of motion: :math:`-c \tanh(\dot q / v)`.
+    r"""Drive that is wound up by its own friction, against the direction of motion:
+    :math:`-c \tanh(\dot q / v)`.
 
     Distinguished by:
-        the same path at two speeds and in both directions: it changes sign with the direction and hardly with the speed.
-        In held poses it is hysteresis, which depends on the direction of approach.
+        the same path at two speeds and in both directions: it changes sign with the direction and
+        hardly with the speed. In held poses it is hysteresis, which depends on the direction of
+        approach.
 
     Source:
         Coulomb friction behind a compliant gear, Ruderman, Hoffmann and Bertram (2009).
@@ -115,18 +128,26 @@ class FrictionWindup(DriveInMotion):
 
     def __post_init__(self) -> None:
         if not self.slow > 0.0:
-            raise BadInputError(f"friction_windup of {self.joint}: slow {self.slow} rad/s; expected more than 0")
+            raise BadInputError(
+                f"friction_windup of {self.joint}: slow {self.slow} rad/s; expected more than 0"
+            )
 
     def of_velocity(self, velocity: np.ndarray) -> np.ndarray:
         return -np.tanh(velocity / self.slow)
 
 
 def with_drives(robot: Robot, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Return effects with the usual errors of drives, which an IMU alone would confuse with offsets of parallel joints.
+    """Return effects with the usual errors of drives, which an IMU alone would confuse with offsets
+    of parallel joints.
 
-    These are compliance of the drives if masses are known, eccentric gears, and friction, each constrained by its prior.
+    These are compliance of the drives if masses are known, eccentric gears, and friction, each
+    constrained by its prior.
     """
-    revolute = [name for name, kind in zip(robot.joint_names, robot.joint_types, strict=True) if kind == "revolute"]
+    revolute = [
+        name
+        for name, kind in zip(robot.joint_names, robot.joint_types, strict=True)
+        if kind == "revolute"
+    ]
     is_rigid = robot.massless or any(isinstance(effect, JointElasticity) for effect in effects)
     more: tuple[Effect, ...] = (
         *(() if is_rigid else (JointElasticity(),)),

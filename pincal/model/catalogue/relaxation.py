@@ -1,12 +1,14 @@
-r"""Exponential relaxation with time: creep of a joint offset, expansion of links as the arm warms up by itself.
+r"""Exponential relaxation with time: creep of a joint offset, expansion of links as the arm warms
+up by itself.
 
-Both are :math:`a f(t), \; f = 1 - e^{-(t - t_0) / \tau}`, zero before :math:`t_0`. The time constant is a parameter, too,
-linearised about the expected amplitude A and time constant:
+Both are :math:`a f(t), \; f = 1 - e^{-(t - t_0) / \tau}`, zero before :math:`t_0`. The time
+constant is a parameter, too, linearised about the expected amplitude A and time constant:
 
 .. math:: a f(t) + \delta\tau \, A \, \frac{\partial f}{\partial\tau}, \qquad
           \frac{\partial f}{\partial\tau} = - \frac{t - t_0}{\tau^2} e^{-(t - t_0) / \tau} .
 
-A discovery tries a few time constants without this term (A = 0), and then linearises about the estimate until it converges.
+A discovery tries a few time constants without this term (A = 0), and then linearises about the
+estimate until it converges.
 """
 
 from __future__ import annotations
@@ -27,14 +29,19 @@ from pincal.model.effect_bases import GROWTH, DriveEffect, drive_unit, recorded
 from pincal.model.symbols import held
 from pincal.parameters import Parameter
 
-# Time constants that a discovery tries, relative to the duration of the table: the longest is nearly a steady drift.
+# Time constants that a discovery tries, relative to the duration of the table: the longest is
+# nearly a steady drift.
 _CONSTANTS = (0.07, 0.2, 0.6, 2.0)
-# Time constants distinguishable from a jump, and from a steady drift, relative to the duration of the table.
-_SHORTEST, _LONGEST = 0.01, 5.0
+# Time constants distinguishable from a jump, and from a steady drift, relative to the duration of
+# the table.
+_SHORTEST = 0.01
+_LONGEST = 5.0
 # Largest step of a time constant, as a factor.
 _FAR = 2.0
-# Convergence: relative change of the time constant, and of the amplitude about which it is linearised.
-_SAME, _SAME_AMPLITUDE = 1e-3, 0.02
+# Convergence: relative change of the time constant, and of the amplitude about which it is
+# linearised.
+_SAME = 1e-3
+_SAME_AMPLITUDE = 0.02
 # Number of time constants after which the relaxation is over.
 _OVER = 50.0
 
@@ -52,10 +59,14 @@ class _Relaxing(ABC):
     def __post_init__(self) -> None:
         if not self.constant > 0.0:
             where = f" of {self.joint}" if self.joint else ""
-            raise BadInputError(f"{self.name}{where}: time constant {self.constant:g} s; expected more than 0")
+            raise BadInputError(
+                f"{self.name}{where}: time constant {self.constant:g} s; expected more than 0"
+            )
 
     def about(self, values: np.ndarray) -> Self:
-        """Return the effect about an amplitude and a changed time constant; itself once these have converged."""
+        """Return the effect about an amplitude and a changed time constant; itself once these have
+        converged.
+        """
         change = float(values[1]) / self.constant if len(values) > 1 else 0.0
         same = abs(values[0] - self.expected) <= _SAME_AMPLITUDE * abs(values[0])
         if same and abs(change) <= _SAME:
@@ -70,11 +81,17 @@ class _Relaxing(ABC):
         amplitude = Parameter(f"{element}.{symbol}", unit, self.name, 0.0, GROWTH)
         if not self.expected:
             return (amplitude,)
-        return amplitude, Parameter(f"{element}.{symbol}_tau", "s", self.name, self.constant, GROWTH)
+        return amplitude, Parameter(
+            f"{element}.{symbol}_tau", "s", self.name, self.constant, GROWTH
+        )
 
     def _shapes(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return f at times [s] and, if the time constant is a parameter, A times its derivative, shape (N,) each."""
-        since = (held(time, self.start, self.start + _OVER * self.constant) - self.start) / self.constant
+        """Return f at times [s] and, if the time constant is a parameter, A times its derivative,
+        shape (N,) each.
+        """
+        since = (
+            held(time, self.start, self.start + _OVER * self.constant) - self.start
+        ) / self.constant
         left = np.exp(-since)
         if not self.expected:
             return (1.0 - left,)
@@ -86,8 +103,8 @@ class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
     r"""Creep of a joint offset with time: by :math:`a (1 - e^{-(t - t_0) / \tau})`.
 
     Distinguished by:
-        repeating the first poses during the day, joint by joint, with the time recorded. Expansion moves the target along
-        the arm, creep of an offset across it.
+        repeating the first poses during the day, joint by joint, with the time recorded. Expansion
+        moves the target along the arm, creep of an offset across it.
 
     Source:
         drift of pose characteristics in ISO 9283.
@@ -97,7 +114,8 @@ class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
         constant: the time constant [s].
         start: t_0, when it began [s].
         span: time span of the data [s], which limits the time constant; None for no limit.
-        expected: A, amplitude about which the time constant is linearised [rad or m]; 0 to hold the time constant fixed.
+        expected: A, amplitude about which the time constant is linearised [rad or m]; 0 to hold the
+            time constant fixed.
     """
 
     constant: float
@@ -112,7 +130,9 @@ class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         for joint in situation.joints:
-            forms = [cls(joint, constant, start, span) for constant, start, span in _tried(situation)]
+            forms = [
+                cls(joint, constant, start, span) for constant, start, span in _tried(situation)
+            ]
             yield Candidate(forms[0], variants=tuple(forms))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
@@ -125,14 +145,15 @@ class JointCreep(_Relaxing, DriveEffect, ExponentialDrift):
 
 @dataclass(frozen=True)
 class ThermalGrowth(_Relaxing, ExponentialDrift):
-    r"""Expansion as the arm warms up: lengths grow by the fraction :math:`a (1 - e^{-(t - t_0) / \tau})` of nominal.
+    r"""Expansion as the arm warms up: lengths grow by the fraction
+    :math:`a (1 - e^{-(t - t_0) / \tau})` of nominal.
 
-    The arm warms up by itself, independently of the air temperature. If it follows the air closely, thermal expansion is
-    equivalent; it has the same lengths.
+    The arm warms up by itself, independently of the air temperature. If it follows the air closely,
+    thermal expansion is equivalent; it has the same lengths.
 
     Distinguished by:
-        recording the temperature of the arm itself; repeating the first poses later, and again after the arm has cooled
-        down. A drift of the base moves all poses by the same amount.
+        recording the temperature of the arm itself; repeating the first poses later, and again
+        after the arm has cooled down. A drift of the base moves all poses by the same amount.
 
     Source:
         Heisel, Richter and Wurst (1997), on the warming up of an arm.
@@ -142,7 +163,8 @@ class ThermalGrowth(_Relaxing, ExponentialDrift):
         joint: the joint that moves the only link that expands; None for the whole arm.
         start: t_0, when it began to warm up [s].
         span: time span of the data [s], which limits the time constant; None for no limit.
-        expected: A, growth about which the time constant is linearised [1]; 0 to hold the time constant fixed.
+        expected: A, growth about which the time constant is linearised [1]; 0 to hold the time
+            constant fixed.
     """
 
     constant: float
@@ -160,17 +182,27 @@ class ThermalGrowth(_Relaxing, ExponentialDrift):
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         for joint in (*situation.joints, None):
-            forms = [cls(constant, joint, start, span) for constant, start, span in _tried(situation)]
+            forms = [
+                cls(constant, joint, start, span) for constant, start, span in _tried(situation)
+            ]
             yield Candidate(forms[0], variants=tuple(forms))
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Final growth [1]; the time constant [s]."""
         return self._named(self.joint or "arm", "growth", "1")
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
-        lengths = {k: length for k, length in lengths_that_grow(chain, self.joint).items() if length}
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
+        lengths = {
+            k: length for k, length in lengths_that_grow(chain, self.joint).items() if length
+        }
         shapes = self._shapes(recorded(self, "time", conditions.time))
-        return tuple(Term(p, k, length * shape) for p, shape in enumerate(shapes) for k, length in lengths.items())
+        return tuple(
+            Term(p, k, length * shape)
+            for p, shape in enumerate(shapes)
+            for k, length in lengths.items()
+        )
 
 
 def _tried(situation: PoseSet) -> list[tuple[float, float, float]]:

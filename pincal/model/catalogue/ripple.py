@@ -1,8 +1,10 @@
-r"""Fine waves of a joint's own position: teeth of a motor's or a stage's gear, and the lines of an encoder.
+r"""Fine waves of a joint's own position: teeth of a motor's or a stage's gear, and the lines of an
+encoder.
 
-A wheel that turns k times per turn of the joint makes an error of k cycles per revolution (its eccentricity), and of 2 k
-and more (its teeth, a strain wave gear's two lobes). An encoder whose two signals differ in size, offset or phase errs
-between its lines: once and twice a line (Heydemann 1981).
+A wheel that turns k times per turn of the joint makes an error of k cycles per revolution (its
+eccentricity), and of 2 k and more (its teeth, a strain wave gear's two lobes). An encoder whose two
+signals differ in size, offset or phase errs between its lines: once and twice a line (Heydemann
+1981).
 """
 
 from __future__ import annotations
@@ -18,16 +20,22 @@ from pincal.model.conditions import TURN, PoseSet
 from pincal.model.effect import Candidate, Harmonic
 from pincal.model.effect_bases import WAVE, DriveHarmonic
 
-# Orders (cycles per revolution) in which a discovery searches for gear ripple: lower ones are curves of the drive, higher
-# ones need ever more poses. The two lobes of a strain wave gear of 1:101 make 202 cycles per revolution, and twice as many.
+# Orders (cycles per revolution) in which a discovery searches for gear ripple: lower ones are
+# curves of the drive, higher ones need ever more poses. The two lobes of a strain wave gear of
+# 1:101 make 202 cycles per revolution, and twice as many.
 _BAND = (20.0, 450.0)
-# Placeholders of an unknown order: the ratio of a usual strain wave gear, and the lines of an encoder.
-_USUAL, _LINES = 101.0, 1024.0
-# Approximate gain in log-likelihood required of a wave selected in the whole band (see ``independent_orders``).
+# Placeholders of an unknown order: the ratio of a usual strain wave gear, and the lines of an
+# encoder.
+_USUAL = 101.0
+_LINES = 1024.0
+# Approximate gain in log-likelihood required of a wave selected in the whole band (see
+# ``independent_orders``).
 _GAIN = 18.0
-# Lines per revolution of encoders with binary subdivision, from the lowest that is not a curve of the drive.
+# Lines per revolution of encoders with binary subdivision, from the lowest that is not a curve of
+# the drive.
 _BINARY = tuple(2.0**n for n in range(5, 17))
-# Probability of a chance match of an order above which no origin is suggested: as a hint, one in ten is good enough.
+# Probability of a chance match of an order above which no origin is suggested: as a hint, one in
+# ten is good enough.
 _BY_CHANCE = 0.1
 
 
@@ -41,18 +49,20 @@ class _FineWaves(DriveHarmonic, Harmonic):
     def __post_init__(self) -> None:
         if not self.order > 0.0:
             raise BadInputError(
-                f"{self.name} of {self.joint}: order {self.order:g}; expected cycles per revolution, more than 0"
+                f"{self.name} of {self.joint}: order {self.order:g}; expected cycles per "
+                "revolution, more than 0"
             )
 
 
 @dataclass(frozen=True)
 class GearRipple(_FineWaves):
-    r"""Motor or gear stage that turns many times per revolution of the joint: it adds :math:`s \sin kq + c \cos kq`.
+    r"""Motor or gear stage that turns many times per revolution of the joint: it adds
+    :math:`s \sin kq + c \cos kq`.
 
     Distinguished by:
-        many poses of this joint alone, spaced by less than half a period; with the ratio from the data sheet one order is
-        tested instead of hundreds, of which one fits the noise of few poses. An encoder with one or two periods per line has
-        the same ripple.
+        many poses of this joint alone, spaced by less than half a period; with the ratio from the
+        data sheet one order is tested instead of hundreds, of which one fits the noise of few
+        poses. An encoder with one or two periods per line has the same ripple.
 
     Source:
         Tuttle (1992); the chance of a false wave after Baluev (2008).
@@ -60,7 +70,8 @@ class GearRipple(_FineWaves):
     Attributes:
         joint: the joint, a revolute one.
         order: k, cycles per revolution; a ratio need not be a whole number.
-        chosen_among: number of independent orders among which this one was selected; 1 for a known one.
+        chosen_among: number of independent orders among which this one was selected; 1 for a known
+            one.
     """
 
     chosen_among: float = 1.0
@@ -87,40 +98,59 @@ class GearRipple(_FineWaves):
     @property
     def same(self) -> tuple[Harmonic, ...]:
         """An encoder with one line per wave, or per two waves."""
-        return tuple(EncoderSubdivision(self.joint, order) for order in (self.order, self.order / 2.0))
+        return tuple(
+            EncoderSubdivision(self.joint, order) for order in (self.order, self.order / 2.0)
+        )
 
     def suggested(self, resolution: float) -> Harmonic:
-        """Return an encoder with binary subdivision, if the order matches one and is unlikely to do so by chance."""
+        """Return an encoder with binary subdivision, if the order matches one and is unlikely to do
+        so by chance.
+        """
         power, _ = _binary(self.order, resolution)
         return EncoderSubdivision(self.joint, 2.0**power) if power else self
 
     def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
-        """Return the wheel of which it may be a harmonic: one of those given, or of a usual strain wave gear."""
+        """Return the wheel of which it may be a harmonic: one of those given, or of a usual strain
+        wave gear.
+        """
         known = {_USUAL: "the ratio of a usual strain wave gear"} | dict(wheels)
-        near, chance = list[tuple[float, int, str]](), 1.0
+        near = list[tuple[float, int, str]]()
+        chance = 1.0
         for turns, whose in known.items():
             if 2.0 * resolution < turns < order + resolution:
                 chance *= 1.0 - 2.0 * resolution / turns
                 times = round(order / turns)
-                near.append((abs(order - times * turns), times, f"{f'{times} x ' if times > 1 else ''}{turns:g}, {whose}"))
+                near.append(
+                    (
+                        abs(order - times * turns),
+                        times,
+                        f"{f'{times} x ' if times > 1 else ''}{turns:g}, {whose}",
+                    )
+                )
         off, _, words = min(near, default=(np.inf, 0, ""))
-        return f"{words}{_as_near(1.0 - chance)}" if off <= resolution and 1.0 - chance <= _BY_CHANCE else ""
+        return (
+            f"{words}{_as_near(1.0 - chance)}"
+            if off <= resolution and 1.0 - chance <= _BY_CHANCE
+            else ""
+        )
 
 
 @dataclass(frozen=True)
 class EncoderSubdivision(_FineWaves):
-    r"""Interpolation error of an encoder: :math:`\sum_j s_j \sin jkq + c_j \cos jkq`, once and twice per line.
+    r"""Interpolation error of an encoder: :math:`\sum_j s_j \sin jkq + c_j \cos jkq`, once and
+    twice per line.
 
     Distinguished by:
-        the number of lines from the data sheet, and positions that divide a line evenly. Gear ripple of the same order is
-        equivalent.
+        the number of lines from the data sheet, and positions that divide a line evenly. Gear
+        ripple of the same order is equivalent.
 
     Source:
         Heydemann (1981).
 
     Attributes:
         joint: the joint, a revolute one.
-        order: k, lines per revolution of the joint; for an encoder on the motor, those of the motor times the ratio.
+        order: k, lines per revolution of the joint; for an encoder on the motor, those of the motor
+            times the ratio.
     """
 
     name: ClassVar[str] = "encoder_subdivision"
@@ -130,8 +160,14 @@ class EncoderSubdivision(_FineWaves):
     @classmethod
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it on every revolute joint, not to be tested until its lines are given."""
-        unknown = "its lines per revolution are unknown; give them: --try encoder_subdivision:JOINT:order=LINES"
-        yield from (Candidate(cls(joint, _LINES), variants=(), obstacle=unknown) for joint in situation.revolute)
+        unknown = (
+            "its lines per revolution are unknown; give them: --try "
+            "encoder_subdivision:JOINT:order=LINES"
+        )
+        yield from (
+            Candidate(cls(joint, _LINES), variants=(), obstacle=unknown)
+            for joint in situation.revolute
+        )
 
     def tuned(self, order: float, chosen_among: float = 1.0) -> EncoderSubdivision:
         """Return the error of an encoder with other lines, which are known and not selected."""
@@ -144,20 +180,26 @@ class EncoderSubdivision(_FineWaves):
     def origin(self, order: float, resolution: float, wheels: Mapping[float, str]) -> str:
         """Return that it is a power of two, if so."""
         power, chance = _binary(order, resolution)
-        return f"2^{power}, as for an encoder with binary subdivision{_as_near(chance)}" if power else ""
+        return (
+            f"2^{power}, as for an encoder with binary subdivision{_as_near(chance)}"
+            if power
+            else ""
+        )
 
 
 def independent_orders(q: np.ndarray, band: tuple[float, float]) -> float:
     """Return the number of independent orders in a periodogram (Baluev 2008, Eq. 5).
 
-    Positions q have shape (N,) [rad]; ``band`` contains least and largest order [cycles per revolution].
+    Positions q have shape (N,) [rad]; ``band`` contains least and largest order [cycles per
+    revolution].
     """
     spread = float(np.std(q)) / TURN
     return 1.0 + (band[1] - band[0]) * spread * float(np.sqrt(4.0 * np.pi * _GAIN))
 
 
 def resolution_of(q: np.ndarray) -> float:
-    """Return the resolution of orders [cycles per revolution] at positions of shape (N,) [rad]: one over the turns covered.
+    """Return the resolution of orders [cycles per revolution] at positions of shape (N,) [rad]: one
+    over the turns covered.
 
     Example:
         >>> resolution_of(np.array([0.0, np.pi]))
@@ -167,7 +209,9 @@ def resolution_of(q: np.ndarray) -> float:
 
 
 def _binary(order: float, resolution: float) -> tuple[int, float]:
-    """Return the exponent of the power of two that an order is, 0 if none, and the probability of a chance match."""
+    """Return the exponent of the power of two that an order is, 0 if none, and the probability of a
+    chance match.
+    """
     powers = [lines for lines in _BINARY if lines < _BAND[1]]
     chance = 2.0 * resolution * len(powers) / (_BAND[1] - _BAND[0])
     power = round(np.log2(order))
@@ -176,4 +220,7 @@ def _binary(order: float, resolution: float) -> tuple[int, float]:
 
 
 def _as_near(chance: float) -> str:
-    return f" (a random order is as near to such a number with a probability of {100.0 * chance:.1g} %)"
+    return (
+        " (a random order is as near to such a number with a probability of "
+        f"{100.0 * chance:.1g} %)"
+    )

@@ -40,23 +40,25 @@ _CONSTANT = 1e-6
 
 @dataclass(frozen=True)
 class Unnamed(Resolvable):
-    """A joint error that depends on one variable, or on two joints' positions, without a cause in the catalogue.
+    """A joint error that depends on one variable, or on two joints' positions, without a cause in
+    the catalogue.
 
     Distinguished by:
-        measurements that vary its variable and hold the others fixed: see the sections of the named effects. An effect that
-        the catalogue lacks can be added as one class.
+        measurements that vary its variable and hold the others fixed: see the sections of the named
+        effects. An effect that the catalogue lacks can be added as one class.
 
     Source:
         splines after de Boor (1978).
 
     Attributes:
         joint: where it acts.
-        acts_on: "drive" (about the joint's own axis), "gamma_x" or "gamma_y" (across it, after the joint), "s_x" or "s_y"
-            (across it, before the joint).
-        depends_on: name of a joint, for its position, or "time", "temperature", "payload", or "move", the joint's last move.
-        shape: "curve" (a cubic spline), "waves" (sine and cosine of ``order``), "product" (of sine or cosine of the joint's
-            own angle and of the other's), "map" (products of cubic splines of both), "step" (at ``place``), or "kink" (a
-            change of slope there).
+        acts_on: "drive" (about the joint's own axis), "gamma_x" or "gamma_y" (across it, after the
+            joint), "s_x" or "s_y" (across it, before the joint).
+        depends_on: name of a joint, for its position, or "time", "temperature", "payload", or
+            "move", the joint's last move.
+        shape: "curve" (a cubic spline), "waves" (sine and cosine of ``order``), "product" (of sine
+            or cosine of the joint's own angle and of the other's), "map" (products of cubic splines
+            of both), "step" (at ``place``), or "kink" (a change of slope there).
         lower, upper: the measured range; outside it a curve keeps its end value.
         size: number of basis functions of a curve, and of a map along each joint.
         order: cycles per revolution.
@@ -89,7 +91,15 @@ class Unnamed(Resolvable):
     @property
     def locus(self) -> Locus:
         span = (self.lower, self.upper) if self.shape in ("curve", "map") else None
-        return Locus(self.joint, self.acts_on, self.depends_on, self.order, shape=self.shape, place=self.place, span=span)
+        return Locus(
+            self.joint,
+            self.acts_on,
+            self.depends_on,
+            self.order,
+            shape=self.shape,
+            place=self.place,
+            span=span,
+        )
 
     @property
     def trials(self) -> float:
@@ -99,25 +109,43 @@ class Unnamed(Resolvable):
     @property
     def n_functions(self) -> int:
         """Number of basis functions."""
-        return {"curve": self.size, "waves": 2, "product": 4, "map": self.size**2, "step": 1, "kink": 2}[self.shape]
+        return {
+            "curve": self.size,
+            "waves": 2,
+            "product": 4,
+            "map": self.size**2,
+            "step": 1,
+            "kink": 2,
+        }[self.shape]
 
     def resolutions(self, situation: PoseSet) -> tuple[Unnamed, ...]:
-        """Return a map from coarse to fine, as far as poses and positions support it; other shapes have no resolution."""
+        """Return a map from coarse to fine, as far as poses and positions support it; other shapes
+        have no resolution.
+        """
         if self.shape != "map":
             return ()
         pairs = (situation.positions(joint) for joint in (self.joint, self.depends_on))
-        most = min(int((len(situation.conditions) // POSES_PER_PIECE) ** 0.5), *map(distinct_values, pairs))
+        most = min(
+            int((len(situation.conditions) // POSES_PER_PIECE) ** 0.5), *map(distinct_values, pairs)
+        )
         return tuple(replace(self, size=size) for size in _MAP_PIECES if size <= most)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Coefficients of the basis functions [rad]."""
         shape = "" if self.shape == "curve" else f"_{self.shape}{self.order or ''}"
         stem = f"{self.joint}.{self.acts_on}_of_{self.depends_on}{shape}"
-        return tuple(Parameter(f"{stem}_{i + 1}", "rad", self.name, 0.0, _SIZE) for i in range(self.n_functions))
+        return tuple(
+            Parameter(f"{stem}_{i + 1}", "rad", self.name, 0.0, _SIZE)
+            for i in range(self.n_functions)
+        )
 
-    def terms(self, chain: Chain, conditions: Conditions, moments: np.ndarray | None) -> tuple[Term, ...]:
+    def terms(
+        self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+    ) -> tuple[Term, ...]:
         i = joint_index(chain, self.joint)
-        x = recorded_variable(chain, conditions, self.depends_on, joint=self.joint, span=self.locus.span)
+        x = recorded_variable(
+            chain, conditions, self.depends_on, joint=self.joint, span=self.locus.span
+        )
         own_span = (self.own_lower, self.own_upper) if self.shape == "map" else None
         own = recorded_variable(chain, conditions, self.joint, span=own_span)
         bases = enumerate(self._basis(x, own))
@@ -137,7 +165,9 @@ class Unnamed(Resolvable):
             return np.stack([f * g for f in waves(own) for g in waves(x)])
         if self.shape == "map":
             along = spline_basis(own, self.own_lower, self.own_upper, self.size)
-            return np.stack([f * g for f in along for g in spline_basis(x, self.lower, self.upper, self.size)])
+            return np.stack(
+                [f * g for f in along for g in spline_basis(x, self.lower, self.upper, self.size)]
+            )
         beyond = x - (self.place or 0.0)
         return (
             (beyond > 0.0)[None].astype(float)
@@ -146,26 +176,38 @@ class Unnamed(Resolvable):
         )
 
 
-def nameless_candidates(chain: Chain, conditions: Conditions, joints: Sequence[str]) -> Iterator[Unnamed]:
+def nameless_candidates(
+    chain: Chain, conditions: Conditions, joints: Sequence[str]
+) -> Iterator[Unnamed]:
     """Return the unnamed terms of some joints, for each variable that changes.
 
-    A smooth curve of the joint's own position is the catalogue's transmission error, and waves of order 1 and 2 are in the
-    catalogue, too. Waves and products need fewer parameters than a curve.
+    A smooth curve of the joint's own position is the catalogue's transmission error, and waves of
+    order 1 and 2 are in the catalogue, too. Waves and products need fewer parameters than a curve.
     """
-    names, does = chain.robot.joint_names, moves(conditions.q)
+    names = chain.robot.joint_names
+    does = moves(conditions.q)
     columns = {name: conditions.q[:, i] for i, name in enumerate(names) if does[i]}
-    columns |= {n: c for n, c in (("time", conditions.time), ("temperature", conditions.temperature)) if c is not None}
+    columns |= {
+        n: c
+        for n, c in (("time", conditions.time), ("temperature", conditions.temperature))
+        if c is not None
+    }
     for joint in joints:
-        own_move = {} if conditions.move is None else {"move": conditions.move[:, names.index(joint)]}
+        own_move = (
+            {} if conditions.move is None else {"move": conditions.move[:, names.index(joint)]}
+        )
         for source, column in (columns | own_move).items():
             if np.ptp(column) <= _CONSTANT:
                 continue
-            lower, upper = float(column.min()), float(column.max())
+            lower = float(column.min())
+            upper = float(column.max())
             own = source == joint
             for acts_on in (*_ACROSS, *_BEFORE) if own else _DRIVE:
                 yield Unnamed(joint, acts_on, source, lower=lower, upper=upper, size=_PIECES)
             if source in names:
-                yield from _of_two_joints(joint, source) if not own else _of_one_joint(joint, column)
+                yield from (
+                    _of_two_joints(joint, source) if not own else _of_one_joint(joint, column)
+                )
 
 
 def maps_of(situation: PoseSet, joint: str) -> Iterator[Unnamed]:
@@ -178,7 +220,17 @@ def maps_of(situation: PoseSet, joint: str) -> Iterator[Unnamed]:
         if other == joint:
             continue
         (lower, upper), (first, last) = ((float(at.min()), float(at.max())) for at in (x, own))
-        yield Unnamed(joint, "drive", other, "map", lower, upper, FEWEST_SPLINES, own_lower=first, own_upper=last)
+        yield Unnamed(
+            joint,
+            "drive",
+            other,
+            "map",
+            lower,
+            upper,
+            FEWEST_SPLINES,
+            own_lower=first,
+            own_upper=last,
+        )
 
 
 def _of_two_joints(joint: str, source: str) -> Iterator[Unnamed]:

@@ -1,4 +1,6 @@
-"""Figures of the errors of a calibration: distribution, by joint position, over the workspace, and in time."""
+"""Figures of the errors of a calibration: distribution, by joint position, over the workspace, and
+in time.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,19 @@ from matplotlib.figure import Figure
 from scipy.special import chdtr
 
 from pincal.report.plots import style
-from pincal.report.plots.style import AFTER, BEFORE, INK, MUTED, SMALL, WIDTH, dress, legend, log_axis, panel, thinned
+from pincal.report.plots.style import (
+    AFTER,
+    BEFORE,
+    FIGURE_WIDTH,
+    INK,
+    MUTED,
+    SMALL,
+    dress,
+    legend,
+    log_axis,
+    panel,
+    thinned,
+)
 from pincal.report.subject import RowErrors
 
 _MODELS = (("before", BEFORE), ("after", AFTER))
@@ -20,13 +34,15 @@ _BARS = 36
 # Points of a curve; more would be indistinguishable.
 _POINTS = 400
 # Most bins of a variable, rows per bin on average, and fewest rows of a bin.
-_BINS, _FEWEST = 18, 12
+_BINS = 18
+_FEWEST = 12
 _SOME = 3
 # Pauses longer than this fraction of the whole time break a line.
 _PAUSE = 0.04
 # Hexagons across the workspace.
 _CELLS = 15
-# Viridis: even steps of lightness, distinguishable to the colour-blind and in print without colours.
+# Viridis: even steps of lightness, distinguishable to the colour-blind and in print without
+# colours.
 _MAP = "viridis"
 
 
@@ -47,7 +63,8 @@ def histogram_figure(evidence: RowErrors, *, held: bool = True) -> Figure:
     Raises:
         ValueError: if there are no held-out or, with ``held=False``, no fitted rows.
     """
-    rows, part = evidence.part(held=held), "held-out" if held else "fitted"
+    rows = evidence.part(held=held)
+    part = "held-out" if held else "fitted"
     if not rows.any():
         raise ValueError(f"no {part} rows to draw; expected at least one")
     figure, axes = panel()
@@ -60,7 +77,12 @@ def histogram_figure(evidence: RowErrors, *, held: bool = True) -> Figure:
         label = f"{which}: mean {sizes.mean():.3g} {evidence.unit}"
         axes.stairs(share, edges, color=colour, linewidth=1.3, label=label)
     axes.set_ylim(0.0, 1.25 * axes.get_ylim()[1])
-    dress(axes, x=_error_label(evidence), y="share of poses [%]", title=f"{int(rows.sum())} {part} poses")
+    dress(
+        axes,
+        x=_error_label(evidence),
+        y="share of poses [%]",
+        title=f"{int(rows.sum())} {part} poses",
+    )
     legend(axes, loc="upper left")
     return figure
 
@@ -76,13 +98,27 @@ def cumulative_figure(evidence: RowErrors) -> Figure:
                 at = thinned(len(sizes), _POINTS)
                 is_main = held or not evidence.is_held.any()
                 line, label = ("-", which) if is_main else (":", None)
-                axes.plot(sizes[at], 100.0 * (at + 1) / len(sizes), line, color=colour, linewidth=1.8, label=label)
+                axes.plot(
+                    sizes[at],
+                    100.0 * (at + 1) / len(sizes),
+                    line,
+                    color=colour,
+                    linewidth=1.8,
+                    label=label,
+                )
     if low < 5.0 * evidence.noise:
         x = np.geomspace(low, high, 200)
         share = 100.0 * chdtr(len(evidence.after), (x / evidence.noise) ** 2)
         axes.plot(x, share, "--", color=MUTED, linewidth=1.1, label="noise alone")
     axes.axhline(95.0, color=MUTED, linewidth=0.7)
-    axes.annotate("95 %", (low * 1.03, 95.0), xytext=(0, -12), textcoords="offset points", fontsize=SMALL, color=INK)
+    axes.annotate(
+        "95 %",
+        (low * 1.03, 95.0),
+        xytext=(0, -12),
+        textcoords="offset points",
+        fontsize=SMALL,
+        color=INK,
+    )
     axes.set_ylim(0.0, 101.0)
     dress(axes, x=_error_label(evidence), y="poses with less error [%]")
     legend(axes, loc="lower left", bbox_to_anchor=(-0.02, 0.98), ncols=3)
@@ -90,28 +126,41 @@ def cumulative_figure(evidence: RowErrors) -> Figure:
 
 
 def joint_figure(evidence: RowErrors, joint: int) -> Figure:
-    """Draw the error against the position of one joint: median and the range of 90 % of the rows, before and after."""
-    x, unit = evidence.q[:, joint], "m"
+    """Draw the error against the position of one joint: median and the range of 90 % of the rows,
+    before and after.
+    """
+    x = evidence.q[:, joint]
+    unit = "m"
     if not evidence.is_prismatic[joint]:
-        x, unit = np.degrees(x), "deg"
+        x = np.degrees(x)
+        unit = "deg"
     figure, axes = panel(3.0)
     low, _ = _error_axis(axes, "y", evidence)
     for which, colour in _MODELS:
         centres, least, middle, most = _band(x, np.maximum(evidence.sizes(which), low))
         axes.fill_between(centres, least, most, color=colour, alpha=0.22, linewidth=0.0)
         axes.plot(centres, middle, ".-", color=colour, linewidth=1.8, markersize=3.5, label=which)
-    dress(axes, x=f"position [{unit}]", y=_error_label(evidence), title=style.drawable(evidence.joint_names[joint]))
+    dress(
+        axes,
+        x=f"position [{unit}]",
+        y=_error_label(evidence),
+        title=style.drawable(evidence.joint_names[joint]),
+    )
     return figure
 
 
 def median_range(evidence: RowErrors, joint: int) -> tuple[float, float]:
-    """Return the smallest and the largest median that :func:`joint_figure` draws after calibration."""
+    """Return the smallest and the largest median that :func:`joint_figure` draws after
+    calibration.
+    """
     middle = _band(evidence.q[:, joint], evidence.sizes("after"))[2]
     return float(np.nanmin(middle)), float(np.nanmax(middle))
 
 
 def _band(x: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return centres, 5 %, median and 95 % in bins of equal width; NaN where there are too few rows."""
+    """Return centres, 5 %, median and 95 % in bins of equal width; NaN where there are too few
+    rows.
+    """
     count = int(np.clip(len(x) // _FEWEST, 1, _BINS))
     edges = np.linspace(x.min(), x.max(), count + 1)
     place = np.clip(np.digitize(x, edges) - 1, 0, count - 1)
@@ -126,29 +175,36 @@ def _band(x: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]:
 
 
 def workspace_figure(evidence: RowErrors, view: Literal["top", "side"]) -> Figure:
-    """Draw the mean error over the workspace, before and after calibration, with the same colour scale.
+    """Draw the mean error over the workspace, before and after calibration, with the same colour
+    scale.
 
     Args:
         evidence: errors row by row.
-        view: "top" looks down on the robot, "side" shows distance from the vertical through its base against height.
+        view: "top" looks down on the robot, "side" shows distance from the vertical through its
+            base against height.
     """
     across, along, labels = _seen_from(evidence, view)
     figure = style.canvas(2.75)
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
-    figure.subplots_adjust(right=1.0 - 0.75 / WIDTH, wspace=0.08)
+    figure.subplots_adjust(right=1.0 - 0.75 / FIGURE_WIDTH, wspace=0.08)
     means = np.concatenate([evidence.sizes("before"), evidence.sizes("after")])
     low, high = np.quantile(means[means > 0.0], [0.1, 0.98]) if np.any(means > 0.0) else (1e-3, 1.0)
     low, high = float(low), float(max(high, 1.01 * low))
     # A square map.
     half = 0.52 * max(float(np.ptp(across)), float(np.ptp(along)), 1e-3)
     a, b = (float(v.min() + v.max()) / 2.0 for v in (across, along))
-    cells = dict(gridsize=_CELLS, extent=(a - half, a + half, b - half, b + half), cmap=_MAP, norm=LogNorm(low, high))
+    cells = dict(
+        gridsize=_CELLS,
+        extent=(a - half, a + half, b - half, b + half),
+        cmap=_MAP,
+        norm=LogNorm(low, high),
+    )
     for axes, (which, _) in zip(panels, _MODELS, strict=True):
         drawn = axes.hexbin(across, along, evidence.sizes(which), linewidths=0.1, **cells)
         axes.set_aspect("equal", adjustable="box")
         dress(axes, x=labels[0], title=which)
     panels[0].set_ylabel(labels[1], fontsize=style.TEXT, color=INK)
-    bar = figure.colorbar(drawn, cax=figure.add_axes((1.0 - 0.66 / WIDTH, 0.2, 0.02, 0.66)))
+    bar = figure.colorbar(drawn, cax=figure.add_axes((1.0 - 0.66 / FIGURE_WIDTH, 0.2, 0.02, 0.66)))
     bar.outline.set_visible(False)
     log_axis(bar.ax, "y", low, high)
     bar.ax.tick_params(labelsize=SMALL, color=MUTED, labelcolor=INK, which="both")
@@ -162,7 +218,9 @@ def _seen_from(evidence: RowErrors, view: str) -> tuple[np.ndarray, np.ndarray, 
     first = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     first = first - (first @ up) * up
     first /= np.linalg.norm(first)
-    x, y, height = evidence.place @ first, evidence.place @ np.cross(up, first), evidence.place @ up
+    x = evidence.place @ first
+    y = evidence.place @ np.cross(up, first)
+    height = evidence.place @ up
     if view == "top":
         return x, y, ("forward [m]", "left [m]")
     return np.hypot(x, y), height, ("distance [m]", "height [m]")
@@ -177,11 +235,27 @@ def order_figure(evidence: RowErrors) -> Figure:
     shown = order[thinned(len(order))]
     for which, colour in _MODELS:
         sizes = np.maximum(evidence.sizes(which), low)
-        axes.plot(x[shown], sizes[shown], ".", color=colour, markersize=3.4, alpha=0.55, markeredgewidth=0.0)
+        axes.plot(
+            x[shown],
+            sizes[shown],
+            ".",
+            color=colour,
+            markersize=3.4,
+            alpha=0.55,
+            markeredgewidth=0.0,
+        )
         for i, parts in enumerate(_sessions(x[order], 2 * _BINS, _FEWEST)):
             middle = [float(np.median(sizes[order][part])) for part in parts]
             centres = [float(np.mean(x[order][part])) for part in parts]
-            axes.plot(centres, middle, ".-", color=colour, linewidth=1.8, markersize=3.5, label=None if i else which)
+            axes.plot(
+                centres,
+                middle,
+                ".-",
+                color=colour,
+                linewidth=1.8,
+                markersize=3.5,
+                label=None if i else which,
+            )
     dress(axes, x=label, y=_error_label(evidence), title="Size of the error")
     legend(axes, loc="lower right", ncols=2)
     return figure
@@ -195,7 +269,9 @@ def _order(evidence: RowErrors) -> tuple[np.ndarray, str]:
 
 def _sessions(x: np.ndarray, most: int, fewest: int) -> list[list[np.ndarray]]:
     """Return the rows between two long pauses, in bins of equal size; x is in ascending order."""
-    pauses = np.flatnonzero(np.diff(x) > _PAUSE * np.ptp(x)) + 1 if len(x) > most else np.zeros(0, int)
+    pauses = (
+        np.flatnonzero(np.diff(x) > _PAUSE * np.ptp(x)) + 1 if len(x) > most else np.zeros(0, int)
+    )
     size = max(len(x) / most, fewest)
     sessions = np.split(np.arange(len(x)), pauses)
     return [np.array_split(rows, max(round(len(rows) / size), 1)) for rows in sessions]
@@ -214,15 +290,34 @@ def drift_figure(evidence: RowErrors) -> Figure:
     figure, axes = panel(3.3)
     axes.axhline(0.0, color=MUTED, linewidth=0.8)
     width = float(np.ptp(x)) / len(parts) or 1.0
-    factor, unit = (1e3, evidence.unit.replace("m", "µ", 1)) if evidence.unit in ("mm", "mrad") else (1.0, evidence.unit)
+    factor, unit = (
+        (1e3, evidence.unit.replace("m", "µ", 1))
+        if evidence.unit in ("mm", "mrad")
+        else (1.0, evidence.unit)
+    )
     for k, (name, left) in enumerate(zip(names, evidence.after, strict=False)):
-        centres = np.array([np.mean(x[part]) for part in parts]) + 0.16 * width * (k - 0.5 * (len(names) - 1))
+        centres = np.array([np.mean(x[part]) for part in parts]) + 0.16 * width * (
+            k - 0.5 * (len(names) - 1)
+        )
         means = factor * np.array([np.mean(left[part]) for part in parts])
-        errors = factor * np.array([2.0 * np.std(left[part]) / np.sqrt(len(part)) for part in parts])
+        errors = factor * np.array(
+            [2.0 * np.std(left[part]) / np.sqrt(len(part)) for part in parts]
+        )
         colour = (BEFORE, AFTER, style.THIRD)[k]
-        axes.errorbar(centres, means, errors, fmt="osD"[k], color=colour, markersize=3.5, elinewidth=1.1, label=name or None)
+        axes.errorbar(
+            centres,
+            means,
+            errors,
+            fmt="osD"[k],
+            color=colour,
+            markersize=3.5,
+            elinewidth=1.1,
+            label=name or None,
+        )
     dress(axes, x=label, y=f"mean residual [{unit}]", title="Drift of the residuals")
     if len(names) > 1:
-        axes.set_ylim(axes.get_ylim()[0], axes.get_ylim()[1] + 0.18 * float(np.ptp(axes.get_ylim())))
+        axes.set_ylim(
+            axes.get_ylim()[0], axes.get_ylim()[1] + 0.18 * float(np.ptp(axes.get_ylim()))
+        )
         legend(axes, loc="upper right", ncols=3)
     return figure

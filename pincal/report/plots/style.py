@@ -1,4 +1,6 @@
-"""One look for all figures: colours that colour-blind readers can distinguish, sizes that stay readable on a phone."""
+"""One look for all figures: colours that colour-blind readers can distinguish, sizes that stay
+readable on a phone.
+"""
 
 from __future__ import annotations
 
@@ -12,27 +14,48 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from pincal.result_table import one_line
 
-# Okabe and Ito's colours, distinguishable to colour-blind readers: vermilion, orange, blue, green, sky blue, purple.
+# Okabe and Ito's colours, distinguishable to colour-blind readers: vermilion, orange, blue, green,
+# sky blue, purple.
 COLOURS = ("#D55E00", "#E69F00", "#0072B2", "#009E73", "#56B4E9", "#CC79A7")
-BEFORE, AFTER, THIRD = COLOURS[0], COLOURS[2], COLOURS[3]
-INK, MUTED, GRID = "#1B1F24", "#5B6571", "#D8DDE3"
-VARIABLES = {INK: "ink", MUTED: "muted", GRID: "grid", BEFORE: "before", AFTER: "after", THIRD: "third"}
+BEFORE = COLOURS[0]
+AFTER = COLOURS[2]
+THIRD = COLOURS[3]
+INK = "#1B1F24"
+MUTED = "#5B6571"
+GRID = "#D8DDE3"
+VARIABLES = {
+    INK: "ink",
+    MUTED: "muted",
+    GRID: "grid",
+    BEFORE: "before",
+    AFTER: "after",
+    THIRD: "third",
+}
 """Colour of a figure -> the page's variable for it."""
-# As wide as a phone, so that a page shows figures at their own size, side by side where there is room [in].
-WIDTH, HEIGHT = 5.2, 3.5
+# As wide as a phone, so that a page shows figures at their own size, side by side where there is
+# room [in].
+FIGURE_WIDTH = 5.2
+HEIGHT = 3.5
 TEXT, SMALL = 11.5, 10.5  # [pt]
 # Room about the axes [in]; fixed, as fitting it takes longer than drawing.
-_LEFT, _RIGHT, _BOTTOM, _TOP = 0.86, 0.16, 0.58, 0.36
+_LEFT = 0.86
+_RIGHT = 0.16
+_BOTTOM = 0.58
+_TOP = 0.36
 # Letters of a name that fit a figure.
 _LONGEST = 34
 
 
-def canvas(height: float = HEIGHT, *, rows: int = 1, left: float = _LEFT, top: float = _TOP) -> Figure:
-    """Return an empty figure of the usual width with room for ``rows`` panels, one above the other [in]."""
-    figure = Figure(figsize=(WIDTH, height), dpi=150)
+def canvas(
+    height: float = HEIGHT, *, rows: int = 1, left: float = _LEFT, top: float = _TOP
+) -> Figure:
+    """Return an empty figure of the usual width with room for ``rows`` panels, one above the other
+    [in].
+    """
+    figure = Figure(figsize=(FIGURE_WIDTH, height), dpi=150)
     figure.subplots_adjust(
-        left=left / WIDTH,
-        right=1.0 - _RIGHT / WIDTH,
+        left=left / FIGURE_WIDTH,
+        right=1.0 - _RIGHT / FIGURE_WIDTH,
         bottom=_BOTTOM / height,
         top=1.0 - top / height,
         hspace=0.0 if rows == 1 else 0.28,
@@ -62,7 +85,9 @@ def dress(axes: Axes, *, x: str = "", y: str = "", title: str = "") -> None:
 
 
 def thinned(count: int, most: int = 700) -> np.ndarray:
-    """Return at most so many rows of all, evenly spread: more dots only cover each other and make the file large."""
+    """Return at most so many rows of all, evenly spread: more dots only cover each other and make
+    the file large.
+    """
     return np.unique(np.linspace(0, count - 1, most).astype(int))
 
 
@@ -84,7 +109,9 @@ def drawable(text: str, longest: int = _LONGEST) -> str:
 
 
 def log_axis(axes: Axes, which: Literal["x", "y"], low: float, high: float) -> None:
-    """Make an axis logarithmic from ``low`` to ``high`` with ticks at 1, 2, 5, written as plain numbers."""
+    """Make an axis logarithmic from ``low`` to ``high`` with ticks at 1, 2, 5, written as plain
+    numbers.
+    """
     steps = (1.0, 2.0, 5.0) if high < 1500.0 * low else (1.0,)
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
     ticks = np.array([step * decade for decade in decades for step in steps])
@@ -97,10 +124,13 @@ def log_axis(axes: Axes, which: Literal["x", "y"], low: float, high: float) -> N
 
 
 def span_of(*sizes: np.ndarray) -> tuple[float, float]:
-    """Return the ends of a logarithmic axis that shows nearly all of these errors; what is smaller is not missed."""
+    """Return the ends of a logarithmic axis that shows nearly all of these errors; what is smaller
+    is not missed.
+    """
     both = np.concatenate(sizes)
     both = both[np.isfinite(both) & (both > 0.0)]
     if not len(both):
         return 1e-3, 1.0
-    low, high = float(np.quantile(both, 0.01)), float(both.max())
+    low = float(np.quantile(both, 0.01))
+    high = float(both.max())
     return max(low, high * 1e-5) / 1.2, high * 1.15
