@@ -4,7 +4,7 @@ use these entries.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, get_type_hints
 
@@ -29,6 +29,7 @@ class Variable:
         has_own_zero: whether each set-up of instrument and target has its own zero.
         label: description in words, with the joint as ``{}``; default: its name.
         shown: unit in plots, if different.
+        typical: value at poses that are not measured yet, as of a plan.
     """
 
     quantity: str
@@ -40,6 +41,7 @@ class Variable:
     has_own_zero: bool = False
     label: str = ""
     shown: str = ""
+    typical: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +61,9 @@ class Recorded:
         ),
     ] = None
     """Direction from which each joint arrived: -1, 0 (unknown) or 1, shape (N, n)."""
-    temperature: Annotated[np.ndarray | None, Variable("temperature", "deg C", "temperature")] = (
-        None
-    )
+    temperature: Annotated[
+        np.ndarray | None, Variable("temperature", "deg C", "temperature", typical=20.0)
+    ] = None
     """Temperature [deg C], shape (N,)."""
     time: Annotated[
         np.ndarray | None, Variable("time", "s", "time", has_own_zero=True, shown="h")
@@ -179,6 +181,7 @@ _HINTS = get_type_hints(Recorded, include_extras=True)
 RECORDED: Mapping[str, Variable] = {
     each.name: _HINTS[each.name].__metadata__[0] for each in fields(Recorded)
 }
+"""All variables of a table by name."""
 RECORDABLE = {
     "approach": RECORDED["approach"],
     "payload": Variable("mass", "kg", "payload"),
@@ -187,3 +190,19 @@ RECORDABLE = {
 """All variables on which an effect may depend in addition to joint positions and moments, including
 a payload of 0.
 """
+
+
+def typical_columns(names: Iterable[str], q: np.ndarray) -> dict[str, np.ndarray]:
+    """Return columns of recorded variables at N poses that are not measured yet.
+
+    Args:
+        names: of variables among ``RECORDED``.
+        q: joint positions of the poses, shape (N, n) [rad or m].
+
+    Returns:
+        By name, shape (N, n) of variables of joints and (N,) of others.
+    """
+    return {
+        name: np.full(q.shape if RECORDED[name].of_joints else len(q), RECORDED[name].typical)
+        for name in names
+    }

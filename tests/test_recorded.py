@@ -9,9 +9,9 @@ from pincal.identify.station import conditions_of
 from pincal.measure.fields import CONDITIONS
 from pincal.measure.measurements import measurements
 from pincal.model.chain import Chain
-from pincal.model.conditions import joined_conditions
+from pincal.model.conditions import Conditions, joined_conditions
 from pincal.model.model import Model
-from pincal.recorded import RECORDABLE, RECORDED
+from pincal.recorded import RECORDABLE, RECORDED, typical_columns
 from pincal.robot.robot import Robot
 from pincal.units import UNITS
 
@@ -46,3 +46,16 @@ def test_set_ups_that_lack_a_variable(name: str) -> None:
     assert (both is None) == variable.has_own_zero
     assert (some is None) == (variable.has_own_zero or variable.unknown is None)
     assert some is None or (np.all(some[:N] == 1.0) and np.all(some[N:] == variable.unknown))
+
+
+def test_every_column_has_typical_values_before_anything_is_measured() -> None:
+    """A plan, and a check of it, need no list of columns: whatever a table may hold has its shape and a value."""
+    q = np.zeros((5, 6))
+    columns = typical_columns(RECORDED, q)
+
+    assert columns.keys() == RECORDED.keys()
+    assert {name for name, column in columns.items() if column.shape == q.shape} == {
+        name for name, variable in RECORDED.items() if variable.of_joints
+    }
+    assert set(columns["temperature"]) == {20.0}
+    assert Conditions(q, np.zeros(5, int), np.zeros(5), np.zeros(3), **columns).column("move") is columns["move"]

@@ -33,7 +33,7 @@ from pincal.errors import BadInputError
 from pincal.identify.options import Options
 from pincal.model.conditions import Conditions
 from pincal.parameters import FRAME_SYMBOLS, estimate_of
-from pincal.recorded import RECORDABLE
+from pincal.recorded import RECORDED, typical_columns
 from pincal.robot.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -47,8 +47,6 @@ _CALIBRATED_FROM = 100
 _FEWEST = 4
 # Time from one measured pose to the next [s].
 _SECONDS_PER_POSE = 20.0
-# Recorded temperature of a check [deg C], for models that depend on it.
-_TEMPERATURE = 20.0
 
 
 @dataclass(frozen=True)
@@ -360,15 +358,15 @@ def _conditions(
     """Return poses with the loads in turn and all columns that the effects of a model need."""
     n = len(q)
     needs = {column for effect in model.model.effects for column in effect.needs}
+    columns = typical_columns(needs & RECORDED.keys(), q)
+    if "approach" in needs:
+        columns["approach"] = rng.choice([-1.0, 1.0], q.shape)
     return Conditions(
         q,
         np.zeros(n, int),
         np.resize(np.array(request.payloads or (0.0,), float), n),
         np.array(model.payload_centre, float),
-        temperature=np.full(n, _TEMPERATURE) if "temperature" in needs else None,
-        time=np.zeros(n) if "time" in needs else None,
-        **{name: np.zeros_like(q) for name in needs if RECORDABLE[name].of_joints}
-        | ({"approach": rng.choice([-1.0, 1.0], q.shape)} if "approach" in needs else {}),
+        **columns,
     )
 
 

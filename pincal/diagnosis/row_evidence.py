@@ -37,7 +37,7 @@ from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
 from pincal.model.sizes import largest_basis
 from pincal.parameters import root_of
-from pincal.recorded import RECORDABLE
+from pincal.recorded import RECORDED, typical_columns
 
 # Random poses at which the calibration's bias by masses is computed.
 _POSES = 200
@@ -123,15 +123,11 @@ def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassE
     lower, upper = calibrated.covered.q.T
     q = model.chain.robot.following(rng.uniform(lower, upper, (_POSES, len(lower))))
     conditions = calibrated.conditions_at(model.chain.robot.as_reported(q))
-    approach = rng.choice([-1.0, 1.0], conditions.q.shape)
-    conditions = replace(
-        conditions,
-        payload=rng.choice(calibrated.covered.payload, _POSES),
-        **{name: np.zeros_like(conditions.q) for name, each in RECORDABLE.items() if each.of_joints}
-        | {"approach": approach},
-        temperature=np.full(_POSES, 20.0),
-        time=np.linspace(0.0, 1.0, _POSES),
-    )
+    columns = typical_columns(RECORDED, conditions.q)
+    columns["approach"] = rng.choice([-1.0, 1.0], conditions.q.shape)
+    columns["time"] = np.linspace(0.0, 1.0, _POSES)
+    payload = rng.choice(calibrated.covered.payload, _POSES)
+    conditions = replace(conditions, payload=payload, **columns)
     wide = model.with_effects([*model.effects, masses])
     n = model.n_parameters
     values = np.append(calibrated.model_values, np.zeros(wide.n_parameters - n))
