@@ -20,6 +20,9 @@ as possible. The average over s, weighted by the evidence, is the expected error
 robot for its x, and of the URDF for x = 0. Where the noise is unknown, it is the most likely one
 for each s. Noise alone sometimes looks like a robot that deviates, so that the decision is made by
 an average in which the URDF is given odds beforehand.
+
+A robot stays as in its URDF unless it gets better anywhere within the joint limits, or at poses
+like the measured ones while the rest gets no worse: a plan with joints at rest tells of the others.
 """
 
 from __future__ import annotations
@@ -71,7 +74,7 @@ class Benefit(NamedTuple):
             evidence.
         spread: factor on the usual priors with which the URDF is as uncertain as ``nominal_mm``.
         is_worth_it: whether also those who expect the URDF to be right expect the calibrated robot
-            to be better.
+            to be better, anywhere or at poses like the measured ones.
     """
 
     nominal_mm: float
