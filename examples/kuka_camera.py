@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal import Fit, Lens, Options, Robot, Setup, calibrate, measurements_from_arrays
+from pincal import Fit, Lens, Options, Robot, Setup, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.calibrated_robot import fitted
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC, BearingElasticity, JointElasticity
 from pincal.simulate import View, paper_object, paper_transform, plan_views, read_arm
@@ -158,7 +159,7 @@ def without_noise(case: Case, seeds: int) -> None:
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
         measured, other = measure(case, plan(VIEWS, rng), Machine()), measure(case, plan(OTHER, rng), Machine())
-        found = calibrate(ROBOT, measured, case.options(None))
+        found = fitted(ROBOT, measured, case.options(None))
         worst, steps = max(worst, errors(found, other).max()), max(steps, found.iterations)
         nominal = max(nominal, errors(found, other, found.nominal.values).max())
     print(f"  exact: nominal max {nominal * 1e3:.2f} mm, held-out max {worst:.1e} m, at most {steps} iterations")
@@ -171,7 +172,7 @@ def with_noise(case: Case, draws: int) -> None:
         rng = np.random.default_rng([1, seed])
         robot = Machine.drawn(rng)
         measured, other = measure(case, plan(VIEWS, rng), robot, rng), measure(case, plan(OTHER, rng), robot)
-        found = calibrate(ROBOT, measured, case.options(case.sigma))
+        found = fitted(ROBOT, measured, case.options(case.sigma))
         squares.append(np.mean(found.readings(other).residuals(found.values) ** 2))
         expected.append(foretold(found, other) ** 2)
         chi2.append(found.solution.cost)

@@ -437,9 +437,9 @@ def _checked(
     return agreed
 
 
-def fitted(robot: Robot, measurements: Tables, options: Options | None = None) -> Fit:
+def fitted(robot: Robot, measurements: Tables | Files, options: Options | None = None) -> Fit:
     """Return the fit of rows that were checked before, without the checks of :func:`calibrate`."""
-    rows = tables_of(measurements)
+    rows = tables_of(_tables(robot, measurements))
     in_order = {name: table.in_order_of(robot) for name, table in rows.items()}
     return Fit.of(identify.fit_tables(robot, in_order, options))
 
