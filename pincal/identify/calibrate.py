@@ -161,16 +161,17 @@ def _scatter(fit: ModelFit, readings: Sequence[Measurements]) -> dict[str, StopS
     for table, (station, places, blocks), rows in zip(
         readings, fit.stations, fit.problem.rows, strict=True
     ):
-        plan = plan_of(table)
         if table.moving is not None:
             continue
-        single = fit.readings(table, station=station.name)
+        plan = plan_of(table)
+        means = by_pose(table)
+        single = station if means is table else fit.readings(table, station=station.name)
         of_table = scatter_of_stops(single, fit.values[places], plan)
         sound = np.flatnonzero(fit.solution.weights[rows] > 0.0)
         shared, drives = shared_in_fit(
             station.select(sound),
             fit.values[places],
-            plan_of(by_pose(table)).select(sound),
+            (plan if means is table else plan_of(means)).select(sound),
             sigma=fit.solution.sigma[blocks],
             free=fit.solution.free[places],
         )

@@ -33,7 +33,7 @@ from pincal.measure.stops import Plan
 _LOGITS = (-6.0, 9.0)
 # Rows by which a fit's loss of information to shared stops is found, and directions that are too
 # weak to count.
-_MOST_ROWS = 2000
+_MOST_ROWS = 600
 _RANK = 1e-4
 
 
