@@ -214,4 +214,4 @@ def test_images_go_through_the_commands(
     capsys.readouterr()
     assert run("calibrate", URDF, folder, *known, "--out", tmp_path / "own") == 0
     assert run("validate", tmp_path / "own" / "model.json", tmp_path / "tuesday", "--quiet") == Exit.DONE
-    assert re.search(r"calibrated +new and fitted +px +0\.3[5-9]", capsys.readouterr().out)
+    assert re.search(r"calibrated +held out +px +0\.3[5-9]", capsys.readouterr().out)

@@ -12,6 +12,7 @@ from functools import cached_property
 from itertools import compress
 
 import numpy as np
+from scipy.special import gammainc
 
 from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.covered import of_the_day
@@ -25,7 +26,7 @@ from pincal.identify.normal import accumulate
 from pincal.identify.posterior import eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
-from pincal.identify.station import Station, known_rows, station_of
+from pincal.identify.station import Station, count, known_rows, station_of
 from pincal.identify.stop_scatter import SharedNoise, StopScatter, scatter_of_stops, shared_noise
 from pincal.measure.admit import check_placeable
 from pincal.measure.measurements import Measurements
@@ -46,6 +47,9 @@ _UNDETERMINED = 100.0
 # noise.
 _NO_INFORMATION = 1e4
 _HALVINGS = 12
+# Different fingerprints of a row, and the chance at which some that agree are of the same rows.
+_FINGERPRINTS = 2.0**32
+_RARE = 1e-3
 # Poses of the calibrated range at which it is evaluated.
 _EVALUATED = 64
 
@@ -366,6 +370,10 @@ def fitted_rows(marks: str, model: CalibratedModel, stops: StopRows) -> np.ndarr
         stops: the readings and their means.
     """
     found = known_rows(marks, model.readings(stops.readings))
+    # Among many rows some have the fingerprint of another by chance.
+    by_chance = count(marks) * len(found) / _FINGERPRINTS
+    if gammainc(int(found.sum()), by_chance) > _RARE:
+        found = np.zeros(len(found), bool)
     if not stops.of_readings.is_repeated:
         return found
     of_stops = np.flatnonzero(known_rows(marks, model.readings(stops.table)))
