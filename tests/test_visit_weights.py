@@ -67,6 +67,16 @@ def test_the_noise_of_a_fit_is_that_of_one_visit() -> None:
         assert fit.solution.sigma[0] == pytest.approx(np.hypot(READING, ARRIVAL), rel=0.2)
 
 
+@pytest.mark.parametrize("declared", [READING, None])
+def test_few_poses_that_were_visited_often_have_the_noise_of_their_visits(declared: float | None) -> None:
+    """Thirty visits of each of twenty poses show it, whatever the few residuals of their means do."""
+    scatter = np.hypot(READING, ARRIVAL)
+    for seed in range(4):
+        fit, _ = scatter_of(measured(np.full(20, 30), 1, seed=seed), sigma=declared)
+        assert fit.solution.sigma[0] > 0.93 * scatter
+        assert fit.is_declared is (declared is not None)
+
+
 def test_dwell_does_not_average_the_arrival() -> None:
     """Twenty readings a stop tell no more of the robot than the stop does."""
     once, often = (scatter_of(measured(np.full(60, 1), dwell, seed=3))[0] for dwell in (1, 20))

@@ -277,7 +277,7 @@ class ModelFit:
             options = self.options.at(station.name)
             priors = Priors(self.priors.sizes[places], self.priors.bounds[places])
             solution = replace(solution, posterior=posterior_of(problem, solution, priors))
-            noise = Noise(self.noise.declared[blocks])
+            noise = self.noise.select(range(blocks.start, blocks.stop))
             found.append(ModelFit(problem, nominal, solution, priors, noise, self.stages, options))
         return tuple(found)
 

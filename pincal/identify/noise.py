@@ -149,11 +149,17 @@ Loss = Literal["screen", "huber", "none"]
 
 @dataclass(frozen=True)
 class Noise:
-    """Declared standard deviations of one component of each block of readings, None where they are
-    to be estimated.
+    """What is known of the noise of each block of readings before a fit, per component.
+
+    Attributes:
+        declared: standard deviations, None where they are to be estimated.
+        of_visits: what visits of a pose are known to scatter by, 0 where nothing is; where rows are
+            means of visits, theirs is no less, and a fit to a few poses could not show it. Empty
+            for zeros.
     """
 
     declared: tuple[float | None, ...]
+    of_visits: tuple[float, ...] = ()
 
     @property
     def known(self) -> np.ndarray:
@@ -162,10 +168,17 @@ class Noise:
 
     def resolved(self, estimated: np.ndarray, degrees: np.ndarray) -> np.ndarray:
         """Return the noise to use, shape (blocks,): the declared unless the estimated exceeds it
-        significantly.
+        significantly, and no less than that of visits.
         """
         misfit = self.known * (1.0 + CRITERIA.too_noisy / np.sqrt(2.0 * degrees))
-        return np.where(np.isnan(self.known) | (estimated > misfit), estimated, self.known)
+        is_estimated = np.isnan(self.known) | (estimated > misfit)
+        found = np.where(is_estimated, estimated, self.known)
+        return np.maximum(found, self.of_visits) if self.of_visits else found
+
+    def select(self, blocks: Sequence[int]) -> Noise:
+        """Return that of some blocks."""
+        declared = tuple(self.declared[b] for b in blocks)
+        return Noise(declared, tuple(self.of_visits[b] for b in blocks) if self.of_visits else ())
 
 
 @dataclass(frozen=True)

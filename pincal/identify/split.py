@@ -20,7 +20,6 @@ from pincal.errors import BadInputError
 from pincal.identify.arrivals import poses_of
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit, Priors, Solution
-from pincal.identify.noise import Noise
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Course, solve
@@ -279,9 +278,8 @@ def _refit_drawn_stations(fit: ModelFit, seed: np.random.SeedSequence) -> np.nda
         return found
 
     priors = Priors(carried(fit.priors.sizes), carried(fit.priors.bounds))
-    noise = Noise(
-        tuple(sigma for j in drawn for sigma in fit.noise.declared[problem.block_spans[j]])
-    )
+    spans = [problem.block_spans[j] for j in drawn]
+    noise = fit.noise.select([b for span in spans for b in range(span.start, span.stop)])
     values = carried(fit.values)
     free = carried(fit.solution.free)
     solution = solve(again, values, free, priors, noise, Course(fit.options.loss))

@@ -82,6 +82,24 @@ class ScatterByLevel:
         )
         return ", ".join(f"{words} {1e3 * of.sigma_m:.4f} mm" for words, of in levels if of.degrees)
 
+    def is_beyond(self, declared: float | None) -> bool:
+        """Return whether a reading in a stop of its own is known to scatter by more than a declared
+        noise [m], if any.
+        """
+        if declared is None:
+            return True
+        degrees = self.stop.degrees or self.model.degrees
+        least, _ = VarianceComponent(self.of_visit_m, degrees).interval(_AGREES)
+        return least > declared
+
+    @property
+    def of_visit_m(self) -> float:
+        """Standard deviation of one coordinate of a reading in a stop of its own, about the model
+        [m].
+        """
+        one = np.ones(1)
+        return float(np.sqrt(self.variance(one, one)[0]))
+
     def variance(self, readings: np.ndarray, stops: np.ndarray) -> np.ndarray:
         """Return the variance of one coordinate of means of so many readings in so many stops
         [m^2].
@@ -97,13 +115,23 @@ def with_visits(fit: ModelFit, tables: Mapping[str, Measurements]) -> ModelFit:
     ``tables`` are the readings of each station as they were measured, in the order of the stations.
     """
     stations = list[Station]()
-    for alone, station, table in zip(fit.alone, fit.problem.stations, tables.values(), strict=True):
-        found = scatter_by_level(alone, fit.readings(table, station=station.name), plan_of(table))
-        stations.append(
-            station if found is None else _weighted(station, found, plan_of(table), table.sigma)
-        )
-    is_changed = any(a is not b for a, b in zip(stations, fit.problem.stations, strict=True))
-    return fit.over(stations) if is_changed else fit
+    of_visits = np.zeros(len(fit.problem.blocks))
+    parts = zip(fit.alone, fit.stations, tables.values(), strict=True)
+    for alone, (station, _, blocks), table in parts:
+        plan = plan_of(table)
+        found = scatter_by_level(alone, fit.readings(table, station=station.name), plan)
+        if found is None:
+            stations.append(station)
+            continue
+        stations.append(_weighted(station, found, plan, table.sigma))
+        if table.sigma is None and found.is_beyond(fit.noise.declared[blocks.start]):
+            of_visits[blocks.start] = found.of_visit_m
+    is_weighted = any(a is not b for a, b in zip(stations, fit.problem.stations, strict=True))
+    is_too_quiet = bool(np.any(of_visits > (1.0 + _SAME) * fit.solution.sigma))
+    if not is_weighted and not is_too_quiet:
+        return fit
+    noise = replace(fit.noise, of_visits=tuple(of_visits.tolist()))
+    return replace(fit.over(stations), noise=noise)
 
 
 def weighs_visits(station: Station, plan: Plan) -> bool:
