@@ -153,6 +153,34 @@ def test_a_plan_that_leaves_joints_at_rest_calibrates_the_others(resting):
     assert found.result.error["calibrated"]["test"]["rms_mm"] < 0.1 * before
 
 
+@pytest.mark.parametrize("seed", [0, 2, 3])
+def test_what_a_plain_fit_would_spoil_elsewhere_a_cautious_one_improves(seed):
+    """Joints at rest and a robot better than its priors: a fit with those that its readings suggest, and its intervals."""
+    machine = machine_of(seed, 2e-4)
+    rng = np.random.default_rng(seed)
+    q = ur5().random_configurations(40, rng)
+    q[:, (0, 3, 5)] = 0.8
+    position = target_of(machine, q)[1] + 2e-5 * rng.standard_normal((40, 3))
+    table = measurements_from_arrays(ur5().joint_names, q, position=position)
+    plain = calibrate(ur5(), table, Options())
+    found = run_calibration(ur5(), table, Options())
+    fit = found.fit
+    elsewhere = [kinematic_errors(fit, of, machine).mean() for of in (fit.nominal.values, fit.values, plain.values)]
+    error = found.result.error
+    poses = ur5().random_configurations(300, np.random.default_rng(4243))
+    model = CalibratedModel.of(fit)
+    at = model.conditions_at(poses)
+    away = target_of(machine, poses)[1] - fit.predict(at)[:, :, 3]
+
+    assert not benefit_of(plain).is_worth_it
+    assert not found.result.is_kept
+    assert error["calibrated"]["test"]["rms_mm"] < 0.25 * error["nominal"]["test"]["rms_mm"]
+    assert elsewhere[1] < 1.02 * elsewhere[0] and elsewhere[1] < 1.02 * elsewhere[2]
+    assert np.mean(np.abs(away) < 1.96 * fit.position_sigma(at)) > 0.9
+    narrowed = CaveatKind.NARROWED.value.split("{")[0]
+    assert any(narrowed in note.text and not note.is_doubt for note in found.result.warnings)
+
+
 @pytest.mark.parametrize("declared", [True, False])
 def test_errors_that_exceed_the_noise_a_thousandfold_are_expected(declared):
     """However much smaller an unknown noise is than what the URDF leaves, the errors expected are the true ones."""

@@ -23,6 +23,8 @@ an average in which the URDF is given odds beforehand.
 
 A robot stays as in its URDF unless it gets better anywhere within the joint limits, or at poses
 like the measured ones while the rest gets no worse: a plan with joints at rest tells of the others.
+Where the calibrated robot does not pass, another one may, with narrower priors: of the means m of
+all s, the one whose expected error is least.
 """
 
 from __future__ import annotations
@@ -38,12 +40,14 @@ from pincal.calibration.calibrated_robot import Fit
 from pincal.calibration.caveats import Caveat, CaveatKind
 from pincal.calibration.elsewhere import random_conditions
 from pincal.calibration.improvement import unplaced
-from pincal.identify.beliefs import deviations
+from pincal.identify.beliefs import deviations, priors_of
+from pincal.identify.calibrate import refit
 from pincal.identify.criteria import CRITERIA
+from pincal.identify.dependence import with_blocks
 from pincal.identify.equations import Linearised
-from pincal.identify.fit import ModelFit
+from pincal.identify.fit import ModelFit, posterior_of
 from pincal.identify.options import Kept, PriorScale
-from pincal.identify.prior_scale import observes_places
+from pincal.identify.prior_scale import observes_places, prior_scale
 from pincal.identify.quadratic import Factor
 from pincal.identify.station import Station
 from pincal.measure.extrinsics import sample_rows
@@ -75,6 +79,8 @@ class Benefit(NamedTuple):
         spread: factor on the usual priors with which the URDF is as uncertain as ``nominal_mm``.
         is_worth_it: whether also those who expect the URDF to be right expect the calibrated robot
             to be better, anywhere or at poses like the measured ones.
+        cautious: factor on the usual priors with which another fit is expected to be nearest to
+            the true robot; None where that is not worth it either, or not needed.
     """
 
     nominal_mm: float
@@ -82,18 +88,42 @@ class Benefit(NamedTuple):
     scale: float
     spread: float
     is_worth_it: bool
+    cautious: float | None
 
 
 def without_harm(fit: Fit) -> Fit:
-    """Return a fit that is expected to be better than the URDF: itself, or one with the robot as in
-    its URDF.
+    """Return a fit that is expected to be better than the URDF: itself, one with narrower priors,
+    or one with the robot as in its URDF.
     """
     found = benefit_of(fit)
-    return fit if found is None or found.is_worth_it else at_nominal(fit, found)
+    if found is None or found.is_worth_it:
+        return fit
+    return at_nominal(fit, found) if found.cautious is None else _cautious(fit, found.cautious)
+
+
+def _cautious(fit: Fit, scale: float) -> Fit:
+    """Return a fit with priors as wide as the robot deviates by all its parameters together.
+
+    Some kinds of parameters may deviate more, so that the fit is as uncertain as priors allow that
+    the readings do not exclude.
+    """
+    options = replace(fit.options, prior_scale=PriorScale(scale, scale, scale, scale))
+    found = refit(replace(fit, options=options), options.effects)
+    widths = PriorScale(*(max(scale, of_kind) for of_kind in prior_scale(fit)))
+    priors = priors_of(found.problem, replace(options, prior_scale=widths))
+    solution = replace(
+        found.solution, posterior=posterior_of(found.problem, found.solution, priors)
+    )
+    return Fit.of(with_blocks(replace(found, solution=solution, priors=priors)))
 
 
 def findings_on_benefit(fit: ModelFit) -> Iterator[Caveat]:
-    """Yield that the robot stays as in its URDF because the readings do not improve it."""
+    """Yield that the robot stays as in its URDF because the readings do not improve it, or what
+    else its fit was given.
+    """
+    scale = fit.options.prior_scale
+    if scale is not None and observes_places(fit) and not fit.is_kept:
+        yield Caveat(CaveatKind.NARROWED, {"scale": max(scale)})
     if fit.is_kept:
         assert fit.options.kept is not None
         figures = {
@@ -137,27 +167,36 @@ def benefit_of(fit: ModelFit) -> Benefit | None:
     odds = np.zeros(len(found))
     odds[0] = np.log(CRITERIA.as_described * (len(found) - 1))
     doubted = _weights(evidences + odds)
-    anywhere = _ratio(doubted @ losses)
     # A plan may show what matters at its poses, such as those of three joints, and little of the
     # rest.
     measured = at.conditions.select(sample_rows(len(at), _MEASURED))
     W_measured = _weight(fit, shared, at, measured)
-    losses_measured = np.array(
-        [[given.loss(W_measured, 0.0 * x), given.loss(W_measured, x)] for given in found]
-    )
-    at_measured = _ratio(doubted @ losses_measured)
-    is_worth_it = anywhere < CRITERIA.worth_it or (
-        at_measured < CRITERIA.worth_it and anywhere < CRITERIA.no_worse
-    )
-    return Benefit(float(nominal), float(calibrated), scale, spread, is_worth_it)
 
+    def expected(W: np.ndarray, deviations: np.ndarray) -> float:
+        """Return the expected rms error of deviations, shape (F,)."""
+        losses = np.array([given.loss(W, deviations) for given in found])
+        return float(np.sqrt(doubted @ losses))
 
-def _ratio(mean_squares: np.ndarray) -> float:
-    """Return the expected error of the calibrated robot over that of its URDF, from the mean
-    squares of both.
-    """
-    of_nominal, of_calibrated = np.sqrt(mean_squares)
-    return float(of_calibrated / of_nominal)
+    def is_worth_it(deviations: np.ndarray) -> bool:
+        anywhere = expected(W, deviations) / expected(W, 0.0 * x)
+        at_measured = expected(W_measured, deviations) / expected(W_measured, 0.0 * x)
+        return anywhere < CRITERIA.worth_it or (
+            at_measured < CRITERIA.worth_it and anywhere < CRITERIA.no_worse
+        )
+
+    def cautious() -> float | None:
+        nearest = min(found, key=lambda given: expected(W, given.mean))
+        return nearest.scale if is_worth_it(nearest.mean) else None
+
+    is_enough = is_worth_it(x)
+    return Benefit(
+        nominal_mm=float(nominal),
+        calibrated_mm=float(calibrated),
+        scale=scale,
+        spread=spread,
+        is_worth_it=is_enough,
+        cautious=None if is_enough else cautious(),
+    )
 
 
 def _weights(logarithms: np.ndarray) -> np.ndarray:

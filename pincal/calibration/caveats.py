@@ -65,6 +65,11 @@ class CaveatKind(Enum):
         "{calibrated:.2g} mm. It stays as in its URDF; "
         "only instrument and target are calibrated. Measure more poses, or with less noise"
     )
+    NARROWED = (
+        "these readings determine little of the robot away from their poses, and a plain fit would "
+        "make it worse there: its deviations were taken to be about {scale:.2g} times the usual "
+        "size, as the readings suggest. Measure more of the joints' ranges for more"
+    )
     CONTRADICTED = "{what}"
     NOT_CONVERGED = (
         "the fit did not converge ({how}); check the noise, and look for rows that do not "
@@ -233,6 +238,7 @@ UNUSABLE = frozenset({CaveatKind.IMPLAUSIBLE, CaveatKind.MANY_OUTLIERS, CaveatKi
 
 DOUBTS = frozenset(CaveatKind) - {
     CaveatKind.SPARE_READINGS,
+    CaveatKind.NARROWED,
     CaveatKind.ARRIVALS,
     CaveatKind.NOISE_OVERSTATED,
     CaveatKind.NO_INSTRUMENT,
