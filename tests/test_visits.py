@@ -14,6 +14,7 @@ from pincal import GEOMETRIC, Options, Robot, calibrate, read_measurements, run_
 from pincal.calibration.result import Result
 from pincal.measure.measurements import Measurements
 from pincal.validate.misfit import Verdict
+from pincal.validate.visit_scan import chance_of_most
 from pincal.validate.visits import VisitChange, changes_between_visits
 
 PLANS = SHARED / "cases" / "plans"
@@ -199,3 +200,15 @@ def plan_of_case(name: str) -> tuple[Robot, Measurements]:
     """Return robot and table of a case."""
     robot = Robot.from_urdf(PLANS / name / "robot.urdf")
     return robot, read_measurements(PLANS / name / "data.csv", robot.joint_names)
+
+
+@pytest.mark.parametrize("patterns", [1, 4, 40])
+def test_the_chance_of_the_most_significant_of_some_is_uniform(patterns: int) -> None:
+    """Of independent patterns, from few permutations: as often below a level as the level says."""
+    rng = np.random.default_rng(patterns)
+    most = rng.exponential(size=(2000, patterns)).max(axis=1)
+    permuted = rng.exponential(size=(2000, 300, patterns)).max(axis=2)
+    chances = np.array([chance_of_most(one, of) for one, of in zip(most, permuted, strict=True)])
+
+    assert 0.6 < np.mean(chances < 0.01) / 0.01 < 1.6
+    assert 0.8 < np.mean(chances < 0.1) / 0.1 < 1.2

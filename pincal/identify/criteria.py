@@ -227,7 +227,7 @@ class VisitNumbers:
         "that a table of sound visits shows a step, a steady or another drift, or a "
                 "dependence on the number of the visit, "
         "each", "with these four tests, one sound table in 500 at most")
-    touched: float = number(0.003, "probability", _SOUND_VISITS,
+    touched: float = number(0.008, "probability", _SOUND_VISITS,
         "that a table of a few sound passes shows a displacement of the instrument "
                 "between two of them",
         "five standard deviations of the difference of two means are then seen in 19 of 20 tables")

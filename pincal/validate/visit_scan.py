@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import chdtri, fdtrc
+from scipy.optimize import brentq
+from scipy.special import chdtri, digamma, fdtrc, polygamma
 
 from pincal.identify.criteria import VISITS
 from pincal.identify.motion_fields import MotionField
@@ -32,10 +33,12 @@ from pincal.identify.visit_scatter import Arrivals, arrivals_of
 _CLIPPED = 1e-4
 # Iterations of a robust estimate of a size.
 _TURNS = 20
-# Number of permutations, and of them at once; gains beyond theirs are judged by a Gumbel
-# distribution.
+# Number of permutations, and of them at once; gains beyond theirs are judged by the
+# distribution of the largest of some.
 _ORDERS = 300
 _AT_ONCE = 20
+# Rounds in which the number of independent patterns and their scale are found in turn.
+_ROUNDS = 3
 # P-value, without multiplicity, above which nothing is permuted.
 _LIKELY = 0.01
 # Directions weaker than this relative to the strongest are excluded.
@@ -208,10 +211,7 @@ class Scan:
                 for _, gains, freedoms in self._gains(pattern, exchanged)
             ]
             drawn.append(np.max(every, axis=0))
-        orders = np.concatenate(drawn)
-        # The most significant of many has a scale of 1, and few permutations a smaller one.
-        scale = max(np.sqrt(6.0) / np.pi * float(orders.std()), 1.0)
-        return -float(np.expm1(-np.exp((float(orders.mean()) - surprise) / scale - np.euler_gamma)))
+        return chance_of_most(surprise, np.concatenate(drawn))
 
     def motion(self, pattern: Pattern, best: Best) -> np.ndarray:
         """Return the displacements that a pattern explains, shape (n, 3) [m], by a robust estimate
@@ -268,6 +268,34 @@ class Scan:
                 len(white), K, C * m
             )
             yield field, np.einsum("Bkp,kpq,Bkq->Bk", score, inverse, score, optimize=True), C * m
+
+
+def chance_of_most(surprise: float, by_chance: np.ndarray) -> float:
+    """Return the probability of a surprise, the largest of some, from those that permuted rows
+    show.
+
+    The largest of K independent surprises is that of K exponential variables, of mean
+    H_K = digamma(K + 1) + gamma and variance pi^2 / 6 - trigamma(K + 1), times a scale where the
+    scatter of readings is not the same everywhere.
+    """
+    mean = float(by_chance.mean())
+    scale = 1.0
+    for _ in range(_ROUNDS):
+        log_K = _log_number(mean / scale)
+        variance = np.pi**2 / 6.0 - float(polygamma(1, np.exp(log_K) + 1.0))
+        scale = max(float(by_chance.std()) / np.sqrt(variance), 1.0)
+    return -float(np.expm1(np.exp(log_K) * np.log1p(-np.exp(-surprise / scale))))
+
+
+def _log_number(mean: float) -> float:
+    """Return the log of the number of independent exponential variables whose largest has a mean,
+    at least 0.
+    """
+
+    def excess(log_K: float) -> float:
+        return float(digamma(np.exp(log_K) + 1.0)) + np.euler_gamma - mean
+
+    return 0.0 if mean <= 1.0 else float(brentq(excess, 0.0, mean + 1.0))
 
 
 def _middle(long: np.ndarray) -> float:
