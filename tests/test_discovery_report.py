@@ -12,15 +12,18 @@ import pytest
 from discovery_cases import SIGMA, Case, draw_case
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import fdtrc
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.calibrated_robot import load_model, save_model
 from pincal.cli import main
+from pincal.discover.decisions import Row, critical_gain, is_more_than_chance
+from pincal.discover.first_order import ScoreResult
 from pincal.discover.levers import on_steps
 from pincal.discover.locate import _window, locate
 from pincal.discover.policy import POLICY
-from pincal.discover.precheck import critical_gain, detectable_noncentrality, minimum_detectable, power_of, precheck
+from pincal.discover.precheck import detectable_noncentrality, minimum_detectable, power_of, precheck
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import PartialResidual, period_of
@@ -196,6 +199,27 @@ def test_a_range_is_named_only_if_most_sits_in_it() -> None:
 # How large an effect has to be.
 
 
+@pytest.mark.parametrize(("dof", "rank", "among"), [(550.0, 1, 75), (40.0, 3, 20), (5000.0, 8, 200)])
+def test_the_critical_gain_is_where_a_name_enters(dof: float, rank: int, among: int) -> None:
+    """What the check before a search promises is what the search asks, by the F test and by relevance."""
+
+    def enters(gain: float) -> bool:
+        p_value = float(fdtrc(rank, dof - rank, gain / rank / ((dof - gain) / (dof - rank))))
+        row = Row(
+            GearEccentricity("joint_1"),
+            ScoreResult(gain, rank, p_value, 0.0),
+            0.0,
+            among=among,
+            least=POLICY.least_gain(dof, declared=True),
+        )
+        return is_more_than_chance(row, POLICY)
+
+    least = critical_gain(dof, rank, among, POLICY)
+
+    assert enters(least * (1.0 + 1e-9))
+    assert not enters(least * (1.0 - 1e-9))
+
+
 def test_power_is_that_of_simulated_tests() -> None:
     """At the detectable non-centrality nine of ten simulated F tests pass the critical gain."""
     rng = np.random.default_rng(1)
@@ -204,7 +228,7 @@ def test_power_is_that_of_simulated_tests() -> None:
         noncentrality = detectable_noncentrality(test)
         gain = rng.noncentral_chisquare(rank, noncentrality, 20000)
         left = rng.chisquare(550.0 - rank, 20000)
-        passed = gain / (gain + left) * 550.0 > critical_gain(test)
+        passed = gain / (gain + left) * 550.0 > critical_gain(*test, POLICY)
 
         assert power_of(noncentrality, test) == pytest.approx(0.9, abs=1e-6)
         assert passed.mean() == pytest.approx(0.9, abs=0.01)

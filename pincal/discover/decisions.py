@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.special import fdtri
 
 from pincal.discover.first_order import ScoreResult, ScoreTests
 from pincal.discover.policy import TESTING, Policy
@@ -51,6 +52,7 @@ class Row:
         evidence: log Bayes factor in favour of it; inf where rows are many.
         left_out: returns the evidence of held-out blocks; default: not required.
         enough: required improvement of these, in standard errors.
+        chance: p-value that counts, of a test of more than the candidate; default: its score's.
     """
 
     effect: Effect
@@ -63,6 +65,12 @@ class Row:
     evidence: float = np.inf
     left_out: Callable[[], Unfitted] | None = None
     enough: float = TESTING.predicts
+    chance: float | None = None
+
+    @property
+    def p_value(self) -> float:
+        """The p-value that counts."""
+        return self.score.p_value if self.chance is None else self.chance
 
 
 def allowed_chance(question: Question, among: float, policy: Policy) -> float:
@@ -80,10 +88,33 @@ def is_more_than_chance(row: Row, policy: Policy) -> bool:
     """Return whether a candidate is significant, relevant, and not contradicted by priors, on the
     fitted rows.
     """
-    limit = allowed_chance(row.question, row.among, policy)
-    return (
-        row.score.p_value < limit and row.score.gain >= row.least and row.evidence >= -np.log(limit)
+    return row.p_value < allowed_chance(row.question, row.among, policy) and is_supported(
+        row, policy
     )
+
+
+def is_supported(row: Row, policy: Policy) -> bool:
+    """Return whether a candidate is relevant and not contradicted by priors; all that is asked
+    where evidence, and no p-value, decides.
+    """
+    limit = allowed_chance(row.question, row.among, policy)
+    return row.score.gain >= row.least and row.evidence >= -np.log(limit)
+
+
+def critical_gain(dof: float, rank: int, among: float, policy: Policy) -> float:
+    """Return the smallest reduction of the sum of squares, in units of a declared noise, with which
+    a name enters: what :func:`is_more_than_chance` asks of a test with these degrees of freedom.
+
+    Args:
+        dof: residual degrees of freedom, by which the noise is estimated.
+        rank: number of observable directions of the candidate.
+        among: number of candidates that share the probability of a false name.
+        policy: with the thresholds.
+    """
+    rest = max(dof - rank, 1.0)
+    limit = allowed_chance("enter", max(among, 1.0), policy)
+    ratio = rank * float(fdtri(rank, rest, 1.0 - limit)) / rest
+    return max(ratio / (1.0 + ratio) * dof, policy.least_gain(dof, declared=True))
 
 
 def accepted(row: Row, policy: Policy) -> bool:

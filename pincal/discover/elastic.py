@@ -13,7 +13,14 @@ import numpy as np
 from scipy.special import chdtrc
 
 from pincal.discover.candidate_tests import is_small_table, sampled
-from pincal.discover.decisions import CandidateTable, Decision, Row, accepted, each_heading_once
+from pincal.discover.decisions import (
+    CandidateTable,
+    Decision,
+    Row,
+    accepted,
+    each_heading_once,
+    is_supported,
+)
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import POLICY, SIGHT, TESTING, Policy
@@ -69,7 +76,7 @@ def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
         return _likeliest(tests, [*ways, (block, whole)], policy)
     chances = _chance(tests, singles), _chance(tests, [whole]), _chance(tests, families)
     every = _row(tests, block[0], whole, 1)
-    if not _is_accepted(every, min(chances), policy):
+    if not accepted(replace(every, chance=min(chances)), policy):
         return None
     table = CandidateTable(
         [_row(tests, part, of, len(singles)) for part, of in zip(parts, singles, strict=True)],
@@ -77,7 +84,8 @@ def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
     )
     best = table.cheapest()[0]
     beyond = _chance(tests, [whole], singles[best]), _chance(tests, singles, singles[best])
-    if not _is_accepted(table.rows[best], chances[0], policy) or min(beyond) < policy.adds_nothing:
+    single = replace(table.rows[best], chance=chances[0])
+    if not accepted(single, policy) or min(beyond) < policy.adds_nothing:
         return Decision(every, effects=block)
     return Decision(table.rows[best], tuple(table.rivals(best, policy)))
 
@@ -85,11 +93,6 @@ def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
 def _row(tests: ScoreTests, effect: Effect, which: Sequence[int], groups: int) -> Row:
     score = tests.score(which, groups)
     return Row(effect, score, score.ebic, which, "elastic")
-
-
-def _is_accepted(row: Row, p_value: float, policy: Policy) -> bool:
-    """Return whether a row is accepted with another p-value than its own."""
-    return accepted(replace(row, score=replace(row.score, p_value=p_value)), policy)
 
 
 def _likeliest(
@@ -104,9 +107,8 @@ def _likeliest(
         for (_, of), kind in zip(ways, kinds, strict=True)
     ]
     effects, of = ways[int(np.argmax(evidence))]
-    # The evidence decides, not the p-value.
     row = replace(_row(tests, effects[0], of, 1), question="enter", evidence=max(evidence))
-    return Decision(row, effects=effects) if _is_accepted(row, 0.0, policy) else None
+    return Decision(row, effects=effects) if is_supported(row, policy) else None
 
 
 def with_features(fit: ModelFit, effects: Iterable[Effect]) -> tuple[Effect, ...]:

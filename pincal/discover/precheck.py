@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 from msgspec import to_builtins
-from scipy.special import fdtri, ncfdtr
+from scipy.special import ncfdtr
 
 from pincal.calibration.held_out import WAYS, StationRows, headline_of, nominal_errors
+from pincal.discover.decisions import critical_gain
 from pincal.discover.drive_curves import notes_on_repeats
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import situation_of
@@ -372,18 +373,10 @@ def _size_at(strengths: np.ndarray, test: FTest) -> tuple[float, float]:
     return float(np.exp(brentq(missing, np.log(0.1 * best), np.log(1e6 * best)))), best
 
 
-def critical_gain(test: FTest) -> float:
-    """Return the smallest accepted reduction of the sum of squares, in units of the noise."""
-    dof, rank, groups = test
-    rest = max(dof - rank, 1.0)
-    ratio = rank * float(fdtri(rank, rest, 1.0 - POLICY.false_name / max(groups, 1))) / rest
-    return max(ratio / (1.0 + ratio) * dof, POLICY.least_gain(dof, declared=True))
-
-
 def power_of(noncentrality: float, test: FTest) -> float:
     """Return the probability that an effect of a non-centrality is accepted."""
     dof, rank, *_ = test
-    gain = critical_gain(test)
+    gain = critical_gain(*test, POLICY)
     rest = max(dof - rank, 1.0)
     F = (gain / rank) / (max(dof - gain, 1e-9) / rest)
     return 1.0 - float(ncfdtr(rank, rest, noncentrality, F))
@@ -396,7 +389,7 @@ def detectable_noncentrality(test: FTest) -> float:
     """
     from scipy.optimize import brentq
 
-    upper = 10.0 * critical_gain(test) + 100.0
+    upper = 10.0 * critical_gain(*test, POLICY) + 100.0
     while power_of(upper, test) < SIGHT.power:
         upper *= 4.0
         if upper > SIGHT.hopeless:
