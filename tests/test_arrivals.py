@@ -10,8 +10,10 @@ import pytest
 from pincal import Options, Robot
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.identify.arrivals import arrival_noise, shares_stops
-from pincal.identify.calibrate import fit_tables
+from pincal.identify.arrival_likelihood import StopSums
+from pincal.identify.arrivals import arrival_noise, poses_of, shares_stops
+from pincal.identify.calibrate import fit_tables, refit
+from pincal.identify.drive_levers import drive_levers
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import ModelFit
 from pincal.identify.whitening import StopNoise
@@ -23,7 +25,7 @@ NOISE = 2e-5
 TARGETS = ((0.2, 0.0, 0.1), (0.0, 0.2, 0.1), (-0.2, 0.0, 0.1), (0.0, -0.2, 0.3), (0.1, 0.1, 0.4))
 
 
-def measured(poses: int, arrival: float, *, seed: int = 0, missing: float = 0.0) -> Measurements:
+def measured(poses: int, arrival: float | np.ndarray, *, seed: int = 0, missing: float = 0.0) -> Measurements:
     """Return readings of five targets in stops whose drives arrive to ``arrival`` [rad], without some of the rows."""
     rng = np.random.default_rng(seed)
     machine = sim.TrueMachine.from_urdf(URDF, tip="tool0").draw_errors(rng, sigma_length=3e-4, sigma_angle=3e-4)
@@ -43,6 +45,12 @@ def fitted(rows: Measurements, **options: object) -> ModelFit:
     return fit_tables(Robot.from_urdf(URDF), rows, Options(effects=GEOMETRIC, **options))  # type: ignore[arg-type]
 
 
+def without_arrivals(fit: ModelFit) -> ModelFit:
+    """Return the fit of the same rows as if each were of a stop of its own."""
+    plain = fit.over([replace(fit.problem.stations[0], arrival=None)])
+    return refit(plain, fit.options.effects)
+
+
 def test_exact_drives_share_no_noise() -> None:
     """Where drives arrive exactly, rows of a stop are independent, and weights stay as they are."""
     for seed in range(6):
@@ -54,8 +62,7 @@ def test_exact_drives_share_no_noise() -> None:
 def test_the_scatter_of_the_drives_is_found() -> None:
     """Its size, and that of the instrument apart from it, are those of the simulation."""
     fit = fitted(measured(120, 5e-5, missing=0.08))
-    plain = fit.over([replace(fit.problem.stations[0], arrival=None)])
-    found = arrival_noise(plain, [True])
+    found = arrival_noise(without_arrivals(fit), [True])
 
     assert found is not None
     np.testing.assert_allclose(found.drives[:5], 5e-5, rtol=0.35)
@@ -151,3 +158,78 @@ def test_no_columns_are_whitened_to_none() -> None:
     shared = StopNoise.of(np.ones((2, 3, 6)), np.array([0, 0, 0, 1, 1, 1]))
 
     assert shared.whitened(np.zeros((0, 3, 6))).shape == (0, 3, 6)
+
+
+def sums_of(rows: Measurements) -> tuple[ModelFit, StopSums]:
+    """Return a plain fit, whose rows share nothing, and what its residuals say of its stops."""
+    fit = fitted(rows)
+    plain = without_arrivals(fit)
+    alone = plain.alone[0]
+    return plain, StopSums.of(alone, slice(0, 1), poses_of(alone.station))
+
+
+def test_the_restricted_likelihood_is_that_of_the_dense_covariance() -> None:
+    """Of readings whose covariance includes that of the parameters beforehand, up to a constant."""
+    fit, sums = sums_of(measured(12, 3e-5, missing=0.1))
+    station = fit.problem.stations[0]
+    free = fit.solution.free
+    noise = fit.solution.estimated[0]
+    J = np.concatenate([part for _, _, part in station.linearise(fit.values, free)], axis=2)
+    J = J.reshape(len(J), -1).T / noise
+    L = drive_levers(station, fit.values).reshape(6, -1).T / noise
+    pose = np.tile(poses_of(station), 3)
+    # Base and targets have no prior; one of a metre is none.
+    sizes = np.minimum(fit.priors.sizes[free], 1.0)
+    sums = replace(sums, beforehand=np.diag(sizes**-2.0))
+    residuals = station.residuals(fit.values).ravel() / noise
+    # The priors' means are those of which the fit is the optimum.
+    moved = residuals + J @ (sizes**2 * (J.T @ residuals))
+
+    def dense(rho: np.ndarray, kappa: float) -> float:
+        shared = (L * rho) @ L.T * (pose[:, None] == pose)
+        V = kappa * np.eye(len(moved)) + shared + (J * sizes**2) @ J.T
+        return float(np.linalg.slogdet(V)[1] + moved @ np.linalg.solve(V, moved))
+
+    choices = [(np.full(6, 1e-10), 0.5), (np.array([4.0, 1.0, 9.0, 2.0, 0.0, 5.0]) * 1e-10, 0.2), (np.zeros(6), 1.0)]
+    mixed = [sums.misfit(rho, np.array([kappa]))[0] for rho, kappa in choices]
+    whole = [dense(rho, kappa) for rho, kappa in choices]
+
+    np.testing.assert_allclose(np.diff(mixed), np.diff(whole), rtol=1e-4)
+
+
+def test_slopes_of_the_restricted_likelihood_are_its_derivatives() -> None:
+    """By the log of each variance, against central differences."""
+    _, sums = sums_of(measured(12, 3e-5, missing=0.1))
+    logs = np.log(np.array([4.0, 1.0, 9.0, 2.0, 3.0, 5.0, 0.3e10]) * 1e-10)
+
+    def at(logs: np.ndarray) -> float:
+        return sums.misfit(np.exp(logs[:6]), np.exp(logs[6:]))[0]
+
+    steps = 1e-4 * np.eye(7)
+    slopes = [(at(logs + step) - at(logs - step)) / 2e-4 for step in steps]
+    _, by_rho, by_kappa = sums.misfit(np.exp(logs[:6]), np.exp(logs[6:]))
+
+    np.testing.assert_allclose(np.append(by_rho, by_kappa), slopes, rtol=1e-4, atol=1e-4)
+
+
+def test_few_stops_show_how_drives_arrive_on_average() -> None:
+    """Of 24 stops a fit takes most; their variance is the simulated one nevertheless, and so is that of readings."""
+    found = []
+    for seed in range(6):
+        plain, _ = sums_of(measured(24, 2e-5, seed=seed))
+        noise = arrival_noise(plain, [True])
+        assert noise is not None
+        found.append((np.sqrt(np.mean(noise.drives**2)), noise.readings[0]))
+
+    np.testing.assert_allclose(np.mean(found, axis=0), [2e-5, NOISE], rtol=0.15)
+
+
+def test_drives_that_differ_are_told() -> None:
+    """One that arrives ten times as badly as the others has a variance of its own."""
+    arrival = np.array([1e-5, 1e-5, 1e-4, 1e-5, 1e-5, 1e-5])
+    plain, _ = sums_of(measured(60, arrival))
+    found = arrival_noise(plain, [True])
+
+    assert found is not None
+    assert found.drives[2] == pytest.approx(1e-4, rel=0.25)
+    assert max(found.drives[[0, 1]]) < 4e-5

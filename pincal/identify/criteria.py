@@ -108,9 +108,11 @@ class Criteria:
         "exceeded in one sound table of 10 000")
     correlated: float = number(18.0, _GAIN, "test_rows.py::test_a_fit_of_independent_rows_has_no_correlated_noise",
         "that correlation along the rows has to gain", "two parameters at a p-value of 1e-4")
-    arrivals: float = number(20.0, _GAIN, "test_arrivals.py::test_exact_drives_share_no_noise",
+    arrivals: float = number(9.5, _GAIN, "test_arrivals.py::test_exact_drives_share_no_noise",
         "that noise shared by the readings of a stop has to gain",
-        "six variances, each half the time zero by chance: 1 in 10 000")
+        "one variance, half the time zero by chance: 1 in 1000")
+    unalike: float = number(0.01, "probability", "test_arrivals.py::test_drives_that_differ_are_told",
+        "that drives that arrive alike are taken to differ", "five more variances")
     fewest_in_order: int = number(20, "rows", _ORDER, "that can show dependence along them", "the longest band of lags")
     as_likely: float = number(2.0, _GAIN, _ORDER,
         "within which a correlation length is as likely as the best, and the longest is used",

@@ -86,19 +86,17 @@ class ScatterByLevel:
         """Return whether a reading in a stop of its own is known to scatter by more than a declared
         noise [m], if any.
         """
-        if declared is None:
-            return True
-        degrees = self.stop.degrees or self.model.degrees
-        least, _ = VarianceComponent(self.of_visit_m, degrees).interval(_AGREES)
-        return least > declared
+        if not self.stop.degrees:
+            return False
+        least, _ = VarianceComponent(self.of_visit_m, self.stop.degrees).interval(_AGREES)
+        return declared is None or least > declared
 
     @property
     def of_visit_m(self) -> float:
-        """Standard deviation of one coordinate of a reading in a stop of its own, about the model
-        [m].
+        """Standard deviation of one coordinate of a reading in a stop of its own, apart from what
+        the model lacks [m].
         """
-        one = np.ones(1)
-        return float(np.sqrt(self.variance(one, one)[0]))
+        return float(np.hypot(self.reading.sigma_m, self.stop.sigma_m))
 
     def variance(self, readings: np.ndarray, stops: np.ndarray) -> np.ndarray:
         """Return the variance of one coordinate of means of so many readings in so many stops

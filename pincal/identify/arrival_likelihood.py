@@ -1,0 +1,377 @@
+r"""Restricted likelihood of the variances with which drives arrive at the stops of a station.
+
+A fit spends many of the few degrees of freedom that stops have, and takes a part of every arrival
+for the robot's: variances of its residuals are far too small. With parameters z of information P
+beforehand, arrivals x_s of the stops with the variances R = diag(rho), and readings of variances
+kappa by block,
+
+.. math:: r = J z + L_s x_s + e,
+
+the likelihood of rho and kappa with z integrated out (restricted maximum likelihood: Patterson and
+Thompson 1971, Biometrika 58, 545-554) follows from the matrix of the mixed model equations
+(Henderson 1975, Biometrics 31, 423-447)
+
+.. math:: C = \begin{pmatrix} H + P & B^T \\ B & D + R^{-1} \end{pmatrix}, \quad
+    H = \sum_b J_b^T J_b / \kappa_b, \; B_s = \sum_b L_{sb}^T J_b / \kappa_b, \;
+    D_s = \sum_b L_{sb}^T L_{sb} / \kappa_b,
+
+as
+
+.. math:: -2 l = \sum_b N_b \log \kappa_b + \log|C| + S \log|R| + r^T K^{-1} r - u^T C^{-1} u,
+    \quad u = \Big( \sum_b (1 / \kappa_b - 1) J_b^T r, \; \sum_b L_b^T r / \kappa_b \Big),
+
+at the optimum of a fit with kappa = 1 and exact drives, where priors balance the gradient J^T r.
+The cost is linear in the stops, since D is block diagonal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import chdtri
+
+from pincal.identify.criteria import CRITERIA, VISITS
+from pincal.identify.drive_levers import drive_levers
+from pincal.identify.fit import ModelFit
+
+# Variances are searched within these factors of that of the readings, as seen at the target.
+_BOUNDS = (1e-6, 1e8)
+# Range of the readings' variance, in units of the estimated one, which includes the arrivals.
+_QUIETEST, _LOUDEST = 1e-3, 4.0
+# Standard deviation of parameters without a prior [m or rad].
+_ANYWHERE = 10.0
+# Stops that show the variances well enough; of more a sample is evaluated.
+_MOST_STOPS = 300
+# What moves readings by less than a hundredth of their noise is none.
+_NOTHING = 1e-4
+
+
+@dataclass(frozen=True)
+class StopSums:
+    """What a station's residuals say of its S stops, by block of readings, in units of the
+    estimated noise.
+
+    Attributes:
+        blocks: numbers of the blocks among those of all stations.
+        information: shape (blocks, S, n, n), D.
+        coupling: shape (blocks, S, n, P), B.
+        slope: shape (blocks, S, n), L^T r.
+        gradient: shape (blocks, P), J^T r; priors and the rows of other stops balance their sum.
+        of_parameters: shape (blocks, P, P), H.
+        beforehand: shape (P, P), what priors and the rows of other stops say of the parameters.
+        squares: shape (blocks,), r^T r.
+        counts: shape (blocks,), numbers of readings.
+    """
+
+    blocks: range
+    information: np.ndarray
+    coupling: np.ndarray
+    slope: np.ndarray
+    gradient: np.ndarray
+    of_parameters: np.ndarray
+    beforehand: np.ndarray
+    squares: np.ndarray
+    counts: np.ndarray
+
+    @classmethod
+    def of(cls, alone: ModelFit, blocks: slice, pose: np.ndarray) -> StopSums:
+        """Return them of the only station of a fit.
+
+        Args:
+            alone: the fit, whose rows share nothing.
+            blocks: its blocks among those of all stations.
+            pose: shape (N,), number of the pose of each row.
+        """
+        station = alone.station
+        free = alone.solution.free
+        sound = alone.solution.weights > 0.0
+        stops = np.unique(pose[sound])
+        few = np.linspace(0, len(stops) - 1, min(_MOST_STOPS, len(stops))).round().astype(int)
+        number = np.full(int(pose.max(initial=0)) + 1, -1)
+        number[stops[few]] = np.arange(len(few))
+        at = np.where(sound, number[pose], -1)
+        noise = np.repeat(alone.solution.estimated, station.block_sizes)[:, None]
+        levers = drive_levers(station, alone.values)
+        n = len(levers)
+        P = int(free.sum())
+        B = len(station.block_rows)
+        information = np.zeros((B, len(few), n, n))
+        coupling = np.zeros((B, len(few), n, P))
+        slope = np.zeros((B, len(few), n))
+        gradient = np.zeros((B, P))
+        of_parameters = np.zeros((B, P, P))
+        squares = np.zeros(B)
+        counts = np.zeros(B)
+        sizes = np.minimum(alone.priors.sizes[free], _ANYWHERE)
+        beforehand = np.diag(sizes**-2.0)
+        for piece, residuals, J in station.linearise(alone.values, free):
+            stop = at[piece]
+            weights = (station.weights[piece] / noise) * sound[piece]
+            residuals = residuals * weights
+            J = J * weights
+            L = levers[:, :, piece] * weights
+            here = stop >= 0
+            for b, rows in enumerate(station.block_rows):
+                r = residuals[rows][:, here]
+                J_b = J[:, rows][:, :, here]
+                L_b = L[:, rows][:, :, here]
+                np.add.at(information[b], stop[here], np.einsum("imk,jmk->kij", L_b, L_b))
+                np.add.at(coupling[b], stop[here], np.einsum("imk,pmk->kip", L_b, J_b))
+                np.add.at(slope[b], stop[here], np.einsum("imk,mk->ki", L_b, r))
+                gradient[b] += np.einsum("pmk,mk->p", J_b, r)
+                of_parameters[b] += _gram(J_b)
+                squares[b] += float(np.sum(r**2))
+                counts[b] += r.size
+            beforehand += _gram(J[:, :, ~here])
+        return cls(
+            range(blocks.start, blocks.stop),
+            information,
+            coupling,
+            slope,
+            gradient,
+            of_parameters,
+            beforehand,
+            squares,
+            counts,
+        )
+
+    def misfit(self, rho: np.ndarray, kappa: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return -2 l, and its slopes by log rho, shape (n,), and by the log kappa of each block.
+
+        Args:
+            rho: shape (n,), variances of the drives.
+            kappa: shape (blocks,), variances of the readings, in units of the estimated.
+        """
+        weight = 1.0 / kappa
+        D = np.einsum("b,bsij->sij", weight, self.information)
+        B = np.einsum("b,bsip->sip", weight, self.coupling)
+        u = np.einsum("b,bsi->si", weight, self.slope)
+        H = np.einsum("b,bpq->pq", weight, self.of_parameters) + self.beforehand
+        root = np.sqrt(rho)
+        n = len(rho)
+        # Scaled by the arrivals, so that variances may vanish.
+        values, vectors = np.linalg.eigh(np.eye(n) + D * root[:, None] * root)
+        inner = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
+        M = inner * root[:, None] * root
+        MB = M @ B
+        schur = H - np.einsum("sip,siq->pq", B, MB, optimize=True)
+        inverse, log_det = _inverse(schur)
+        g = (weight - 1.0) @ self.gradient
+        z = inverse @ (g - np.einsum("sip,si->p", MB, u))
+        x = np.einsum("sij,sj->si", M, u) - MB @ z
+        total = float(
+            self.counts @ np.log(kappa)
+            + np.sum(np.log(values))
+            + log_det
+            + weight @ self.squares
+            - np.sum(u * x)
+            - g @ z
+        )
+        # Blocks of the inverse of C, the arrivals' divided by their standard deviations.
+        crossed = MB @ inverse
+        spread = np.einsum("sip,sip->si", crossed, MB)
+        moved = x**2 + spread
+        own = np.einsum("sii->si", inner) + np.divide(
+            moved, rho, out=np.zeros_like(moved), where=rho > 0.0
+        )
+        by_rho = np.sum(1.0 - own, axis=0)
+        by_kappa = np.empty(len(kappa))
+        for b in range(len(kappa)):
+            D_b = self.information[b]
+            B_b = self.coupling[b]
+            trace = float(np.sum(inverse * self.of_parameters[b]))
+            trace -= 2.0 * float(np.sum(crossed * B_b))
+            trace += float(np.sum(M * D_b)) + float(
+                np.einsum("sip,sij,sjp->", crossed, D_b, MB, optimize=True)
+            )
+            square = self.squares[b] - 2.0 * float(np.sum(x * self.slope[b]))
+            square -= 2.0 * float(z @ self.gradient[b])
+            square += float(z @ self.of_parameters[b] @ z)
+            square += 2.0 * float(np.sum(x * (B_b @ z)))
+            square += float(np.einsum("si,sij,sj->", x, D_b, x))
+            by_kappa[b] = self.counts[b] - (trace + square) / kappa[b]
+        return total, by_rho, by_kappa
+
+
+def _gram(J: np.ndarray) -> np.ndarray:
+    """Return J J^T of a Jacobian, shape (P, m, n)."""
+    flat = J.reshape(len(J), -1)
+    return np.asarray(flat @ flat.T)
+
+
+def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the inverse and the log of the determinant of a positive matrix, scaled first."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
+    values = np.maximum(values, 1e-14)
+    inverse = (vectors / values) @ vectors.T / np.outer(size, size)
+    return inverse, float(np.sum(np.log(values)) + 2.0 * np.sum(np.log(size)))
+
+
+@dataclass(frozen=True)
+class Variances:
+    """Variances of drives and readings.
+
+    Attributes:
+        drives: shape (n,) [rad^2 or m^2].
+        blocks: shape (blocks,), in units of the estimated noise.
+        gain: of the first over drives that arrive exactly, in 2 log-likelihood.
+    """
+
+    drives: np.ndarray
+    blocks: np.ndarray
+    gain: float
+
+
+def likeliest_arrivals(parts: Sequence[StopSums], n_blocks: int) -> Variances | None:
+    """Return the likeliest variances of drives and readings; None where drives that do not arrive
+    exactly explain nothing.
+
+    Few stops show the sum of what their drives miss better than that of each: drives arrive alike
+    unless the readings say otherwise.
+    """
+    search = _Search.of(parts, n_blocks)
+    if not len(search.scale):
+        return None
+    exactly = search.minimum(_Alike(search), np.array([search.low]), fixed=True)
+    alike = search.minimum(_Alike(search), np.zeros(1))
+    if exactly.fun - alike.fun < CRITERIA.arrivals:
+        return None
+    start = _Alike(search).logs(alike.x[:1])
+    each = search.minimum(_Each(search), start)
+    is_unalike = alike.fun - each.fun > chdtri(max(len(start) - 1, 1), CRITERIA.unalike)
+    best = each if len(start) > 1 and is_unalike else alike
+    logs = start if best is alike else each.x[: len(start)]
+    return search.variances(logs, best.x, gain=float(exactly.fun - best.fun))
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Over the logs of variances, of drives in units in which they move readings by their noise.
+
+    Attributes:
+        parts: the stations.
+        moves: shape (n,), which drives move readings at all.
+        scale: shape (k,), mean square by which each of these moves a reading in units of its noise.
+        most: shape (k,), largest logs: more than drives scatter by is an error of the model, which
+            is for an effect to explain.
+        seen: shape (blocks,), which blocks have readings.
+    """
+
+    parts: Sequence[StopSums]
+    moves: np.ndarray
+    scale: np.ndarray
+    most: np.ndarray
+    seen: np.ndarray
+    low: ClassVar[float] = float(np.log(_BOUNDS[0]))
+
+    @classmethod
+    def of(cls, parts: Sequence[StopSums], n_blocks: int) -> _Search:
+        counts = np.zeros(n_blocks)
+        for part in parts:
+            counts[list(part.blocks)] += part.counts
+        lengths = np.sum([np.einsum("bsii->i", part.information) for part in parts], axis=0)
+        scale = lengths[lengths > 0.0] / max(counts.sum(), 1.0)
+        most = np.clip(np.log(VISITS.arrival**2 * scale), *np.log(_BOUNDS))
+        return cls(parts, lengths > 0.0, scale, most, counts > 0.0)
+
+    def misfit(
+        self, logs: np.ndarray, of_blocks: np.ndarray
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return -2 l of all stations and its slopes by both."""
+        rho = np.zeros(len(self.moves))
+        rho[self.moves] = np.exp(logs) / self.scale
+        kappa = np.ones(len(self.seen))
+        kappa[self.seen] = np.exp(of_blocks)
+        total = 0.0
+        by_rho = np.zeros(len(rho))
+        by_kappa = np.zeros(len(kappa))
+        for part in self.parts:
+            own = list(part.blocks)
+            value, of_drives, of_own = part.misfit(rho, kappa[own])
+            total += value
+            by_rho += of_drives
+            by_kappa[own] += of_own
+        return total, by_rho[self.moves], by_kappa[self.seen]
+
+    def minimum(self, drives: _Alike | _Each, start: np.ndarray, *, fixed: bool = False) -> Any:
+        """Return SciPy's result for the variables of the drives and then the logs of the blocks,
+        those of the drives held at their start if ``fixed``.
+        """
+        k = len(start)
+        limits = drives.limits
+        start = np.clip(start, *np.array(limits).T)
+        if fixed:
+            limits = [(value, value) for value in start]
+
+        def function(vector: np.ndarray) -> tuple[float, np.ndarray]:
+            total, by_rho, by_kappa = self.misfit(drives.logs(vector[:k]), vector[k:])
+            return total, np.append(drives.slopes(vector[:k], by_rho), by_kappa)
+
+        blocks = [(float(np.log(_QUIETEST)), float(np.log(_LOUDEST)))] * int(self.seen.sum())
+        return minimize(
+            function,
+            np.append(start, np.zeros(len(blocks))),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=[*limits, *blocks],
+        )
+
+    def variances(self, logs: np.ndarray, vector: np.ndarray, *, gain: float) -> Variances:
+        """Return the variances of a minimum."""
+        drives = np.zeros(len(self.moves))
+        drives[self.moves] = np.where(np.exp(logs) < _NOTHING, 0.0, np.exp(logs) / self.scale)
+        blocks = np.ones(len(self.seen))
+        blocks[self.seen] = np.exp(vector[len(vector) - int(self.seen.sum()) :])
+        return Variances(drives, blocks, gain)
+
+
+@dataclass(frozen=True)
+class _Each:
+    """A variance of each drive."""
+
+    search: _Search
+
+    @property
+    def limits(self) -> list[tuple[float, float]]:
+        return [(self.search.low, float(most)) for most in self.search.most]
+
+    def logs(self, own: np.ndarray) -> np.ndarray:
+        """Return the logs of the drives' variances."""
+        return own
+
+    def slopes(self, own: np.ndarray, by_logs: np.ndarray) -> np.ndarray:
+        """Return slopes by its variables."""
+        return by_logs
+
+
+@dataclass(frozen=True)
+class _Alike:
+    """One variance of all drives [rad^2, prismatic m^2], that of a typical lever."""
+
+    search: _Search
+
+    @property
+    def _relative(self) -> np.ndarray:
+        scale = self.search.scale
+        return np.asarray(np.log(scale / np.median(scale)))
+
+    @property
+    def limits(self) -> list[tuple[float, float]]:
+        relative = self._relative
+        low = self.search.low - float(relative.max())
+        return [(low, float(np.max(self.search.most - relative)))]
+
+    def logs(self, own: np.ndarray) -> np.ndarray:
+        """Return the logs of the drives' variances."""
+        return np.clip(own[0] + self._relative, self.search.low, self.search.most)
+
+    def slopes(self, own: np.ndarray, by_logs: np.ndarray) -> np.ndarray:
+        """Return slopes by its variable."""
+        logs = own[0] + self._relative
+        is_free = (self.search.low < logs) & (logs < self.search.most)
+        return np.array([np.sum(by_logs[is_free])])
