@@ -1,10 +1,22 @@
-"""Rates from counts: exact intervals, and what a number of tables lets a test notice."""
+"""Rates from counts: exact intervals, and what a number of tables lets a test notice.
+
+``python tests/rates.py --add FILE.jsonl`` draws fresh cases of each claim of ``rate_claims`` and adds what came out to those
+of earlier runs of the same library. A sequential test, valid however often it is looked at, tells when a rate is exceeded;
+then the exit code is 1.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import argparse
+import json
+import os
+import subprocess
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.special import betainc, betaln
 from scipy.stats import beta, binom
 
 # How often a test of a rate fails by chance alone.
@@ -73,3 +85,98 @@ def noticed(rate: float, n: int, *, wanted: float = 0.9) -> float:
     rates = np.linspace(rate, 1.0, 2001)
     seen = rates[binom.sf(allowed(rate, n), n, rates) >= wanted]
     return float(seen[0]) if len(seen) else 1.0
+
+
+def evidence(rate: float, hits: int, n: int) -> float:
+    """Return the evidence that a rate is exceeded: the likelihood, on average up to five times the rate, over that at it.
+
+    Where the rate holds, it ever exceeds 1 / CHANCE, in however many looks at growing counts, with at most that chance
+    (Ville's inequality; Howard et al. 2021, Annals of Statistics 49, 1055-1080).
+
+    Example:
+        >>> evidence(0.01, 1, 100) < 1.0 < 1000.0 < evidence(0.01, 12, 300)
+        True
+    """
+    most = min(5.0 * rate, 1.0)
+    log_null = hits * np.log(rate) + (n - hits) * np.log1p(-rate)
+    between = float(np.diff(betainc(hits + 1, n - hits + 1, [rate, most]))[0])
+    log_mean = betaln(hits + 1, n - hits + 1) + np.log(max(between, 1e-300)) - np.log(most - rate)
+    return float(np.exp(log_mean - log_null))
+
+
+def version() -> str:
+    """Return what git calls the state of the library, whatever changed beside it."""
+    root = Path(__file__).parent.parent
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=root, capture_output=True, text=True, check=True).stdout.strip()
+
+    return git("rev-parse", "--short=12", "HEAD:pincal") + ("-dirty" if git("status", "--porcelain", "pincal") else "")
+
+
+def read(path: Path) -> list[dict[str, Any]]:
+    """Return the draws of a file; a line that a killed run left unfinished is none."""
+    found = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+        try:
+            found.append(json.loads(line))
+        except json.JSONDecodeError:
+            continue
+    return found
+
+
+def summary(draws: Sequence[dict[str, Any]]) -> Iterator[tuple[str, bool]]:
+    """Yield of each claim its counts in words, and whether its rate is exceeded."""
+    from rate_claims import CLAIMS
+
+    for claim in CLAIMS:
+        told = [draw["wrong"] for draw in draws if draw["claim"] == claim.name and draw["wrong"] is not None]
+        if not told:
+            continue
+        is_exceeded = evidence(claim.rate, sum(told), len(told)) > 1.0 / CHANCE
+        verdict = "EXCEEDED" if is_exceeded else "not exceeded"
+        seen = f"twice the rate would be seen with {percent(power(claim.rate, len(told)))}"
+        words = f"{claim.words}: {in_words(sum(told), len(told))}; at most {claim.rate:.1%}: {verdict}; {seen}"
+        yield words, is_exceeded
+
+
+def main() -> int:
+    """Add draws to a file and print the rates of this version."""
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from multiprocessing import get_context
+
+    from rate_claims import CLAIMS, is_wrong
+
+    from pincal.spread import end_with_parent
+
+    parser = argparse.ArgumentParser(description="Add fresh draws of each promised rate and print what all say.")
+    parser.add_argument("--add", type=Path, required=True, metavar="FILE", help="lines of JSON; they add up")
+    parser.add_argument("--tables", type=int, default=100, help="draws of each claim; default: 100")
+    parser.add_argument("--claims", nargs="+", choices=[claim.name for claim in CLAIMS], help="default: all")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes; default: one for each core")
+    chosen = parser.parse_args()
+    of = version()
+    before = read(chosen.add)
+    # Seeds that no run has had, of any version.
+    first = 1 + max((draw["seed"] for draw in before), default=1_000_000)
+    names = chosen.claims or [claim.name for claim in CLAIMS]
+    tasks = [(name, seed) for seed in range(first, first + chosen.tables) for name in names]
+    with (
+        ProcessPoolExecutor(chosen.workers, mp_context=get_context("forkserver"), initializer=end_with_parent) as pool,
+        chosen.add.open("a", encoding="utf-8") as file,
+    ):
+        running = {pool.submit(is_wrong, task): task for task in tasks}
+        for future in as_completed(running):
+            name, seed = running[future]
+            draw = {"version": of, "claim": name, "seed": seed, "wrong": future.result()}
+            before.append(draw)
+            print(json.dumps(draw), file=file, flush=True)
+    found = list(summary([draw for draw in before if draw["version"] == of]))
+    print("\n".join(words for words, _ in found))
+    return int(any(is_exceeded for _, is_exceeded in found))
+
+
+if __name__ == "__main__":
+    for _name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[_name] = "1"  # for the processes that are started
+    raise SystemExit(main())

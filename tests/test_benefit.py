@@ -104,6 +104,7 @@ def test_a_delivered_robot_is_not_worse_than_its_urdf(declared):
 
 
 @pytest.mark.long
+@pytest.mark.rates
 @pytest.mark.parametrize("declared", [True, False])
 @pytest.mark.parametrize("poses", [14, 30])
 @pytest.mark.parametrize("size", [3e-4, 5e-4, 1e-3])

@@ -95,6 +95,7 @@ def test_drives_that_stop_alike_are_no_missing_effect(seed: int) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 @pytest.mark.parametrize("sigma", [None, NOISE])
 def test_drives_that_stop_alike_seldom_seem_to_lack_an_effect(sigma: float | None) -> None:
     """Of 9 sound arms at most one has an effect named by chance, 1 of 20 being promised, and none of its joints."""

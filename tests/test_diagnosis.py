@@ -329,6 +329,35 @@ def test_a_change_of_a_drawn_robot_is_named() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize(
+    ("kind", "seed"),
+    [
+        (kind, 700 + 3 * i + j)
+        for i, kind in enumerate(KINDS)
+        for j in range(2)
+        if (kind, j) not in (("worn", 0), ("loose", 1))
+    ],
+)
+def test_drawn_changes_come_out_as_they_are_known_to(kind: str, seed: int) -> None:
+    """Two of each kind, the first that were drawn but two that take another name; how often that is, is a rate."""
+    case = draw_case(seed, kind)
+    assert case is not None and case.truth is not None
+    found = pincal.diagnose(case.model, case.new)
+
+    assert told(found, {"effects": list(case.truth[0]), "joints": list(case.truth[1])})
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(720, 730))
+def test_drawn_robots_that_have_not_changed_come_out_so(seed: int) -> None:
+    """Ten, a third at another temperature."""
+    case = draw_case(seed, temperature=seed % 9 < 3)
+    assert case is not None
+    assert not changes_since(case.model, place_station(case.model, case.new), 0.01).changed
+
+
+@pytest.mark.long
+@pytest.mark.rates
 def test_changes_are_named_in_97_of_100() -> None:
     """200 draws over three arms at lambda 80, and the mended model predicts as a fit that was told what changed."""
     named, ratios = [], []
@@ -349,6 +378,7 @@ def test_changes_are_named_in_97_of_100() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_a_robot_that_has_not_changed_is_left_alone() -> None:
     """500 draws, a third at another temperature: at most 1.5 % alarms at alpha = 1 %."""
     alarms = []
@@ -389,6 +419,7 @@ def test_an_adequate_model_left_nothing() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_a_model_that_left_strong_effects_raises_no_alarm() -> None:
     """200 draws of a robot that has not changed, three strong effects missed by its model: at most 1.5 % alarms."""
     alarms = []

@@ -129,6 +129,19 @@ def test_a_hidden_effect_is_named_with_its_joint(kind: str, seed: int) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize(
+    ("kind", "seed"), [(kind, 9700 + i) for i, kind in enumerate((*NAMED, *SOFT, *FOREIGN, *(6 * ("null",))))]
+)
+def test_drawn_cases_come_out_as_they_are_known_to(kind: str, seed: int) -> None:
+    """One of each kind on an arm whose frames are anywhere, the first that was drawn, and six without an effect."""
+    strength = {} if kind == "null" else {"strength": 150.0}
+    verdict = judge(draw_case(kind, seed, **{**fresh(seed), "n": 200, **strength}))
+
+    assert verdict.right and verdict.sound and not verdict.false_names, str(verdict)
+    assert len(verdict.named) == (0 if kind == "null" else 1)
+
+
+@pytest.mark.long
 def test_a_whole_curve_takes_the_place_of_its_part() -> None:
     """An irregular gear of which a wave explains most: the wave alone left a quarter more at other poses."""
     case = draw_case("transmission_error", 9011, **fresh(9011))
@@ -165,6 +178,7 @@ def test_nothing_is_named_where_nothing_can_be_seen(kind: str) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_hidden_effects_are_found_and_named() -> None:
     """Of 18 kinds, on arms whose axes meet at any angle and whose frames are anywhere; alone or among equivalents."""
     verdicts, gaps = verdicts_on(fresh_tasks((*NAMED, *SOFT), HIDDEN_EACH))
@@ -188,6 +202,7 @@ def test_hidden_effects_are_found_and_named() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_two_hidden_effects_are_both_named() -> None:
     """All pairs of six kinds."""
     verdicts, _ = verdicts_of(PAIRS, range(8100, 8100 + PAIRS_EACH))
@@ -197,6 +212,7 @@ def test_two_hidden_effects_are_both_named() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_effects_outside_the_catalogue_get_no_name() -> None:
     """An alarm at the right joint; the one that the catalogue nearly describes is told apart in half of the cases."""
     verdicts, _ = verdicts_of(FOREIGN, range(8200, 8200 + FOREIGN_EACH))
@@ -212,6 +228,7 @@ def test_effects_outside_the_catalogue_get_no_name() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 @pytest.mark.parametrize(("options", "rate", "count"), SOUND)
 def test_sound_data_bring_in_no_name(options: dict[str, Any], rate: float, count: int) -> None:
     """From 100 to 500 poses, the first on arms with frames anywhere; elasticity is found where it is, and only there."""

@@ -197,6 +197,7 @@ def test_the_command_writes_the_table(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_a_diagnosis_of_the_table_keeps_what_the_check_promises() -> None:
     """Simulated apart from the model: no alarm where nothing changed, and an offset of the promised size is noticed."""
     rng = np.random.default_rng(8)
@@ -215,6 +216,7 @@ def test_a_diagnosis_of_the_table_keeps_what_the_check_promises() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_contacts_keep_what_a_check_with_sockets_promises() -> None:
     """The true machine is held in two sockets: no alarm where nothing changed, an offset of the promised size is noticed."""
     rng = np.random.default_rng(8)
@@ -246,6 +248,7 @@ def offset_of(check: HealthCheck, joint: str) -> float:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_the_simulated_rates_are_those_asked_for() -> None:
     """An alarm in at most 2 % of checks of an unchanged robot; the hardest change is noticed in 92 % or more."""
     request = CheckRequest(notice=2e-4, draws=600)

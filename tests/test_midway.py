@@ -122,6 +122,7 @@ def test_rows_that_are_held_out_are_no_step() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 @pytest.mark.parametrize("noise", ["white", "ar", "walk", "heat", "joint"])
 def test_drifts_are_no_changes(noise: str) -> None:
     """In sixty tables of each noise none is seen: at most 4.9 % by the exact 95 % interval, one-sided."""

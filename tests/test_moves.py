@@ -172,6 +172,7 @@ def test_changes_survive_a_badly_conditioned_fit(apart: float, rounding: float) 
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_a_robot_that_stays_the_same_moves_in_one_of_a_hundred(robot: Robot) -> None:
     """At most 3 % of 300 robots, noise estimated."""
     alarms = 0

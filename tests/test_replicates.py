@@ -331,6 +331,7 @@ def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys, monkeypa
 
 
 @pytest.mark.long
+@pytest.mark.rates
 @pytest.mark.parametrize("scatter", [0.0, 1e-4])
 def test_chances_are_true_of_calibrations(kuka, scatter):
     """Over 120 calibrations, and as many validations on new poses, false alarms are as rare as they say."""

@@ -238,6 +238,7 @@ def test_a_change_is_told_by_what_it_is_and_near_its_line() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_rows_of_the_world_bring_in_no_name_and_hide_none() -> None:
     """Some tables of each kind, bounds that chance fails once in a thousand; ``rows_study.py --rates`` tells their power."""
     seeds = range(27900, 27900 + CI_TABLES)

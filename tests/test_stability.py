@@ -218,6 +218,7 @@ def test_fewer_than_no_halves_are_refused(case: Case) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_what_comes_up_in_nearly_every_half_is_true() -> None:
     """Of sound tables and hidden effects; names that are sure are right, and intervals cover what they say."""
     kinds = ["null", "gear_eccentricity", "backlash", "link_bending", "thermal_offset", "step"]

@@ -166,6 +166,7 @@ def test_a_robot_that_has_not_changed_is_left_alone_by_any_plan(plan: str) -> No
 
 
 @pytest.mark.long
+@pytest.mark.rates
 @pytest.mark.parametrize("plan", PLANS)
 def test_false_alarms_are_as_rare_as_promised_by_any_plan(plan: str) -> None:
     """At most two of 40 unchanged robots, of which none is expected to raise an alarm."""

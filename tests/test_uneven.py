@@ -47,6 +47,7 @@ def test_an_effect_may_go_before_another_is_tested(scatter: float, kuka: Robot) 
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_a_scattering_joint_makes_no_more_of_chance_than_it_says(kuka: Robot) -> None:
     """Three targets share what the joint does in a visit, which a fit knows of all drives only: this test knows of one."""
     drawn = np.array([p_values(kuka, 2e-4, seed) for seed in range(100, 300)])

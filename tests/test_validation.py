@@ -224,6 +224,7 @@ def test_the_command_tells_places_and_exits(
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_false_alarms_are_rare(kuka: Robot) -> None:
     """Over 300 calibrations and tables none is doubted, and hardly one of the same place is placed again."""
     moved, doubts = 0, 0
