@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
+import subprocess
 import sys
 from collections.abc import Iterator
 from importlib import import_module
@@ -78,6 +81,53 @@ def test_the_recipe_of_an_effect(recipe: ModuleType, kuka: Robot) -> None:
 
     assert np.abs(jacobian[:, :, 0] - (ends[1] - ends[0]) / 2e-5).max() < 1e-7
     assert poses.shape == (5, 3, 4)
+
+
+@pytest.mark.long
+def test_an_effect_in_a_file_of_its_own_passes_the_tests_of_the_house(tmp_path: Path) -> None:
+    """The file of the page, added to a copy of the project as the page says, is as good as any other of the catalogue."""
+    root = PACKAGE.parent
+    for folder in ("pincal", "tests", "urdf"):
+        shutil.copytree(root / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(root / "pyproject.toml", tmp_path)
+    block = re.search(r"<!-- recipe: catalogue -->\n```python\n(.*?)```", PAGE, re.DOTALL)
+    assert block is not None
+    catalogue = tmp_path / "pincal" / "model" / "catalogue"
+    (catalogue / "encoder_sag.py").write_text(block[1], encoding="utf-8")
+    _edit(
+        catalogue / "__init__.py",
+        ("from pincal.model.catalogue.environment", "from pincal.model.catalogue.encoder_sag import EncoderSag\n"),
+        ("    GearRatio,\n    TransmissionError,", "    EncoderSag,\n"),
+    )
+    _edit(
+        tmp_path / "tests" / "test_catalogue.py",
+        ("from pincal.model.catalogue import", "from pincal.model.catalogue.encoder_sag import EncoderSag\n"),
+        ('    "gear_ratio": lambda', '    "encoder_sag": lambda j: EncoderSag(j[1]),\n'),
+    )
+    files = ["tests/test_house.py", "tests/test_layers.py", "tests/test_effect_names.py", "tests/test_catalogue.py"]
+    chosen = "test_house or test_layers or test_effect_names or encoder_sag or every_effect or names_of_their_own"
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "long or not long", "-k", chosen, *files],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=900,
+        check=False,
+    )
+    passed = re.search(r"(\d+) passed", done.stdout)
+
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert passed is not None and int(passed[1]) > 30
+
+
+def _edit(file: Path, *insertions: tuple[str, str]) -> None:
+    """Insert texts before others."""
+    text = file.read_text(encoding="utf-8")
+    for before, inserted in insertions:
+        assert text.count(before) == 1, before
+        text = text.replace(before, inserted + before)
+    file.write_text(text, encoding="utf-8")
 
 
 @pytest.mark.parametrize("recipe", ["sensor"], indirect=True)
