@@ -33,7 +33,7 @@ BOUNDS = {
     "diagnosis.lineup": "_MOST_STEPS _HALVINGS _SHORT",
     "diagnosis.robot_diagnosis": "_MOST_ROWS",
     "diagnosis.row_evidence": "_POSES",
-    "identify.arrival_likelihood": "_BOUNDS _QUIETEST _LOUDEST _ANYWHERE _MOST_STOPS _NOTHING",
+    "identify.arrival_likelihood": "_BOUNDS _QUIETEST _LOUDEST _ANYWHERE _MOST_STOPS _ROUNDING _NOTHING",
     "identify.beliefs": "_FARTHEST _FREE _LEAST _MOST",
     "identify.believed": "_LEAST",
     "identify.calibrate": "_WEIGHINGS _SAME_WEIGHT _SCREENINGS _SCALINGS _CLOSE",

@@ -46,6 +46,8 @@ _QUIETEST, _LOUDEST = 1e-3, 4.0
 _ANYWHERE = 10.0
 # Stops that show the variances well enough; of more a sample is evaluated.
 _MOST_STOPS = 300
+# Smallest eigenvalue of a scaled matrix, by rounding.
+_ROUNDING = 1e-14
 # What moves readings by less than a hundredth of their noise is none.
 _NOTHING = 1e-4
 
@@ -146,55 +148,79 @@ class StopSums:
             rho: shape (n,), variances of the drives.
             kappa: shape (blocks,), variances of the readings, in units of the estimated.
         """
+        solved = _Solved.of(self, rho, kappa)
+        by_kappa = [solved.slope_of_block(self, b) for b in range(len(kappa))]
+        return solved.misfit, solved.slope_of_drives(), np.array(by_kappa)
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """The mixed model equations, solved for some variances.
+
+    Attributes:
+        rho: shape (n,), variances of the drives.
+        kappa: shape (blocks,), variances of the readings.
+        misfit: -2 l.
+        inner: shape (S, n, n), (1 + R^(1/2) D R^(1/2))^-1, so that variances may vanish.
+        M: shape (S, n, n), (D + R^-1)^-1.
+        MB: shape (S, n, P), M B.
+        inverse: shape (P, P), block of the parameters in the inverse of C.
+        crossed: shape (S, n, P), minus its block of arrivals and parameters.
+        z: shape (P,), most probable parameters.
+        x: shape (S, n), most probable arrivals.
+    """
+
+    rho: np.ndarray
+    kappa: np.ndarray
+    misfit: float
+    inner: np.ndarray
+    M: np.ndarray
+    MB: np.ndarray
+    inverse: np.ndarray
+    crossed: np.ndarray
+    z: np.ndarray
+    x: np.ndarray
+
+    @classmethod
+    def of(cls, sums: StopSums, rho: np.ndarray, kappa: np.ndarray) -> _Solved:
+        """Return the solution, by eliminating the arrivals of each stop."""
         weight = 1.0 / kappa
-        D = np.einsum("b,bsij->sij", weight, self.information)
-        B = np.einsum("b,bsip->sip", weight, self.coupling)
-        u = np.einsum("b,bsi->si", weight, self.slope)
-        H = np.einsum("b,bpq->pq", weight, self.of_parameters) + self.beforehand
+        D = np.einsum("b,bsij->sij", weight, sums.information)
+        B = np.einsum("b,bsip->sip", weight, sums.coupling)
+        u = np.einsum("b,bsi->si", weight, sums.slope)
+        H = np.einsum("b,bpq->pq", weight, sums.of_parameters) + sums.beforehand
+        g = (weight - 1.0) @ sums.gradient
         root = np.sqrt(rho)
-        n = len(rho)
-        # Scaled by the arrivals, so that variances may vanish.
-        values, vectors = np.linalg.eigh(np.eye(n) + D * root[:, None] * root)
+        values, vectors = np.linalg.eigh(np.eye(len(rho)) + D * root[:, None] * root)
         inner = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
         M = inner * root[:, None] * root
         MB = M @ B
-        schur = H - np.einsum("sip,siq->pq", B, MB, optimize=True)
-        inverse, log_det = _inverse(schur)
-        g = (weight - 1.0) @ self.gradient
+        inverse, log_det = _inverse(H - np.einsum("sip,siq->pq", B, MB, optimize=True))
         z = inverse @ (g - np.einsum("sip,si->p", MB, u))
         x = np.einsum("sij,sj->si", M, u) - MB @ z
-        total = float(
-            self.counts @ np.log(kappa)
-            + np.sum(np.log(values))
-            + log_det
-            + weight @ self.squares
-            - np.sum(u * x)
-            - g @ z
+        determinants = float(sums.counts @ np.log(kappa) + np.sum(np.log(values)) + log_det)
+        squares = float(weight @ sums.squares - np.sum(u * x) - g @ z)
+        return cls(rho, kappa, determinants + squares, inner, M, MB, inverse, MB @ inverse, z, x)
+
+    def slope_of_drives(self) -> np.ndarray:
+        """Return the slope of -2 l by log rho, shape (n,)."""
+        second = self.x**2 + np.einsum("sip,sip->si", self.crossed, self.MB)
+        relative = np.divide(second, self.rho, out=np.zeros_like(second), where=self.rho > 0.0)
+        return np.asarray(np.sum(1.0 - np.einsum("sii->si", self.inner) - relative, axis=0))
+
+    def slope_of_block(self, sums: StopSums, b: int) -> float:
+        """Return the slope of -2 l by the log kappa of a block."""
+        D = sums.information[b]
+        B = sums.coupling[b]
+        H = sums.of_parameters[b]
+        trace = np.sum(self.inverse * H) - 2.0 * np.sum(self.crossed * B) + np.sum(self.M * D)
+        trace += np.einsum("sip,sij,sjp->", self.crossed, D, self.MB, optimize=True)
+        square = sums.squares[b] - 2.0 * (
+            np.sum(self.x * sums.slope[b]) + self.z @ sums.gradient[b]
         )
-        # Blocks of the inverse of C, the arrivals' divided by their standard deviations.
-        crossed = MB @ inverse
-        spread = np.einsum("sip,sip->si", crossed, MB)
-        moved = x**2 + spread
-        own = np.einsum("sii->si", inner) + np.divide(
-            moved, rho, out=np.zeros_like(moved), where=rho > 0.0
-        )
-        by_rho = np.sum(1.0 - own, axis=0)
-        by_kappa = np.empty(len(kappa))
-        for b in range(len(kappa)):
-            D_b = self.information[b]
-            B_b = self.coupling[b]
-            trace = float(np.sum(inverse * self.of_parameters[b]))
-            trace -= 2.0 * float(np.sum(crossed * B_b))
-            trace += float(np.sum(M * D_b)) + float(
-                np.einsum("sip,sij,sjp->", crossed, D_b, MB, optimize=True)
-            )
-            square = self.squares[b] - 2.0 * float(np.sum(x * self.slope[b]))
-            square -= 2.0 * float(z @ self.gradient[b])
-            square += float(z @ self.of_parameters[b] @ z)
-            square += 2.0 * float(np.sum(x * (B_b @ z)))
-            square += float(np.einsum("si,sij,sj->", x, D_b, x))
-            by_kappa[b] = self.counts[b] - (trace + square) / kappa[b]
-        return total, by_rho, by_kappa
+        square += self.z @ H @ self.z + 2.0 * np.sum(self.x * (B @ self.z))
+        square += np.einsum("si,sij,sj->", self.x, D, self.x)
+        return float(sums.counts[b] - (trace + square) / self.kappa[b])
 
 
 def _gram(J: np.ndarray) -> np.ndarray:
@@ -207,7 +233,7 @@ def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the inverse and the log of the determinant of a positive matrix, scaled first."""
     size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     values, vectors = np.linalg.eigh(matrix / np.outer(size, size))
-    values = np.maximum(values, 1e-14)
+    values = np.maximum(values, _ROUNDING)
     inverse = (vectors / values) @ vectors.T / np.outer(size, size)
     return inverse, float(np.sum(np.log(values)) + 2.0 * np.sum(np.log(size)))
 
@@ -368,7 +394,7 @@ class _Alike:
 
     def logs(self, own: np.ndarray) -> np.ndarray:
         """Return the logs of the drives' variances."""
-        return np.clip(own[0] + self._relative, self.search.low, self.search.most)
+        return np.asarray(np.clip(own[0] + self._relative, self.search.low, self.search.most))
 
     def slopes(self, own: np.ndarray, by_logs: np.ndarray) -> np.ndarray:
         """Return slopes by its variable."""
