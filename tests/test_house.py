@@ -72,6 +72,8 @@ BOUNDS = {
     "io.strict_json": "MOST_BYTES MOST_TOKENS MOST_DEPTH MOST_DIGITS",
     "io.urdf_export": "FK_TOLERANCE _TIP_MOVED _CHECKED_POSES",
     "io.urdf_text": "UNCHANGED _ROUNDING",
+    "validate.agreement": "_ROWS _FITTED _PLACED _MOST_ROWS _SCALED _SCALE_STEP",
+    "validate.midway": "_DRIFT _FEW _AROUND _RANK _FUNCTIONS _LENGTHS _WALKS _LONGEST_GAP _TRIES _TURNS",
 }
 
 

@@ -8,7 +8,7 @@ of a discovery in ``discover/policy.py``.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import log
+from math import log, radians
 from typing import Any
 
 
@@ -259,8 +259,81 @@ class StopNumbers:
         "cautious: one table of fifty that share nothing")
 
 
+_MISTAKEN = "test_agreement.py::test_what_is_wrong_with_a_table_is_named"
+_INCURABLE = "test_agreement.py::test_what_nothing_cures_is_not_to_be_used"
+_REAL = "test_agreement.py::test_real_tables"
+_ZEROS = "test_zeros.py::test_what_differs_from_the_urdf_is_found_and_named"
+_KNOWN_ZEROS = "test_zeros.py::test_unknown_zeros_have_no_prior"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgreementNumbers:
+    """Thresholds by which a table is refused as not of its robot, and mistakes in it are named."""
+
+    suspicious: float = number(0.01, "ratio", _MISTAKEN,
+        "of the error of the nominal robot to its reach, above which mistakes are searched for",
+        "real robots have a fifth of it or less")
+    hopeless: float = number(0.2, "ratio", _INCURABLE,
+        "of the error of the nominal robot to its reach, above which no geometric error explains the table",
+        "chosen")
+    implausible: float = number(0.002, "ratio", _INCURABLE,
+        "of residuals of a calibration to the reach, that no real arm has",
+        "real arms have a tenth of it, an elastic one with the rigid model less than half")
+    implausible_m: float = number(0.0015, "m", _INCURABLE, "residuals that no real arm has, at least", "the same arms")
+    implausible_rad: float = number(0.02, "rad", _INCURABLE, "residual orientations that no real arm has", "the same arms")
+    noisy: float = number(5.0, "ratio", "test_agreement.py::test_a_noisy_instrument_may_be_declared_in_the_table",
+        "of residuals to a declared noise, up to which they are plausible however large", "one in two million by chance")
+    computed: float = number(2e-6, "m", _REAL,
+        "typical error below which positions are computed from the joints, and rounded", "instruments are ten times worse")
+    cured: float = number(4.0, "ratio", _MISTAKEN,
+        "by which undoing a mistake has to reduce the error before it is named",
+        "chosen")
+    rival: float = number(2.0, "ratio", _MISTAKEN,
+        "of the residuals of another correction to those of the best, below which it is as likely", "chosen")
+    shift: float = number(radians(2.0), "rad", _ZEROS, "above which the error of a zero is named", "chosen")
+    slight: float = number(0.01, "rad", _ZEROS,
+        "above which errors of other zeros are corrected with it", "chosen")
+    unknown: float = number(1.0, "rad", _KNOWN_ZEROS, "prior of a zero above which it counts as unknown",
+        "chosen")
+    improved: float = number(1.5, "ratio", _ZEROS,
+        "by which shifted zeros have to reduce the residuals of a calibration", "a third of them")
+    no_worse: float = number(1.1, "ratio", _ZEROS,
+        "by which they may increase them where the data have pulled a zero far from its prior", "chosen")
+    pulled: float = number(1.2, "ratio", _ZEROS, "of a zero to its prior, from which on data have pulled it far",
+        "chosen")
+    usual: float = number(0.1, "ratio", _REAL,
+        "of residuals to those that no arm has, up to which they are those of real arms", "these have a tenth")
+    telling: float = number(2.0, "ratio", "test_agreement.py::test_the_table_of_another_robot_is_told",
+        "of what a calibration corrects to its allowed residuals, above which it distinguishes robots", "chosen")
+
+
+_STEP = "test_midway.py::test_what_changed_midway_is_named_with_its_line"
+_NO_STEP = "test_midway.py::test_a_table_in_which_nothing_changed_is_left_alone"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MidwayNumbers:
+    """Thresholds of a change between two rows."""
+
+    each: int = number(10, "rows", _STEP, "on either side of a step, at least", "thirty readings show its size to a fifth")
+    clipped: float = number(5.0, "ratio", _NO_STEP, "of residuals to the typical one, to which larger ones are clipped",
+        "single wrong readings make no step")
+    examined: float = number(25.0, "variances of means of neighbours", _NO_STEP, "gain above which a step is examined",
+        "simulated machines have up to 12, real arms measured along a grid 31")
+    chance: float = number(1e-4, "probability", _NO_STEP,
+        "of a step by chance, over all rows and fields, if the covariance were known", "one sound table in ten thousand")
+    distinguished: float = number(13.8, _GAIN, _STEP, "within which causes are not distinguished", "a thousand to one")
+    least_part: float = number(1.2, "ratio", "test_midway.py::test_drifts_are_no_changes",
+        "of a step to the residuals, at least, where noise is correlated along the rows",
+        "a model's error reaches 1.06 (a UR10 without its drives' curves), a touched target 2")
+    correlated: float = number(0.01, "ratio", "test_midway.py::test_drifts_are_no_changes",
+        "of the off-diagonal part of the precision to its diagonal, above which noise is correlated", "chosen")
+
+
 # fmt: on
 CRITERIA = Criteria()
 CHANGES = ChangeNumbers()
 VISITS = VisitNumbers()
 STOPS = StopNumbers()
+AGREEMENT = AgreementNumbers()
+MIDWAY = MidwayNumbers()

@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar
 
 from pincal.errors import MeasurementError
 from pincal.identify.calibrate import fit_tables
+from pincal.identify.criteria import AGREEMENT
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.station import Station
@@ -33,41 +34,6 @@ from pincal.validate.cures import (
     zero_shifts,
 )
 
-# Nominal error, relative to the reach, above which mistakes are searched for; real robots have a
-# fifth of it or less.
-_SUSPICIOUS = 0.01
-# Nominal error, relative to the reach, above which no geometric error explains the table.
-_HOPELESS = 0.2
-# Residuals of a calibration that no real arm has: relative to the reach, at least [m], and in
-# orientation [rad]. Real arms have a tenth of that, an elastic one with the rigid model less than
-# half.
-_IMPLAUSIBLE = 0.002
-_IMPLAUSIBLE_M = 0.0015
-_IMPLAUSIBLE_RAD = 0.02
-# The same limits as a multiple of the declared noise, if that is larger.
-_NOISY = 5.0
-# Typical error [m] below which positions are computed from the joints, and rounded: instruments are
-# ten times worse.
-_COMPUTED = 2e-6
-# Factor by which undoing a mistake has to reduce the error before it is named.
-_CURED = 4.0
-# A correction counts as equally likely if its residuals are below this multiple of the best one's.
-_RIVAL = 2.0
-# Zero errors above the first value are named [rad]; then those above the second are corrected, too.
-_SHIFT = np.deg2rad(2.0)
-_SLIGHT = 0.01
-# Prior of a zero above which it counts as unknown [rad].
-_UNKNOWN = 1.0
-# Shifted zeros have to explain a third of the residuals of a calibration; or nothing, where the
-# data have pulled a zero by this multiple of its prior, and the residuals are as small as those of
-# real arms.
-_IMPROVED = 1.5
-_NO_WORSE = 1.1
-_PULLED = 1.2
-_USUAL = 0.1
-# The correction by a calibration, relative to its allowed residuals, above which it distinguishes
-# robots.
-_TELLING = 2.0
 # Rows used for trials, each of which is a fit; and the number of the best that are fitted in full.
 _ROWS = 200
 _FITTED = 3
@@ -126,7 +92,11 @@ def check_agreement(
             for values in (fit.nominal.values, fit.values)
         )
         limits = _limits(fit, k, table)
-        if error[0] < _SUSPICIOUS * robot.reach and limits.exceeded(left) < 1.0 and not pulled:
+        if (
+            error[0] < AGREEMENT.suspicious * robot.reach
+            and limits.exceeded(left) < 1.0
+            and not pulled
+        ):
             continue
         options = fit.options.at(station.name)
         got = (
@@ -139,7 +109,7 @@ def check_agreement(
                 robot, table, error=limits.exceeded(error), limits=limits, options=options
             )
             if (exceeded := limits.exceeded(_calibrated(cure, options)[1]))
-            < min(1.0, limits.exceeded(left) / _CURED)
+            < min(1.0, limits.exceeded(left) / AGREEMENT.cured)
         ]
         shifted, after = _shifted(robot, table, options)
         if shifted is not None and shifted.correction is not None:
@@ -147,12 +117,15 @@ def check_agreement(
             before = limits.exceeded(left)
             insisted = pulled & shifted.correction.shifts.keys()
             if exceeded < min(
-                1.0, max(_NO_WORSE * before, _USUAL) if insisted else before / _IMPROVED
+                1.0,
+                max(AGREEMENT.no_worse * before, AGREEMENT.usual)
+                if insisted
+                else before / AGREEMENT.improved,
             ):
                 found.append((exceeded, shifted, after))
         if found:
             return _chosen(found, f"{table.source}: ", got, is_held=fit.options.earlier is not None)
-        if error[0] > _HOPELESS * robot.reach:
+        if error[0] > AGREEMENT.hopeless * robot.reach:
             raise MeasurementError(
                 f"{table.source}: {got}; expected a few mm. "
                 f"Are units, joint zeros, tip ({robot.tip}) and URDF those of this robot?"
@@ -171,7 +144,7 @@ def _chosen(
     least = min(exceeded for exceeded, *_ in found)
     # Of mistakes that are undone equally well, the first counts.
     (cure, after), *others = [
-        (cure, after) for exceeded, cure, after in found if exceeded < _RIVAL * least
+        (cure, after) for exceeded, cure, after in found if exceeded < AGREEMENT.rival * least
     ]
     rivals = [
         other.words
@@ -193,7 +166,9 @@ def _is_same(sign: TableCorrection, zero: TableCorrection) -> bool:
     """
     if sign.correction is None or zero.correction is None or not sign.correction.turned:
         return False
-    return any(abs(abs(shift) - np.pi) < _SHIFT for shift in zero.correction.shifts.values())
+    return any(
+        abs(abs(shift) - np.pi) < AGREEMENT.shift for shift in zero.correction.shifts.values()
+    )
 
 
 def _pulled(fit: ModelFit) -> set[str]:
@@ -206,7 +181,7 @@ def _pulled(fit: ModelFit) -> set[str]:
     return {
         p.name.split(".")[0]
         for p, value in offsets
-        if p.unit == "rad" and abs(value) > _PULLED * p.size
+        if p.unit == "rad" and abs(value) > AGREEMENT.pulled * p.size
     }
 
 
@@ -216,11 +191,15 @@ def unknown_zeros(fit: ModelFit) -> Iterator[str]:
         is_unknown = (
             parameter.effect == JointOffset.name
             and parameter.unit == "rad"
-            and fit.priors.sizes[i] > _UNKNOWN
+            and fit.priors.sizes[i] > AGREEMENT.unknown
         )
         # For the first joint it is a turn of the base, for the last one of the tool: such uncertain
         # ones are not named.
-        if is_unknown and abs(fit.values[i]) > _SHIFT and fit.estimate.sigma[i] < _SLIGHT:
+        if (
+            is_unknown
+            and abs(fit.values[i]) > AGREEMENT.shift
+            and fit.estimate.sigma[i] < AGREEMENT.slight
+        ):
             yield shift_words(parameter.name.split(".")[0], float(fit.values[i]))
 
 
@@ -234,9 +213,9 @@ def _shifted(
     shifts = {
         name: shift
         for name, shift in zero_shifts(robot, few, options).items()
-        if abs(shift) > _SLIGHT
+        if abs(shift) > AGREEMENT.slight
     }
-    if max(map(abs, shifts.values()), default=0.0) < _SHIFT:
+    if max(map(abs, shifts.values()), default=0.0) < AGREEMENT.shift:
         return None, (np.inf, np.inf)
     fit, left = _calibrated(Correction(shifts).cure(robot, few, ""), options)
     if fit is None:
@@ -284,8 +263,8 @@ def computed(fit: ModelFit) -> Iterator[tuple[str, bool, str]]:
         )
         is_spare = len(station) * station.reading_size > 2 * len(fit.values)
         is_place = (station.sensor.blocks[0].unit, station.sensor.blocks[0].size) == ("m", 3)
-        if is_place and is_spare and min(nominal, left) < _COMPUTED:
-            yield station.name, nominal < _COMPUTED, f"{min(nominal, left) * 1e6:.2g} um"
+        if is_place and is_spare and min(nominal, left) < AGREEMENT.computed:
+            yield station.name, nominal < AGREEMENT.computed, f"{min(nominal, left) * 1e6:.2g} um"
 
 
 def mix_up(
@@ -298,9 +277,11 @@ def mix_up(
     """
     robot = station.model.chain.robot
     left = typical_residuals(station, values)
-    if left[0] < _SUSPICIOUS * robot.reach:
+    if left[0] < AGREEMENT.suspicious * robot.reach:
         return ""
-    limits = _Limits(max(_IMPLAUSIBLE * robot.reach, _IMPLAUSIBLE_M), _IMPLAUSIBLE_RAD)
+    limits = _Limits(
+        max(AGREEMENT.implausible * robot.reach, AGREEMENT.implausible_m), AGREEMENT.implausible_rad
+    )
     found = _cured(robot, measurements, error=limits.exceeded(left), limits=limits, options=options)
     return found[0][0].words if found else ""
 
@@ -313,18 +294,20 @@ def _limits(fit: ModelFit, k: int, table: Measurements) -> _Limits:
     places = fit.problem.places[k]
     reach = fit.problem.chain.robot.reach
     declared = fit.noise.declared[fit.problem.block_spans[k]]
-    length = max(_IMPLAUSIBLE * reach, _IMPLAUSIBLE_M)
-    angle = _IMPLAUSIBLE_RAD
+    length = max(AGREEMENT.implausible * reach, AGREEMENT.implausible_m)
+    angle = AGREEMENT.implausible_rad
     for block, of_block in zip(station.sensor.blocks, declared, strict=True):
         sigma = table.sigma if of_block is None and block.unit == "m" else of_block
         if sigma is None:
             continue
         if block.unit == "rad":
-            angle = max(angle, _NOISY * float(np.median(sigma)))
+            angle = max(angle, AGREEMENT.noisy * float(np.median(sigma)))
         else:
             length = max(
                 length,
-                _NOISY * float(np.median(sigma)) * station.metres_per_reading(fit.values[places]),
+                AGREEMENT.noisy
+                * float(np.median(sigma))
+                * station.metres_per_reading(fit.values[places]),
             )
     return _Limits(length, angle)
 
@@ -368,7 +351,7 @@ def _cured(
         ]
     # Of equivalent corrections, such as one mirror or another, the first.
     found.sort(key=lambda one: float(f"{limits.exceeded(one[1]):.2g}"))
-    return [one for one in found if limits.exceeded(one[1]) * _CURED < error][:_FITTED]
+    return [one for one in found if limits.exceeded(one[1]) * AGREEMENT.cured < error][:_FITTED]
 
 
 def _few(table: Measurements) -> np.ndarray:
@@ -413,7 +396,7 @@ def belongs_to_other_robot(left: np.ndarray, nominal: np.ndarray, *, allowed: fl
     rest, before, correction = (
         float(np.sqrt(np.mean(np.sum(way**2, axis=1)))) for way in (left, nominal, nominal - left)
     )
-    return rest >= before and correction > _TELLING * allowed
+    return rest >= before and correction > AGREEMENT.telling * allowed
 
 
 def nominal_displacements(robot: Robot, measurements: Measurements, options: Options) -> np.ndarray:

@@ -26,28 +26,11 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtri
 
+from pincal.identify.criteria import MIDWAY
 from pincal.identify.motion_fields import MotionField, fields_of_joints, fields_of_setup
 from pincal.identify.station import Station
 from pincal.measure.extrinsics import sample_rows
 
-# Fewest rows on either side of a step.
-_EACH = 10
-# Residuals are clipped to this multiple of the typical one: single wrong readings make no step.
-_CLIPPED = 5.0
-# Gain, in units of the variance of means of neighbours, above which a step is examined. Simulated
-# machines have up to 12, real arms measured along a grid 31.
-_EXAMINED = 25.0
-# False-alarm probability for a step, over all rows and fields, if the covariance were known.
-_CHANCE = 1e-4
-# Twice the log likelihood ratio, a thousand to one, within which causes are not distinguished.
-_DISTINGUISHED = 13.8
-# In noise that is correlated along the rows, a step has to be this multiple of the residuals: a
-# smaller one may be the model's error, as of a UR10 without its drives' curves (1.06 times, from
-# one half of a table to the other). A touched target is 2 times. In white noise the likelihood
-# decides.
-_LEAST_PART = 1.2
-# Off-diagonal part of the precision, relative to its diagonal, that shows correlation.
-_CORRELATED = 0.01
 # A drift is a curve of this degree along the rows: it explains six sevenths of a step in the
 # middle, less of one elsewhere, and nearly all of a robot that warms up.
 _DRIFT = 3
@@ -185,7 +168,7 @@ def change_in(
             likely than the step, nothing changed at once.
     """
     order = np.argsort(lines, kind="stable")
-    if not station.sensor.reads_pose or len(order) < 4 * _EACH:
+    if not station.sensor.reads_pose or len(order) < 4 * MIDWAY.each:
         return None
     few = sample_rows(len(order), _FEW)
     # Held-out rows are missing between others, and noise evolves there; a night counts as a limited
@@ -201,7 +184,7 @@ def change_in(
         _drift(rows, field, _curves_along_rows(rows), noise) for field in (best.field, rows.growth)
     ):
         return None
-    if along is not None and best.gain + _DISTINGUISHED < max(
+    if along is not None and best.gain + MIDWAY.distinguished < max(
         _drift(rows, field, _centred(along[order[few]])[:, None], noise)
         for field in (best.field, rows.growth)
     ):
@@ -209,12 +192,12 @@ def change_in(
     after = _robust_step(rows, best)[best.row :]
     # Residuals as of a fit to independent rows: under persistent noise, a fit keeps part of them.
     left = rows.residuals(rows.off)
-    correlated = np.abs(np.diag(noise, 1)).mean() > _CORRELATED * np.diag(noise).mean()
-    if correlated and np.sqrt(np.mean(after**2)) < _LEAST_PART * np.sqrt(np.mean(left**2)):
+    correlated = np.abs(np.diag(noise, 1)).mean() > MIDWAY.correlated * np.diag(noise).mean()
+    if correlated and np.sqrt(np.mean(after**2)) < MIDWAY.least_part * np.sqrt(np.mean(left**2)):
         return None
     causes: dict[str, StepCause] = {}
     for step in sorted(steps, key=_excess, reverse=True):
-        if _excess(step) > max(_excess(best) - _DISTINGUISHED, 0.0):
+        if _excess(step) > max(_excess(best) - MIDWAY.distinguished, 0.0):
             causes.setdefault(step.field.name, _cause(rows, step))
     first, *others = causes.values()
     place = (
@@ -245,7 +228,9 @@ def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray
 
 def _clipped(off: np.ndarray) -> np.ndarray:
     long = np.linalg.norm(off, axis=1, keepdims=True)
-    return np.asarray(off * np.minimum(1.0, _CLIPPED * np.median(long) / np.maximum(long, 1e-300)))
+    return np.asarray(
+        off * np.minimum(1.0, MIDWAY.clipped * np.median(long) / np.maximum(long, 1e-300))
+    )
 
 
 def _is_loud(rows: _Rows) -> bool:
@@ -256,7 +241,9 @@ def _is_loud(rows: _Rows) -> bool:
     left = rows.residuals(_clipped(rows.off) - best.step @ best.motion)
     width = int(np.sqrt(len(left)))
     means = left[: len(left) // width * width].reshape(-1, width, 3).mean(axis=1)
-    return best.gain > _EXAMINED * max(width * float(np.mean(means**2)), float(np.mean(left**2)))
+    return best.gain > MIDWAY.examined * max(
+        width * float(np.mean(means**2)), float(np.mean(left**2))
+    )
 
 
 def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
@@ -316,7 +303,7 @@ def _limit(step: _Best) -> float:
     """Return the largest gain by chance, in units of the noise, over all rows and with all freedoms
     of a field.
     """
-    return float(chdtri(step.field.freedoms, _CHANCE / len(step.field.directions)))
+    return float(chdtri(step.field.freedoms, MIDWAY.chance / len(step.field.directions)))
 
 
 def _excess(step: _Best) -> float:
@@ -367,13 +354,13 @@ def _best(
     # A motion within the span of the fitted parameters has no gain.
     scale = np.sqrt(np.maximum(np.einsum("naa->na", own), 1e-300))
     normal = normal / (scale[:, :, None] * scale[:, None, :]) + _RANK * np.eye(m)
-    inside = slice(_EACH, n - _EACH + 1)
+    inside = slice(MIDWAY.each, n - MIDWAY.each + 1)
     motions = (
         np.linalg.solve(normal[inside], (sums / scale)[inside, :, None])[:, :, 0] / scale[inside]
     )
     gains = np.sum(motions * sums[inside], axis=1)
     k = int(np.argmax(gains))
-    return _Best(field, k + _EACH, float(gains[k]), motions[k])
+    return _Best(field, k + MIDWAY.each, float(gains[k]), motions[k])
 
 
 def _after(values: np.ndarray) -> np.ndarray:
@@ -489,8 +476,8 @@ def _near(
 ) -> int:
     """Return the first row after a step, searched among all rows near it."""
     around = (
-        few[max(best.row - _AROUND * _EACH, 0)],
-        few[min(best.row + _AROUND * _EACH, len(few) - 1)],
+        few[max(best.row - _AROUND * MIDWAY.each, 0)],
+        few[min(best.row + _AROUND * MIDWAY.each, len(few) - 1)],
     )
     places = np.arange(around[0], around[1] + 1)
     rows = _rows(station.select(order[places]), values, free, places.astype(float))
