@@ -18,10 +18,10 @@ Thompson 1971, Biometrika 58, 545-554) follows from the matrix of the mixed mode
 as
 
 .. math:: -2 l = \sum_b N_b \log \kappa_b + \log|C| + S \log|R| + r^T K^{-1} r - u^T C^{-1} u,
-    \quad u = \Big( \sum_b (1 / \kappa_b - 1) J_b^T r, \; \sum_b L_b^T r / \kappa_b \Big),
+    \quad u = \Big( \sum_b J_b^T r / \kappa_b - J^T V^{-1} r, \; \sum_b L_b^T r / \kappa_b \Big),
 
-at the optimum of a fit with kappa = 1 and exact drives, where priors balance the gradient J^T r.
-The cost is linear in the stops, since D is block diagonal.
+at the optimum of a fit with any covariance V, where priors balance its gradient. The cost is linear
+in the stops, since D is block diagonal.
 """
 
 from __future__ import annotations
@@ -62,7 +62,9 @@ class StopSums:
         information: shape (blocks, S, n, n), D.
         coupling: shape (blocks, S, n, P), B.
         slope: shape (blocks, S, n), L^T r.
-        gradient: shape (blocks, P), J^T r; priors and the rows of other stops balance their sum.
+        gradient: shape (blocks, P), J^T r.
+        pull: shape (P,), the same of the rows of other stops, and of the priors: these balance what
+            the fit weighted.
         of_parameters: shape (blocks, P, P), H.
         beforehand: shape (P, P), what priors and the rows of other stops say of the parameters.
         squares: shape (blocks,), r^T r.
@@ -74,6 +76,7 @@ class StopSums:
     coupling: np.ndarray
     slope: np.ndarray
     gradient: np.ndarray
+    pull: np.ndarray
     of_parameters: np.ndarray
     beforehand: np.ndarray
     squares: np.ndarray
@@ -84,7 +87,7 @@ class StopSums:
         """Return them of the only station of a fit.
 
         Args:
-            alone: the fit, whose rows share nothing.
+            alone: the fit, whose rows may share arrivals already.
             blocks: its blocks among those of all stations.
             pose: shape (N,), number of the pose of each row.
         """
@@ -110,8 +113,13 @@ class StopSums:
         counts = np.zeros(B)
         sizes = np.minimum(alone.priors.sizes[free], _ANYWHERE)
         beforehand = np.diag(sizes**-2.0)
+        pull = np.zeros(P)
+        fitted = np.repeat(alone.solution.sigma, station.block_sizes)[:, None]
         for piece, residuals, J in station.linearise(alone.values, free):
             stop = at[piece]
+            weighted = (station.weights[piece] / fitted) * sound[piece]
+            both = station.uncorrelated(np.concatenate([J, residuals[None]]), piece) * weighted
+            pull -= np.einsum("pmk,mk->p", both[:-1], both[-1])
             weights = (station.weights[piece] / noise) * sound[piece]
             residuals = residuals * weights
             J = J * weights
@@ -129,12 +137,14 @@ class StopSums:
                 squares[b] += float(np.sum(r**2))
                 counts[b] += r.size
             beforehand += _gram(J[:, :, ~here])
+            pull += np.einsum("pmk,mk->p", J[:, :, ~here], residuals[:, ~here])
         return cls(
             range(blocks.start, blocks.stop),
             information,
             coupling,
             slope,
             gradient,
+            pull,
             of_parameters,
             beforehand,
             squares,
@@ -189,7 +199,7 @@ class _Solved:
         B = np.einsum("b,bsip->sip", weight, sums.coupling)
         u = np.einsum("b,bsi->si", weight, sums.slope)
         H = np.einsum("b,bpq->pq", weight, sums.of_parameters) + sums.beforehand
-        g = (weight - 1.0) @ sums.gradient
+        g = weight @ sums.gradient + sums.pull
         root = np.sqrt(rho)
         values, vectors = np.linalg.eigh(np.eye(len(rho)) + D * root[:, None] * root)
         inner = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
@@ -264,7 +274,9 @@ def likeliest_arrivals(parts: Sequence[StopSums], n_blocks: int) -> Variances | 
     if not len(search.scale):
         return None
     exactly = search.minimum(_Alike(search), np.array([search.low]), fixed=True)
-    alike = search.minimum(_Alike(search), np.zeros(1))
+    # Residuals are smaller than the noise where rows are weighted by too large arrivals already.
+    start = np.log([np.mean(search.typical[search.seen])])
+    alike = search.minimum(_Alike(search), start)
     if exactly.fun - alike.fun < CRITERIA.arrivals:
         return None
     start = _Alike(search).logs(alike.x[:1])
@@ -286,6 +298,7 @@ class _Search:
         most: shape (k,), largest logs: more than drives scatter by is an error of the model, which
             is for an effect to explain.
         seen: shape (blocks,), which blocks have readings.
+        typical: shape (blocks,), mean squares of residuals, in units of the estimated noise.
     """
 
     parts: Sequence[StopSums]
@@ -293,17 +306,21 @@ class _Search:
     scale: np.ndarray
     most: np.ndarray
     seen: np.ndarray
+    typical: np.ndarray
     low: ClassVar[float] = float(np.log(_BOUNDS[0]))
 
     @classmethod
     def of(cls, parts: Sequence[StopSums], n_blocks: int) -> _Search:
         counts = np.zeros(n_blocks)
+        squares = np.zeros(n_blocks)
         for part in parts:
             counts[list(part.blocks)] += part.counts
+            squares[list(part.blocks)] += part.squares
         lengths = np.sum([np.einsum("bsii->i", part.information) for part in parts], axis=0)
         scale = lengths[lengths > 0.0] / max(counts.sum(), 1.0)
         most = np.clip(np.log(VISITS.arrival**2 * scale), *np.log(_BOUNDS))
-        return cls(parts, lengths > 0.0, scale, most, counts > 0.0)
+        typical = np.maximum(squares, 1e-300) / np.maximum(counts, 1.0)
+        return cls(parts, lengths > 0.0, scale, most, counts > 0.0, typical)
 
     def misfit(
         self, logs: np.ndarray, of_blocks: np.ndarray
@@ -339,9 +356,10 @@ class _Search:
             return total, np.append(drives.slopes(vector[:k], by_rho), by_kappa)
 
         blocks = [(float(np.log(_QUIETEST)), float(np.log(_LOUDEST)))] * int(self.seen.sum())
+        typical = np.clip(np.log(self.typical[self.seen]), *blocks[0])
         return minimize(
             function,
-            np.append(start, np.zeros(len(blocks))),
+            np.append(start, typical),
             jac=True,
             method="L-BFGS-B",
             bounds=[*limits, *blocks],
@@ -350,7 +368,9 @@ class _Search:
     def variances(self, logs: np.ndarray, vector: np.ndarray, *, gain: float) -> Variances:
         """Return the variances of a minimum."""
         drives = np.zeros(len(self.moves))
-        drives[self.moves] = np.where(np.exp(logs) < _NOTHING, 0.0, np.exp(logs) / self.scale)
+        found = np.exp(logs)
+        least = _NOTHING * np.mean(self.typical[self.seen])
+        drives[self.moves] = np.where(found < least, 0.0, found / self.scale)
         blocks = np.ones(len(self.seen))
         blocks[self.seen] = np.exp(vector[len(vector) - int(self.seen.sum()) :])
         return Variances(drives, blocks, gain)

@@ -178,7 +178,7 @@ class Station:
                 whitened_rows(self.whitening, np.ascontiguousarray(residuals[None]))[0]
             )
         return np.concatenate(
-            [self._along(residuals[None, :, p], p)[0] for p in self._pieces()], axis=1
+            [self.uncorrelated(residuals[None, :, p], p)[0] for p in self._pieces()], axis=1
         )
 
     @property
@@ -186,9 +186,9 @@ class Station:
         """Whether the noise of a row depends on that of others."""
         return self.serial is not None or self.arrival is not None
 
-    def _along(self, columns: np.ndarray, piece: slice) -> np.ndarray:
+    def uncorrelated(self, columns: np.ndarray, piece: slice) -> np.ndarray:
         """Return columns of a piece of the rows, shape (D, m, n), with the correlation of rows
-        removed, too.
+        removed.
         """
         if not self.is_correlated:
             return columns
@@ -329,8 +329,8 @@ class Station:
             return residuals, jacobian
         # The effect of a curve at one row reaches others, too.
         columns, places = jacobian.dense_columns()
-        return self._along(residuals[None], piece)[0], Jacobian(
-            jacobian.size, places, self._along(columns, piece)
+        return self.uncorrelated(residuals[None], piece)[0], Jacobian(
+            jacobian.size, places, self.uncorrelated(columns, piece)
         )
 
     def _pieces(self) -> Iterator[slice]:
