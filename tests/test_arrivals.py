@@ -258,3 +258,21 @@ def test_a_fit_that_weighs_stops_by_far_too_much_shows_how_they_scatter() -> Non
     assert found is not None
     np.testing.assert_allclose(found.drives, 1e-5, rtol=0.3)
     assert found.readings[0] == pytest.approx(NOISE, rel=0.1)
+
+
+@pytest.mark.parametrize("arrival", [0.0, 2e-5])
+def test_what_other_stations_know_of_the_robot_is_known(arrival: float) -> None:
+    """Stops of one station beside single rows of another one: its drives scatter as simulated, and exact ones do not."""
+    rows = measured(80, arrival)
+    is_first = np.arange(len(rows)) < len(rows) // 2
+    tables = {"single": rows.select(is_first & (rows.target == "r0")), "stops": rows.select(~is_first)}
+    fit = fit_tables(Robot.from_urdf(URDF), tables, Options(effects=GEOMETRIC))
+    plain = refit(fit.over([replace(of, arrival=None) for of in fit.problem.stations]), fit.options.effects)
+    found = arrival_noise(plain, [False, True])
+
+    if not arrival:
+        assert found is None
+        return
+    assert found is not None
+    assert np.sqrt(np.mean(found.drives[:5] ** 2)) == pytest.approx(arrival, rel=0.25)
+    assert found.readings[1] == pytest.approx(NOISE, rel=0.1)

@@ -63,10 +63,11 @@ class StopSums:
         coupling: shape (blocks, S, n, P), B.
         slope: shape (blocks, S, n), L^T r.
         gradient: shape (blocks, P), J^T r.
-        pull: shape (P,), the same of the rows of other stops, and of the priors: these balance what
-            the fit weighted.
+        pull: shape (P,), the same of the rows of other stops, and of priors and other stations:
+            these balance what the fit weighted.
         of_parameters: shape (blocks, P, P), H.
-        beforehand: shape (P, P), what priors and the rows of other stops say of the parameters.
+        beforehand: shape (P, P), what priors, the rows of other stops, and other stations say of
+            the parameters.
         squares: shape (blocks,), r^T r.
         counts: shape (blocks,), numbers of readings.
     """
@@ -83,13 +84,16 @@ class StopSums:
     counts: np.ndarray
 
     @classmethod
-    def of(cls, alone: ModelFit, blocks: slice, pose: np.ndarray) -> StopSums:
+    def of(
+        cls, alone: ModelFit, blocks: slice, pose: np.ndarray, others: np.ndarray | None = None
+    ) -> StopSums:
         """Return them of the only station of a fit.
 
         Args:
             alone: the fit, whose rows may share arrivals already.
             blocks: its blocks among those of all stations.
             pose: shape (N,), number of the pose of each row.
+            others: shape (P, P), what other stations say of the free parameters; default: nothing.
         """
         station = alone.station
         free = alone.solution.free
@@ -112,7 +116,7 @@ class StopSums:
         squares = np.zeros(B)
         counts = np.zeros(B)
         sizes = np.minimum(alone.priors.sizes[free], _ANYWHERE)
-        beforehand = np.diag(sizes**-2.0)
+        beforehand = np.diag(sizes**-2.0) + (0.0 if others is None else others)
         pull = np.zeros(P)
         fitted = np.repeat(alone.solution.sigma, station.block_sizes)[:, None]
         for piece, residuals, J in station.linearise(alone.values, free):
@@ -231,6 +235,31 @@ class _Solved:
         square += self.z @ H @ self.z + 2.0 * np.sum(self.x * (B @ self.z))
         square += np.einsum("si,sij,sj->", self.x, D, self.x)
         return float(sums.counts[b] - (trace + square) / self.kappa[b])
+
+
+def information_of_stations(fit: ModelFit) -> list[np.ndarray]:
+    """Return what the rows of each station say of the parameters that stations share, its own
+    eliminated, shape (F, F) over all parameters of the fit.
+    """
+    shared = fit.problem.is_shared
+    found = []
+    for (station, places, _), alone in zip(fit.stations, fit.alone, strict=True):
+        free = alone.solution.free
+        sigma = np.repeat(alone.solution.sigma, station.block_sizes)[:, None]
+        sound = alone.solution.weights > 0.0
+        H = np.zeros((int(free.sum()),) * 2)
+        for piece, _, J in station.linearise(alone.values, free):
+            weights = (station.weights[piece] / sigma) * sound[piece]
+            H += _gram(station.uncorrelated(J, piece) * weights)
+        at = np.arange(len(fit.values))[places][free]
+        own = ~shared[at]
+        sizes = np.minimum(alone.priors.sizes[free][own], _ANYWHERE)
+        inverse, _ = _inverse(H[np.ix_(own, own)] + np.diag(sizes**-2.0))
+        across = H[np.ix_(~own, own)]
+        whole = np.zeros((len(shared),) * 2)
+        whole[np.ix_(at[~own], at[~own])] = H[np.ix_(~own, ~own)] - across @ inverse @ across.T
+        found.append(whole)
+    return found
 
 
 def _gram(J: np.ndarray) -> np.ndarray:

@@ -23,7 +23,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.identify.arrival_likelihood import StopSums, likeliest_arrivals
+from pincal.identify.arrival_likelihood import (
+    StopSums,
+    information_of_stations,
+    likeliest_arrivals,
+)
 from pincal.identify.beliefs import declared_noise
 from pincal.identify.drive_levers import drive_levers
 from pincal.identify.fit import ModelFit
@@ -97,11 +101,17 @@ def arrival_noise(fit: ModelFit, shared: Sequence[bool]) -> ArrivalNoise | None:
 
     ``shared`` are the stations whose rows share stops.
     """
-    parts = [
-        StopSums.of(alone, blocks, poses_of(alone.station))
-        for is_shared, alone, (_, _, blocks) in zip(shared, fit.alone, fit.stations, strict=True)
-        if is_shared
-    ]
+    every = information_of_stations(fit) if len(fit.alone) > 1 else []
+    parts = []
+    for k, (alone, (_, places, blocks)) in enumerate(zip(fit.alone, fit.stations, strict=True)):
+        if not shared[k]:
+            continue
+        others = None
+        if every:
+            at = np.arange(len(fit.values))[places][alone.solution.free]
+            rest = np.sum([of for j, of in enumerate(every) if j != k], axis=0)
+            others = rest[np.ix_(at, at)]
+        parts.append(StopSums.of(alone, blocks, poses_of(alone.station), others))
     found = likeliest_arrivals(parts, len(fit.problem.blocks))
     if found is None:
         return None
