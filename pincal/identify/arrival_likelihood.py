@@ -296,6 +296,7 @@ def likeliest_arrivals(parts: Sequence[StopSums], n_blocks: int) -> Variances | 
     """Return the likeliest variances of drives and readings; None where drives that do not arrive
     exactly explain nothing.
 
+    Each station is seen with what the others say of the robot, weighted as in the fit.
     Few stops show the sum of what their drives miss better than that of each: drives arrive alike
     unless the readings say otherwise.
     """
