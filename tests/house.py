@@ -80,9 +80,12 @@ class File:
 
     @cached_property
     def numbers(self) -> list[str]:
-        """Constants at the top of the file that are numbers, or tuples of them."""
+        """Constants at the top of the file that are numbers, or tuples of them, unless they are said to decide nothing."""
         found = []
         for node in self.tree.body:
+            if isinstance(node, ast.AnnAssign) and node.value is not None and _is_number(node.value):
+                if not {"Count", "Scale"} & {of.id for of in ast.walk(node.annotation) if isinstance(of, ast.Name)}:
+                    found.append(ast.unparse(node.target))
             if isinstance(node, ast.Assign) and _is_number(node.value):
                 for target in node.targets:
                     found += [name.id for name in ast.walk(target) if isinstance(name, ast.Name)]

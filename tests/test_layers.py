@@ -17,6 +17,7 @@ PACKAGE = Path(pincal.__file__).resolve().parent
 # From the bottom up; a layer imports itself and what stands before it.
 LAYERS = (
     "errors",
+    "thresholds",
     "atomic",
     "plugins",
     "spread",

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import log
 
-from pincal.identify.criteria import number as _number
+from pincal.thresholds import number as _number
 
 _RATES = "test_discovery_rates.py::"
 _NAMED = _RATES + "test_a_hidden_effect_is_named_with_its_joint"

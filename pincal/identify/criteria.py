@@ -7,20 +7,10 @@ of a discovery in ``discover/policy.py``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import log, radians
-from typing import Any
 
-
-def number(default: object, unit: str, pinned_by: str, meaning: str, origin: str) -> Any:
-    """Return a field for a threshold: its value, unit, the test that pins it, its meaning, and the
-    origin of the value.
-    """
-    return field(
-        default=default,
-        metadata={"unit": unit, "meaning": meaning, "origin": origin, "pinned_by": pinned_by},
-    )
-
+from pincal.thresholds import number
 
 _GAIN = "2 log likelihood"
 _ODDS = "-2 log odds"
