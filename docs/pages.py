@@ -29,13 +29,12 @@ REFERENCE = Path(__file__).parent / "reference"
 # What a user meets of each file.
 _FILES = {
     "model": ("model.json", "The calibrated robot: predicts without its URDF. Written by every command that fits."),
-    "stations": ("model.json of several stations", "The robot, and the individual data of each station."),
     "result": ("result.json", "Results of a calibration. Written by `calibrate` and `discover`."),
     "discovery": ("discovery.json", "Missing effects and their alternatives. Written by `discover`."),
     "diagnosis": ("diagnosis.json", "Whether the robot has changed, and what. Written by `diagnose`."),
     "information": (
         "INFORMATION.json",
-        "The information of a fit's rows on a robot: written by `fit.information().save(PATH)`, summed by "
+        "The information of a fit's rows on a robot: written by `fit.information.save(PATH)`, summed by "
         "`pincal.load_information`.",
     ),
     "type": (

@@ -42,7 +42,7 @@ for (const layer of pincal.layers)
 
 def draw_view(found: Discovery, table: Measurements) -> None:
     """Draw the robot with its deviations at the measured poses, before and after, side by side."""
-    calibrated = found.calibration.fit.to_model()
+    calibrated = found.calibration.fit.at()
     error = found.calibration.result.error
     told = {
         "before": f"nominal kinematics: mean error {error['nominal']['test']['mean_mm']:.2f} mm",

@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 
 from pincal import (
     GEOMETRIC,
-    CalibratedModel,
     Chain,
     Conditions,
     Model,
@@ -29,7 +28,6 @@ from pincal import (
     load_model,
     measurements_from_arrays,
     run_calibration,
-    save_model,
 )
 from pincal.measure.measurements import Measurements
 from pincal.simulate import Instrument, TrueMachine, plan_poses
@@ -122,7 +120,7 @@ def calibrate_and_judge(folder: Path, seed: int) -> None:
     fit, result = calibration.fit, calibration.result
     export = calibrated_urdf(fit.model, fit.values)
     (folder / "calibrated.urdf").write_bytes(export.text)
-    save_model(folder / "model.json", CalibratedModel.of(fit, {"seed": seed}))
+    fit.save(folder / "model.json", provenance={"seed": seed})
 
     reloaded = load_model(folder / "model.json")
     predicted = reloaded.predict(Conditions.at(other))[:, :, 3]

@@ -197,7 +197,7 @@ def judge(scene: Scene, board: cv2.aruco.CharucoBoard, calibration: pincal.Calib
     print(f"corners off the truth     rms {rms:.4f} px, mean {u:.4f} and {v:.4f} px")
     q = plan_views(scene, board, count=FRESH, rng=rng)
     truth = scene.cameras(q)[:, :3, 3]
-    for model, values in (("nominal", fit.nominal.values), ("calibrated", fit.values)):
+    for model, values in (("nominal", fit.fit.nominal.values), ("calibrated", fit.values)):
         found = fit.model.predict(fit.model.own(values), pincal.Conditions.at(q))[:, :, 3]
         error = 1e3 * np.linalg.norm(found - truth, axis=1)
         print(f"camera, {model:17s} off the truth by mean {error.mean():.4f} mm, max {error.max():.4f} mm")

@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from pincal import (
     ELASTIC,
     GEOMETRIC,
-    CalibratedModel,
     Conditions,
+    FittedRobot,
     Options,
     Robot,
     compensate_poses,
@@ -93,12 +93,12 @@ def main() -> None:
     discovery = run_discovery(robot, table, replace(options, effects=GEOMETRIC))
     program = replace(Conditions.at(other, payload_centre=LOAD_COM), **others)
     # The program was made with the nominal robot, its base and tool measured in: there it would bring the reflector.
-    wanted = fit.model.predict(fit.model.own(fit.nominal.values), program)
+    wanted = fit.model.predict(fit.model.own(fit.fit.nominal.values), program)
 
     print(f"KUKA KR 125/2, {MEASURED} poses measured with {1e3 * NOISE:g} mm noise, a program of {PROGRAM} other poses")
     report("as programmed", np.linalg.norm(cell.see(other, others) - wanted[:, :, 3], axis=1))
-    for name, found in (("geometry and elasticity", fit), ("discovery", discovery.trail.final)):
-        corrected = compensate_poses(CalibratedModel.of(found, {}), wanted, program)
+    for name, found in (("geometry and elasticity", fit), ("discovery", FittedRobot.of(discovery.trail.final))):
+        corrected = compensate_poses(found, wanted, program)
         errors = np.linalg.norm(cell.see(corrected.q, others) - wanted[:, :, 3], axis=1)
         report(f"corrected by {name}", errors)
     elastic = ("joint_elasticity", "bearing_elasticity")

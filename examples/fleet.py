@@ -66,7 +66,7 @@ def measured(
     return pincal.measurements_from_arrays(robot.joint_names, q, position=position)
 
 
-def errors_mm(fit: pincal.Fit, truth: pincal.Measurements) -> tuple[float, float]:
+def errors_mm(fit: pincal.FittedRobot, truth: pincal.Measurements) -> tuple[float, float]:
     """Return the mean error of predictions and the standard deviation that the fit states [mm]."""
     off, sigma = fit.predict(truth.q)[:, :, 3] - truth.position, fit.position_sigma(fit.readings(truth).conditions)
     return 1e3 * float(np.linalg.norm(off, axis=1).mean()), 1e3 * float(np.linalg.norm(sigma, axis=1).mean())

@@ -29,7 +29,7 @@ def simulated(folder: Path) -> tuple[Path, Path, Path]:
     return files
 
 
-def error(robot: pincal.CalibratedRobot, table: pincal.Measurements) -> float:
+def error(robot: pincal.FittedRobot, table: pincal.Measurements) -> float:
     """Return the mean error at other poses, with instrument and target located again [mm]."""
     placed = pincal.place_station(robot, table)
     return 1e3 * float(np.mean(np.linalg.norm(placed.station.residuals(placed.values), axis=0)))

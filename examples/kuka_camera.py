@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal import Fit, Lens, Options, Robot, Setup, measurements_from_arrays
+from pincal import FittedRobot, Lens, Options, Robot, Setup, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated_robot import fitted
+from pincal.calibration.checked_fit import fitted
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC, BearingElasticity, JointElasticity
 from pincal.simulate import View, paper_object, paper_transform, plan_views, read_arm
@@ -139,13 +139,13 @@ def measure(
     )
 
 
-def errors(found: Fit, table: Measurements, values: np.ndarray | None = None) -> np.ndarray:
+def errors(found: FittedRobot, table: Measurements, values: np.ndarray | None = None) -> np.ndarray:
     """Return the errors of held-out readings as lengths at the object, shape (N,) [m]."""
     displacements = found.readings(table).displacements(found.values if values is None else values)
     return np.asarray(np.linalg.norm(displacements, axis=1))
 
 
-def foretold(found: Fit, table: Measurements) -> float:
+def foretold(found: FittedRobot, table: Measurements) -> float:
     """Return the root mean square error of held-out readings predicted by the covariance [reading's unit]."""
     problem = found.readings(table)
     J = np.concatenate([part for _, _, part in problem.linearise(found.values, found.solution.free)], axis=2)
@@ -160,8 +160,8 @@ def without_noise(case: Case, seeds: int) -> None:
         rng = np.random.default_rng(seed)
         measured, other = measure(case, plan(VIEWS, rng), Machine()), measure(case, plan(OTHER, rng), Machine())
         found = fitted(ROBOT, measured, case.options(None))
-        worst, steps = max(worst, errors(found, other).max()), max(steps, found.iterations)
-        nominal = max(nominal, errors(found, other, found.nominal.values).max())
+        worst, steps = max(worst, errors(found, other).max()), max(steps, found.fit.iterations)
+        nominal = max(nominal, errors(found, other, found.fit.nominal.values).max())
     print(f"  exact: nominal max {nominal * 1e3:.2f} mm, held-out max {worst:.1e} m, at most {steps} iterations")
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pincal import CalibratedModel, Fit, Model, Options, Robot, calibrate, explain, measurements_from_arrays
+from pincal import FittedRobot, Model, Options, Robot, calibrate, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.identify.options import Stages
 from pincal.measure.measurements import Measurements
@@ -63,7 +63,7 @@ def measure(q: np.ndarray, rng: np.random.Generator | None = None) -> Measuremen
 
 def fit(
     table: Measurements, *, effects: tuple[Effect, ...] = EFFECTS, stages: Stages = "joint", sigma: float | None = None
-) -> Fit:
+) -> FittedRobot:
     """Calibrate with base and tool known, as the paper does."""
     options = Options(
         effects=effects, sigma=sigma, stages=stages, base=np.eye(4), tools={"tool": TOOL}, payload_centre=PAYLOAD_COM
@@ -71,7 +71,7 @@ def fit(
     return calibrate(ROBOT, table, options)
 
 
-def deviations(found: Fit, q: np.ndarray, values: np.ndarray | None = None) -> np.ndarray:
+def deviations(found: FittedRobot, q: np.ndarray, values: np.ndarray | None = None) -> np.ndarray:
     """Return the distances of predictions from the truth, shape (N,) [m]."""
     residuals = found.readings(measure(q)).residuals(found.values if values is None else values)
     return np.asarray(np.linalg.norm(residuals, axis=0))
@@ -91,7 +91,7 @@ def true_values(model: Model) -> np.ndarray:
     return values
 
 
-def combination_error(found: Fit, values: np.ndarray, reference: np.ndarray) -> float:
+def combination_error(found: FittedRobot, values: np.ndarray, reference: np.ndarray) -> float:
     """Return the relative difference of two sets of values in the combinations that the measured poses determine.
 
     Single parameters can't be compared: alpha_1 and s_x,2 turn about the same axis, and beside which masses they carry
@@ -99,12 +99,12 @@ def combination_error(found: Fit, values: np.ndarray, reference: np.ndarray) -> 
     null space has to be projected out. It bends with the parameters; the mean Jacobian along the straight line from one
     set to the other has, exactly, prediction(values) - prediction(reference) = J (values - reference).
     """
-    free, sizes = found.solution.free, found.priors.sizes[found.solution.free]
+    free, sizes = found.solution.free, found.fit.priors.sizes[found.solution.free]
     nodes, weights = np.polynomial.legendre.leggauss(4)
-    J = np.zeros((3 * len(found.station), int(free.sum())))
+    J = np.zeros((3 * len(found.problem), int(free.sum())))
     for node, weight in zip(0.5 + 0.5 * nodes, 0.5 * weights, strict=True):
         between = reference + node * (values - reference)
-        J += weight * found.model.linearise(between, found.station.conditions, free=free)[1].reshape(len(J), -1)
+        J += weight * found.model.linearise(between, found.problem.conditions, free=free)[1].reshape(len(J), -1)
     _, singular, Vt = np.linalg.svd(J * sizes, full_matrices=False)
     # A combination is determined if a change of the size of its prior moves the readings by more than their noise.
     told = Vt[singular > NOISE]
@@ -115,7 +115,7 @@ def combination_error(found: Fit, values: np.ndarray, reference: np.ndarray) -> 
 def identify_without_noise(seeds: int) -> None:
     """Fit exact measurements: the robot of Table I has to be recovered, also at held-out poses."""
     print(f"(a) Exact measurements: {MEASURED} poses to fit, {OTHER} others to predict, {seeds} seeds")
-    first: Fit | None = None
+    first: FittedRobot | None = None
     worst: dict[str, float] = dict.fromkeys(("initial", "joint", "paper", "real", "fits", "apart"), 0.0)
     iterations: dict[str, int] = {"joint": 0, "paper": 0}
     for seed in range(seeds):
@@ -125,13 +125,13 @@ def identify_without_noise(seeds: int) -> None:
             found = fit(measure(measured), stages=stages)
             first = found if first is None else first
             worst[stages] = max(worst[stages], deviations(found, other).max())
-            iterations[stages] = max(iterations[stages], found.iterations)
+            iterations[stages] = max(iterations[stages], found.fit.iterations)
             worst["real"] = max(worst["real"], combination_error(found, found.values, true_values(found.model)))
             worst["fits"] = max(worst["fits"], combination_error(found, found.values, first.values))
             conditions = found.readings(measure(other)).conditions
             both = [found.model.predict(values, conditions)[:, :, 3] for values in (found.values, first.values)]
             worst["apart"] = max(worst["apart"], float(np.linalg.norm(both[0] - both[1], axis=1).max()))
-        worst["initial"] = max(worst["initial"], deviations(found, other, found.nominal.values).max())
+        worst["initial"] = max(worst["initial"], deviations(found, other, found.fit.nominal.values).max())
     print(f"  nominal model, largest deviation           {worst['initial'] * 1e3:9.2f} mm")
     print(f"  calibrated at once, held-out max           {worst['joint']:9.1e} m, at most {iterations['joint']} iterations")
     print(f"  calibrated in the paper's stages, max      {worst['paper']:9.1e} m, at most {iterations['paper']} iterations")
@@ -152,20 +152,19 @@ def print_table_one() -> None:
     q = plan_poses(ARM, MEASURED, rng)
     exact, noisy = fit(measure(q)), fit(measure(q, rng), sigma=NOISE)
     real, nominal = true_values(exact.model), np.array([p.nominal for p in exact.model.parameters])
-    model = CalibratedModel.of(noisy, {})
     print(f"\nTable I [rad, m, rad/(N m)]: identified from exact measurements, and from ones with {NOISE * 1e3:g} mm noise")
     print(f"  {'parameter':14s} {'real':>12s} {'initial':>12s} {'exact':>12s} {'with noise':>12s}")
-    for i, finding in enumerate(explain(noisy)):
+    for i, finding in enumerate(noisy.explain()):
         if finding.status == "fixed":
             continue
         shown = " ".join(map(number, (nominal[i] + real[i], nominal[i], nominal[i] + exact.values[i])))
-        sigma = float(np.sqrt(model.covariance[i, i]))
+        sigma = float(np.sqrt(noisy.covariance[i, i]))
         known = f"{number(nominal[i] + noisy.values[i])} +- {sigma:.1e}"
         print(f"  {finding.name:14s} {shown} {known if finding.status == 'identified' else f'   {finding.reason}'}")
     for names in SUMS:
         pick = np.isin(exact.model.names, names).astype(float)
         shown = " ".join(number(pick @ v) for v in (nominal + real, nominal, nominal + exact.values, nominal + noisy.values))
-        print(f"  {' + '.join(names)}\n  {'':14s} {shown} +- {np.sqrt(pick @ model.covariance @ pick):.1e}")
+        print(f"  {' + '.join(names)}\n  {'':14s} {shown} +- {np.sqrt(pick @ noisy.covariance @ pick):.1e}")
 
 
 def print_table_two(figure: Path) -> None:
@@ -174,12 +173,12 @@ def print_table_two(figure: Path) -> None:
     table, other = measure(plan_poses(ARM, MEASURED, rng)), plan_poses(ARM, OTHER, rng)
     complete, geometric = fit(table, stages="paper"), fit(table, effects=GEOMETRIC)
     print(f"\nTable II: {'stage':36s} {'rms residual [m]':>16s} {'iterations':>10s}")
-    for stage in complete.stages:
+    for stage in complete.fit.stages:
         print(f"          {stage.name:36s} {stage.rms:16.1e} {stage.iterations:10d}")
-    norm = float(np.linalg.norm(complete.station.residuals(complete.values)))
+    norm = float(np.linalg.norm(complete.fit.station.residuals(complete.values)))
     print(f"          {'norm of the last residual':36s} {norm:16.1e}")
     series = {
-        "standard DH": deviations(geometric, other, geometric.nominal.values),
+        "standard DH": deviations(geometric, other, geometric.fit.nominal.values),
         "DH,s": deviations(geometric, other),
         "DH,s,e": deviations(complete, other),
     }
@@ -200,10 +199,10 @@ def check_uncertainties(draws: int) -> None:
         chi2.append(found.solution.cost)
         told, free = found.solution.posterior, found.solution.free
         strong = told.information > STRONG
-        off = told.directions[:, strong].T @ ((found.values - truth.values)[free] / found.priors.sizes[free])
+        off = told.directions[:, strong].T @ ((found.values - truth.values)[free] / found.fit.priors.sizes[free])
         combinations.append(np.abs(off) < INTERVAL / np.sqrt(1.0 + told.information[strong]))
         problem = found.readings(measure(other))
-        sigma = CalibratedModel.of(found, {}).position_sigma(problem.conditions)
+        sigma = found.position_sigma(problem.conditions)
         predictions.append(np.abs(problem.residuals(found.values)) < INTERVAL * sigma.T)
     covered = [100.0 * float(np.concatenate([c.ravel() for c in found]).mean()) for found in (combinations, predictions)]
     print(f"\n(b) Measurements with {NOISE * 1e3:g} mm noise, {draws} draws")

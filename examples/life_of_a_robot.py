@@ -40,7 +40,7 @@ class Machine:
         return pincal.measurements_from_arrays(self.true.names, q, position=position)
 
 
-def accuracy(model: pincal.CalibratedModel, machine: Machine) -> float:
+def accuracy(model: pincal.FittedRobot, machine: Machine) -> float:
     """Return the mean error [mm] in 200 new poses, with instrument and target located from them."""
     placed = pincal.place_station(model, machine.measure(200, sigma=0.0))
     return float(1e3 * np.linalg.norm(placed.station.residuals(placed.values), axis=0).mean())

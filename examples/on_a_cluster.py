@@ -65,11 +65,11 @@ def main() -> None:
     fit = pincal.calibrate(robot, table.select(slice(0, POSES)), pincal.Options(effects=pincal.GEOMETRIC, sigma=NOISE))
 
     with executor_of(arguments.dask, mpi=arguments.mpi) as executor:
-        draws = pincal.bootstrap(fit, draws=arguments.draws, executor=executor)
+        draws = fit.bootstrap(draws=arguments.draws, executor=executor)
     few = min(4, arguments.draws)
-    is_same = np.array_equal(draws[:few], pincal.bootstrap(fit, draws=few))
+    is_same = np.array_equal(draws[:few], fit.bootstrap(draws=few))
     print(f"{len(draws)} draws; the first {few} as one loop makes them: {is_same}")
-    elsewhere = fit.station.conditions.select(slice(0, 40))
+    elsewhere = fit.problem.conditions.select(slice(0, 40))
     spread = np.std([fit.model.predict(values, elsewhere)[:, :, 3] for values in draws], axis=0)
     print(f"Standard deviation of predicted coordinates by the bootstrap: {1e3 * np.sqrt(np.mean(spread**2)):.4f} mm")
 

@@ -82,7 +82,7 @@ def _place(entry: dict[str, Any]) -> str:
 
 def _curve(found: Discovery, entry: dict[str, Any]) -> str:
     """Return the size of a drive's curve at the measured poses in words; its constant part is the joint's zero."""
-    fit = found.calibration.fit
+    fit = found.calibration.fit.fit
     for effect in fit.model.effects:
         if isinstance(effect, TransmissionError) and (effect.name, effect.joint) == (entry["effect"], entry["joint"]):
             terms = effect.terms(fit.model.chain, fit.station.conditions, None)

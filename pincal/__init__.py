@@ -20,14 +20,17 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-# Names of 0.1.0, for one release.
+# Names of earlier versions, for one release.
 _RENAMED = {
-    "CalibratedStations": "CalibratedRobot",
+    "CalibratedModel": "FittedRobot",
+    "CalibratedRobot": "FittedRobot",
+    "CalibratedStations": "FittedRobot",
+    "Fit": "FittedRobot",
     "Gap": "KnownDistance",
     "Rig": "SensorSetup",
     "Situation": "PoseSet",
     "calibrated_model": "pinocchio_model",
-    "calibrated_model_of": "CalibratedModel.of",
+    "calibrated_model_of": "FittedRobot.of",
 }
 
 

@@ -36,7 +36,7 @@ from discovery_cases import draw_case
 from fleet_cases import Family
 
 import pincal
-from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Fit, Measurements, Model, Options, Robot, read_measurements
+from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, FittedRobot, Measurements, Model, Options, Robot, read_measurements
 from pincal.builtin import kuka_urdf_path
 from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.solve_ik import solve_ik
@@ -142,7 +142,9 @@ def time_calibration() -> Iterator[Line]:
         found = pincal.calibrate(ROBOT, table, options)
         taken = 1e3 * seconds(partial(pincal.calibrate, ROBOT, table, options), CALLS)
         _check(found)
-        what = f"calibrate {name}, N = {n}, 3D, rank {found.solution.posterior.visible_rank}, {found.iterations} iterations"
+        what = (
+            f"calibrate {name}, N = {n}, 3D, rank {found.solution.posterior.visible_rank}, {found.fit.iterations} iterations"
+        )
         yield line(f"{what}: best", float(taken.min()), None if target is None else 1e3 * target, "{:.1f} ms")
         yield line(f"{'':4s}median of {CALLS}", float(np.median(taken)), None, "{:.1f} ms")
 
@@ -213,7 +215,7 @@ def time_stations() -> Iterator[Line]:
         yield line("    memory for one more station", (peak(200) - peak(50)) / 150 / 1e3, 10.0, "{:.0f} kB")
 
 
-def _check(found: Fit) -> None:
+def _check(found: FittedRobot) -> None:
     assert found.solution.converged and 0.8 < found.solution.cost < 1.2, (found.solution.converged, found.solution.cost)
 
 

@@ -47,7 +47,7 @@ def probe(rows: int = 1000) -> dict[str, float]:
     )
     options = pincal.Options(effects=pincal.GEOMETRIC, sigma=5e-5)
     fit = pincal.calibrate(robot, table, options)
-    model, program = fit.to_model(), pincal.Conditions.at(q[:rows])
+    model, program = fit.at(), pincal.Conditions.at(q[:rows])
     found["calibrate_1000_ms"] = 1e3 * _best(lambda: pincal.calibrate(robot, table, options))
     found["predict_10000_ms"] = 1e3 * _best(lambda: model.predict(q))
     found["compensate_1000_ms"] = 1e3 * _best(lambda: pincal.compensate_program(model, program))

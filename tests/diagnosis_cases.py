@@ -16,7 +16,7 @@ import numpy as np
 from discovery_cases import SIGMA, random_urdf
 from scipy.spatial.transform import Rotation
 
-from pincal import ELASTIC, CalibratedModel, Measurements, Options, Robot, calibrate, measurements_from_arrays
+from pincal import ELASTIC, FittedRobot, Measurements, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.calibration.placing import place_station
 
@@ -66,7 +66,7 @@ class Case:
         measure_others: measures 100 other poses of the later robot in the later station, without noise.
     """
 
-    model: CalibratedModel
+    model: FittedRobot
     new: Measurements
     truth: Truth | None
     strength: float
@@ -118,7 +118,7 @@ def draw_case(
     table = old.table(old.positions() + SIGMA * rng.standard_normal((REFERENCE_ROWS, 3)))
     options = Options(effects=ELASTIC, payload_centre=old.com, moment_frame="after")
     fit = calibrate(robot, table, options)
-    model = fit.to_model()
+    model = fit.at()
     few = kind in ("null", "offset", "bent", "tilt")
     new = _scene(machine, int(rng.integers(12 if few else 30, 61)), rng, light=light, temperature=warm[1])
     later, truth, got = machine, None, 0.0
@@ -212,7 +212,7 @@ def _change(
     return lambda s: machine.with_effects(sim.PayloadError(size=s)), (("payload_error",), (None,))
 
 
-def _sized(changed: Callable[[float], sim.TrueMachine], model: CalibratedModel, new: _Scene, wanted: float) -> float | None:
+def _sized(changed: Callable[[float], sim.TrueMachine], model: FittedRobot, new: _Scene, wanted: float) -> float | None:
     """Return the size at which a change has the wanted lambda."""
     placed = place_station(model, new.table(new.positions()))
     ((_, _, J),) = placed.station.linearise(placed.values, np.ones(len(placed.values), bool))

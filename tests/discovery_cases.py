@@ -284,7 +284,7 @@ class _Absorber:
         """Take the model of some options, and masses that show through its compliances and through what is soft."""
         rows = _table(setting, setting.positions())
         fit = calibrate(setting.robot, rows, replace(options, loss="none"))
-        masses = MassError.of(*_bent(fit, soft))
+        masses = MassError.of(*_bent(fit.fit, soft))
         model = fit.model.with_effects([*fit.model.effects, *([masses] if masses else [])])
         relative = [parameter.size for parameter in model.parameters[len(fit.values) :]]
         free = np.ones(model.n_parameters, bool)
@@ -293,7 +293,7 @@ class _Absorber:
         pieces = fit.readings(rows).with_model(model).linearise(values, free)
         self.jacobian = np.concatenate([J.transpose(2, 1, 0) for _, _, J in pieces]) / SIGMA
         # Directions that only priors hold (parallel axes) absorb no more than their priors let them.
-        self.held = 1.0 / np.append(fit.priors.sizes, relative)
+        self.held = 1.0 / np.append(fit.fit.priors.sizes, relative)
         self.n_fit = len(fit.values)
         self.training = hold_out(rows, 0.2, split="blocked", seed=0)[0].rows - rows.rows[0]
 
@@ -562,7 +562,7 @@ def discover(case: Case) -> History:
     training, _ = hold_out(case.rows, 0.2, split="blocked", seed=0)
     groups = row_groups(training, split="blocked", seed=0) % 8
     frames = MOMENT_FRAMES if is_fresh(case.arm) else ()
-    return discover_effects(calibrate(case.robot, training, case.options), groups, frames=frames)
+    return discover_effects(calibrate(case.robot, training, case.options).fit, groups, frames=frames)
 
 
 def gap_over_oracle(case: Case, trail: History) -> float:
@@ -574,7 +574,7 @@ def gap_over_oracle(case: Case, trail: History) -> float:
     clean = case.clean[held.rows - case.rows.rows[0]]
     told = []
     for frame in {case.moment_frame, trail.final.problem.chain.moment_frame}:
-        fits = [calibrate(case.robot, training, replace(case.plain, moment_frame=frame))]
+        fits = [calibrate(case.robot, training, replace(case.plain, moment_frame=frame)).fit]
         for hidden in case.hidden if not case.is_soft else ():
             fits = [refit(fit, [*fit.options.effects, effect]) for fit in fits for effect in _known_forms(hidden, fit)]
         told.append(min(fits, key=lambda fit: _gap(fit, held, clean)))

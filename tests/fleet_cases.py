@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pincal import GEOMETRIC, Fit, Measurements, Options, Robot, calibrate, measurements_from_arrays
+from pincal import GEOMETRIC, FittedRobot, Measurements, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.information import RobotInformation
@@ -149,7 +149,7 @@ def rows_of(robot: Robot, machine: sim.TrueMachine, poses: int, seed: int) -> Me
     return measurements_from_arrays(robot.joint_names, q, position=position, temperature=np.full(poses, 21.0))
 
 
-def error_of(fit: Fit, truth: Measurements) -> float:
+def error_of(fit: FittedRobot, truth: Measurements) -> float:
     """Return the mean error of predictions [mm]."""
     assert truth.position is not None
     return 1e3 * float(np.linalg.norm(fit.predict(truth.q)[:, :, 3] - truth.position, axis=1).mean())
@@ -157,7 +157,7 @@ def error_of(fit: Fit, truth: Measurements) -> float:
 
 def sibling_of(robot: Robot, machine: sim.TrueMachine, name: str, *, poses: int, seed: int) -> Machine:
     """Return what a calibration says of a machine."""
-    return Machine.of(calibrate(robot, table_of(robot, machine, poses, seed), OPTIONS), name)
+    return Machine.of(calibrate(robot, table_of(robot, machine, poses, seed), OPTIONS).fit, name)
 
 
 class Year:

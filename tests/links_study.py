@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from pincal import Options, Robot, calibrate
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import place_station
 from pincal.cli.inputs import load_table
 from pincal.measure.measurements import Measurements
@@ -35,7 +35,7 @@ def simulated(words: str, out: Path, robot: Robot) -> Measurements:
     return load_table(robot, out)
 
 
-def judged(model: CalibratedModel, table: Measurements) -> tuple[float, float]:
+def judged(model: FittedRobot, table: Measurements) -> tuple[float, float]:
     """Return the mean error at exact positions once the instrument is placed [m], and the part within 1.96 sigma."""
     placed = place_station(model, table)
     residuals = placed.station.residuals(placed.values)

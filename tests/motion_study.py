@@ -119,7 +119,7 @@ class Truth:
         q = sim.plan_poses(self.machine.nominal, 300, np.random.default_rng(1))
         return q, self.machine.tip(q)[:, :3, 3]
 
-    def error(self, robot: pincal.CalibratedModel | None) -> float:
+    def error(self, robot: pincal.FittedRobot | None) -> float:
         """Return the mean error of a model, or of the nominal robot, placed by rigid transforms [mm]."""
         q, expected = self.elsewhere
         tips = self.robot.forward_kinematics(q) if robot is None else robot.predict(q)
@@ -135,7 +135,7 @@ class Truth:
         left = expected - p
         return 1e3 * float(np.linalg.norm(left, axis=1).mean())
 
-    def axis_errors(self, found: pincal.CalibratedModel | None) -> np.ndarray:
+    def axis_errors(self, found: pincal.FittedRobot | None) -> np.ndarray:
         """Return the rms angle between found and true axes as the tool sees them, shape (joints,) [mrad].
 
         The tool is turned so that they agree best: what no IMU can tell does not count.
@@ -157,7 +157,9 @@ class Truth:
         R = nearest_rotation(np.einsum("jna,jnb->ab", b, a))
         return 1e3 * np.sqrt(np.mean(np.sum((a @ R.T - b) ** 2, axis=2), axis=1))
 
-    def clock_error(self, table: Measurements, fit: pincal.Fit, name: str, prefix: str = "") -> tuple[float, float, float]:
+    def clock_error(
+        self, table: Measurements, fit: pincal.FittedRobot, name: str, prefix: str = ""
+    ) -> tuple[float, float, float]:
         """Return by how much offset [ms] and drift [ppm] are off, and the offset in standard deviations."""
         assert table.moving is not None
         values = dict(zip(fit.estimate.names, zip(fit.values, fit.estimate.sigma, strict=True), strict=True))
@@ -167,7 +169,7 @@ class Truth:
         return 1e3 * off, 1e6 * (table.moving.clock[1] + drift - clock.drift), off / sigma
 
 
-def calibrated(truth: Truth, tables: Mapping[str, Measurements]) -> pincal.Fit:
+def calibrated(truth: Truth, tables: Mapping[str, Measurements]) -> pincal.FittedRobot:
     """Return a calibration by some stations; the noise of held poses is declared."""
     options = replace(GEOMETRY, sigma=TRACKER if "poses" in tables else None)
     return pincal.calibrate(truth.robot, dict(tables) if len(tables) > 1 else next(iter(tables.values())), options)
@@ -205,7 +207,7 @@ def together(seeds: int, duration: float) -> Iterator[str]:
             yield f"{name}, seed {seed}: nominal {truth.error(None):.3f}; poses -> and IMU [mm]: {', '.join(found)}"
 
 
-def predicted(at: pincal.CalibratedModel, q: np.ndarray) -> np.ndarray:
+def predicted(at: pincal.FittedRobot, q: np.ndarray) -> np.ndarray:
     """Return the standard deviations of predicted positions, shape (N,) [m]."""
     J = at.model.linearise(at.model_values, pincal.Conditions.at(q))[1][:, :3]
     return np.sqrt(np.einsum("nip,pq,niq->n", J, at.estimate.take(at.model.names).dense_covariance(), J))

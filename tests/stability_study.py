@@ -20,7 +20,7 @@ from discovery_cases import ELASTICITY, FOREIGN, NAMED, discover, draw_case, fre
 from matplotlib.figure import Figure
 from rates import interval
 
-from pincal.calibration.calibrated_robot import Fit
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.discover.ending import widened
 from pincal.discover.run import begin_subsamples
 from pincal.errors import PincalWarning
@@ -64,7 +64,7 @@ def printed(task: tuple[str, int, float]) -> Printed:
         step.effect.name == "unnamed" or any(t in names for t in case.truth)
         for step, names in zip(steps, groups, strict=True)
     ]
-    fit = Fit.of(widened(trail))
+    fit = FittedRobot.of(widened(trail))
     at = fit.readings(held).conditions
     error = fit.predict(at)[:, :, 3] - case.clean[held.rows - case.rows.rows[0]]
     coverage = float(np.mean(np.abs(error) < 1.96 * fit.position_sigma(at)))

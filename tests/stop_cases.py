@@ -13,7 +13,7 @@ import numpy as np
 from discovery_cases import random_urdf
 from scipy.spatial.transform import Rotation
 
-from pincal import CalibratedModel, Measurements, Options, Robot, calibrate, measurements_from_arrays
+from pincal import FittedRobot, Measurements, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.model.effects import GEOMETRIC
 
@@ -84,6 +84,6 @@ class MeasuredRobot:
         commanded = np.repeat(stops, plan.dwell * plan.targets, axis=0)
         return measurements_from_arrays(self.robot.joint_names, commanded, position=position, target=target)
 
-    def calibrated(self, plan: MeasuringPlan, rng: np.random.Generator) -> CalibratedModel:
+    def calibrated(self, plan: MeasuringPlan, rng: np.random.Generator) -> FittedRobot:
         """Return the robot calibrated by a plan."""
-        return calibrate(self.robot, self.measured(plan, rng), Options(effects=GEOMETRIC)).to_model()
+        return calibrate(self.robot, self.measured(plan, rng), Options(effects=GEOMETRIC)).at()

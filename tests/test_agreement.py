@@ -13,10 +13,10 @@ from placed_arms import FIRST, NOISE, TOOL, measured, run, written
 
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration import calibrated_robot
-from pincal.calibration.calibrated_robot import Fit
 from pincal.calibration.calibration import run_calibration
 from pincal.errors import MeasurementError
+from pincal.identify.calibrate import fit_tables
+from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.table import read_measurements
@@ -106,9 +106,9 @@ def poses(machine: sim.TrueMachine, kuka: Robot) -> Measurements:
     return measurements_from_arrays(kuka.joint_names, q, position=position, quaternion=quaternion)
 
 
-def fitted(robot: Robot, table: Measurements) -> Fit:
-    """Return a calibration of the geometry, without the checks."""
-    return calibrated_robot.fitted(robot, table, Options(effects=GEOMETRIC))
+def fitted(robot: Robot, table: Measurements) -> ModelFit:
+    """Return a fit of the geometry, without the checks."""
+    return fit_tables(robot, {"": table.in_order_of(robot)}, Options(effects=GEOMETRIC))
 
 
 @pytest.mark.long

@@ -43,20 +43,20 @@ def measured(robot: Robot, n: int, *, seed: int, shift: float = 0.0, days: bool 
     return pincal.measurements_from_arrays(robot.joint_names, q, position=position, **columns)
 
 
-def calibrated(robot: Robot, *effects: Effect) -> pincal.CalibratedModel:
+def calibrated(robot: Robot, *effects: Effect) -> pincal.FittedRobot:
     """Return the robot as it was calibrated, with what it shows of the day."""
-    return pincal.calibrate(robot, measured(robot, 150, seed=0), Options(effects=(*ELASTIC, *effects))).to_model()
+    return pincal.calibrate(robot, measured(robot, 150, seed=0), Options(effects=(*ELASTIC, *effects))).at()
 
 
 @pytest.fixture(scope="module")
-def model(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> pincal.CalibratedModel:
+def model(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> pincal.FittedRobot:
     """Return a model from a file whose robot grows with the day's temperature and drifts with its time."""
     path: Path = tmp_path_factory.mktemp("day") / "model.json"
     calibrated(robot, BaseDrift.over(np.array([0.0, HOUR])), ThermalExpansion()).save(path)
     return pincal.load_model(path)
 
 
-def test_a_prediction_without_the_day_is_that_of_its_mean(robot: Robot, model: pincal.CalibratedModel) -> None:
+def test_a_prediction_without_the_day_is_that_of_its_mean(robot: Robot, model: pincal.FittedRobot) -> None:
     """Sigma holds as much as growth and drift varied over the calibration's rows, by their closed forms."""
     days = model.covered.days
     q = robot.random_configurations(20, np.random.default_rng(3))
@@ -73,7 +73,7 @@ def test_a_prediction_without_the_day_is_that_of_its_mean(robot: Robot, model: p
     np.testing.assert_allclose(added.sum(axis=1), plain.sum(axis=1), rtol=0.1)
 
 
-def test_rows_of_another_day_are_judged_without_its_columns(robot: Robot, model: pincal.CalibratedModel) -> None:
+def test_rows_of_another_day_are_judged_without_its_columns(robot: Robot, model: pincal.FittedRobot) -> None:
     """Placed, validated and diagnosed as the robot that they are of: each absence is said once, and no change is found."""
     new = measured(robot, 40, seed=1, shift=0.3, days=False)
     placed = place_station(model, new)
@@ -123,5 +123,5 @@ def test_a_model_of_rows_in_order_is_read_again(robot: Robot, tmp_path: Path) ->
     fit.save(tmp_path / "model.json")
 
     assert table.move is not None and np.any(table.move)
-    assert pincal.load_model(tmp_path / "model.json").covered.days == fit.to_model().covered.days
-    assert set(fit.to_model().covered.days) == {"time", "move"}
+    assert pincal.load_model(tmp_path / "model.json").covered.days == fit.at().covered.days
+    assert set(fit.at().covered.days) == {"time", "move"}

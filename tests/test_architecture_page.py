@@ -144,7 +144,7 @@ def test_the_recipe_of_a_sensor(recipe: ModuleType, kuka: Robot) -> None:
     fit = calibrate(kuka, table, Options(effects=(JointOffset(),)))
 
     assert SENSORS.known()["height"] is recipe.HeightGauge and table.kind == "height"
-    assert np.abs(fit.station.residuals(fit.values)).max() < 1e-9
+    assert np.abs(fit.fit.station.residuals(fit.values)).max() < 1e-9
 
 
 @pytest.mark.parametrize("recipe", ["verb"], indirect=True)

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 import pincal.simulate as sim
 from pincal import GEOMETRIC, Measurements, Options, Robot, load_model, measurements_from_arrays, read_measurements
 from pincal.calibration.benefit import benefit_of
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import calibrate
 from pincal.calibration.calibration import Calibration, run_calibration
 from pincal.calibration.caveats import CaveatKind
+from pincal.calibration.checked_fit import calibrate
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.improvement import unplaced
 from pincal.discover.run import run_discovery
 from pincal.identify.explain import Cause, Status
@@ -69,7 +69,7 @@ def reflectors(machine: sim.TrueMachine, poses: int, seed: int, *, noise: float 
 def kinematic_errors(fit: ModelFit, values: np.ndarray, machine: sim.TrueMachine) -> np.ndarray:
     """Return errors [mm] at 300 poses of exact readings to which only instrument and target were fitted."""
     q = ur5().random_configurations(300, np.random.default_rng(4242))
-    model = CalibratedModel.of(fit)
+    model = FittedRobot.of(fit)
     predicted = model.model.predict(model.model.own(values), model.conditions_at(q))
     away = (target_of(machine, q)[1] - predicted[:, :, 3])[:, :, None]
     return 1e3 * np.linalg.norm(unplaced(away, predicted)[:, :, 0], axis=1)
@@ -78,7 +78,7 @@ def kinematic_errors(fit: ModelFit, values: np.ndarray, machine: sim.TrueMachine
 def delivered(machine: sim.TrueMachine, table: Measurements, options: Options) -> tuple[Calibration, float, float]:
     """Return a calibration with the mean kinematic errors [mm] of the URDF and of the calibrated robot."""
     found = run_calibration(ur5(), table, options, test_fraction=0.0)
-    means = (kinematic_errors(found.fit, of, machine).mean() for of in (found.fit.nominal.values, found.fit.values))
+    means = (kinematic_errors(found.fit.fit, of, machine).mean() for of in (found.fit.fit.nominal.values, found.fit.values))
     return found, *means
 
 
@@ -99,7 +99,7 @@ def test_a_delivered_robot_is_not_worse_than_its_urdf(declared):
     assert np.mean(ratios(10, 14, 5e-4, declared=declared)) < 1.02
     machine = machine_of(0, 5e-4)
     fit = calibrate(ur5(), markers(machine, 14, 0), Options(sigma=CAMERA[0], sigma_orientation=CAMERA[1]))
-    plain, nominal = (kinematic_errors(fit, of, machine).mean() for of in (fit.values, fit.nominal.values))
+    plain, nominal = (kinematic_errors(fit.fit, of, machine).mean() for of in (fit.values, fit.fit.nominal.values))
     assert plain > 1.2 * nominal
 
 
@@ -132,8 +132,8 @@ def test_expected_errors_are_the_true_ones(poses):
     for seed in range(12):
         machine = machine_of(seed, 5e-4)
         fit = calibrate(ur5(), markers(machine, poses, seed), options)
-        expected.append(benefit_of(fit)[:2])
-        true.append([_rms(kinematic_errors(fit, of, machine)) for of in (fit.nominal.values, fit.values)])
+        expected.append(benefit_of(fit.fit)[:2])
+        true.append([_rms(kinematic_errors(fit.fit, of, machine)) for of in (fit.fit.nominal.values, fit.values)])
 
     np.testing.assert_allclose(np.mean(expected, axis=0) / np.mean(true, axis=0), 1.0, atol=0.4)
 
@@ -166,14 +166,14 @@ def test_what_a_plain_fit_would_spoil_elsewhere_a_cautious_one_improves(seed):
     plain = calibrate(ur5(), table, Options())
     found = run_calibration(ur5(), table, Options())
     fit = found.fit
-    elsewhere = [kinematic_errors(fit, of, machine).mean() for of in (fit.nominal.values, fit.values, plain.values)]
+    elsewhere = [kinematic_errors(fit.fit, of, machine).mean() for of in (fit.fit.nominal.values, fit.values, plain.values)]
     error = found.result.error
     poses = ur5().random_configurations(300, np.random.default_rng(4243))
-    model = CalibratedModel.of(fit)
+    model = FittedRobot.of(fit.fit)
     at = model.conditions_at(poses)
     away = target_of(machine, poses)[1] - fit.predict(at)[:, :, 3]
 
-    assert not benefit_of(plain).is_worth_it
+    assert not benefit_of(plain.fit).is_worth_it
     assert not found.result.is_kept
     assert error["calibrated"]["test"]["rms_mm"] < 0.25 * error["nominal"]["test"]["rms_mm"]
     assert elsewhere[1] < 1.02 * elsewhere[0] and elsewhere[1] < 1.02 * elsewhere[2]
@@ -187,8 +187,8 @@ def test_errors_that_exceed_the_noise_a_thousandfold_are_expected(declared):
     """However much smaller an unknown noise is than what the URDF leaves, the errors expected are the true ones."""
     machine = machine_of(3, 2e-3)
     fit = calibrate(ur5(), reflectors(machine, 40, 3, noise=2e-6), Options(sigma=2e-6 if declared else None))
-    found = benefit_of(fit)
-    true = _rms(kinematic_errors(fit, fit.nominal.values, machine))
+    found = benefit_of(fit.fit)
+    true = _rms(kinematic_errors(fit.fit, fit.fit.nominal.values, machine))
 
     assert found.is_worth_it
     assert found.nominal_mm == pytest.approx(true, rel=0.3)
@@ -253,21 +253,21 @@ def test_a_discovery_that_finds_nothing_leaves_such_a_robot_alone(few):
 
     assert not found.findings.effects
     assert found.calibration.result.is_kept
-    np.testing.assert_allclose(found.calibration.fit.values, found.calibration.fit.nominal.values)
+    np.testing.assert_allclose(found.calibration.fit.values, found.calibration.fit.fit.nominal.values)
 
 
 def test_nothing_is_judged_where_the_size_of_deviations_is_given(few):
     """An earlier fit, and factors on the priors, say how far a robot deviates; without parameters of it there is nothing."""
     options = Options(effects=GEOMETRIC, sigma=CAMERA[0], sigma_orientation=CAMERA[1])
     fit = calibrate(ur5(), few, options)
-    assert benefit_of(fit) is not None
+    assert benefit_of(fit.fit) is not None
     for other in (
         {"earlier": fit.robot_estimate},
         {"prior_scale": (0.1, 0.1, 0.1, 0.1)},
         {"priors": {"*": 1e-4}},
         {"effects": ()},
     ):
-        assert benefit_of(calibrate(ur5(), few, Options(**({"effects": GEOMETRIC, "sigma": CAMERA[0]} | other)))) is None
+        assert benefit_of(calibrate(ur5(), few, Options(**({"effects": GEOMETRIC, "sigma": CAMERA[0]} | other))).fit) is None
 
 
 def test_marker_poses_that_made_a_robot_worse_leave_it_as_it_is():

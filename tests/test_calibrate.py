@@ -71,7 +71,7 @@ def test_noise_free_paper_machine_is_found_to_rounding(kuka, seed, known, stages
 
     assert fit.solution.converged
     assert errors(fit, paper_table(kuka, 500, 100 + seed)).max() < 1e-10
-    assert fit.iterations <= 20
+    assert fit.fit.iterations <= 20
 
 
 @pytest.mark.long
@@ -95,7 +95,7 @@ def test_noisy_paper_machine_has_chi_square_one_and_intervals_that_cover(kuka):
         sigma = np.sqrt(np.einsum("nij,jk,nik->ni", J, fit.solution.known.covariance, J))
         inside_prediction.append(np.abs(problem.residuals(fit.values).T) < 1.96 * sigma)
         told = fit.solution.posterior
-        sizes = fit.priors.sizes[free]
+        sizes = fit.fit.priors.sizes[free]
         strong = told.information > 1e3
         difference = told.directions[:, strong].T @ ((fit.values - truth.values)[free] / sizes)
         inside_direction.append(np.abs(difference) < 1.96 / np.sqrt(1.0 + told.information[strong]))
@@ -142,7 +142,7 @@ def test_place_of_instrument_means_nothing(kuka, noisy, seed):
     turn = Rotation.from_euler("x", np.pi) if seed == 0 else Rotation.random(random_state=seed)
     shift = np.array([5.0, -3.0, 2.0])
     moved = calibrate(kuka, table.with_readings(position=turn.apply(np.array(table.position)) + shift), OPTIONS)
-    inner = [i for i, p in enumerate(fit.station.parameters) if np.isfinite(p.size)]
+    inner = [i for i, p in enumerate(fit.fit.station.parameters) if np.isfinite(p.size)]
     np.testing.assert_allclose(moved.values[inner], fit.values[inner], atol=1e-8)
 
 
@@ -166,7 +166,7 @@ def test_stages_of_the_paper_end_where_the_joint_solve_ends(kuka, noisy):
     staged = calibrate(kuka, table, replace(OPTIONS, stages="paper"))
     conditions = fit.readings(table).conditions
     assert np.abs(staged.model.predict(staged.values, conditions) - fit.model.predict(fit.values, conditions)).max() < 1e-7
-    assert [stage.name[0] for stage in staged.stages[:4]] == ["1", "2", "3", "4"]
+    assert [stage.name[0] for stage in staged.fit.stages[:4]] == ["1", "2", "3", "4"]
 
 
 @pytest.mark.parametrize("size", [1e-3, 0.05, 1.0])
@@ -203,7 +203,7 @@ def test_a_fit_begun_by_some_of_very_many_rows_is_that_of_all(kuka, monkeypatch)
     np.testing.assert_allclose(begun.estimate.sigma, whole.estimate.sigma, rtol=0.02)
     np.testing.assert_array_equal(begun.solution.weights, whole.solution.weights)
     assert set(bad) <= set(np.flatnonzero(begun.solution.weights == 0.0))
-    np.testing.assert_allclose(begun.nominal.values, whole.nominal.values, rtol=0.0, atol=1e-7)
+    np.testing.assert_allclose(begun.fit.nominal.values, whole.fit.nominal.values, rtol=0.0, atol=1e-7)
 
 
 def test_declared_noise_is_judged(kuka):
@@ -229,7 +229,7 @@ def test_rows_of_other_weight_count_by_their_sigma(kuka):
 def test_reasons_name_the_counterpart(kuka, noisy):
     """The parallel axes 2 and 3, the base, the tool and the vertical axis are all named."""
     _, fit = noisy
-    found = {finding.name: finding for finding in explain(fit)}
+    found = {finding.name: finding for finding in explain(fit.fit)}
     assert found["joint_2.d"].status == "unidentifiable"
     assert "joint_3.d + joint_2.d" in str(found["joint_2.d"].reason)
     assert "parallel" in str(found["joint_2.d"].reason)
@@ -243,7 +243,7 @@ def test_no_uncertainty_is_zero_or_nan(kuka, noisy):
     """Whatever the data say of it, a parameter keeps an honest standard deviation."""
     from pincal.calibration.result_tables import parameter_rows
 
-    for row in parameter_rows(noisy[1]):
+    for row in parameter_rows(noisy[1].fit):
         assert row.sigma is not None
         assert row.sigma > 0.0
 
@@ -252,7 +252,7 @@ def test_known_base_and_tool_stay_fixed(kuka):
     """What the user gives is not touched, and is reported as fixed."""
     options = replace(OPTIONS, base=np.eye(4), tools={"tool": TOOL})
     fit = calibrate(kuka, paper_table(kuka, 60, 0, 5e-5), options)
-    found = {finding.name: finding.status for finding in explain(fit)}
+    found = {finding.name: finding.status for finding in explain(fit.fit)}
     assert found["base.x"] == found["tool.z"] == "fixed"
     assert fit.values[fit.model.index("tool.x")] == TOOL[0]
 
@@ -264,7 +264,7 @@ def test_length_bound_holds(kuka):
     wrong = replace(kuka, frames=replace(kuka.frames, parameters=kuka.frames.parameters + _longer(kuka, 0.02)))
     table = measurements_from_arrays(kuka.joint_names, q, position=paper_positions(q, with_elasticity=False))
     fit = calibrate(wrong, table, Options(effects=GEOMETRIC))
-    found = {finding.name: finding for finding in explain(fit)}
+    found = {finding.name: finding for finding in explain(fit.fit)}
     assert found["joint_2.a"].status == "at bound"
     assert abs(fit.values[fit.model.index("joint_2.a")]) == pytest.approx(0.01)
 
@@ -282,7 +282,7 @@ def test_two_columns_swapped_are_named(kuka):
     order = [0, 2, 1, 3, 4, 5]
     mixed = replace(table, q=table.q[:, order])
     with pytest.raises(MeasurementError, match=r"joint_2.*joint_3.*swapped"):
-        check_agreement(kuka, [mixed], calibrate(kuka, mixed, Options(effects=GEOMETRIC)))
+        check_agreement(kuka, [mixed], calibrate(kuka, mixed, Options(effects=GEOMETRIC)).fit)
 
 
 def test_too_few_rows_for_the_noise_are_refused(kuka):
@@ -408,7 +408,7 @@ def curved(kuka):
     )
     fine = TransmissionError.over(kuka.joint_names[1], q[:, 1], 60)
     others = [TransmissionError.over(kuka.joint_names[i], q[:, i], 8) for i in (3, 5)]
-    return table, refit(calibrate(kuka, table, OPTIONS), [*ELASTIC, fine, *others]), fine
+    return table, refit(calibrate(kuka, table, OPTIONS).fit, [*ELASTIC, fine, *others]), fine
 
 
 def test_normal_equations_are_those_of_the_whole_jacobian(curved):

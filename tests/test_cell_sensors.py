@@ -10,8 +10,7 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import load_model, save_model
+from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.errors import MeasurementError
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options
@@ -167,7 +166,7 @@ def test_the_model_file_reads_further_rows(way: str, machine: sim.TrueMachine, k
     make, how, setup = WAYS[way]
     table = make(machine, kuka, **how)  # type: ignore[operator]
     fit = fit_tables(kuka, table, Options(effects=GEOMETRIC, setup=setup))
-    save_model(tmp_path / "model.json", CalibratedModel.of(fit, {}))
+    FittedRobot.of(fit, {}).save(tmp_path / "model.json")
     back = load_model(tmp_path / "model.json")
 
     np.testing.assert_array_equal(back.readings(table).residuals(back.values), fit.station.residuals(fit.values))

@@ -18,7 +18,7 @@ import pincal
 from pincal import Conditions
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated_robot import load_stations
+from pincal.calibration.fitted_robot import load_model
 from pincal.calibration.held_out import leave_out_stations
 from pincal.cli import main
 from pincal.measure.table import write_table
@@ -114,7 +114,7 @@ def test_the_model_predicts_at_each_station(results: Path, machine: sim.TrueMach
     """At new poses it is as close to the true machine as the noise of some fifty rows allows."""
     new = tracked(machine, TURNED, poses=200, seed=7, sigma=0.0)
     q = np.column_stack([new[name] for name in machine.names])
-    found = load_stations(results / "model.json").at("tracker").predict(q)[:, :, 3]
+    found = load_model(results / "model.json").at("tracker").predict(q)[:, :, 3]
     true = np.column_stack([new[axis] for axis in "xyz"])
     assert np.linalg.norm(found - true, axis=1).mean() < 5e-5
 
@@ -211,7 +211,7 @@ def test_a_station_is_predicted_by_the_others(days: list[Path], tmp_path: Path, 
     assert "On set-ups not used by the calibration" in (tmp_path / "report.html").read_text()
 
 
-def aligned(fit: pincal.Fit, table: pincal.Measurements) -> float:
+def aligned(fit: pincal.FittedRobot, table: pincal.Measurements) -> float:
     """Return the mean error of a fit's robot [mm], base and target fitted by SciPy."""
     assert table.position is not None
     station = fit.station.model
@@ -341,7 +341,7 @@ def test_an_offset_that_jumped_is_named_with_its_station(tmp_path: Path, machine
     ((name, value),) = named[0]["parameters"].items()
     assert name == "we/joint_3.theta_here" and value["value"] == pytest.approx(3e-4, abs=4.0 * value["sigma"])
     assert value["sigma"] < 3e-5 and found["verdict"] == "adequate"
-    again = load_stations(tmp_path / "out" / "model.json").at("we").predict(q)[:, :, 3]
+    again = load_model(tmp_path / "out" / "model.json").at("we").predict(q)[:, :, 3]
     assert np.linalg.norm(again - np.column_stack([days["we"][a] for a in "xyz"]), axis=1).mean() < 2.0 * NOISE
 
 

@@ -21,7 +21,7 @@ from test_examples import EXAMPLES
 from test_examples import run as run_example
 from test_spread import TASK, Parcel, die, nap, opened
 
-from pincal import GEOMETRIC, Options, Robot, bootstrap, calibrate, load_plugin, plugins
+from pincal import GEOMETRIC, Options, Robot, calibrate, load_plugin, plugins
 from pincal import simulate as sim
 from pincal.errors import BadInputError, WorkersLostError
 from pincal.model.effect_registry import EFFECTS
@@ -163,12 +163,12 @@ def test_nothing_is_lost_with_a_worker(kuka: Robot, client: Any) -> None:
     log.setLevel(logging.INFO)
     log.addHandler(killer)
     try:
-        draws = bootstrap(fit, draws=200, executor=client.get_executor())
+        draws = fit.bootstrap(draws=200, executor=client.get_executor())
     finally:
         log.removeHandler(killer)
         log.setLevel(level)
     assert killer.killed
-    np.testing.assert_array_equal(draws, bootstrap(fit, draws=200))
+    np.testing.assert_array_equal(draws, fit.bootstrap(draws=200))
 
 
 def test_a_task_that_kills_workers_is_given_up(client: Any) -> None:

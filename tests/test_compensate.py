@@ -16,9 +16,8 @@ from scipy.optimize import minimize
 import pincal
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import save_model
 from pincal.calibration.covered import Covered
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.cli import main
 from pincal.compensate.compensation import Compensation, compensate_poses, compensate_program
 from pincal.compensate.ik_problem import Bounds
@@ -69,15 +68,15 @@ def robot(request: pytest.FixtureRequest) -> Robot:
     return ARMS[request.param]()
 
 
-def known(model: Model, values: np.ndarray, kind: str = "pose", payload_centre: np.ndarray = COM) -> CalibratedModel:
+def known(model: Model, values: np.ndarray, kind: str = "pose", payload_centre: np.ndarray = COM) -> FittedRobot:
     """Return a calibrated model without having calibrated."""
     n, P = model.chain.robot.n_joints, model.n_parameters
     covered = Covered(np.tile([-9.0, 9.0], (n, 1)), np.array([0.0, 200.0]))
     estimate = estimate_of(model.parameters, values, 1e-12 * np.eye(P))
-    return CalibratedModel(model, estimate, kind, payload_centre, covered, np.full(1, 5e-5), {})
+    return FittedRobot.given(model, estimate, covered, sensor_kind=kind, payload_centre=payload_centre, sigma=[5e-5])
 
 
-def erring(robot: Robot, effects: tuple[Effect, ...], rng: np.random.Generator, size: float = 1e-3) -> CalibratedModel:
+def erring(robot: Robot, effects: tuple[Effect, ...], rng: np.random.Generator, size: float = 1e-3) -> FittedRobot:
     """Return a robot that errs by some mm and mrad, seen by an instrument that stands somewhere."""
     chain = Chain.of(robot).with_references(rotation(0.3, -0.7, 1.1), rotation(0.2, 0.1, -0.4)[None])
     model = Model(chain, (BaseFrame(), ToolFrame(FRAME_SYMBOLS), *effects))
@@ -140,7 +139,7 @@ def test_calibrated_pinocchio_model_is_where_the_nominal_one_should_be(robot: Ro
     assert 1e-4 < np.abs(found.q - wanted.q).max() < 0.3
 
 
-def paper_robot(kuka: Robot) -> CalibratedModel:
+def paper_robot(kuka: Robot) -> FittedRobot:
     """Return the model that has found the real robot of Table I."""
     first = kuka.joint_names[:3]
     model = Model(Chain.of(kuka), (*GEOMETRIC, JointElasticity(first), BearingElasticity(first)))
@@ -226,8 +225,8 @@ def test_a_machine_that_errs_in_more_than_the_model_knows_arrives() -> None:
     fit = pincal.calibrate(robot, table, options)
     given = replace(Conditions.at(other, payload_centre=COM), payload=load)
     # What the nominal robot would do, its base and tool measured in.
-    wanted = fit.model.predict(fit.model.own(fit.nominal.values), given)
-    found = compensate_poses(pincal.CalibratedModel.of(fit, {}), wanted, given)
+    wanted = fit.model.predict(fit.model.own(fit.fit.nominal.values), given)
+    found = compensate_poses(pincal.FittedRobot.of(fit.fit, {}), wanted, given)
     before, after = (np.linalg.norm(seen(q, load, 0.0) - wanted[:, :, 3], axis=1).mean() for q in (other, found.q))
 
     # One pose of the program is stretched out, with nothing left to correct it by.
@@ -273,7 +272,7 @@ def test_poses_are_reached_whatever_the_model_has_found(
 def test_equilibrium_on_the_bent_arm_is_met(kuka: Robot, rng: np.random.Generator) -> None:
     """A model whose moments are taken on the bent arm is inverted just as well."""
     calibrated, seeds = erring(kuka, ELASTIC, rng), program(kuka, 10, rng)
-    calibrated = replace(calibrated, model=replace(calibrated.model, equilibrium=True))
+    calibrated = calibrated.with_model(replace(calibrated.model, equilibrium=True), calibrated.estimate)
     found = compensate_program(calibrated, seeds)
 
     assert found.is_ok.all()
@@ -520,7 +519,7 @@ class Bench:
 
     folder: Path
     robot: Robot
-    calibrated: CalibratedModel
+    calibrated: FittedRobot
     given: Conditions
     wanted: np.ndarray
 
@@ -550,7 +549,7 @@ class Bench:
 def bench(tmp_path: Path, kuka: Robot, rng: np.random.Generator) -> Bench:
     """Return a bench with the KUKA."""
     calibrated, given = erring(kuka, ELASTIC, rng), program(kuka, 12, rng)
-    save_model(tmp_path / "model.json", calibrated)
+    calibrated.save(tmp_path / "model.json")
     wanted = compose(base_in_instrument(calibrated, given), program_poses(calibrated, given))
     return Bench(tmp_path, kuka, calibrated, given, wanted)
 
@@ -726,7 +725,7 @@ def test_each_target_has_its_own_place(tmp_path: Path, kuka: Robot, rng: np.rand
     chain = Chain.of(kuka, targets=("near", "far"))
     model = Model(chain, (ToolFrame(), JointOffset()))
     calibrated = known(model, np.array([0.1, 0.0, 0.2, 0.1, 0.0, 0.4, *(1e-3 * rng.standard_normal(6))]), kind="position")
-    save_model(tmp_path / "model.json", calibrated)
+    calibrated.save(tmp_path / "model.json")
     given = program(kuka, 8, rng)
     columns = dict(zip(kuka.joint_names, given.q.T, strict=True)) | {"target": np.array(["near", "far"] * 4)}
     write_table(tmp_path / "program.csv", columns)
@@ -773,7 +772,7 @@ def test_an_arm_of_few_joints_says_which_orientations_it_misses(
     values = 1e-3 * np.random.default_rng(4).uniform(-1.0, 1.0, model.n_parameters)
     covered = Covered(np.tile([-4.0, 4.0], (arm.n_joints, 1)), np.zeros(2))
     estimate = estimate_of(model.parameters, values, np.zeros((len(values), len(values))))
-    save_model(tmp_path / "model.json", CalibratedModel(model, estimate, "pose", np.zeros(3), covered, np.ones(2), {}))
+    FittedRobot.given(model, estimate, covered, sensor_kind="pose", sigma=(1.0, 1.0)).save(tmp_path / "model.json")
     q = np.array([0.4, 0.9, -0.3, 0.5, 0.6, 0.2])[: arm.n_joints] + np.linspace(-0.2, 0.2, 9)[:, None]
     write_table(tmp_path / "program.csv", dict(zip(arm.joint_names, q.T, strict=True)))
     with pytest.raises(SystemExit) as end:

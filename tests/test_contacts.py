@@ -17,10 +17,9 @@ from test_named_points import contacts
 
 import pincal.simulate as sim
 from pincal import GEOMETRIC, BadInputError, Options, PriorScale, Robot, Setup, calibrate, measurements_from_arrays
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import Fit
 from pincal.calibration.calibration import run_calibration
 from pincal.calibration.caveats import CaveatKind
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.improvement import findings_without_instrument, improvements, unseen_directions
 from pincal.calibration.placing import place_station
 from pincal.cli import main
@@ -32,6 +31,7 @@ from pincal.design.reach import Limits, Reach, SensorSetup
 from pincal.errors import Exit, PincalWarning
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.criteria import CRITERIA
+from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import prior_scale
 from pincal.measure.measurements import Measurements
 from pincal.measure.sensors.plane import PlaneContactSensor
@@ -93,12 +93,12 @@ def touching(baxter: Robot, machine: sim.TrueMachine) -> Measurements:
 
 
 @pytest.fixture(scope="module")
-def fit(baxter: Robot, touching: Measurements) -> Fit:
+def fit(baxter: Robot, touching: Measurements) -> FittedRobot:
     """Return the calibration by contacts alone."""
     return calibrate(baxter, touching, Options(effects=GEOMETRIC, sigma=NOISE))
 
 
-def off_by(model: CalibratedModel, table: Measurements) -> float:
+def off_by(model: FittedRobot, table: Measurements) -> float:
     """Return the root mean square error once the instrument is placed [m]."""
     placed = place_station(model, table)
     residuals = placed.station.residuals(placed.values)
@@ -106,7 +106,7 @@ def off_by(model: CalibratedModel, table: Measurements) -> float:
 
 
 def test_priors_are_as_wide_as_the_readings_allow(
-    fit: Fit, baxter: Robot, touching: Measurements, machine: sim.TrueMachine
+    fit: FittedRobot, baxter: Robot, touching: Measurements, machine: sim.TrueMachine
 ) -> None:
     """Deviations of a thirtieth and a tenth of the priors are taken for such, and a tracker sees what becomes of it."""
     wide, none = (
@@ -123,7 +123,7 @@ def test_priors_are_as_wide_as_the_readings_allow(
     for excluded, lengths in ((np.inf, 1.0), (0.0, fit.options.prior_scale.lengths)):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("pincal.identify.prior_scale.CRITERIA", replace(CRITERIA, wider_prior=excluded))
-            found = prior_scale(fit)
+            found = prior_scale(fit.fit)
         assert (found.lengths == 1.0) if excluded else (found.lengths <= lengths)
     assert off_by(fit.at(), seen) < 0.5 * off_by(none, seen)
     assert off_by(fit.at(), seen) < 0.5 * off_by(wide, seen)
@@ -139,7 +139,7 @@ def test_predicted_errors_elsewhere_are_those_of_a_tracker(baxter: Robot) -> Non
     for seed in range(3, 7):
         machine = drawn(baxter, seed)
         found = calibrate(baxter, touched(baxter, machine), Options(effects=GEOMETRIC, sigma=NOISE))
-        hand = [region for region in improvements(found) if region.link == HANDS[1]]
+        hand = [region for region in improvements(found.fit) if region.link == HANDS[1]]
         elsewhere = np.mean([region.after_mm**2 for region in hand if region.region != "measured poses"])
         squares.append(1e6 * off_by(found.at(), tracked(baxter, machine)) ** 2 / elsewhere)
 
@@ -156,49 +156,49 @@ def test_the_noise_of_contacts_does_not_shrink_the_robot(machine: sim.TrueMachin
     found = fit_tables(
         kuka, contacts(sound, kuka, each=150, noise=NOISE), Options(effects=GEOMETRIC, sigma=NOISE, prior_scale=PriorScale())
     )
-    model = CalibratedModel.of(found, {})
+    model = FittedRobot.of(found, {})
     lengths = np.array([p.nominal if p.symbol in ("a", "d") else 0.0 for p in found.estimate.parameters])
     scale = lengths / (lengths @ lengths)
 
     assert abs(scale @ found.values) < 2.0 * np.sqrt(scale @ model.covariance @ scale)
 
 
-def test_directions_without_contact_are_named(fit: Fit) -> None:
+def test_directions_without_contact_are_named(fit: FittedRobot) -> None:
     """Sockets tell all three directions; a plane across z on the base tells no other, one on a hand that turns tells all."""
     station, values = fit.problem.stations[0], fit.values
     n, model = len(station), station.model
     plane = PlaneContactSensor(("plane",), np.zeros(n, int), np.zeros(n))
     own = np.append(station.split(values)[0], [0.0, 0.0, 1.0, 0.5])
 
-    def with_plane(model: Model) -> Fit:
+    def with_plane(model: Model) -> ModelFit:
         problem = replace(fit.problem, stations=(replace(station, sensor=plane, model=model),))
-        return replace(fit, problem=problem, solution=replace(fit.solution, values=own))
+        return replace(fit.fit, problem=problem, solution=replace(fit.solution, values=own))
 
-    assert unseen_directions(fit) == ()
+    assert unseen_directions(fit.fit) == ()
     assert unseen_directions(with_plane(model)) == ()
     found = unseen_directions(with_plane(model.with_chain(model.chain.between("base", HANDS[1]))))
     assert np.abs(np.cross(*found)) == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
 
 
-def test_what_contacts_do_not_hold_is_said(fit: Fit, baxter: Robot, touching: Measurements) -> None:
+def test_what_contacts_do_not_hold_is_said(fit: FittedRobot, baxter: Robot, touching: Measurements) -> None:
     """A hand that is no better known than before is a doubt, and an arm whose mount moved without being held is refused."""
-    regions = improvements(fit)
+    regions = improvements(fit.fit)
     none = [replace(region, after_mm=0.95 * region.before_mm) for region in regions]
     mount = next(name for name in fit.estimate.names if name in fit.problem.chain.mounts and name.endswith(".y"))
     wide = Options(effects=GEOMETRIC, sigma=NOISE, prior_scale=PriorScale())
     few = calibrate(baxter, touching.select(np.arange(0, len(touching), 4)), wide)
 
-    def kinds(found: Fit, way: float, improved: list[Improvement]) -> set[CaveatKind]:
+    def kinds(found: FittedRobot, way: float, improved: list[Improvement]) -> set[CaveatKind]:
         values = found.values.copy()
         values[found.estimate.names.index(mount)] = way
-        moved = replace(found, solution=replace(found.solution, values=values))
+        moved = replace(found.fit, solution=replace(found.solution, values=values))
         return {caveat.kind for caveat in findings_without_instrument(moved, improved)}
 
     assert kinds(fit, 0.0, list(regions)) == {CaveatKind.NO_INSTRUMENT}
     assert kinds(fit, 0.0, none) == {CaveatKind.NO_INSTRUMENT, CaveatKind.BLIND}
     # All contacts hold a mount 30 mm away; a quarter of them, which know it to 4 mm, do not.
     assert CaveatKind.MOUNT_MOVED not in kinds(fit, 0.03, list(regions))
-    assert CaveatKind.MOUNT_MOVED in kinds(few, 0.03, list(improvements(few)))
+    assert CaveatKind.MOUNT_MOVED in kinds(few, 0.03, list(improvements(few.fit)))
 
 
 def test_the_next_step_says_how_well_contacts_tell_positions(touching: Measurements, baxter: Robot) -> None:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from test_cli import run
 from test_export import EFFECTS, GANTRY, columns_of, drawn, everything, loaded, poses_of
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensation import compensate_program
 from pincal.compensate.robot_frames import base_in_instrument, in_base_frame, program_poses
 from pincal.export import export_model
@@ -122,7 +122,7 @@ def test_the_page_predicts_and_compensates_as_the_model_does(kuka: Robot, case: 
 class Made:
     """A calibrated robot, its page, its Python file, and a program of poses in the middle of its range."""
 
-    calibrated: CalibratedModel
+    calibrated: FittedRobot
     page: str
     python: Path
     at: Conditions

@@ -16,7 +16,6 @@ from test_corrector import answered
 from test_program_safety import CASES as UNSAFE
 from test_programs import calibrated, mutated, run
 
-from pincal.calibration.calibrated_robot import save_model
 from pincal.export import export_model
 from pincal.export.js_source import grammar_table
 from pincal.export.python_to_js import Translator
@@ -35,7 +34,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Return the file of a robot that errs by a millimetre, and its page."""
     path = tmp_path_factory.mktemp("model") / "model.json"
     robot = calibrated(4e-4)
-    save_model(path, robot)
+    robot.save(path)
     return path, export_model(robot, "page", frame="base").text
 
 

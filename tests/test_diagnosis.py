@@ -15,7 +15,8 @@ import pytest
 from diagnosis_cases import KINDS, draw_case
 
 import pincal
-from pincal import ELASTIC, CalibratedModel, Measurements, Options, Robot
+from pincal import ELASTIC, FittedRobot, Measurements, Options, Robot
+from pincal.calibration.fit_evidence import KeptEvidence
 from pincal.calibration.placing import place_station
 from pincal.cli import main
 from pincal.diagnosis.excluded import most_different_poses, separation, tell_apart
@@ -36,12 +37,12 @@ CASES = [
 QUICK = {"null25_heavy_6r", "offset15_heavy_6r", "loose40_cobot_6r"}
 
 
-def calibrated(cases: Path, case: str, effects: tuple[pincal.Effect, ...] = ELASTIC) -> CalibratedModel:
+def calibrated(cases: Path, case: str, effects: tuple[pincal.Effect, ...] = ELASTIC) -> FittedRobot:
     """Return the robot of a case as it was calibrated."""
     info = json.loads((cases / case / "case.json").read_text())
     robot = Robot.from_urdf(cases / case / "robot.urdf", tip=info["tip"])
     options = Options(effects=effects, payload_centre=tuple(info["payload_com"]))
-    return pincal.calibrate(robot, rows(cases / case / "reference.csv", robot), options).to_model()
+    return pincal.calibrate(robot, rows(cases / case / "reference.csv", robot), options).at()
 
 
 def rows(path: Path, robot: Robot) -> Measurements:
@@ -49,7 +50,7 @@ def rows(path: Path, robot: Robot) -> Measurements:
     return pincal.read_measurements(path, robot.joint_names)
 
 
-def error_mm(model: CalibratedModel, table: Measurements) -> float:
+def error_mm(model: FittedRobot, table: Measurements) -> float:
     """Return the rms error of a model at the rows of a table."""
     station = model.readings(table)
     return float(1e3 * np.sqrt(np.mean(np.sum(station.residuals(model.values) ** 2, axis=0))))
@@ -61,7 +62,7 @@ def told(found: pincal.Diagnosis, hidden: dict[str, list[str]]) -> bool:
     return any(name.effect in hidden["effects"] and name.joint in hidden["joints"] for name in names)
 
 
-def least_error_if_told(model: CalibratedModel, new: Measurements, others: Measurements, answer: dict[str, Any]) -> float:
+def least_error_if_told(model: FittedRobot, new: Measurements, others: Measurements, answer: dict[str, Any]) -> float:
     """Return the error at other poses of a fit that knows what changed: the best of all forms of the right answers."""
     (hidden,) = answer["hidden"]
     placed = place_station(model, new)
@@ -72,13 +73,13 @@ def least_error_if_told(model: CalibratedModel, new: Measurements, others: Measu
 
 
 @pytest.fixture(scope="module")
-def offset(change_examples: Path) -> tuple[CalibratedModel, Measurements]:
+def offset(change_examples: Path) -> tuple[FittedRobot, Measurements]:
     """Return a robot whose joint offset has changed since it was calibrated, and rows measured then."""
     model = calibrated(change_examples / "cases", "offset15_heavy_6r")
     return model, rows(change_examples / "cases" / "offset15_heavy_6r" / "new.csv", model.model.chain.robot)
 
 
-def test_an_instrument_with_more_noise_tells_less(offset: tuple[CalibratedModel, Measurements]) -> None:
+def test_an_instrument_with_more_noise_tells_less(offset: tuple[FittedRobot, Measurements]) -> None:
     """Declared noise counts where it is more than the calibration's; what is no length is refused."""
     model, new = offset
     plain, better, worse = (pincal.diagnose(model, new, sigma=sigma) for sigma in (None, 1e-6, 1e-3))
@@ -92,7 +93,7 @@ def test_an_instrument_with_more_noise_tells_less(offset: tuple[CalibratedModel,
 
 
 def test_some_of_very_many_rows_tell_what_changed(
-    offset: tuple[CalibratedModel, Measurements], monkeypatch: pytest.MonkeyPatch
+    offset: tuple[FittedRobot, Measurements], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is named is the same by some of the rows, which is said; an update refuses the robot by them, too."""
     model, new = offset
@@ -109,7 +110,7 @@ def test_some_of_very_many_rows_tell_what_changed(
         pincal.update(model, new)
 
 
-def test_what_a_change_leaves_is_found_without_the_rest(offset: tuple[CalibratedModel, Measurements]) -> None:
+def test_what_a_change_leaves_is_found_without_the_rest(offset: tuple[FittedRobot, Measurements]) -> None:
     """Square and degrees of freedom of a change that was fitted, by the parameters that matter and by all of them."""
     model, new = offset
     placed = place_station(model, new)
@@ -151,7 +152,7 @@ def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path, monk
 
 
 @pytest.fixture(scope="module")
-def same(change_examples: Path) -> tuple[CalibratedModel, Measurements]:
+def same(change_examples: Path) -> tuple[FittedRobot, Measurements]:
     """Return a robot that is as it was calibrated, and rows measured since."""
     model = calibrated(change_examples / "cases", "null25_heavy_6r")
     return model, rows(change_examples / "cases" / "null25_heavy_6r" / "new.csv", model.model.chain.robot)
@@ -176,7 +177,7 @@ def test_the_example_changes_are_named_and_mended(change_examples: Path, case: s
         assert error_mm(found.model, others) <= 1.3 * told_what
 
 
-def test_gains_are_those_of_dense_matrices(offset: tuple[CalibratedModel, Measurements]) -> None:
+def test_gains_are_those_of_dense_matrices(offset: tuple[FittedRobot, Measurements]) -> None:
     """With V = 1 + R C R^T + M S M^T + B B^T written out, a change gains what least squares beside what is free says."""
     model, table = offset
     placed = place_station(model, table)
@@ -208,7 +209,7 @@ def test_gains_are_those_of_dense_matrices(offset: tuple[CalibratedModel, Measur
             assert gain == pytest.approx(left(lineup.own) - left(np.append(lineup.own, places)), rel=1e-4, abs=1e-4)
 
 
-def test_an_update_is_the_joint_fit(same: tuple[CalibratedModel, Measurements], change_examples: Path) -> None:
+def test_an_update_is_the_joint_fit(same: tuple[FittedRobot, Measurements], change_examples: Path) -> None:
     """Old and new rows fitted together give the same robot to a tenth of a standard deviation, noise estimated."""
     model, new = same
     robot, case = model.model.chain.robot, change_examples / "cases" / "null25_heavy_6r"
@@ -220,13 +221,13 @@ def test_an_update_is_the_joint_fit(same: tuple[CalibratedModel, Measurements], 
     np.testing.assert_allclose(updated.sigma[joint.free], joint.sigma[joint.free], rtol=0.05)
 
 
-def test_rows_of_a_changed_robot_are_not_taken_in(offset: tuple[CalibratedModel, Measurements]) -> None:
+def test_rows_of_a_changed_robot_are_not_taken_in(offset: tuple[FittedRobot, Measurements]) -> None:
     """They don't belong to the old ones."""
     with pytest.raises(ChangedRobotError, match="pincal diagnose"):
         pincal.update(*offset)
 
 
-def test_rows_that_the_model_was_fitted_to_tell_nothing(same: tuple[CalibratedModel, Measurements], tmp_path: Path) -> None:
+def test_rows_that_the_model_was_fitted_to_tell_nothing(same: tuple[FittedRobot, Measurements], tmp_path: Path) -> None:
     """They are known again, also by a model from a file, also after an update."""
     model, new = same
     pincal.update(model, new).save(tmp_path / "model.json")
@@ -235,7 +236,7 @@ def test_rows_that_the_model_was_fitted_to_tell_nothing(same: tuple[CalibratedMo
         pincal.diagnose(pincal.load_model(tmp_path / "model.json"), new)
 
 
-def test_what_can_not_be_told_is_refused(same: tuple[CalibratedModel, Measurements], change_examples: Path) -> None:
+def test_what_can_not_be_told_is_refused(same: tuple[FittedRobot, Measurements], change_examples: Path) -> None:
     """Too few rows to place the station, rows of another robot, an alpha that is none."""
     model, new = same
     other = rows(change_examples / "cases" / "null25_heavy_6r" / "new.csv", model.model.chain.robot)
@@ -249,7 +250,7 @@ def test_what_can_not_be_told_is_refused(same: tuple[CalibratedModel, Measuremen
         pincal.diagnose(model, strange)
 
 
-def test_one_wrong_reading_is_no_change(same: tuple[CalibratedModel, Measurements]) -> None:
+def test_one_wrong_reading_is_no_change(same: tuple[FittedRobot, Measurements]) -> None:
     """A row that contradicts all others is left out, and said."""
     model, new = same
     station = place_station(model, new).station
@@ -266,7 +267,7 @@ def test_one_wrong_reading_is_no_change(same: tuple[CalibratedModel, Measurement
     assert "contradict" in found.found.warnings[0].text
 
 
-def test_gross_rows_make_the_others_no_rows_of_another_robot(same: tuple[CalibratedModel, Measurements]) -> None:
+def test_gross_rows_make_the_others_no_rows_of_another_robot(same: tuple[FittedRobot, Measurements]) -> None:
     """Four of 25 rows are off by decimetres: they are left out, and the robot is judged by the others."""
     model, new = same
     wrong = np.arange(25)[:, None] % 6 == 3
@@ -306,7 +307,7 @@ def test_the_command_says_it_by_its_exit_code(
     assert end.value.code == code
 
 
-def test_weighing_again_after_a_change_is_consistent(offset: tuple[CalibratedModel, Measurements]) -> None:
+def test_weighing_again_after_a_change_is_consistent(offset: tuple[FittedRobot, Measurements]) -> None:
     """What is left once a change is released is what the first order said, for a change as small as this."""
     model, table = offset
     placed = place_station(model, table)
@@ -394,8 +395,8 @@ def test_a_robot_that_has_not_changed_is_left_alone() -> None:
 def test_what_a_model_left_is_no_change(tmp_path: Path) -> None:
     """Strong effects that it always had: an alarm for a model that forgot them, none for one that knows, file or not."""
     case = draw_case(0, missed=3)
-    assert case is not None and case.model.left is not None
-    forgetful = replace(case.model, left_by=None)
+    assert case is not None and case.model.unmodelled is not None
+    forgetful = replace(case.model, evidence=KeptEvidence(information=case.model.information))
     case.model.save(tmp_path / "model.json")
     forgetful.save(tmp_path / "forgetful.json")
     read = pincal.load_model(tmp_path / "model.json")
@@ -408,14 +409,14 @@ def test_what_a_model_left_is_no_change(tmp_path: Path) -> None:
         "(p = 1e-09), in the way in which it was incomplete when the robot was calibrated."
     )
     assert pincal.diagnose(read, case.new).report == pincal.diagnose(case.model, case.new).report
-    assert read.left is not None and read.left.effects == case.model.left.effects
+    assert read.unmodelled is not None and read.unmodelled.effects == case.model.unmodelled.effects
     sizes = [(tmp_path / name).stat().st_size for name in ("model.json", "forgetful.json")]
     assert sizes[1] < sizes[0] < 1.1 * sizes[1] + 10_000
 
 
 def test_an_adequate_model_left_nothing() -> None:
     """Masses that are 3 % off are no effect of the catalogue."""
-    assert [case.model.left for case in map(draw_case, range(3)) if case is not None] == [None] * 3
+    assert [case.model.unmodelled for case in map(draw_case, range(3)) if case is not None] == [None] * 3
 
 
 @pytest.mark.long
@@ -461,7 +462,7 @@ def test_a_model_of_several_stations_is_one_robot(change_examples: Path, tmp_pat
     table, new = rows(case / "reference.csv", robot), rows(case / "new.csv", robot)
     parts = {"one": table.select(np.arange(75)), "two": table.select(np.arange(75, 150))}
     pincal.calibrate(robot, parts, Options(payload_centre=(0.06, 0.03, 0.22))).save(tmp_path / "model.json")
-    model = pincal.load_stations(tmp_path / "model.json")
+    model = pincal.load_model(tmp_path / "model.json")
 
     assert not pincal.diagnose(model, new).changed
     with pytest.raises(MeasurementError, match="fitted to 20 of these 20 rows"):

@@ -24,8 +24,8 @@ def test_what_was_found_in_a_wrong_frame_is_taken_over_by_the_one_that_fits_bett
     case = draw_case("backlash", 3, n=160, arm="kuka", strength=200.0)
     first = calibrate(case.robot, case.rows, replace(case.options, moment_frame="paper"))
     groups = row_groups(case.rows, split="blocked", seed=0) % 8
-    search = Search(POLICY, (), first, groups, MOMENT_FRAMES)
-    wrong = add_effects(SearchState(first), search)
+    search = Search(POLICY, (), first.fit, groups, MOMENT_FRAMES)
+    wrong = add_effects(SearchState(first.fit), search)
 
     found = compare_frames(wrong, search)
 
@@ -45,12 +45,12 @@ def test_a_base_that_moves_with_time_is_nothing_for_another_frame_to_gain() -> N
     position[:, 2] += 3e-3 * time / time[-1]
     table = measurements_from_arrays(robot.joint_names, q, position=position, time=time)
     fit = calibrate(robot, table, Options(effects=GEOMETRIC, sigma=1e-4, serial=False))
-    effects = list(variants(fit, ("base",)))
-    tests = score_test(fit, effects)
+    effects = list(variants(fit.fit, ("base",)))
+    tests = score_test(fit.fit, effects)
     sure = [e.name for i, e in enumerate(effects) if tests.score([i], len(effects)).p_value < 1e-12]
     assert "base_drift" in sure
-    search = Search(POLICY, (), fit, row_groups(table, split="blocked", seed=0) % 8)
-    assert not is_small_table(fit, POLICY) and _still_to_gain(fit, search) == 0.0
+    search = Search(POLICY, (), fit.fit, row_groups(table, split="blocked", seed=0) % 8)
+    assert not is_small_table(fit.fit, POLICY) and _still_to_gain(fit.fit, search) == 0.0
 
 
 def test_loads_have_something_to_gain_where_they_predict_rows_left_out() -> None:
@@ -58,16 +58,16 @@ def test_loads_have_something_to_gain_where_they_predict_rows_left_out() -> None
     case = draw_case("base_elasticity", 9662, n=200, strength=200.0)
     fit = calibrate(case.robot, case.rows, replace(case.options, effects=ELASTIC))
     blocks, one = np.arange(len(case.rows)) % 8, np.zeros(len(case.rows), int)
-    searches = [Search(POLICY, (), fit, groups) for groups in (blocks, one)]
+    searches = [Search(POLICY, (), fit.fit, groups) for groups in (blocks, one)]
 
-    assert [_still_to_gain(fit, search) < 0.0 for search in searches] == [True, False]
+    assert [_still_to_gain(fit.fit, search) < 0.0 for search in searches] == [True, False]
 
 
 def test_what_a_discovery_ends_with_is_settled() -> None:
     """Fits on the way end early: the last one, of few rows as of many, has nothing left to gain."""
     case = draw_case("backlash", 3, n=160, strength=200.0)
     first = calibrate(case.robot, case.rows, case.options)
-    trail = discover_effects(first, row_groups(case.rows, split="blocked", seed=0) % 8)
+    trail = discover_effects(first.fit, row_groups(case.rows, split="blocked", seed=0) % 8)
     again = refit(trail.final, trail.final.options.effects, start={})
     moved = [f.station.residuals(f.values) for f in (trail.final, again)]
 

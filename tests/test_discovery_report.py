@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from scipy.special import fdtrc
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import load_model, save_model
+from pincal.calibration.curve_coverage import outside_curves
+from pincal.calibration.fitted_robot import load_model
 from pincal.cli import main
 from pincal.discover.decisions import Row, critical_gain, is_more_than_chance
 from pincal.discover.first_order import ScoreResult
@@ -137,7 +137,7 @@ def test_gap_is_the_error_on_rows_that_nobody_saw(found: Discovery) -> None:
     """The numbers of the gap are those of fits by which each region was predicted without its own rows."""
     fit = found.calibration.fit
     fold = Folds.of(fit.problem, ("regions",)).of_way["regions"]
-    for when, used in (("before", found.trail.first), ("after", fit)):
+    for when, used in (("before", found.trail.first), ("after", fit.fit)):
         errors = np.empty(len(fold))
         for k in range(int(fold.max()) + 1):
             others = used.select(np.flatnonzero(fold != k))
@@ -153,9 +153,9 @@ def test_gap_is_the_error_on_rows_that_nobody_saw(found: Discovery) -> None:
 def test_model_file_predicts_with_the_new_effect(tmp_path: Path, found: Discovery) -> None:
     """A model read back predicts what the fit predicts, the effect that was found included."""
     fit = found.calibration.fit
-    save_model(tmp_path / "model.json", CalibratedModel.of(fit, {}))
+    fit.save(tmp_path / "model.json")
     back = load_model(tmp_path / "model.json")
-    conditions = fit.station.conditions
+    conditions = fit.fit.station.conditions
 
     assert "backlash" in [effect.name for effect in back.model.effects]
     expected = fit.model.predict(fit.model_values, conditions)
@@ -169,12 +169,12 @@ def test_nothing_is_located_where_there_is_only_noise() -> None:
     null = draw_case("null", 4, n=150, arm="kuka")
     fit = calibrate(null.robot, null.rows, replace(null.options, effects=ELASTIC))
 
-    assert locate(fit, np.array([SIGMA])) == ([], [])
+    assert locate(fit.fit, np.array([SIGMA])) == ([], [])
 
 
 def test_levers_are_how_readings_move(elastic_fit: Any) -> None:
     """The lever of a joint's drive is the derivative of the prediction by the joint's position."""
-    chain, problem, h = elastic_fit.model.chain, elastic_fit.station, 1e-5
+    chain, problem, h = elastic_fit.model.chain, elastic_fit.fit.station, 1e-5
     values = elastic_fit.model_values
     moved = [replace(problem.conditions, q=problem.conditions.q + h * sign * np.eye(6)[2]) for sign in (1.0, -1.0)]
     plus, minus = (elastic_fit.model.predict(values, c)[:, :, 3] for c in moved)
@@ -238,8 +238,8 @@ def test_power_is_that_of_simulated_tests() -> None:
 
 def test_detectable_size_follows_noise_and_curves_are_measured_by_rms(elastic_fit: Any, case: Case) -> None:
     """Twice the noise needs twice the effect; each has a size, or a reason why it has none."""
-    effects = candidates(elastic_fit.model.chain, elastic_fit.station.conditions)
-    once, twice = (minimum_detectable(elastic_fit, effects, sigma=np.array([s])) for s in (SIGMA, 2.0 * SIGMA))
+    effects = candidates(elastic_fit.model.chain, elastic_fit.fit.station.conditions)
+    once, twice = (minimum_detectable(elastic_fit.fit, effects, sigma=np.array([s])) for s in (SIGMA, 2.0 * SIGMA))
 
     for a, b in zip(once, twice, strict=True):
         assert (a.size is None) == bool(a.reason)
@@ -261,7 +261,7 @@ def test_detectable_size_follows_noise_and_curves_are_measured_by_rms(elastic_fi
 def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elastic_fit: Any, case: Case) -> None:
     """Tables simulated with an effect of that size, random in phase, pass the test about that often."""
     fit, rng = elastic_fit, np.random.default_rng(3)
-    conditions = fit.station.conditions
+    conditions = fit.fit.station.conditions
     effects = candidates(fit.model.chain, conditions)
     sights = minimum_detectable(fit, effects, sigma=np.array([SIGMA]))
     sight = next(s for s in sights if s.effect.name == name and vars(s.effect)["joint"] == "joint_3")
@@ -276,7 +276,7 @@ def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elast
         values = np.concatenate([fit.values, sight.size * beta / np.linalg.norm(beta)])
         position = model.predict(values, conditions)[:, :, 3] + SIGMA * rng.standard_normal((len(conditions), 3))
         again = calibrate(case.robot, case.rows.with_readings(position=position), fit.options)
-        tested = score_test(again, [sight.effect], np.zeros(len(conditions), int))
+        tested = score_test(again.fit, [sight.effect], np.zeros(len(conditions), int))
         score = tested.score([0], len(effects))
         hits.append(score.p_value < POLICY.false_name / groups)
 
@@ -428,12 +428,12 @@ def test_a_curve_keeps_its_end_value(periodic: bool, kuka: Robot) -> None:
 
 def _model_with(fit: Any, effect: Any) -> Any:
     model = fit.model.with_effects([*fit.model.effects, effect])
-    bare = CalibratedModel.of(fit, {})
+    bare = fit
     more = model.n_parameters - fit.model.n_parameters
     padded = np.zeros((model.n_parameters, model.n_parameters))
     padded[: len(bare.values), : len(bare.values)] = bare.covariance
     values = np.append(bare.values, np.full(more, 1e-4))
-    return replace(bare, model=model, estimate=estimate_of(model.parameters, values, padded), nominal_values=None)
+    return bare.with_model(model, estimate_of(model.parameters, values, padded))
 
 
 def test_rows_outside_a_curve_are_told(elastic_fit: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -441,18 +441,18 @@ def test_rows_outside_a_curve_are_told(elastic_fit: Any, tmp_path: Path, capsys:
     q = np.zeros((3, 6))
     q[:, 1], q[2, 2] = -1.5, 0.9
     calibrated = _model_with(elastic_fit, TransmissionError("joint_3", -0.5, 0.5))
-    save_model(tmp_path / "model.json", calibrated)
+    calibrated.save(tmp_path / "model.json")
     write_table(tmp_path / "poses.csv", {name: q[:, i] for i, name in enumerate(calibrated.model.chain.robot.joint_names)})
-    conditions = elastic_fit.station.conditions.select(np.arange(3))
+    conditions = elastic_fit.fit.station.conditions.select(np.arange(3))
 
-    (beyond,) = calibrated.outside_curves(replace(conditions, q=q))
+    (beyond,) = outside_curves(calibrated, replace(conditions, q=q))
 
     assert (beyond.effect, beyond.joint, beyond.variable, beyond.rows) == ("transmission_error", "joint_3", "joint_3", 1)
     assert (beyond.lower, beyond.upper, beyond.highest) == (-0.5, 0.5, 0.9)
-    assert calibrated.outside_curves(replace(conditions, q=np.zeros((3, 6)))) == []
+    assert outside_curves(calibrated, replace(conditions, q=np.zeros((3, 6)))) == []
     other = _model_with(elastic_fit, Unnamed("joint_2", "drive", "joint_3", lower=-0.5, upper=0.5))
-    assert [(o.joint, o.variable) for o in other.outside_curves(replace(conditions, q=q))] == [("joint_2", "joint_3")]
-    assert _model_with(elastic_fit, GearEccentricity("joint_3")).outside_curves(replace(conditions, q=q)) == []
+    assert [(o.joint, o.variable) for o in outside_curves(other, replace(conditions, q=q))] == [("joint_2", "joint_3")]
+    assert outside_curves(_model_with(elastic_fit, GearEccentricity("joint_3")), replace(conditions, q=q)) == []
     assert _run("predict", tmp_path / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "predicted.csv") == 0
     noted = capsys.readouterr().err
     assert "transmission_error of joint_3" in noted and "-0.5 to 0.5" in noted and "0.9" in noted

@@ -8,9 +8,8 @@ import pytest
 from machines import kuka as true_kuka
 from test_stations import NOISE, tracked
 
-from pincal import ELASTIC, GEOMETRIC, Fit, Options, Robot, calibrate, calibrate_parts, load_model
+from pincal import ELASTIC, GEOMETRIC, FittedRobot, Options, Robot, calibrate, calibrate_parts, load_model
 from pincal import simulate as sim
-from pincal.calibration.calibrated_robot import load_stations
 from pincal.discover.score_tests import score_test
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.believed import Earlier
@@ -31,41 +30,41 @@ def machine() -> sim.TrueMachine:
 
 
 @pytest.fixture(scope="module")
-def both(machine: sim.TrueMachine, kuka: Robot) -> Fit:
+def both(machine: sim.TrueMachine, kuka: Robot) -> FittedRobot:
     """Return the joint fit of an old and a new station."""
     tables = {"old": tracked(machine, kuka, 0, poses=80), "new": tracked(machine, kuka, 1, poses=12)}
     return calibrate(kuka, tables, Options(effects=ELASTIC, sigma=NOISE, loss="none"))
 
 
-def joint_places(both: Fit, station: Station) -> np.ndarray:
+def joint_places(both: FittedRobot, station: Station) -> np.ndarray:
     """Return where the parameters of one of the stations stand among those of the joint fit, shape (P,)."""
     named = zip(station.parameters, station.is_own, strict=True)
     return both.estimate.places(p.at(station.name).name if own else p.name for p, own in named)
 
 
-def posterior_alone(both: Fit, station: Station, earlier: Earlier | None = None) -> Posterior:
+def posterior_alone(both: FittedRobot, station: Station, earlier: Earlier | None = None) -> Posterior:
     """Return the posterior of one station about the values of the joint fit, under its priors."""
     places = joint_places(both, station)
-    at, free, sizes = both.values[places], both.solution.free[places], both.priors.sizes[places]
+    at, free, sizes = both.values[places], both.solution.free[places], both.fit.priors.sizes[places]
     problem = Problem((station,), earlier)
     return Linearised(problem, at, free, np.ones(len(station)), sizes).posterior(np.full(1, NOISE))
 
 
-def old_alone(both: Fit) -> Estimate:
+def old_alone(both: FittedRobot) -> Estimate:
     """Return what the old station by itself says of the robot's parameters, to first order about the joint fit."""
     station = both.problem.stations[0]
     places, posterior = joint_places(both, station), posterior_alone(both, station)
-    values, free, sizes = both.values[places], both.solution.free[places], both.priors.sizes[places]
+    values, free, sizes = both.values[places], both.solution.free[places], both.fit.priors.sizes[places]
     values[free] += posterior.step_within(np.full(len(posterior.form.g), np.inf))[0]
     found = Estimate(station.parameters, values, free, posterior.joint_covariance, sizes)
     return found.take(p.name for p, own in zip(station.parameters, station.is_own, strict=True) if not own)
 
 
-def test_of_a_linear_model_it_gives_the_joint_fit(both: Fit) -> None:
+def test_of_a_linear_model_it_gives_the_joint_fit(both: FittedRobot) -> None:
     """Step and covariance of the robot's parameters, down to directions that only the priors know."""
     new = both.problem.stations[1]
     ones = np.ones(len(both.problem))
-    point = Linearised(both.problem, both.values, both.solution.free, ones, both.priors.sizes)
+    point = Linearised(both.problem, both.values, both.solution.free, ones, both.fit.priors.sizes)
     joint = point.posterior(np.full(2, NOISE))
     alone = posterior_alone(both, new, Earlier.of(old_alone(both)))
     robots = both.problem.is_shared[both.solution.free]
@@ -82,7 +81,7 @@ def test_of_a_linear_model_it_gives_the_joint_fit(both: Fit) -> None:
     assert alone.effective == pytest.approx(np.einsum("pmn,pq,qmn->", J, whole, J) / NOISE**2, rel=1e-4)
 
 
-def test_score_tests_beside_it_are_those_of_all_rows(both: Fit) -> None:
+def test_score_tests_beside_it_are_those_of_all_rows(both: FittedRobot) -> None:
     """To first order, if the old rows have nothing to say of the candidate: what they know of the robot is projected out."""
     candidates = [GearEccentricity(joint) for joint in both.problem.stations[0].model.chain.robot.joint_names]
     new = both.problem.stations[1]
@@ -96,8 +95,10 @@ def test_score_tests_beside_it_are_those_of_all_rows(both: Fit) -> None:
         estimated=np.full(1, NOISE),
         weights=np.ones(len(new)),
     )
-    priors = replace(both.priors, sizes=both.priors.sizes[places], bounds=both.priors.bounds[places])
-    found = score_test(replace(both, problem=problem, solution=solution, priors=priors), candidates, np.arange(len(new)) % 4)
+    priors = replace(both.fit.priors, sizes=both.fit.priors.sizes[places], bounds=both.fit.priors.bounds[places])
+    found = score_test(
+        replace(both.fit, problem=problem, solution=solution, priors=priors), candidates, np.arange(len(new)) % 4
+    )
     # The same by dense matrices: what was known before stands below the rows of the new station.
     wide, known = extended(problem, candidates)
     values = np.zeros(len(wide.parameters))
@@ -131,7 +132,7 @@ def test_a_model_file_and_new_rows_equal_all_rows(
     new = tracked(machine, kuka, 1, poses=max(poses, 8), seed=5, outlier=5e-3).select(np.arange(poses))
     options = Options(effects=GEOMETRIC, sigma=NOISE if poses == 5 else None)
     calibrate(kuka, tables, options).save(tmp_path / "model.json")
-    old = (load_model if count == 1 else load_stations)(tmp_path / "model.json").robot_estimate
+    old = load_model(tmp_path / "model.json").robot_estimate
     fit = calibrate(kuka, new, replace(options, earlier=old))
     joint = calibrate(kuka, tables | {"new": new}, options)
     found, expected = (each.estimate.take(old.names) for each in (fit, joint))
@@ -146,7 +147,7 @@ def test_a_model_file_and_new_rows_equal_all_rows(
         assert np.any(np.abs(old.values - expected.values)[free] > expected.sigma[free])
 
 
-def test_what_the_new_model_leaves_out_is_zero(both: Fit) -> None:
+def test_what_the_new_model_leaves_out_is_zero(both: FittedRobot) -> None:
     """As in a joint fit without these parameters; the distribution of the others is that given them."""
     old = Earlier.of(old_alone(both))
     gone = np.array([name.endswith((".k_x", ".k_y", ".k_z")) for name in old.names])
@@ -159,14 +160,14 @@ def test_what_the_new_model_leaves_out_is_zero(both: Fit) -> None:
     assert old.given_zero(np.zeros(len(old.names), bool)) is old
 
 
-def test_it_is_of_the_robot_alone(both: Fit) -> None:
+def test_it_is_of_the_robot_alone(both: FittedRobot) -> None:
     """Where an instrument stood says nothing of where it stands."""
     with pytest.raises(BadInputError, match=r"old/base\.x belongs to a station"):
         Earlier.of(both.estimate)
     assert not any(p.station or p.is_extrinsic for p in both.robot_estimate.parameters)
 
 
-def test_too_few_rows_are_refused(machine: sim.TrueMachine, kuka: Robot, both: Fit) -> None:
+def test_too_few_rows_are_refused(machine: sim.TrueMachine, kuka: Robot, both: FittedRobot) -> None:
     """Four poses place the instrument and the target and tell next to nothing of the noise."""
     few = tracked(machine, kuka, 1, poses=8).select(np.arange(4))
     with pytest.raises(MeasurementError, match="the noise can't be estimated"):

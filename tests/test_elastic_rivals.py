@@ -34,7 +34,7 @@ def fit_of(tmp_path: Path, *hidden: sim.HiddenEffect) -> ModelFit:
     table = tracker.measure(machine.with_effects(*hidden), q)
     position = np.column_stack([table[axis] for axis in "xyz"]) + SIGMA * rng.standard_normal((150, 3))
     rows = measurements_from_arrays(robot.joint_names, q, position=position)
-    return calibrate(robot, rows, Options(effects=ELASTIC, sigma=SIGMA, moment_frame="before"))
+    return calibrate(robot, rows, Options(effects=ELASTIC, sigma=SIGMA, moment_frame="before")).fit
 
 
 def bearing_of(fit: ModelFit, joint: str) -> tuple[Effect, Estimate]:
@@ -102,9 +102,9 @@ def test_two_compliances_of_which_one_gives_way_are_told_for_each_other() -> Non
     """A drive turns an arm as the bearing of the joint before tilts it: together they are sure, the base beside them."""
     case = draw_case("base_elasticity", 10273, **fresh(10273))
     fit = calibrate(case.robot, case.rows, replace(case.plain, moment_frame="before", loss="none"))
-    sure = {entry.effect.heading[:2]: entry for entry in significant_compliances(fit, ELASTIC)}
+    sure = {entry.effect.heading[:2]: entry for entry in significant_compliances(fit.fit, ELASTIC)}
     drive, bearing = sure["joint_elasticity", "axis_2"], sure["bearing_elasticity", "axis_1"]
-    tests = score_test(fit, [BaseElasticity(), LinkBending("axis_2"), LinkBending("axis_4")])
+    tests = score_test(fit.fit, [BaseElasticity(), LinkBending("axis_2"), LinkBending("axis_4")])
 
     assert drive.others == (bearing.effect,) and bearing.others == (drive.effect,)
     for one in (drive, bearing):
@@ -114,8 +114,8 @@ def test_two_compliances_of_which_one_gives_way_are_told_for_each_other() -> Non
     assert instead_of(tests, drive.effect, drive.estimate, drive.given) == ()
 
     # What is lost without both is not the sum of what each loses beside the other.
-    rest = without_compliance(fit, drive.effect, bearing.effect)
-    again = refit(fit, rest.options.effects, until=Tolerance.ROUGH)
+    rest = without_compliance(fit.fit, drive.effect, bearing.effect)
+    again = refit(fit.fit, rest.options.effects, until=Tolerance.ROUGH)
     assert [p.name for p in again.problem.parameters] == [p.name for p in rest.problem.parameters]
     assert again.solution.estimated[0] > 1.2 * fit.solution.estimated[0]
     assert rest.solution.estimated == pytest.approx(again.solution.estimated, rel=0.1)

@@ -33,7 +33,7 @@ def fit_of(tmp_path: Path, *hidden: sim.HiddenEffect, drives: float = 0.0) -> Mo
     table = sim.Instrument(pose=FIRST, targets=TOOL).measure(machine.with_effects(*hidden), q)
     position = np.column_stack([table[axis] for axis in "xyz"]) + SIGMA * rng.standard_normal((150, 3))
     rows = measurements_from_arrays(robot.joint_names, q, position=position)
-    return calibrate(robot, rows, Options(effects=GEOMETRIC, sigma=SIGMA, moment_frame="before"))
+    return calibrate(robot, rows, Options(effects=GEOMETRIC, sigma=SIGMA, moment_frame="before")).fit
 
 
 def test_one_soft_bearing_enters_alone(tmp_path: Path) -> None:
@@ -98,6 +98,6 @@ def test_all_of_a_real_panda_gives_way(shared_data: Path) -> None:
     table = read_measurements(shared_data / "panda_sockets" / "panda_3.csv", robot.joint_names)
     fit = calibrate(robot, table.select(np.arange(len(table)) % 5 > 0), Options(effects=GEOMETRIC))
 
-    way = elastic_way(fit, POLICY)
+    way = elastic_way(fit.fit, POLICY)
 
     assert way is not None and [effect.name for effect in way.effects] == ["joint_elasticity", "bearing_elasticity"]

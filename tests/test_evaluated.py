@@ -155,16 +155,16 @@ def test_tests_without_an_effect_follow_from_those_with_it(blocks: int) -> None:
     gone = GearEccentricity("joint_4")
     fit = calibrate(ROBOT, table, Options(effects=(*GEOMETRIC, gone), sigma=5e-5))
     of, few = fit.solution, fit.solution.free & (np.arange(len(fit.values)) % 5 > 0)
-    point, alone = (Linearised(fit.problem, of.values, free, of.weights, fit.priors.sizes) for free in (of.free, few))
+    point, alone = (Linearised(fit.problem, of.values, free, of.weights, fit.fit.priors.sizes) for free in (of.free, few))
     narrow, expected = point.narrowed(few).posterior(of.sigma), alone.posterior(of.sigma)
     scale = expected.metric
     assert np.allclose(narrow.form.H / np.outer(scale, scale), expected.form.H / np.outer(scale, scale), atol=1e-12)
     assert np.allclose(narrow.form.g / scale, expected.form.g / scale, atol=1e-9)
     candidates = [GearEccentricity("joint_3"), GearEccentricity("joint_4", order=2), GearEccentricity("joint_5")]
     groups = np.arange(90) % blocks
-    found = score_test(fit, candidates, groups=groups).among([1, 2], fit.names_of([gone]))
+    found = score_test(fit.fit, candidates, groups=groups).among([1, 2], fit.fit.names_of([gone]))
     # Evaluated where the effect is zero; a mrad turns what the columns are by as much.
-    direct = score_test(without(fit, gone), candidates[1:], groups=groups)
+    direct = score_test(without(fit.fit, gone), candidates[1:], groups=groups)
     assert found.names == direct.names and found.effects == direct.effects
     assert found.squares == pytest.approx(direct.squares, rel=3e-3)
     assert found.gains_by_block([0]) == pytest.approx(direct.gains_by_block([0]), rel=0.01, abs=0.5)
@@ -186,7 +186,7 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     waves = [Unnamed(f"joint_{1 + i}", "drive", "joint_2", "waves", order=order) for order in (1, 2, 3) for i in (0, 2)]
     tilted = Unnamed("joint_4", "s_x", "joint_4", "waves", order=3)
     candidates = [*waves, *(TransmissionError.over(f"joint_{i}", q[:, i - 1], 24) for i in (3, 5)), tilted]
-    tests = score_test(fit, candidates)
+    tests = score_test(fit.fit, candidates)
     problem, known = extended(fit.problem, candidates)
     values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
     values[known], free[known] = fit.values, fit.solution.free
@@ -204,8 +204,8 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
         np.testing.assert_allclose(
             tests.within(which)[1], tests.within(range(len(candidates)))[1][np.ix_(*[tests.places(which)] * 2)], rtol=1e-6
         )
-    fewer = tests.among([5, 1, 7], fit.names_of([own[0]]))
-    told = whole.among([5, 1, 7], fit.names_of([own[0]]))
+    fewer = tests.among([5, 1, 7], fit.fit.names_of([own[0]]))
+    told = whole.among([5, 1, 7], fit.fit.names_of([own[0]]))
     np.testing.assert_allclose(fewer.inner, told.inner, rtol=1e-9, atol=1e-9)
     n, m = cross.shape
     for i in (1, 6):

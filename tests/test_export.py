@@ -20,8 +20,8 @@ from test_cli import run
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.covered import Covered
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
 from pincal.export import FORMATS, Exported, Format, export_model
 from pincal.model.at_station import AtStation
@@ -72,7 +72,7 @@ class Compiled:
     library: ctypes.CDLL
 
     @classmethod
-    def of(cls, calibrated: CalibratedModel, folder: Path) -> Compiled:
+    def of(cls, calibrated: FittedRobot, folder: Path) -> Compiled:
         """Export, compile without a warning, load."""
         exported = export_model(calibrated, "c", folder)
         name = next(file for file in exported.files if file.endswith(".c")).removesuffix(".c")
@@ -135,17 +135,15 @@ def columns_of(at: Conditions) -> dict[str, np.ndarray]:
     return {name: getattr(at, name) for name in ("payload", "temperature", "time", "approach", "target")}
 
 
-def calibrated_of(model: Model, values: np.ndarray, payload_centre: tuple[float, ...] = (0.1, 0.0, 0.2)) -> CalibratedModel:
+def calibrated_of(model: Model, values: np.ndarray, payload_centre: tuple[float, ...] = (0.1, 0.0, 0.2)) -> FittedRobot:
     """Return a calibrated model with given values."""
     n = model.chain.robot.n_joints
     estimate = estimate_of(model.parameters, values, np.zeros((len(values), len(values))))
     covered = Covered(np.tile([-4.0, 4.0], (n, 1)), np.array([0.0, 12.0]))
-    return CalibratedModel(model, estimate, "pose", np.array(payload_centre), covered, np.ones(2), {})
+    return FittedRobot.given(model, estimate, covered, sensor_kind="pose", payload_centre=payload_centre, sigma=(1.0, 1.0))
 
 
-def drawn(
-    effect: Effect | None, robot: Robot, *, frame: MomentFrame = "paper", equilibrium: bool = False
-) -> CalibratedModel:
+def drawn(effect: Effect | None, robot: Robot, *, frame: MomentFrame = "paper", equilibrium: bool = False) -> FittedRobot:
     """Return a calibrated model with an effect of about a milliradian beside the full elastic one."""
     rng = np.random.default_rng(5)
     model = surrounded(effect, chain_of(robot, frame), equilibrium=equilibrium)  # type: ignore[arg-type]
@@ -153,7 +151,7 @@ def drawn(
     return calibrated_of(model, 1e-3 * rng.uniform(-1.0, 1.0, model.n_parameters) / units)
 
 
-def everything(robot: Robot, *, equilibrium: bool = False) -> CalibratedModel:
+def everything(robot: Robot, *, equilibrium: bool = False) -> FittedRobot:
     """Return a calibrated model with all effects that the catalogue knows at once, seen by two targets."""
     rng, chain = np.random.default_rng(7), Chain.of(robot, moment_frame="after", targets=("ball", "prism"))
     made: list[Effect] = [*ELASTIC, BaseFrame(), ToolFrame(FRAME_SYMBOLS)]
@@ -165,7 +163,7 @@ def everything(robot: Robot, *, equilibrium: bool = False) -> CalibratedModel:
     return calibrated_of(model, 2e-4 * rng.uniform(-1.0, 1.0, model.n_parameters) / units)
 
 
-def poses_of(calibrated: CalibratedModel, n: int, rng: np.random.Generator) -> Conditions:
+def poses_of(calibrated: FittedRobot, n: int, rng: np.random.Generator) -> Conditions:
     """Return poses of which everything is recorded and varies; they are held, as exported formulas have it."""
     at = conditions_of(calibrated.model.chain.robot, n, rng)
     return replace(at, velocity=None, inertial=None, target=rng.integers(0, len(calibrated.model.chain.targets), n))
@@ -174,7 +172,7 @@ def poses_of(calibrated: CalibratedModel, n: int, rng: np.random.Generator) -> C
 # --- every effect of the catalogue --------------------------------------------------------------------------------
 
 
-def check_python(calibrated: CalibratedModel, rng: np.random.Generator) -> None:
+def check_python(calibrated: FittedRobot, rng: np.random.Generator) -> None:
     """Compare the exported Python file with the model."""
     at = poses_of(calibrated, 300, rng)
     forward = loaded(export_model(calibrated, "python").text)["forward"]
@@ -512,7 +510,7 @@ def test_a_format_of_a_plugin_leaves_the_command_alone(
     class Own(Format):
         name, meaning = "own", "what somebody needs"
 
-        def export(self, calibrated: CalibratedModel) -> Exported:
+        def export(self, calibrated: FittedRobot) -> Exported:
             return Exported({"": calibrated.model.chain.robot.name.encode()})
 
     monkeypatch.setitem(FORMATS._classes, "own", Own)

@@ -20,7 +20,7 @@ from test_catalogue import chain_of, conditions_of, units_of
 from test_cli import run
 from test_export import GANTRY, calibrated_of
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
 from pincal.export import export_model
 from pincal.io.urdf_export import calibrated_urdf, rigid_tips
@@ -44,7 +44,7 @@ LINKAGES: dict[str, tuple[Callable[[str], bytes], str]] = {
 ARMS = ("ur10", "panda", "kuka", "gantry")
 
 
-def calibrated(robot: Robot, *, moment_frame: MomentFrame = "after", equilibrium: bool = False) -> CalibratedModel:
+def calibrated(robot: Robot, *, moment_frame: MomentFrame = "after", equilibrium: bool = False) -> FittedRobot:
     """Return an arm with errors of millimetres and milliradians, and bent by as much."""
     rng = np.random.default_rng(3)
     effects = (*ELASTIC, BaseFrame(), ToolFrame(FRAME_SYMBOLS))
@@ -55,7 +55,7 @@ def calibrated(robot: Robot, *, moment_frame: MomentFrame = "after", equilibrium
     return calibrated_of(model, np.where(compliant, np.abs(values), values))
 
 
-def tips(found: CalibratedModel, q: np.ndarray) -> np.ndarray:
+def tips(found: FittedRobot, q: np.ndarray) -> np.ndarray:
     """Return the calibrated tip in the base frame by Pinocchio, from the calibrated URDF, shape (N, 4, 4)."""
     text = calibrated_urdf(found.model, found.values)
     robot = found.model.chain.robot

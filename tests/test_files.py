@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
-from pincal.calibration.calibrated_robot import load_model
+from pincal.calibration.fitted_robot import load_model
 from pincal.errors import ModelFileError
 from pincal.io.arrays import ArrayShape, Matrix, Numbers, Record, Rotation, array_of
 from pincal.io.strict_json import MODEL_FILE, MOST_BYTES, MOST_DEPTH, MOST_DIGITS, bounded, built
@@ -158,7 +158,7 @@ PREDICTED = json.loads((DATA / "predictions_0_1_0.json").read_text())
 
 
 @pytest.mark.parametrize("name", PREDICTED)
-def test_files_of_version_0_1_0_predict_what_they_predicted(name: str) -> None:
+def test_files_of_version_0_1_0_predict_what_they_predicted(name: str, tmp_path: Path) -> None:
     """A tracker's, contacts in sockets, a camera's, and one with effects of all sorts."""
     expected = PREDICTED[name]
     model = load_model(DATA / f"model_0_1_0_{name}.json")
@@ -168,7 +168,26 @@ def test_files_of_version_0_1_0_predict_what_they_predicted(name: str) -> None:
 
     np.testing.assert_allclose(model.predict(conditions), expected["poses"], rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(model.position_sigma(conditions), expected["sigma"], rtol=1e-9)
+    model.save(tmp_path / "again.json")
+    again = load_model(tmp_path / "again.json")
+    np.testing.assert_array_equal(again.predict(conditions), model.predict(conditions))
+    np.testing.assert_allclose(again.position_sigma(conditions), expected["sigma"], rtol=1e-9)
     if "camera" in expected:
         found, mount = model.camera(), expected["camera"].pop("T_tip_camera")
         np.testing.assert_allclose(found.pop("T_tip_camera"), mount, rtol=0.0, atol=1e-12)
         assert found == pytest.approx(expected["camera"], rel=1e-12)
+
+
+def test_a_file_of_format_2_predicts_what_it_predicted(tmp_path: Path) -> None:
+    """Two stations of one robot; file and predictions were made by the code at commit e522b8d5."""
+    expected = json.loads((DATA / "predictions_2_stations.json").read_text())
+    robot = load_model(DATA / "model_2_stations.json")
+    robot.save(tmp_path / "again.json")
+
+    for read in (robot, load_model(tmp_path / "again.json")):
+        assert read.names == ("east", "west")
+        assert read.information is not None and read.at("west").information is None
+        for name, then in expected["stations"].items():
+            poses, sigma = read.at(name).predict(expected["q"], return_sigma=True)
+            np.testing.assert_allclose(poses, then["poses"], rtol=0.0, atol=1e-12)
+            np.testing.assert_allclose(sigma, then["sigma"], rtol=1e-9)

@@ -100,8 +100,8 @@ def test_few_poses_of_a_machine_of_a_known_type(folder: Path, of: Path, capsys: 
     assert "5 robots of its type" in printed and "type.json" in model.provenance["inputs"]
     # What it brings to a next type is its rows alone.
     assert model.information is not None
-    whole = fit.information().whole
-    np.testing.assert_allclose((model.information.H - fit.information().H) / np.sqrt(np.outer(whole, whole)), 0.0, atol=0.02)
+    whole = fit.information.whole
+    np.testing.assert_allclose((model.information.H - fit.information.H) / np.sqrt(np.outer(whole, whole)), 0.0, atol=0.02)
 
 
 def test_check_design_and_simulate_know_the_type(folder: Path, of: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -117,7 +117,7 @@ def test_check_design_and_simulate_know_the_type(folder: Path, of: Path, capsys:
     assert run("check", folder / "robot.urdf", folder / "drawn.csv", *GEOMETRIC, "--type", of, "--quiet") == Exit.DONE
     robot = Robot.from_urdf(folder / "robot.urdf")
     drawn = calibrate(robot, folder / "drawn.csv", OPTIONS)
-    assert not load_type(of).judge(Machine.of(drawn)).off
+    assert not load_type(of).judge(Machine.of(drawn.fit)).off
 
 
 def test_tables_models_and_diagnoses_go_into_a_store(
@@ -180,8 +180,8 @@ def test_a_model_keeps_what_its_rows_say(arm: Robot, folder: Path) -> None:
     new = update(model, rows_of(arm, machine, 12, 50))
 
     assert model.information is not None and new.information is not None
-    np.testing.assert_array_equal(model.information.H, fit.information().H)
-    np.testing.assert_array_equal(model.information.priors, fit.information().priors)
+    np.testing.assert_array_equal(model.information.H, fit.information.H)
+    np.testing.assert_array_equal(model.information.priors, fit.information.priors)
     assert new.information.degrees == pytest.approx(model.information.degrees + 36 - 9)
     assert np.linalg.eigvalsh(new.information.H - model.information.H).min() > -1e-6 * np.abs(new.information.H).max()
 
@@ -203,7 +203,7 @@ def test_a_design_begins_with_what_is_known(arm: Robot, folder: Path, of: Path) 
 def test_machines_differ_at_the_tool_as_true_ones_do(arm: Robot) -> None:
     """Predicted by the type of ten machines, and seen on true ones whose frames are placed over each other."""
     machines = siblings(10)
-    learned = learn_type(Machine.of(calibrate(arm, rows_of(arm, m, 40, k), OPTIONS)) for k, m in enumerate(machines))
+    learned = learn_type(Machine.of(calibrate(arm, rows_of(arm, m, 40, k), OPTIONS).fit) for k, m in enumerate(machines))
     q = arm.random_configurations(100, np.random.default_rng(3))
     tips = np.array([m.tip(q) for m in machines])
     mean, off = tips[:, :, :3].mean(axis=0), []

@@ -322,7 +322,7 @@ def test_a_machine_far_from_its_type_is_no_noise() -> None:
     """Twelve poses of one that is twenty times as far off: found out, and calibrated as well as without a type."""
     robot = Robot.from_urdf(kuka_urdf_path(), tip="tool0")
     of = learn_type(
-        Machine.of(calibrate(robot, rows_of(robot, m, 30, k), OPTIONS), str(k)) for k, m in enumerate(siblings(3))
+        Machine.of(calibrate(robot, rows_of(robot, m, 30, k), OPTIONS).fit, str(k)) for k, m in enumerate(siblings(3))
     )
     nominal = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0")
     machine = nominal.draw_errors(np.random.default_rng(2), sigma_length=5e-3, sigma_angle=5e-3)

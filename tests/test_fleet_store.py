@@ -206,7 +206,7 @@ def test_a_calibration_does_not_hide_the_check_of_its_day(robot: Robot, tmp_path
     """As table and as diagnosis: the day is today where none is given. Its own table is calibrated already."""
     store, machine = open_store(tmp_path, create=True), siblings(1)[0]
     rows = rows_of(robot, machine, 30, 1)
-    store.add_information(DAY, Machine.of(pincal.calibrate(robot, rows, OPTIONS), "R1"))
+    store.add_information(DAY, Machine.of(pincal.calibrate(robot, rows, OPTIONS).fit, "R1"))
     store.add_table("R1", DAY, rows)
     check = store.add_table("R1", DAY, rows_of(robot, machine, 12, 2), role="check")
     facts = {"changed": True, "p_value": 1e-9, "role": "check", "job": "", "table": "", "failure": ""}

@@ -72,7 +72,7 @@ def test_folds_of_parallel_axes_are_fitted_to_their_end(tmp_path: Path) -> None:
     table = read_measurements(tmp_path / "table.csv", planar.joint_names)
     fit = run_calibration(planar, table, Options(sigma=NOISE)).fit
     fold = Folds.of(fit.problem, ("random",)).of_way["random"]
-    (found,) = left_out_residuals(fit, fit.solution, fold)
+    (found,) = left_out_residuals(fit.fit, fit.solution, fold)
 
     # 26 parameters at most share what 300 rows tell.
     expected = NOISE * np.sqrt(3.0 * (1.0 + 26 / 900))

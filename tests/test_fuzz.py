@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import calibrate, load_model
+from pincal.calibration.checked_fit import calibrate
+from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.compensate.targets import read_targets
 from pincal.errors import BadInputError, IdentificationError, printable
 from pincal.identify.options import Options
@@ -219,7 +219,7 @@ def test_models(tmp_path_factory: pytest.TempPathFactory, model: bytes, changes:
     content = mutated(model, changes)
     file.write_bytes(content)
     found = accepted(lambda: load_model(file))
-    if not isinstance(found, CalibratedModel):
+    if not isinstance(found, FittedRobot):
         return
     plain = json.loads(content)
     np.testing.assert_array_equal(found.values, plain["values"])

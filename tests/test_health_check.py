@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 import pincal
-from pincal import ELASTIC, CalibratedModel, Measurements, Options, Robot
+from pincal import ELASTIC, FittedRobot, Measurements, Options, Robot
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import main
@@ -32,13 +32,13 @@ SOCKETS = {"left": (1.6, 0.6, 0.9), "right": (1.4, -0.8, 1.3)}
 HELD = SensorSetup(sensor="socket", tool=TOOL, held_at=tuple(SOCKETS.values()))
 
 
-def machine_and_model(seed: int) -> tuple[sim.TrueMachine, CalibratedModel]:
+def machine_and_model(seed: int) -> tuple[sim.TrueMachine, FittedRobot]:
     """Return a machine with errors, and its calibration from 100 random poses."""
     rng = np.random.default_rng(seed)
     robot = Robot.from_urdf(kuka_urdf_path())
     machine = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0").draw_errors(rng, sigma_length=2e-4, sigma_angle=5e-4)
     q = sim.plan_poses(machine.nominal, 100, rng)
-    model = pincal.calibrate(robot, measured(machine, q, rng), Options(effects=GEOMETRIC, sigma=SIGMA)).to_model()
+    model = pincal.calibrate(robot, measured(machine, q, rng), Options(effects=GEOMETRIC, sigma=SIGMA)).at()
     return machine, model
 
 

@@ -11,7 +11,7 @@ from placed_arms import measured
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal import GEOMETRIC, BadInputError, Fit, Options, Robot, calibrate, load_information
+from pincal import GEOMETRIC, BadInputError, FittedRobot, Options, Robot, calibrate, load_information
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import ModelFileError
@@ -20,7 +20,7 @@ NOISE = 5e-5  # [m]
 
 
 @pytest.fixture(scope="module")
-def fits() -> tuple[Fit, Fit, Fit]:
+def fits() -> tuple[FittedRobot, FittedRobot, FittedRobot]:
     """Return the fits of two tables of one machine, the instrument elsewhere in the second, and the joint one."""
     robot = Robot.from_urdf(kuka_urdf_path(), tip="tool0")
     rng = np.random.default_rng(5)
@@ -33,11 +33,11 @@ def fits() -> tuple[Fit, Fit, Fit]:
     return calibrate(robot, one, options), calibrate(robot, other, options), calibrate(robot, [one, other], options)
 
 
-def test_the_sum_of_two_files_is_the_joint_fit(fits: tuple[Fit, Fit, Fit], tmp_path: Path) -> None:
+def test_the_sum_of_two_files_is_the_joint_fit(fits: tuple[FittedRobot, FittedRobot, FittedRobot], tmp_path: Path) -> None:
     """Values within what linearising elsewhere moves, a tenth of a standard deviation, which agree to one per cent."""
     paths = [tmp_path / "one.json", tmp_path / "other.json"]
     for fit, path in zip(fits, paths, strict=False):
-        fit.information().save(path)
+        fit.information.save(path)
     found, joint = load_information(paths).estimate(), fits[2].estimate
     names = [name for name in found.names if joint.take([name]).free.all()]
     mine, theirs = found.take(names), joint.take(names)
@@ -48,9 +48,9 @@ def test_the_sum_of_two_files_is_the_joint_fit(fits: tuple[Fit, Fit, Fit], tmp_p
     assert np.abs((mine.values - theirs.values) / theirs.sigma).max() < 0.1
 
 
-def test_a_file_comes_back_to_the_last_digit(fits: tuple[Fit, Fit, Fit], tmp_path: Path) -> None:
+def test_a_file_comes_back_to_the_last_digit(fits: tuple[FittedRobot, FittedRobot, FittedRobot], tmp_path: Path) -> None:
     """And one table alone with its priors is its own fit."""
-    information = fits[0].information()
+    information = fits[0].information
     information.save(tmp_path / "one.json")
     again = load_information(tmp_path / "one.json")
 
@@ -61,7 +61,7 @@ def test_a_file_comes_back_to_the_last_digit(fits: tuple[Fit, Fit, Fit], tmp_pat
     np.testing.assert_allclose(again.estimate().values, own.values, atol=1e-3 * own.sigma.max())
 
 
-def test_what_is_not_of_one_robot_is_refused(fits: tuple[Fit, Fit, Fit], tmp_path: Path) -> None:
+def test_what_is_not_of_one_robot_is_refused(fits: tuple[FittedRobot, FittedRobot, FittedRobot], tmp_path: Path) -> None:
     """Another arm, no file, and files that hold something else."""
     text = kuka_urdf_path().read_text().replace('xyz="0.41 0 0.865"', 'xyz="0.411 0 0.865"')
     (tmp_path / "longer.urdf").write_text(text)
@@ -69,11 +69,11 @@ def test_what_is_not_of_one_robot_is_refused(fits: tuple[Fit, Fit, Fit], tmp_pat
     machine = sim.TrueMachine.from_urdf(tmp_path / "longer.urdf", tip="tool0")
     other = calibrate(arm, measured(machine, arm, seed=3, poses=40), Options(effects=GEOMETRIC, sigma=NOISE))
     with pytest.raises(BadInputError, match="nominal geometries differ"):
-        fits[0].information() + other.information()
+        fits[0].information + other.information
     with pytest.raises(BadInputError, match="one or more"):
         load_information([])
     path = tmp_path / "one.json"
-    fits[0].information().save(path)
+    fits[0].information.save(path)
     content = json.loads(path.read_text())
     for change, words in (({"g": [1.0]}, "g"), ({"robot": None}, "robot"), ({"format": "else"}, "format")):
         path.write_text(json.dumps(content | change))
@@ -118,4 +118,4 @@ def test_parallel_axes_leave_a_file(tmp_path: Path) -> None:
         table = pincal.measurements_from_arrays(robot.joint_names, q, position=seen + rng.normal(0.0, 2e-5, seen.shape))
         fit = calibrate(robot, table, Options(sigma=2e-5))
         fit.save(tmp_path / "model.json")
-        assert np.all(np.diag(fit.information().H) >= 0.0) and pincal.load_model(tmp_path / "model.json")
+        assert np.all(np.diag(fit.information.H) >= 0.0) and pincal.load_model(tmp_path / "model.json")

@@ -13,7 +13,8 @@ from tracker_cases import NOISE, seen, standing
 from pincal import load_model, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated_robot import Fit, calibrate
+from pincal.calibration.checked_fit import calibrate
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import place_station
 from pincal.calibration.unmodelled import instruments_error
 from pincal.diagnosis.robot_diagnosis import diagnose
@@ -110,7 +111,7 @@ def test_a_model_predicts_where_nothing_was_read(kuka: Robot, tmp_path: Path) ->
     rows = seen(sim.InstrumentAzimuth(size=2e-5))
     fit = calibrate(kuka, rows, Options(effects=(*GEOMETRIC, InstrumentAzimuth())))
     fit.save(tmp_path / "model.json")
-    read = fit.model.predict(fit.model.own(fit.values), fit.station.conditions)
+    read = fit.model.predict(fit.model.own(fit.values), fit.fit.station.conditions)
 
     own = fit.estimate.take(["instrument.azimuth_sin1", "instrument.azimuth_cos1"])
     assert np.all(np.abs(own.values - 2e-5 * np.array([np.cos(0.6), -np.sin(0.6)])) < 3.5 * own.sigma)
@@ -129,20 +130,20 @@ def test_readings_in_another_frame_are_not_judged(kuka: Robot) -> None:
     cases = {
         "m from the robot's base, where no tracker can be": calibrate(
             kuka, at_base, Options(effects=GEOMETRIC)
-        ).station.conditions,
+        ).fit.station.conditions,
         "no positions in an instrument frame": Conditions.at(at_base.q),
     }
     for reason, conditions in cases.items():
         why = {effect.name: text for effect, text in untestable(Chain.of(kuka), conditions) if effect.name in OWN}
         assert set(why) == set(OWN) and all(reason in text for text in why.values()), why
-    names = {effect.name for effect in variants(calibrate(kuka, beside, Options(effects=GEOMETRIC)))}
+    names = {effect.name for effect in variants(calibrate(kuka, beside, Options(effects=GEOMETRIC)).fit)}
     assert set(OWN) <= names
 
 
-def searched(fit: Fit, tables: Mapping[str, Measurements]) -> History:
+def searched(fit: FittedRobot, tables: Mapping[str, Measurements]) -> History:
     """Return what is discovered beyond a fit."""
     groups = np.concatenate([row_groups(table, split="blocked", seed=0) % 8 for table in tables.values()])
-    return discover_effects(fit, groups)
+    return discover_effects(fit.fit, groups)
 
 
 def test_an_eccentric_circle_of_the_tracker_is_not_the_robots(kuka: Robot) -> None:

@@ -11,7 +11,8 @@ import pytest
 from tracker_cases import seen, standing
 
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated_robot import Fit, calibrate
+from pincal.calibration.checked_fit import calibrate
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.cli import main
 from pincal.discover.ending import note_on_joints
 from pincal.errors import BadInputError, MeasurementError
@@ -80,7 +81,7 @@ def test_the_covariance_of_a_reading_is_that_of_range_and_angles() -> None:
         np.testing.assert_array_equal(whitening[3:, :, i], np.eye(6)[3:])
 
 
-def weighed_and_even(kuka: Robot, seed: int) -> tuple[Fit, Fit, np.ndarray]:
+def weighed_and_even(kuka: Robot, seed: int) -> tuple[FittedRobot, FittedRobot, np.ndarray]:
     """Return fits that weigh positions near and far, along and across, and that take them for even; and the truth."""
     exact = seen(seed=seed, place=standing(0.5, away=3.0), sigma=0.0, poses=150)
     assert exact.position is not None
@@ -95,11 +96,11 @@ def test_readings_are_weighed_by_what_the_instrument_says(kuka: Robot) -> None:
     for seed in range(8):
         *fits, truth = weighed_and_even(kuka, seed)
         chi2, degrees = chi2 + fits[0].solution.chi2, degrees + fits[0].solution.degrees
-        errors += [np.mean((fit.predict(fit.station.conditions)[:, :, 3] - truth) ** 2) for fit in fits]
+        errors += [np.mean((fit.predict(fit.fit.station.conditions)[:, :, 3] - truth) ** 2) for fit in fits]
 
     assert abs(chi2 - degrees) < 4.0 * np.sqrt(2.0 * degrees)
     assert errors[0] < 0.9 * errors[1]
-    assert fits[0].is_declared and note_on_joints(fits[0]) is None
+    assert fits[0].fit.is_declared and note_on_joints(fits[0].fit) is None
 
 
 def test_a_table_that_says_its_own_noise_or_no_position_is_refused(kuka: Robot) -> None:

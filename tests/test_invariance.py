@@ -104,7 +104,7 @@ def calibrated(case: Case) -> list[tuple[Any, dict[str, np.ndarray]]]:
 
 def validated(case: Case) -> list[tuple[Any, dict[str, np.ndarray]]]:
     """Where the robot is at another station, found from few rows."""
-    models = [fit.to_model() for fit in case.fits]
+    models = [fit.at() for fit in case.fits]
     found = [pincal.place_station(model, case.later) for model in models]
     return [(None, {"tip": placed.model.predict(case.at())[:, :3, 3]}) for placed in found]
 
@@ -122,7 +122,7 @@ def compensated(case: Case) -> list[tuple[Any, dict[str, np.ndarray]]]:
     at, robot = case.at(), case.robots[0]
     tips = robot.forward_kinematics(at.q)
     wanted = tips[:, :3, 3] + tips[:, :3, :3] @ TARGET
-    found = [pincal.compensate_poses(fit.to_model(), wanted, at, orientation="free") for fit in case.fits]
+    found = [pincal.compensate_poses(fit.at(), wanted, at, orientation="free") for fit in case.fits]
     return [(each.status.tolist(), {"tip": robot.forward_kinematics(each.q)[:, :3, 3]}) for each in found]
 
 

@@ -208,7 +208,7 @@ def test_an_earlier_fit_is_weighed_anew(bare: Robot) -> None:
     both = calibrate(bare, {"old": old, "new": new}, options)
     for load in (0.0, 125.0):
         others = paper_table(bare, 200, 7, np.full(200, load))
-        there = both.at("new").predict(both.readings(others, station="new").conditions)
+        there = both.at("new").predict(both.fit.readings(others, station="new").conditions)
         joint = np.linalg.norm(there[:, :, 3] - others.position, axis=1)
         assert np.sqrt(np.mean(errors(later, others) ** 2)) < 1.2 * np.sqrt(np.mean(joint**2))
 
@@ -254,7 +254,7 @@ def found(bare: Robot) -> Calibration:
 
 def test_the_moments_that_are_identified_are_those_of_the_machine(found: Calibration, kuka: Robot) -> None:
     """Up to their common factor, which is said to be unknown, moments that are called identified are the true ones."""
-    moments = found_moments(found.fit)
+    moments = found_moments(found.fit.fit)
     assert moments is not None and len(moments.links) == 6 and 0.05 < moments.factor_sigma < 0.5
     true = Model(Chain.of(kuka), ELASTIC)
     n = true.static_moments(np.zeros(true.n_parameters), Conditions.at(moments.q[None]))[0]
@@ -288,8 +288,8 @@ def test_masses_go_when_elasticity_goes(bare: Robot, tmp_path: Path) -> None:
     loaded = load_model(tmp_path / "model.json")
 
     np.testing.assert_array_equal(loaded.predict(table.q, payload=125.0), fit.predict(table.q, payload=125.0))
-    assert not any(p.effect == LinkMass.name for p in refit(fit, GEOMETRIC).problem.parameters)
-    assert "link_mass" in {p.effect for p in refit(refit(fit, GEOMETRIC), ELASTIC).problem.parameters}
+    assert not any(p.effect == LinkMass.name for p in refit(fit.fit, GEOMETRIC).problem.parameters)
+    assert "link_mass" in {p.effect for p in refit(refit(fit.fit, GEOMETRIC), ELASTIC).problem.parameters}
 
 
 @pytest.mark.long

@@ -57,7 +57,7 @@ def _read(machine: sim.TrueMachine, q: np.ndarray, target: np.ndarray, seed: int
 def seen(rows: Measurements) -> StepChange | None:
     """Return what changed midway, as a calibration would ask."""
     fit = calibrate(ROBOT, rows, Options(effects=GEOMETRIC))
-    return change_in(fit.station, fit.values, fit.solution.free, rows.rows)
+    return change_in(fit.fit.station, fit.values, fit.solution.free, rows.rows)
 
 
 CHANGES = [("tool", 5e-4), ("instrument", 3e-4), *((f"joint_{i}", 1e-3) for i in range(1, 7))]

@@ -16,8 +16,7 @@ import pytest
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import load_model, save_model
+from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.errors import ModelFileError, OutputError
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
@@ -71,24 +70,28 @@ def fit() -> ModelFit:
 
 
 @pytest.fixture(scope="module")
-def calibrated(fit: ModelFit) -> CalibratedModel:
+def calibrated(fit: ModelFit) -> FittedRobot:
     """Return its model."""
-    return CalibratedModel.of(fit, PROVENANCE)
+    return FittedRobot.of(fit, PROVENANCE)
 
 
 @pytest.fixture
-def path(calibrated: CalibratedModel, tmp_path: Path) -> Path:
+def path(calibrated: FittedRobot, tmp_path: Path) -> Path:
     """Return a model.json of it."""
-    save_model(tmp_path / "model.json", calibrated)
+    calibrated.save(tmp_path / "model.json")
     return tmp_path / "model.json"
 
 
-def poses(model: CalibratedModel, count: int = 50) -> Conditions:
+def poses(model: FittedRobot, count: int = 50) -> Conditions:
     """Return conditions with all targets and payloads."""
     rng = np.random.default_rng(8)
     robot, targets = model.model.chain.robot, len(model.model.chain.targets)
     q = robot.random_configurations(count, rng)
     return Conditions(q, rng.integers(0, targets, count), rng.uniform(0.0, 125.0, count), model.payload_centre)
+
+
+# The covariance of all parameters of a robot with one station.
+BLOCK = ("covariance", "groups", 0, "block")
 
 
 def listed(text: str) -> list[list[float]]:
@@ -126,8 +129,8 @@ def test_a_model_read_again_predicts_the_same_to_the_last_bit(
     kind: str, options: Options | None, fit: ModelFit, tmp_path: Path
 ) -> None:
     """Poses, their uncertainty and everything else come back with no difference at all."""
-    model = CalibratedModel.of(fit if options is None else simulated_fit(kind, options), PROVENANCE)
-    save_model(tmp_path / "model.json", model)
+    model = FittedRobot.of(fit if options is None else simulated_fit(kind, options), PROVENANCE)
+    model.save(tmp_path / "model.json")
     again = load_model(tmp_path / "model.json")
     conditions = poses(model)
 
@@ -143,7 +146,7 @@ def test_a_model_read_again_predicts_the_same_to_the_last_bit(
     assert again.model.equilibrium == model.model.equilibrium
 
 
-def test_robot_and_chain_come_back_whole(calibrated: CalibratedModel, path: Path) -> None:
+def test_robot_and_chain_come_back_whole(calibrated: FittedRobot, path: Path) -> None:
     """Every field of the robot and the chain is in the file, limits that are not there included."""
     chain, again = calibrated.model.chain, load_model(path).model.chain
 
@@ -153,14 +156,16 @@ def test_robot_and_chain_come_back_whole(calibrated: CalibratedModel, path: Path
         np.testing.assert_array_equal(getattr(again, name), getattr(chain, name), err_msg=name)
 
 
-def test_limits_that_are_not_there_and_odd_bytes_survive(calibrated: CalibratedModel, tmp_path: Path) -> None:
+def test_limits_that_are_not_there_and_odd_bytes_survive(calibrated: FittedRobot, tmp_path: Path) -> None:
     """Infinite limits and a URDF that is no UTF-8 come back as they were."""
     robot = calibrated.model.chain.robot
     lower = robot.lower.copy()
     lower[2] = -np.inf
     odd = replace(robot, lower=lower, upper=np.full(6, np.inf), urdf="<!-- é -->".encode("latin-1") + "😀\n".encode())
-    model = replace(calibrated, model=calibrated.model.with_chain(replace(calibrated.model.chain, robot=odd)))
-    save_model(tmp_path / "model.json", model)
+    model = calibrated.with_model(
+        calibrated.model.with_chain(replace(calibrated.model.chain, robot=odd)), calibrated.estimate
+    )
+    model.save(tmp_path / "model.json")
     again = load_model(tmp_path / "model.json").model.chain.robot
 
     assert again.urdf == odd.urdf
@@ -176,16 +181,16 @@ def test_a_model_predicts_where_no_urdf_and_no_pinocchio_is(tmp_path: Path) -> N
     robot = Robot.from_urdf(urdf)
     fit = simulated_fit("position", Options(effects=GEOMETRIC))
     chain = replace(fit.model.chain, robot=robot)
-    model = replace(CalibratedModel.of(fit, {}), model=fit.model.with_chain(chain))
+    model = FittedRobot.of(fit).with_model(fit.model.with_chain(chain), fit.estimate)
     file = tmp_path / "model.json"
-    save_model(file, model)
+    model.save(file)
     urdf.unlink()
-    edited(file, "model", "robot", "urdf")
+    edited(file, "robot", "urdf")
     conditions = poses(model, 5)
     np.save(tmp_path / "q.npy", conditions.q)
     code = (
         "import sys, numpy as np\n"
-        "from pincal.calibration.calibrated_robot import load_model\n"
+        "from pincal.calibration.fitted_robot import load_model\n"
         "from pincal.model.conditions import Conditions\n"
         "model = load_model('model.json')\n"
         "np.save('poses.npy', model.predict(Conditions.at(np.load('q.npy'))))\n"
@@ -204,14 +209,14 @@ def test_a_model_predicts_where_no_urdf_and_no_pinocchio_is(tmp_path: Path) -> N
     assert np.array_equal(np.load(tmp_path / "poses.npy"), model.predict(Conditions.at(conditions.q)))
 
 
-def test_a_model_read_again_exports_the_same_urdf(calibrated: CalibratedModel, path: Path) -> None:
+def test_a_model_read_again_exports_the_same_urdf(calibrated: FittedRobot, path: Path) -> None:
     """The text of the URDF travels in the file, so that the calibrated one can be written later."""
     again = load_model(path)
 
     assert calibrated_urdf(again.model, again.values) == calibrated_urdf(calibrated.model, calibrated.values)
 
 
-def test_a_model_is_that_of_its_fit(fit: ModelFit, calibrated: CalibratedModel) -> None:
+def test_a_model_is_that_of_its_fit(fit: ModelFit, calibrated: FittedRobot) -> None:
     """Predictions are the fit's own; what was given and not fitted has no variance."""
     poses = fit.model.predict(fit.values, fit.station.conditions)
     held = ~fit.solution.free
@@ -226,7 +231,7 @@ def test_a_model_is_that_of_its_fit(fit: ModelFit, calibrated: CalibratedModel) 
 
 
 @pytest.mark.long
-def test_uncertainty_is_that_of_values_drawn_from_the_covariance(calibrated: CalibratedModel) -> None:
+def test_uncertainty_is_that_of_values_drawn_from_the_covariance(calibrated: FittedRobot) -> None:
     """The spread of predictions with 4000 drawn sets of values is the stated sigma, to the accuracy of a sample.
 
     The draws are scaled down: along directions that the data leave to the priors, base and arm turn against each other by
@@ -243,7 +248,7 @@ def test_uncertainty_is_that_of_values_drawn_from_the_covariance(calibrated: Cal
     np.testing.assert_allclose(calibrated.position_sigma(conditions), spread, rtol=0.06)
 
 
-def test_uncertainty_of_many_poses_is_worked_out_in_pieces(calibrated: CalibratedModel) -> None:
+def test_uncertainty_of_many_poses_is_worked_out_in_pieces(calibrated: FittedRobot) -> None:
     """Rows beyond the first piece have the sigma that they have alone."""
     conditions = poses(calibrated, 5000)
     whole = calibrated.position_sigma(conditions)
@@ -252,7 +257,7 @@ def test_uncertainty_of_many_poses_is_worked_out_in_pieces(calibrated: Calibrate
     np.testing.assert_allclose(calibrated.position_sigma(conditions.select(last)), whole[last], rtol=1e-12)
 
 
-def test_outside_names_rows_joints_and_ranges(fit: ModelFit, calibrated: CalibratedModel) -> None:
+def test_outside_names_rows_joints_and_ranges(fit: ModelFit, calibrated: FittedRobot) -> None:
     """Training rows are covered, and so is a little more; beyond it each joint and the payload are named."""
     conditions = fit.station.conditions
     assert calibrated.outside(conditions) == []
@@ -300,25 +305,20 @@ class ShapedEffect(Effect):
         return tuple(Term(p, chain.joint(i, "theta"), np.sin(order * conditions.q[:, i])) for p, order in places)
 
 
-def shaped(calibrated: CalibratedModel) -> CalibratedModel:
+def shaped(calibrated: FittedRobot) -> FittedRobot:
     """Return the calibrated model with an effect more, defined outside the package."""
     effect = ShapedEffect("joint_2", (3,), (("a", 0.1), ("b", 1e-17)), np.pi, np.array([[0.1, 2.0]]), True)
     model = calibrated.model.with_effects((*calibrated.model.effects, effect))
     n = len(calibrated.values)
     covariance = np.zeros((n + 1, n + 1))
     covariance[:n, :n] = calibrated.covariance
-    return replace(
-        calibrated,
-        model=model,
-        estimate=estimate_of(model.parameters, np.append(calibrated.values, 1e-3), covariance),
-        nominal_values=None,
-    )
+    return calibrated.with_model(model, estimate_of(model.parameters, np.append(calibrated.values, 1e-3), covariance))
 
 
-def test_an_effect_from_elsewhere_is_written_and_read(calibrated: CalibratedModel, tmp_path: Path) -> None:
+def test_an_effect_from_elsewhere_is_written_and_read(calibrated: FittedRobot, tmp_path: Path) -> None:
     """A new effect needs no entry anywhere: its name and its fields are enough."""
     model = shaped(calibrated)
-    save_model(tmp_path / "model.json", model)
+    model.save(tmp_path / "model.json")
     again = load_model(tmp_path / "model.json")
     effect, expected = again.model.effects[-1], model.model.effects[-1]
 
@@ -330,15 +330,15 @@ def test_an_effect_from_elsewhere_is_written_and_read(calibrated: CalibratedMode
     assert np.array_equal(again.predict(poses(model)), model.predict(poses(model)))
 
 
-def test_a_field_younger_than_the_file_has_its_default(calibrated: CalibratedModel, tmp_path: Path) -> None:
+def test_a_field_younger_than_the_file_has_its_default(calibrated: FittedRobot, tmp_path: Path) -> None:
     """A file written before an effect got a field is read; a field without default has to be there."""
     file = tmp_path / "model.json"
-    save_model(file, shaped(calibrated))
+    shaped(calibrated).save(file)
     last = len(calibrated.model.effects)
-    assert load_model(edited(file, "model", "effects", last, "period")).model.effects[-1].period is None  # type: ignore[attr-defined]
+    assert load_model(edited(file, "stations", 0, "effects", last, "period")).model.effects[-1].period is None  # type: ignore[attr-defined]
 
-    with pytest.raises(ModelFileError, match=rf"model\.effects\[{last}\]\.joint: is missing"):
-        load_model(edited(file, "model", "effects", last, "joint"))
+    with pytest.raises(ModelFileError, match=rf"stations\[0\]\.effects\[{last}\]\.joint: is missing"):
+        load_model(edited(file, "stations", 0, "effects", last, "joint"))
 
 
 def test_every_catalogued_effect_is_known() -> None:
@@ -361,7 +361,7 @@ def test_every_missing_key_is_named(path: Path) -> None:
     """Whatever key is taken out, the error says which and in which file; fields of effects and the URDF may be missing."""
     text = path.read_text()
     optional = ("symbols", "urdf", "nominal_values", "rows", "is_noise_declared", "bearing_heights", "days")
-    optional += ("repeatability", "on_carriages")
+    optional += ("repeatability", "on_carriages", "unmodelled", "information", "files", "priors")
     ways = [way for way in _keys(json.loads(text)) if way[-1] not in optional]
 
     assert len(ways) > 40
@@ -378,7 +378,9 @@ def test_every_value_of_the_wrong_kind_is_refused(path: Path) -> None:
     text = path.read_text()
     for way in _keys(json.loads(text)):
         for wrong in ({"x": [None]}, [["x"], 1], -3.5):
-            fits = (way[-1] in ("nominal", "size") and wrong == -3.5) or (way == ("provenance",) and isinstance(wrong, dict))
+            fits = (way[-1] in ("nominal", "size", "square", "degrees") and wrong == -3.5) or (
+                way == ("provenance",) and isinstance(wrong, dict)
+            )
             if fits:
                 continue
             path.write_text(text)
@@ -417,7 +419,7 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("version", "words"), [(3, "newer pincal; .*update pincal"), ("1", "is '1'"), (0, "is 0"), (True, "True")]
+    ("version", "words"), [(4, "newer pincal; .*update pincal"), ("1", "is '1'"), (0, "is 0"), (True, "True")]
 )
 def test_another_format_version_is_refused(path: Path, version: Any, words: str) -> None:
     """A newer file asks for an update; what is no version is said so."""
@@ -429,24 +431,24 @@ def test_another_format_version_is_refused(path: Path, version: Any, words: str)
     ("keys", "edit", "words"),
     [
         (("values",), lambda v: v[1:], r"values: has shape \(\d+,\); expected numbers of shape"),
-        (("covariance",), lambda v: listed(v)[:-1], "covariance: has shape"),
-        (("covariance",), lambda v: [*listed(v)[:-1], listed(v)[-1][1:]], "covariance: has rows of unequal length"),
-        (("covariance",), lambda v: packed_matrix(np.eye(3)), "covariance: has shape"),
-        (("covariance",), lambda v: v[:-4], "covariance: is truncated or damaged"),
-        (("covariance",), lambda v: v[:40] + "?" + v[41:], "covariance: is truncated or damaged"),
-        (("covered", "q"), lambda v: v[:5], r"covered\.q: has shape \(5, 2\)"),
-        (("model", "robot", "masses"), lambda v: [*v, 1.0], r"model\.robot\.masses: has shape \(7,\)"),
-        (("model", "robot", "joint_types"), lambda v: v[1:], "joint_types: has 5 entries"),
-        (("model", "robot", "joint_types", 0), lambda v: "planar", "is 'planar'; expected one of revolute, prismatic"),
-        (("model", "chain", "moment_frame"), lambda v: "middle", "is 'middle'; expected one of paper, before, after"),
-        (("model", "chain", "targets"), lambda v: [*v, "third"], "tool_rotations: has shape"),
-        (("model", "robot", "urdf"), lambda v: "\ud800", "urdf: is not text"),
+        (BLOCK, lambda v: listed(v)[:-1], "block: has shape"),
+        (BLOCK, lambda v: [*listed(v)[:-1], listed(v)[-1][1:]], "block: has rows of unequal length"),
+        (BLOCK, lambda v: packed_matrix(np.eye(3)), "block: has shape"),
+        (BLOCK, lambda v: v[:-4], "block: is truncated or damaged"),
+        (BLOCK, lambda v: v[:40] + "?" + v[41:], "block: is truncated or damaged"),
+        (("stations", 0, "covered", "q"), lambda v: v[:5], r"covered\.q: has shape \(5, 2\)"),
+        (("robot", "masses"), lambda v: [*v, 1.0], r"robot\.masses: has shape \(7,\)"),
+        (("robot", "joint_types"), lambda v: v[1:], "joint_types: has 5 entries"),
+        (("robot", "joint_types", 0), lambda v: "planar", "is 'planar'; expected one of revolute, prismatic"),
+        (("stations", 0, "chain", "moment_frame"), lambda v: "middle", "is 'middle'; expected one of paper, before, after"),
+        (("stations", 0, "chain", "targets"), lambda v: [*v, "third"], "tool_rotations: has shape"),
+        (("robot", "urdf"), lambda v: "\ud800", "urdf: is not text"),
         (("parameters", 0, "name"), lambda v: "base.w", "parameters: are not those of the effects"),
-        (("model", "effects"), lambda v: v[1:], "parameters: are not those of the effects"),
-        (("model", "effects", 5, "joints"), lambda v: ["elbow"], "effects: do not fit the robot"),
-        (("model", "effects", 2, "colour"), None, "joint_offset has no such field"),
+        (("stations", 0, "effects"), lambda v: v[1:], "parameters: are not those of the effects"),
+        (("stations", 0, "effects", 5, "joints"), lambda v: ["elbow"], "effects: do not fit the robot"),
+        (("stations", 0, "effects", 2, "colour"), None, "joint_offset has no such field"),
         (("provenance",), lambda v: [], "provenance: is a list, not an object"),
-        (("sigma",), lambda v: 1e-4, r"sigma: has shape \(\); expected numbers of shape \(any,\)"),
+        (("stations", 0, "sigma"), lambda v: 1e-4, r"sigma: has shape \(\); expected numbers of shape \(any,\)"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(path: Path, keys: tuple[str | int, ...], edit: Any, words: str) -> None:
@@ -456,14 +458,17 @@ def test_what_does_not_fit_together_is_refused(path: Path, keys: tuple[str | int
 
 
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999", "null", '"1"', "true", "9" * 400])
-@pytest.mark.parametrize("key", ["values", "covariance", "sigma"])
+@pytest.mark.parametrize("key", ["values", "block", "sigma"])
 def test_numbers_that_are_none_are_refused(path: Path, key: str, number: str) -> None:
     """NaN, infinity, null and texts among numbers are named by their key."""
-    content = json.loads(path.read_text())
-    if key == "covariance":
-        content[key] = listed(content[key])
-    content[key][0] = ["mark"] * len(content[key]) if key == "covariance" else "mark"
-    path.write_text(json.dumps(content).replace('"mark"', number))
+    ways = {"values": ("values",), "block": BLOCK, "sigma": ("stations", 0, "sigma")}
+
+    def marked(numbers: Any) -> Any:
+        rows = listed(numbers) if key == "block" else numbers
+        return [["mark"] * len(rows) if key == "block" else "mark", *rows[1:]]
+
+    edited(path, *ways[key], edit=marked)
+    path.write_text(path.read_text().replace('"mark"', number))
 
     with pytest.raises(ModelFileError, match=f"{key}: has entries that are not finite numbers"):
         load_model(path)
@@ -472,7 +477,7 @@ def test_numbers_that_are_none_are_refused(path: Path, key: str, number: str) ->
 def test_a_covariance_in_lists_is_read_like_a_packed_one(path: Path) -> None:
     """Files of earlier versions, whose covariance is nested lists, are the same model."""
     packed = load_model(path)
-    again = load_model(edited(path, "covariance", edit=listed))
+    again = load_model(edited(path, *BLOCK, edit=listed))
 
     assert np.array_equal(again.covariance, packed.covariance)
 
@@ -498,9 +503,9 @@ def test_a_large_covariance_keeps_what_rounding_leaves() -> None:
 def test_a_matrix_that_unpacks_to_gigabytes_costs_nothing(path: Path) -> None:
     """What all matrices of a file may take is bounded before they are unpacked."""
     bomb = base64.b64encode(zlib.compress(bytes(64 << 20))).decode()
-    edited(path, "covariance", value=f"matrix:{bomb}")
+    edited(path, *BLOCK, value=f"matrix:{bomb}")
     tracemalloc.start()
-    with pytest.raises(ModelFileError, match="covariance: is truncated or damaged"):
+    with pytest.raises(ModelFileError, match="block: is truncated or damaged"):
         load_model(path)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -513,26 +518,26 @@ def test_an_unknown_effect_lists_the_known_ones(path: Path) -> None:
     with pytest.raises(
         ModelFileError, match=r"effects\[2\]\.name: unknown effect 'joint_ofset'; expected one of joint_offset, "
     ):
-        load_model(edited(path, "model", "effects", 2, "name", value="joint_ofset"))
+        load_model(edited(path, "stations", 0, "effects", 2, "name", value="joint_ofset"))
 
 
-def test_a_place_that_can_not_be_written_is_named(calibrated: CalibratedModel, tmp_path: Path) -> None:
+def test_a_place_that_can_not_be_written_is_named(calibrated: FittedRobot, tmp_path: Path) -> None:
     """No folder, or a folder of this name: an error of the output, and nothing is left behind."""
     with pytest.raises(OutputError, match="can't be written"):
-        save_model(tmp_path / "absent" / "model.json", calibrated)
+        calibrated.save(tmp_path / "absent" / "model.json")
     (tmp_path / "model.json").mkdir()
     with pytest.raises(OutputError, match="can't be written"):
-        save_model(tmp_path / "model.json", calibrated)
+        calibrated.save(tmp_path / "model.json")
 
     assert [entry.name for entry in tmp_path.iterdir()] == ["model.json"]
 
 
-def test_a_model_that_can_not_be_written_leaves_the_old_file(calibrated: CalibratedModel, path: Path) -> None:
+def test_a_model_that_can_not_be_written_leaves_the_old_file(calibrated: FittedRobot, path: Path) -> None:
     """Numbers that are not finite are refused before the file is touched; no draft stays."""
     before = path.read_bytes()
     broken = replace(calibrated.estimate, values=np.full(len(calibrated.values), np.nan))
     with pytest.raises(OutputError, match="not finite"):
-        save_model(path, replace(calibrated, estimate=broken))
+        replace(calibrated, estimate=broken).save(path)
 
     assert path.read_bytes() == before
     assert [entry.name for entry in path.parent.iterdir()] == ["model.json"]

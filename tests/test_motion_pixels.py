@@ -152,7 +152,7 @@ def test_a_path_through_poses_is_as_fast_as_it_may_be() -> None:
     assert ViaPath.through(q, 60.0).time[-1] == pytest.approx(60.0)
 
 
-def calibrated(folder: Path, session: Session) -> pincal.Fit:
+def calibrated(folder: Path, session: Session) -> pincal.FittedRobot:
     """Check that nothing but the noise is left and that the clock is within its interval; return the fit."""
     points = Path(f"{folder}.points.csv")
     setup = Setup(points=read_points(points) if points.exists() else {}, lens=read_camera(f"{folder}.camera.json").lens())

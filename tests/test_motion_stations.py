@@ -56,7 +56,7 @@ def day(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def fit(day: Path) -> pincal.Fit:
+def fit(day: Path) -> pincal.FittedRobot:
     """Return a calibration by both streams."""
     return pincal.calibrate(ROBOT, pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)]), GEOMETRY)
 
@@ -80,9 +80,9 @@ def sloped(station: Station, values: np.ndarray, free: np.ndarray) -> tuple[np.n
     return whole, np.array(found)
 
 
-def test_jacobians_of_stations_in_motion_are_exact(fit: pincal.Fit) -> None:
+def test_jacobians_of_stations_in_motion_are_exact(fit: pincal.FittedRobot) -> None:
     """By geometry, base, mount, the clock and the sensor's own, against differences; and as normal equations have them."""
-    for station, places, _ in fit.stations:
+    for station, places, _ in fit.fit.stations:
         some, values = station.select(np.arange(5, len(station), len(station) // 7)), fit.values[places]
         exact, differences = sloped(some, values, free := np.ones(len(values), bool))
         size = np.abs(differences).max(axis=(1, 2), keepdims=True) + 1e-3 * np.abs(differences).max()
@@ -92,7 +92,7 @@ def test_jacobians_of_stations_in_motion_are_exact(fit: pincal.Fit) -> None:
         np.testing.assert_allclose(columns, exact[kept], rtol=1e-9, atol=1e-12 * np.abs(exact).max())
 
 
-def test_clocks_are_found_with_everything_else(fit: pincal.Fit, day: Path) -> None:
+def test_clocks_are_found_with_everything_else(fit: pincal.FittedRobot, day: Path) -> None:
     """Each to its interval, the IMU's to a tenth of a millisecond or two, the tracker's to some microseconds."""
     truth, tables = json.loads(day.with_suffix(".json").read_text())["clocks"], fit.problem.stations
     session = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])
@@ -100,12 +100,12 @@ def test_clocks_are_found_with_everything_else(fit: pincal.Fit, day: Path) -> No
     for name, most in (("imu", 1e-3), ("tracker", 2e-5)):
         moving, at = session[f"monday/{name}"].moving, truth[name]
         assert moving is not None
-        offset, sigma, drift = clock_of(fit, f"monday/{name}/", moving)
+        offset, sigma, drift = clock_of(fit.fit, f"monday/{name}/", moving)
         off = offset - at["offset"] - at["drift"] * (moving.middle - at["middle"])
         assert abs(off) < min(4.0 * sigma, most) and drift == pytest.approx(1.5e-4, abs=4e-5)
 
 
-def test_noise_and_readings_are_what_was_put_in(fit: pincal.Fit) -> None:
+def test_noise_and_readings_are_what_was_put_in(fit: pincal.FittedRobot) -> None:
     """Nothing is left but the noise: of positions the declared one, of the IMU that of its densities in the window."""
     positions = fit.solution.estimated[2]
     assert positions == pytest.approx(3e-5, rel=0.1)
@@ -113,7 +113,7 @@ def test_noise_and_readings_are_what_was_put_in(fit: pincal.Fit) -> None:
     assert fit.solution.estimated[1] > 1.7e-4 * np.sqrt(0.5 / (2.0 * np.sqrt(np.pi) * 0.03))
 
 
-def test_what_follows_the_motion_is_no_change_of_the_setup(fit: pincal.Fit) -> None:
+def test_what_follows_the_motion_is_no_change_of_the_setup(fit: pincal.FittedRobot) -> None:
     """Errors that persist along a path are what the model lacks; windows of an IMU overlap, which is no doubt."""
     imu, tracker = fit.problem.stations
     told = []
@@ -124,19 +124,19 @@ def test_what_follows_the_motion_is_no_change_of_the_setup(fit: pincal.Fit) -> N
     assert told == [[], [CaveatKind.LEFT_IN_MOTION], [CaveatKind.DEPENDENT_ROWS]]
 
 
-def test_what_follows_the_motion_tells_of_no_move(fit: pincal.Fit) -> None:
+def test_what_follows_the_motion_tells_of_no_move(fit: pincal.FittedRobot) -> None:
     """Motions differ from session to session, and so does what a model lacks of them: such a station has no say."""
     imu, tracker = fit.problem.stations
     m, n = int(tracker.block_sizes.sum()), len(tracker)
     left = replace(tracker, serial=Serial(np.full(m, 0.9), np.full(m, 0.5), np.arange(n, dtype=float), np.ones(n, bool)))
     without, with_it = (
-        SharedInformation.of(replace(fit, problem=replace(fit.problem, stations=(imu, station)))).whole[1].any()
+        SharedInformation.of(replace(fit.fit, problem=replace(fit.problem, stations=(imu, station)))).whole[1].any()
         for station in (left, tracker)
     )
     assert with_it and not without
 
 
-def test_what_is_off_for_a_moment_is_no_place_of_a_joint(fit: pincal.Fit) -> None:
+def test_what_is_off_for_a_moment_is_no_place_of_a_joint(fit: pincal.FittedRobot) -> None:
     """A tenth of a second in which all readings are off lies in a narrow window of each joint; of held poses it is told."""
     _, tracker = fit.problem.stations
     values = fit.values[fit.problem.places[1]]
@@ -163,16 +163,16 @@ def test_a_clock_that_slips_is_refused_with_the_row(day: Path) -> None:
         pincal.run_calibration(ROBOT, tables, GEOMETRY, test_fraction=0.0)
 
 
-def test_joints_that_were_commanded_are_doubted_by_an_imu(day: Path, fit: pincal.Fit) -> None:
+def test_joints_that_were_commanded_are_doubted_by_an_imu(day: Path, fit: pincal.FittedRobot) -> None:
     """They are ahead of those that moved, each by another time; what is left then is more than an IMU scatters."""
     session = pincal.read_session(ROBOT, day)
     time, q = session.joints.time, session.joints.readings["q"]
     ahead = q + np.linspace(0.01, 0.04, 6) * np.gradient(q, time, axis=0)
     moved = replace(session, tracker=None, joints=replace(session.joints, readings={"q": ahead}))
-    (found,) = findings_on_scatter(pincal.calibrate(ROBOT, pincal.session_tables(ROBOT, [moved]), GEOMETRY))
+    (found,) = findings_on_scatter(pincal.calibrate(ROBOT, pincal.session_tables(ROBOT, [moved]), GEOMETRY).fit)
 
     assert re.search(r"angular rate are \d+ times .* commanded instead of measured", str(found))
-    assert not list(findings_on_scatter(fit))
+    assert not list(findings_on_scatter(fit.fit))
 
 
 def test_a_path_of_one_joint_is_asked_for_more(day: Path) -> None:
@@ -244,7 +244,7 @@ def test_a_fit_begun_by_some_rows_is_that_of_all(day: Path, monkeypatch: pytest.
     assert 0.15 * n < len(many_rows.some_of(whole.problem)) < 0.25 * n
     begun = pincal.calibrate(ROBOT, tables, options)
 
-    assert begun.problem.chain.moment_frame == whole.problem.chain.moment_frame and begun.stages != whole.stages
+    assert begun.problem.chain.moment_frame == whole.problem.chain.moment_frame and begun.fit.stages != whole.fit.stages
     free = whole.solution.free
     np.testing.assert_array_equal(begun.solution.free, free)
     sigma = whole.estimate.sigma[free]
@@ -252,7 +252,7 @@ def test_a_fit_begun_by_some_rows_is_that_of_all(day: Path, monkeypatch: pytest.
     np.testing.assert_allclose(begun.estimate.sigma[free], sigma, rtol=0.02)
     np.testing.assert_array_equal(begun.solution.weights, whole.solution.weights)
     np.testing.assert_allclose(begun.solution.sigma, whole.solution.sigma, rtol=1e-3)
-    np.testing.assert_allclose(begun.nominal.estimated, whole.nominal.estimated, rtol=1e-3)
+    np.testing.assert_allclose(begun.fit.nominal.estimated, whole.fit.nominal.estimated, rtol=1e-3)
     tracker = whole.problem.rows[list(tables).index("monday/tracker")]
     assert set(gross) <= set(np.flatnonzero(begun.solution.weights[tracker] == 0.0))
 
@@ -375,7 +375,7 @@ def test_a_load_that_is_carried_bends_the_arm_in_motion(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_a_later_session_shows_whether_the_robot_has_changed(
-    day: Path, fit: pincal.Fit, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    day: Path, fit: pincal.FittedRobot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A tracker that runs along tells what held poses would: nothing, or the joint that lags; an IMU alone is refused."""
     model, again = tmp_path / "model.json", ["--log-rates", "80,80,50", "--pose-seed", "9", "--setup-seed", "9"]
@@ -418,7 +418,7 @@ def test_distances_are_read_in_motion(tmp_path: Path) -> None:
 
     assert fit.solution.sigma[0] == pytest.approx(5e-5, rel=0.05)
     assert table.moving is not None
-    offset, sigma, drift = clock_of(fit, "", table.moving)
+    offset, sigma, drift = clock_of(fit.fit, "", table.moving)
     assert abs(offset - true["offset"] - true["drift"] * (table.moving.middle - true["middle"])) < 4.0 * sigma < 1e-4
     assert drift == pytest.approx(1e-3, abs=2e-6)
     shutil.copy(tmp_path / "other" / "tracker.csv", tmp_path / "day" / "tracker.csv")

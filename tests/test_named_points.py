@@ -12,9 +12,8 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import load_model, save_model
 from pincal.calibration.calibration import run_calibration
+from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.errors import BadInputError, MeasurementError, PincalWarning
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
@@ -158,7 +157,7 @@ def test_a_known_distance_sets_the_scale(machine: sim.TrueMachine, kuka: Robot) 
         lengths.append(fit.values[fit.model.index("joint_2.a")])
     alone = fit_tables(kuka, table, Options(effects=GEOMETRIC, sigma=5e-5))
     place = alone.model.index("joint_2.a")
-    sigma = [float(np.sqrt(CalibratedModel.of(f, {}).covariance[place, place])) for f in (alone, fit)]
+    sigma = [float(np.sqrt(FittedRobot.of(f, {}).covariance[place, place])) for f in (alone, fit)]
 
     assert lengths[1] - lengths[0] == pytest.approx(1e-3, rel=0.3)
     assert sigma[0] > 3.0 * sigma[1]
@@ -202,7 +201,7 @@ def test_model_file_reads_further_rows(case: str, machine: sim.TrueMachine, kuka
     make, setup = TABLES[case]
     table = make(machine, kuka)
     fit = fit_tables(kuka, table, Options(effects=GEOMETRIC, setup=setup))
-    save_model(tmp_path / "model.json", CalibratedModel.of(fit, {}))
+    FittedRobot.of(fit, {}).save(tmp_path / "model.json")
     back = load_model(tmp_path / "model.json")
 
     np.testing.assert_array_equal(back.readings(table).residuals(back.values), fit.station.residuals(fit.values))
@@ -292,7 +291,7 @@ def test_another_camera_than_the_given_one_is_noticed(machine: sim.TrueMachine, 
 def test_a_camera_that_was_found_can_be_given(machine: sim.TrueMachine, kuka: Robot, tmp_path: Path) -> None:
     """Lens and mount of a calibrated model come back from its camera file, and hold in another calibration."""
     table = seen(machine, kuka, poses=16, pixels=True)
-    model = CalibratedModel.of(fit_tables(kuka, table, Options(effects=GEOMETRIC, setup=Setup(points=GRID))), {})
+    model = FittedRobot.of(fit_tables(kuka, table, Options(effects=GEOMETRIC, setup=Setup(points=GRID))), {})
     path = tmp_path / "camera.json"
     path.write_text(json.dumps(model.camera()))
     camera = read_camera(path)
@@ -306,7 +305,7 @@ def test_a_camera_that_was_found_can_be_given(machine: sim.TrueMachine, kuka: Ro
     assert not fit.solution.free[[fit.model.index(f"camera.{symbol}") for symbol in ("x", "rz")]].any()
     with pytest.raises(BadInputError, match="calibrated with socket, not with images"):
         held = fit_tables(kuka, contacts(machine, kuka, each=12), Options(effects=GEOMETRIC))
-        CalibratedModel.of(held, {}).camera()
+        FittedRobot.of(held, {}).camera()
 
 
 def test_too_few_views_are_refused_however_many_points_they_have(machine: sim.TrueMachine, kuka: Robot) -> None:

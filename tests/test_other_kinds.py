@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pincal
-from pincal import CalibratedModel, Measurements, Options, Robot, calibrate, measurements_from_arrays
+from pincal import FittedRobot, Measurements, Options, Robot, calibrate, measurements_from_arrays
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.validation import validate_rows
@@ -55,21 +55,21 @@ def machine() -> sim.TrueMachine:
 
 
 @pytest.fixture(scope="module")
-def of_positions(kuka: Robot, machine: sim.TrueMachine) -> CalibratedModel:
+def of_positions(kuka: Robot, machine: sim.TrueMachine) -> FittedRobot:
     """Return its model from positions."""
-    return calibrate(kuka, measured(kuka, machine, 60, 1), OPTIONS).to_model()
+    return calibrate(kuka, measured(kuka, machine, 60, 1), OPTIONS).at()
 
 
 @pytest.fixture(scope="module")
-def of_poses(kuka: Robot, machine: sim.TrueMachine) -> CalibratedModel:
+def of_poses(kuka: Robot, machine: sim.TrueMachine) -> FittedRobot:
     """Return its model from poses."""
     options = Options(effects=GEOMETRIC, sigma=NOISE, sigma_orientation=1e-4)
-    return calibrate(kuka, measured(kuka, machine, 60, 2, 1e-4), options).to_model()
+    return calibrate(kuka, measured(kuka, machine, 60, 2, 1e-4), options).at()
 
 
 @pytest.mark.parametrize("angle", [5e-5, 1e-4, 1e-3])
 def test_poses_tell_of_a_model_of_positions(
-    kuka: Robot, machine: sim.TrueMachine, of_positions: CalibratedModel, angle: float
+    kuka: Robot, machine: sim.TrueMachine, of_positions: FittedRobot, angle: float
 ) -> None:
     """Whatever the noise of orientations, an unchanged robot is left alone, and the noise that was found is told."""
     new = measured(kuka, machine, 40, 10, angle)
@@ -82,9 +82,7 @@ def test_poses_tell_of_a_model_of_positions(
     assert not judged.doubt and judged.misfit.p_value > 1e-3
 
 
-def test_a_declared_noise_of_orientations_counts(
-    kuka: Robot, machine: sim.TrueMachine, of_positions: CalibratedModel
-) -> None:
+def test_a_declared_noise_of_orientations_counts(kuka: Robot, machine: sim.TrueMachine, of_positions: FittedRobot) -> None:
     """It takes the place of the estimate, without a note; what is no angle is refused."""
     new = measured(kuka, machine, 40, 11, 1e-4)
     found = pincal.diagnose(of_positions, new, sigma_orientation=1e-4)
@@ -96,7 +94,7 @@ def test_a_declared_noise_of_orientations_counts(
 
 
 def test_a_change_is_found_in_rows_of_another_kind(
-    kuka: Robot, machine: sim.TrueMachine, of_positions: CalibratedModel, of_poses: CalibratedModel
+    kuka: Robot, machine: sim.TrueMachine, of_positions: FittedRobot, of_poses: FittedRobot
 ) -> None:
     """An offset of a joint is named from poses after positions, and from positions after poses."""
     step = 3e-4 * np.eye(6)[2]
@@ -109,7 +107,7 @@ def test_a_change_is_found_in_rows_of_another_kind(
 
 
 def test_rows_of_another_kind_are_taken_in(
-    kuka: Robot, machine: sim.TrueMachine, of_positions: CalibratedModel, of_poses: CalibratedModel
+    kuka: Robot, machine: sim.TrueMachine, of_positions: FittedRobot, of_poses: FittedRobot
 ) -> None:
     """An update by poses of a model of positions, and the reverse, predicts no worse, and knows the robot better."""
     for model, angle in ((of_positions, 1e-4), (of_poses, None)):
@@ -121,7 +119,7 @@ def test_rows_of_another_kind_are_taken_in(
         assert not judged.doubt and judged.misfit.p_value > 1e-3
 
 
-def test_positions_are_judged_by_a_model_of_poses(kuka: Robot, machine: sim.TrueMachine, of_poses: CalibratedModel) -> None:
+def test_positions_are_judged_by_a_model_of_poses(kuka: Robot, machine: sim.TrueMachine, of_poses: FittedRobot) -> None:
     """With their replicates, at the place of the calibration and anywhere else."""
     rows = measured(kuka, machine, 20, 15)
     again = measured(kuka, machine, 20, 15).select(np.tile(np.arange(20), 2))

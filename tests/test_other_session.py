@@ -14,7 +14,9 @@ from scipy.linalg import block_diag
 from test_diagnosis import calibrated, rows
 
 import pincal
-from pincal import ELASTIC, GEOMETRIC, CalibratedModel, Conditions, Measurements, Model, Options, Robot
+from pincal import ELASTIC, GEOMETRIC, Conditions, FittedRobot, Measurements, Model, Options, Robot
+from pincal.calibration.curve_coverage import gaps_in_curves, knows
+from pincal.calibration.fit_evidence import KeptEvidence
 from pincal.calibration.placing import place_station
 from pincal.calibration.validation import validate_rows
 from pincal.cli import main
@@ -53,20 +55,20 @@ def session(robot: Robot, n: int, curves: dict[str, int], *, seed: int) -> Measu
 
 
 @pytest.fixture(scope="module")
-def first() -> CalibratedModel:
+def first() -> FittedRobot:
     """Return an arm as it was calibrated, with a curve in each of two drives."""
     robot = Robot.from_urdf("ur10")
     options = Options(effects=(*ELASTIC, *map(smooth, DRIVES)), sigma=NOISE)
-    return pincal.calibrate(robot, session(robot, 600, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=0), options).to_model()
+    return pincal.calibrate(robot, session(robot, 600, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=0), options).at()
 
 
 @pytest.fixture(scope="module")
-def worn(first: CalibratedModel) -> Measurements:
+def worn(first: FittedRobot) -> Measurements:
     """Return a later session, in which the first drive has another curve."""
     return session(first.model.chain.robot, 80, {DRIVES[0]: 7, DRIVES[1]: 2}, seed=1)
 
 
-def test_the_drive_whose_curve_is_another_is_named(first: CalibratedModel, worn: Measurements) -> None:
+def test_the_drive_whose_curve_is_another_is_named(first: FittedRobot, worn: Measurements) -> None:
     """It alone, with the session and by how much; the table says that it alone brings the error down."""
     found = pincal.diagnose(first, replace(worn, source="tuesday.csv"))
     (change,) = found.changes
@@ -85,7 +87,7 @@ def test_the_drive_whose_curve_is_another_is_named(first: CalibratedModel, worn:
 
 
 @pytest.mark.long
-def test_drives_that_are_as_they_were_are_not_named(first: CalibratedModel) -> None:
+def test_drives_that_are_as_they_were_are_not_named(first: FittedRobot) -> None:
     """Ten later sessions of the same robot."""
     robot = first.model.chain.robot
     alarms = [pincal.diagnose(first, session(robot, 40, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=s)).changed for s in range(2, 12)]
@@ -97,11 +99,11 @@ def test_a_curve_that_was_not_seen_everywhere_is_said_to_be_so() -> None:
     robot = Robot.from_urdf("ur10")
     table = session(robot, 1200, {DRIVES[0]: 1}, seed=0)
     options = Options(effects=(*ELASTIC, smooth(DRIVES[0])), sigma=NOISE)
-    model = pincal.calibrate(robot, table.select(np.abs(table.q[:, 0]) > 0.5 * HALF), options).to_model()
+    model = pincal.calibrate(robot, table.select(np.abs(table.q[:, 0]) > 0.5 * HALF), options).at()
     later = session(robot, 80, {DRIVES[0]: 1}, seed=1)
     found = pincal.diagnose(model, later)
     judged = validate_rows([model], later)
-    (gap,) = model.gaps(judged.station.conditions)
+    (gap,) = gaps_in_curves(model, judged.station.conditions)
     open_rows = np.abs(later.q[:, 0]) < 0.5 * HALF
 
     assert not found.changed
@@ -113,14 +115,14 @@ def test_a_curve_that_was_not_seen_everywhere_is_said_to_be_so() -> None:
     split = judged.by_coverage
     assert split is not None and split["elsewhere"]["rows"] == gap.rows
     assert split["elsewhere"]["mean"] > 3.0 * split["determined"]["mean"]
-    assert not model.gaps(judged.station.conditions.select(~open_rows))
+    assert not gaps_in_curves(model, judged.station.conditions.select(~open_rows))
 
 
 def test_what_later_rows_do_not_record_is_no_obstacle() -> None:
     """A model left settling, which follows the time: rows without one are diagnosed as if it had not."""
     case = draw_case(0, missed=3)
-    assert case is not None and case.model.left is not None
-    left, effect = case.model.left, ShortOfTarget(case.model.model.chain.robot.joint_names[1])
+    assert case is not None and case.model.unmodelled is not None
+    left, effect = case.model.unmodelled, ShortOfTarget(case.model.model.chain.robot.joint_names[1])
     n = len(names := tuple(p.name for p in effect.parameters(case.model.model.chain)))
     more = msgspec.structs.replace(
         left,
@@ -130,7 +132,7 @@ def test_what_later_rows_do_not_record_is_no_obstacle() -> None:
         covariance=block_diag(left.covariance, 1e-10 * np.eye(n)),
         taken_up=np.pad(left.taken_up, ((0, 0), (0, n))),
     )
-    with_it, without = (pincal.diagnose(replace(case.model, left_by=each), case.new) for each in (more, left))
+    with_it, without = (pincal.diagnose(replace(case.model, evidence=KeptEvidence(each)), case.new) for each in (more, left))
 
     assert case.new.time is None
     assert with_it.found.p_value == pytest.approx(without.found.p_value, rel=1e-9)
@@ -138,7 +140,7 @@ def test_what_later_rows_do_not_record_is_no_obstacle() -> None:
 
 
 @pytest.mark.long
-def test_an_update_finds_what_is_named_anew_and_keeps_the_rest(first: CalibratedModel, worn: Measurements) -> None:
+def test_an_update_finds_what_is_named_anew_and_keeps_the_rest(first: FittedRobot, worn: Measurements) -> None:
     """On rows that it never saw it leaves half of what the old model does, and the curve that stayed stays as it was."""
     updated = pincal.update(first, worn, anew=[f"transmission_error:{DRIVES[0]}"])
     later = session(first.model.chain.robot, 200, {DRIVES[0]: 7, DRIVES[1]: 2}, seed=20)
@@ -162,7 +164,7 @@ def spoilt(table: Measurements, gross: np.ndarray, *, seed: int = 0) -> Measurem
 
 
 @pytest.fixture(scope="module")
-def same(change_examples: Path) -> tuple[CalibratedModel, Measurements, Measurements]:
+def same(change_examples: Path) -> tuple[FittedRobot, Measurements, Measurements]:
     """Return a robot that is as it was calibrated, and rows of it and of one whose offset has changed."""
     case = change_examples / "cases"
     model = calibrated(case, "null25_heavy_6r")
@@ -174,7 +176,7 @@ def same(change_examples: Path) -> tuple[CalibratedModel, Measurements, Measurem
 
 
 def test_gross_rows_of_a_sound_robot_are_no_changes(
-    same: tuple[CalibratedModel, Measurements, Measurements],
+    same: tuple[FittedRobot, Measurements, Measurements],
 ) -> None:
     """A fifth of the rows: each is left out and said by its line, and nothing has changed."""
     model, new, _ = same
@@ -192,7 +194,7 @@ def test_gross_rows_of_a_sound_robot_are_no_changes(
 
 @pytest.mark.long
 def test_rows_of_which_many_are_gross_tell_nothing(
-    same: tuple[CalibratedModel, Measurements, Measurements], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    same: tuple[FittedRobot, Measurements, Measurements], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two fifths: a doubt and exit code 4, as of a calibration, and no change; an update refuses them."""
     model, new, _ = same
@@ -214,7 +216,7 @@ def test_rows_of_which_many_are_gross_tell_nothing(
 
 
 @pytest.mark.long
-def test_a_touched_instrument_is_no_change(first: CalibratedModel) -> None:
+def test_a_touched_instrument_is_no_change(first: FittedRobot) -> None:
     """Half of the rows shifted by 2 mm: the line is told, and nothing is said to have changed."""
     robot = first.model.chain.robot
     table = session(robot, 80, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=3)
@@ -250,14 +252,14 @@ def test_the_drives_of_a_ur10_on_another_day(shared_data: Path) -> None:
     # quarters, which leave 0.192, 0.200, 0.184 and 0.162 mm, the one that is nearest to their mean of 0.185.
     some = series[0].select(np.arange(2, len(series[0]), 4))
     found = run_discovery(robot, {"": some}, Options(effects=GEOMETRIC))
-    model = found.calibration.fit.to_model()
+    model = found.calibration.fit.at()
     placed = place_station(model, series[1])
     kept = placed.solution.weights > 0.0
     curves = redrawn_curves(placed, series[1], kept=kept, session="series_B")
 
     assert curves is not None
     # Where A had poses at which the drives stand there, its model holds on another day.
-    known = placed.model.knows(placed.station.conditions)
+    known = knows(placed.model, placed.station.conditions)
     off = 1e3 * np.linalg.norm(placed.station.displacements(placed.values), axis=1)
     means = off[known].mean(), off[~known].mean()
     print(f"{means[0]:.3f} mm at the {known.sum()} poses where A told every curve, {means[1]:.3f} mm elsewhere")

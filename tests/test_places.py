@@ -10,7 +10,7 @@ from machines import kuka as true_kuka
 from placed_arms import FIRST, MOVE, TOOL, measured, run, written
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated_robot import calibrate
+from pincal.calibration.checked_fit import calibrate
 from pincal.identify.options import Options
 from pincal.measure.table import write_table
 from pincal.model.catalogue import BaseDrift

@@ -9,7 +9,8 @@ from placed_arms import FIRST, MOVE, NOISE, TOOL, measured, transform
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated_robot import Fit, calibrate
+from pincal.calibration.checked_fit import calibrate
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.options import Options
@@ -26,13 +27,13 @@ def machine() -> sim.TrueMachine:
 
 
 @pytest.fixture(scope="module")
-def fit(machine: sim.TrueMachine, kuka: Robot) -> Fit:
+def fit(machine: sim.TrueMachine, kuka: Robot) -> FittedRobot:
     """Return the machine's calibration at its first station, whose base seemed to drift."""
     table = measured(machine, kuka, poses=100, time=np.linspace(0.0, 3600.0, 100))
     return calibrate(kuka, table, Options(effects=(*GEOMETRIC, BaseDrift.over(table.time))))
 
 
-def test_a_known_move_is_found(machine: sim.TrueMachine, kuka: Robot, fit: Fit) -> None:
+def test_a_known_move_is_found(machine: sim.TrueMachine, kuka: Robot, fit: FittedRobot) -> None:
     """Instrument and target moved by known ways: these are found, and what is left is noise; old drift is not asked for."""
     tool = TOOL + np.array([0.0, 0.02, 0.0])
     table = measured(machine, kuka, T_instrument_base=MOVE @ FIRST, tool=tool, seed=7)
@@ -45,7 +46,9 @@ def test_a_known_move_is_found(machine: sim.TrueMachine, kuka: Robot, fit: Fit) 
     assert error_summary(found.station, found.values)["mean_mm"] < 0.12
 
 
-def test_it_predicts_in_the_new_frame_within_its_uncertainty(machine: sim.TrueMachine, kuka: Robot, fit: Fit) -> None:
+def test_it_predicts_in_the_new_frame_within_its_uncertainty(
+    machine: sim.TrueMachine, kuka: Robot, fit: FittedRobot
+) -> None:
     """Predictions elsewhere, from ten rows, are off by what the placed model says of itself."""
     off = []
     for seed in range(8):
@@ -58,7 +61,7 @@ def test_it_predicts_in_the_new_frame_within_its_uncertainty(machine: sim.TrueMa
     assert 0.7 < np.sqrt(np.mean(np.square(off))) < 1.3
 
 
-def test_outliers_have_no_say(machine: sim.TrueMachine, kuka: Robot, fit: Fit) -> None:
+def test_outliers_have_no_say(machine: sim.TrueMachine, kuka: Robot, fit: FittedRobot) -> None:
     """Three wrong readings of forty are left out and named by their weight."""
     table = measured(machine, kuka, T_instrument_base=MOVE @ FIRST)
     wrong = np.zeros((40, 3))
@@ -69,7 +72,7 @@ def test_outliers_have_no_say(machine: sim.TrueMachine, kuka: Robot, fit: Fit) -
     assert found.moved.instrument == pytest.approx(1.3, abs=3e-4)
 
 
-def test_another_instrument_can_be_placed(machine: sim.TrueMachine, kuka: Robot, fit: Fit) -> None:
+def test_another_instrument_can_be_placed(machine: sim.TrueMachine, kuka: Robot, fit: FittedRobot) -> None:
     """Distances see where the instrument is, not how it is turned."""
     table = measured(machine, kuka, poses=60, T_instrument_base=MOVE @ FIRST, kind="distance")
     found = place_station(fit, table)
@@ -78,7 +81,7 @@ def test_another_instrument_can_be_placed(machine: sim.TrueMachine, kuka: Robot,
     assert found.model.sensor_kind == "distance" and found.misfit.p_value > 0.01
 
 
-def test_too_few_or_too_similar_rows_are_refused(machine: sim.TrueMachine, kuka: Robot, fit: Fit) -> None:
+def test_too_few_or_too_similar_rows_are_refused(machine: sim.TrueMachine, kuka: Robot, fit: FittedRobot) -> None:
     """Nine unknowns take four rows, and poses in which the tool turns."""
     with pytest.raises(MeasurementError, match="3 position measurements; expected at least 4 to determine the poses"):
         place_station(fit, measured(machine, kuka, poses=3))
@@ -115,7 +118,7 @@ def test_the_misfit_follows_chi_square(machine: sim.TrueMachine, kuka: Robot) ->
     assert np.mean([each.plain / each.expected for each in found]) == pytest.approx(1.0, abs=0.1)
 
 
-def test_rows_of_their_own_noise_are_judged_by_it(machine: sim.TrueMachine, kuka: Robot, fit: Fit) -> None:
+def test_rows_of_their_own_noise_are_judged_by_it(machine: sim.TrueMachine, kuka: Robot, fit: FittedRobot) -> None:
     """A coarser instrument that declares its noise is no sign of a changed robot."""
     table = measured(machine, kuka, poses=60, T_instrument_base=MOVE @ FIRST)
     rough = table.position + np.random.default_rng(0).normal(0.0, 1e-3, (60, 3))

@@ -7,7 +7,6 @@ import pytest
 from program_cases import KUKA, Writer, krl_point, rapid_target
 from test_programs import calibrated
 
-from pincal.calibration.calibrated_robot import save_model
 from pincal.cli import main
 from pincal.programs.arms import ProgramAxes
 from pincal.programs.correct import Corrector, ProgramCell
@@ -234,7 +233,7 @@ def test_several_arms_that_are_as_near_are_not_chosen_from() -> None:
 
 def test_a_program_is_not_written_over_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A second run would correct what is corrected already."""
-    save_model(tmp_path / "model.json", calibrated(4e-4))
+    calibrated(4e-4).save(tmp_path / "model.json")
     (tmp_path / "p.src").write_text(f"DEF p()\n{FRAMES}PTP {P}\nEND\n")
     with pytest.raises(SystemExit) as ended:
         main(["compensate", str(tmp_path / "model.json"), str(tmp_path / "p.src"), "--out", str(tmp_path / "p.src")])

@@ -10,9 +10,8 @@ import pytest
 from program_cases import COUNT, KUKA, LANGUAGES, PULSES, Case, Wanted, cases
 from scipy.spatial.transform import Rotation
 
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import save_model
 from pincal.calibration.covered import Covered
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.cli import main
 from pincal.errors import ProgramError
 from pincal.export import export_model
@@ -32,7 +31,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 PROMISED, PROMISED_IN_PULSES = 1e-6, 1e-4
 
 
-def calibrated(size: float) -> CalibratedModel:
+def calibrated(size: float) -> FittedRobot:
     """Return the KUKA with an error of some millimetres, or with none."""
     chain = Chain.of(KUKA)
     model = Model(chain, (LinkGeometry(), JointOffset(), JointElasticity(), BearingElasticity()))
@@ -41,7 +40,7 @@ def calibrated(size: float) -> CalibratedModel:
     values[compliances] = np.abs(values[compliances]) * 3.0 / (KUKA.masses.sum() * KUKA.reach * 9.81)
     covered = Covered(np.tile([-9.0, 9.0], (6, 1)), np.array([0.0, 200.0]))
     estimate = estimate_of(model.parameters, values, 1e-12 * np.eye(len(values)))
-    return CalibratedModel(model, estimate, "pose", np.zeros(3), covered, np.full(1, 5e-5), {})
+    return FittedRobot.given(model, estimate, covered, sensor_kind="pose", sigma=[5e-5])
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +48,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Return the files of a robot without errors and of one with them."""
     folder = tmp_path_factory.mktemp("models")
     for name, size in (("none", 0.0), ("some", 4e-4)):
-        save_model(folder / f"{name}.json", calibrated(size))
+        calibrated(size).save(folder / f"{name}.json")
     return folder / "none.json", folder / "some.json"
 
 

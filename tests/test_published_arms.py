@@ -11,8 +11,8 @@ import pytest
 import yourdfpy
 from test_cli import run
 
-from pincal.calibration.calibrated_robot import load_model
 from pincal.calibration.calibration import run_calibration
+from pincal.calibration.fitted_robot import load_model
 from pincal.compensate.compensation import compensate_poses
 from pincal.design.pose_design import design_poses
 from pincal.design.request import DesignRequest

@@ -60,10 +60,9 @@ def test_what_is_printed_is_short(calibration: pincal.Calibration, table: pincal
         "Robot('ur10': 6 joints from world to tool0)": calibration.robot,
         "Measurements('arrays': 60 rows, position, joints shoulder_pan_joint": table,
         "Calibration('ur10': 60 rows fitted, mean error": calibration,
-        "Fit('ur10': 60 rows": fit,
-        "CalibratedModel('ur10': ": fit.to_model(),
+        "FittedRobot('ur10': 60 rows": fit,
         "Chain('ur10': 6 joints": fit.problem.chain,
-        "Model('ur10': ": fit.to_model().model,
+        "Model('ur10': ": fit.model,
     }
     for begins, thing in shown.items():
         assert repr(thing).startswith(begins) and len(repr(thing)) < 200 and "\n" not in repr(thing)
@@ -92,7 +91,7 @@ def test_a_field_is_drawn_beside_the_robot(calibration: pincal.Calibration) -> N
     layer = pincal.draw_field(viz, fit, scale=100.0, grid=50)
     [(path, lines)] = viewer.drawn.items()
     ends = lines.geometry.position.T.reshape(-1, 6, 3)
-    plain = deviation_fields(fit.to_model(), grid=50).layers[0]
+    plain = deviation_fields(fit.at(), grid=50).layers[0]
 
     assert path == ("pincal", layer.name) == ("pincal", plain.name)
     np.testing.assert_allclose(ends[:, 1] - ends[:, 0], 100.0 * layer.vectors, atol=1e-6)

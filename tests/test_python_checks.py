@@ -86,7 +86,7 @@ def table(machine: sim.TrueMachine, robot: pincal.Robot) -> pincal.Measurements:
 
 
 @pytest.fixture(scope="module")
-def fit(robot: pincal.Robot, table: pincal.Measurements) -> pincal.Fit:
+def fit(robot: pincal.Robot, table: pincal.Measurements) -> pincal.FittedRobot:
     """Return the fit to this table."""
     return pincal.calibrate(robot, table, GEOMETRY)
 
@@ -111,7 +111,7 @@ def test_python_refuses_what_the_command_refuses(
 def test_joints_are_matched_by_name(
     robot: pincal.Robot,
     table: pincal.Measurements,
-    fit: pincal.Fit,
+    fit: pincal.FittedRobot,
 ) -> None:
     """A table with its joints in another order gives the same fit and the same predictions."""
     other = reordered(table)
@@ -143,7 +143,7 @@ def test_columns_of_joints_follow_their_names(
 def test_later_rows_are_matched_and_checked(
     machine: sim.TrueMachine,
     robot: pincal.Robot,
-    fit: pincal.Fit,
+    fit: pincal.FittedRobot,
 ) -> None:
     """All that takes later rows, ``diagnose`` and ``predict`` too, matches names and units."""
     later = measured(machine, robot, poses=30, seed=8)
@@ -154,7 +154,7 @@ def test_later_rows_are_matched_and_checked(
     np.testing.assert_array_equal(updated.values, pincal.update(fit, later).values)
     placed = pincal.place_station(fit, other)
     np.testing.assert_array_equal(placed.values, pincal.place_station(fit, later).values)
-    for use in (pincal.diagnose, pincal.update, pincal.Fit.predict, pincal.Fit.score):
+    for use in (pincal.diagnose, pincal.update, pincal.FittedRobot.predict, pincal.FittedRobot.score):
         with pytest.raises(pincal.BadInputError, match="looks like degrees"):
             use(fit, in_degrees(later))
         with pytest.raises(pincal.BadInputError, match="unknown: a1; missing: joint_1"):
@@ -186,11 +186,11 @@ def test_parts_are_checked(robot: pincal.Robot, table: pincal.Measurements) -> N
         pincal.calibrate_parts(robot, [halves[0], in_degrees(halves[1])], GEOMETRY)
 
 
-def test_a_fit_shows_its_noise(fit: pincal.Fit) -> None:
+def test_a_fit_shows_its_noise(fit: pincal.FittedRobot) -> None:
     """Its ``repr`` has robot, rows and the noise of the residuals in mm."""
     noise = 1e3 * fit.solution.estimated[0]
 
-    assert repr(fit) == f"Fit('kuka_kr125_2': 120 rows, noise {noise:.3g} mm)"
+    assert repr(fit) == f"FittedRobot('kuka_kr125_2': 120 rows, noise {noise:.3g} mm)"
 
 
 def test_the_figures_of_a_calibration_are_at_hand(
@@ -208,7 +208,7 @@ def test_the_figures_of_a_calibration_are_at_hand(
     ]
 
 
-def test_parameters_are_found_by_name(fit: pincal.Fit) -> None:
+def test_parameters_are_found_by_name(fit: pincal.FittedRobot) -> None:
     """The table of parameters returns value, standard deviation and unit of one by its name."""
     k = fit.estimate.names.index("joint_2.theta")
     found = fit.parameters.row("joint_2.theta")
@@ -223,7 +223,7 @@ def test_parameters_are_found_by_name(fit: pincal.Fit) -> None:
 
 def test_residuals_are_reading_minus_prediction(
     table: pincal.Measurements,
-    fit: pincal.Fit,
+    fit: pincal.FittedRobot,
 ) -> None:
     """Each row of ``fit.residuals`` is a reading minus ``fit.predict`` of its joints, in m."""
     found = fit.residuals.to_polars()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_calibrate import paper_table
 
-from pincal import GEOMETRIC, Options, bootstrap, calibrate, cross_validate, monte_carlo
+from pincal import GEOMETRIC, Options, calibrate, cross_validate
 
 OPTIONS = Options(effects=GEOMETRIC, payload_centre=(0.08, -0.05, 0.22))
 
@@ -19,14 +19,14 @@ def fit(kuka):
 def test_executors_give_the_same_draws(fit):
     """Threads and the plain loop agree to the last digit: seeds belong to the draws."""
     with ThreadPoolExecutor(2) as executor:
-        np.testing.assert_array_equal(monte_carlo(fit, draws=4, executor=executor), monte_carlo(fit, draws=4))
+        np.testing.assert_array_equal(fit.monte_carlo(draws=4, executor=executor), fit.monte_carlo(draws=4))
 
 
 @pytest.mark.long
 def test_other_processes_give_the_same_draws(fit):
     """Everything a fit needs can be sent to another process."""
     with ProcessPoolExecutor(2) as executor:
-        np.testing.assert_array_equal(bootstrap(fit, draws=4, executor=executor), bootstrap(fit, draws=4))
+        np.testing.assert_array_equal(fit.bootstrap(draws=4, executor=executor), fit.bootstrap(draws=4))
 
 
 def test_cross_validation_predicts_every_row_once(kuka):
@@ -39,8 +39,8 @@ def test_cross_validation_predicts_every_row_once(kuka):
 
 def test_monte_carlo_spread_is_the_posterior(fit):
     """The spread of predictions over simulated readings equals that of the covariance within its own scatter."""
-    conditions = fit.station.conditions.select(slice(0, 40))
-    draws = monte_carlo(fit, draws=60, seed=1)
+    conditions = fit.problem.conditions.select(slice(0, 40))
+    draws = fit.monte_carlo(draws=60, seed=1)
     places = np.array([fit.model.predict(values, conditions)[:, :, 3] for values in draws])
     _, J = fit.model.linearise(fit.values, conditions, free=fit.solution.free)
     sigma = np.sqrt(np.einsum("nij,jk,nik->ni", J, fit.solution.known.covariance, J))

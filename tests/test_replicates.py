@@ -335,7 +335,7 @@ def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys, monkeypa
 @pytest.mark.parametrize("scatter", [0.0, 1e-4])
 def test_chances_are_true_of_calibrations(kuka, scatter):
     """Over 120 calibrations, and as many validations on new poses, false alarms are as rare as they say."""
-    from pincal.calibration.calibrated import CalibratedModel
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.validate.lack_of_fit import replicate_statistics
 
     found = []
@@ -343,7 +343,7 @@ def test_chances_are_true_of_calibrations(kuka, scatter):
         calibration = run_calibration(
             kuka, visited(40, 4, seed, scatter=scatter, machine_seed=seed), Options(effects=GEOMETRIC)
         )
-        calibrated = CalibratedModel.of(calibration.fit, {})
+        calibrated = FittedRobot.of(calibration.fit.fit, {})
         new = visited(20, 4, 1000 + seed, scatter=scatter, machine_seed=seed)
         _, tested = replicate_statistics(
             calibrated.readings(new),

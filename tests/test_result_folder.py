@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from pincal.atomic import drafted
-from pincal.calibration.model_file import read_model
+from pincal.calibration.earlier_files import read_model
 from pincal.errors import ModelFileError, OutputError
 from pincal.io import result_folder
 from pincal.io.result_folder import RESULTS, output_folder

@@ -17,7 +17,7 @@ from test_cli import run
 from test_corrector import answered
 from test_export import EFFECTS, drawn
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensation import compensate_program
 from pincal.compensate.robot_frames import false_targets, program_poses
 from pincal.export import export_model
@@ -33,7 +33,7 @@ N = 6
 class Made:
     """A robot that errs, its file, a program, and the joints that it becomes."""
 
-    calibrated: CalibratedModel
+    calibrated: FittedRobot
     model: Path
     at: Conditions
     q: np.ndarray

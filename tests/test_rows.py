@@ -20,6 +20,7 @@ from pincal import (
     run_calibration,
 )
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.discover.decisions import standard_errors
 from pincal.discover.run import run_discovery
 from pincal.identify.calibrate import refit
@@ -79,7 +80,7 @@ def test_means_of_poses_weigh_as_the_declared_noise_says(kuka: Robot) -> None:
     single = rows.with_readings(position=rows.position + NOISE * rng.standard_normal((60, 3)))
     options = Options(effects=GEOMETRIC, sigma=NOISE)
     one, mean = (calibrate(kuka, of, options) for of in (single, four))
-    told = _told(one)
+    told = _told(one.fit)
 
     np.testing.assert_allclose(mean.estimate.sigma[told], 0.5 * one.estimate.sigma[told], rtol=0.05)
 
@@ -145,7 +146,7 @@ def test_an_instrument_stands_where_the_rows_saw_it_on_average(kuka: Robot) -> N
     """Nothing is left of an error that persists, on average, and all but where the instrument stands is the weighed fit."""
     rows = table(kuka, 150, NOISE * autoregression(np.random.default_rng(3), 150, 0.98), 3)
     fit = calibrate(kuka, rows, Options(effects=GEOMETRIC))
-    weighed = refit(fit, fit.options.effects, start={})
+    weighed = refit(fit.fit, fit.options.effects, start={})
     moved = np.abs(weighed.values - fit.values) > 0.01 * fit.estimate.sigma
 
     assert fit.problem.stations[0].serial is not None
@@ -163,7 +164,7 @@ def test_correlated_noise_is_estimated_and_left_white(kuka: Robot) -> None:
         noise = NOISE * autoregression(np.random.default_rng(seed), 200, 0.9)
         fit = calibrate(kuka, table(kuka, 200, noise, seed), Options(effects=GEOMETRIC))
         serial = fit.problem.stations[0].serial
-        assert serial is not None and not is_dependent(fit)
+        assert serial is not None and not is_dependent(fit.fit)
         found.append(serial.phi[0])
 
     assert abs(np.median(found) - 0.9) < 0.05
@@ -180,7 +181,7 @@ def test_a_target_that_wanders_on_the_tool_is_correlated_noise_of_the_target(kuk
     serial = found.fit.problem.stations[0].serial
 
     assert serial is not None and serial.turns is not None and np.all(serial.phi > 0.85)
-    assert not is_dependent(found.fit) and any("target's place on the tool" in note.text for note in found.result.doubts)
+    assert not is_dependent(found.fit.fit) and any("target's place on the tool" in note.text for note in found.result.doubts)
     columns = rng.standard_normal((1, 3, 200))
     np.testing.assert_allclose(serial.coloured(serial.innovations(columns)[0]), columns[0], atol=1e-12)
 
@@ -193,7 +194,7 @@ def test_intervals_cover_under_correlated_noise(kuka: Robot) -> None:
         noise = NOISE * autoregression(np.random.default_rng(1000 + seed), 150, 0.9)
         fit = calibrate(kuka, table(kuka, 150, noise, seed), Options(effects=GEOMETRIC, sigma=NOISE))
         truth = _without_noise(kuka, seed)
-        told = _told(fit)
+        told = _told(fit.fit)
         covered.append(np.mean(np.abs(fit.values - truth.values)[told] < 1.96 * fit.estimate.sigma[told]))
 
     assert np.mean(covered) > 0.95 - 4.0 * np.std(covered) / np.sqrt(60)
@@ -204,7 +205,7 @@ def _told(fit: ModelFit) -> np.ndarray:
     return np.asarray(np.isfinite(fit.priors.sizes) & (fit.estimate.sigma < 0.03 * fit.priors.sizes))
 
 
-def _without_noise(kuka: Robot, seed: int) -> ModelFit:
+def _without_noise(kuka: Robot, seed: int) -> FittedRobot:
     return calibrate(kuka, table(kuka, 150, np.zeros((150, 3)), seed), Options(effects=GEOMETRIC, sigma=NOISE, serial=False))
 
 
@@ -221,7 +222,7 @@ def test_a_fit_of_independent_rows_has_no_correlated_noise(kuka: Robot) -> None:
     rows = table(kuka, 80, NOISE * np.random.default_rng(7).standard_normal((80, 3)))
     fits = [calibrate(kuka, rows, Options(effects=ELASTIC, serial=serial)) for serial in (True, False)]
 
-    assert serial_noise(fits[0]) == (None,)
+    assert serial_noise(fits[0].fit) == (None,)
     np.testing.assert_array_equal(fits[0].values, fits[1].values)
 
 
@@ -321,15 +322,15 @@ def test_outliers_gather_or_do_not(kuka: Robot) -> None:
     """Those within 5 deg of one joint are found there; of 200 draws of outliers anywhere none is said to gather."""
     rng = np.random.default_rng(9)
     fit = calibrate(kuka, table(kuka, 300, NOISE * rng.standard_normal((300, 3))), Options(effects=GEOMETRIC))
-    q = fit.station.conditions.q[:, 2]
+    q = fit.fit.station.conditions.q[:, 2]
     near = np.abs(q - np.median(q)) < np.deg2rad(2.5)
-    found = gathering_of(fit.station, near)
+    found = gathering_of(fit.fit.station, near)
 
     assert found is not None and found.variable == kuka.joint_names[2] and found.among == near.sum()
     for _ in range(200):
         anywhere = np.zeros(300, bool)
         anywhere[rng.choice(300, 15, replace=False)] = True
-        assert gathering_of(fit.station, anywhere) is None
+        assert gathering_of(fit.fit.station, anywhere) is None
 
 
 @pytest.mark.long
@@ -338,7 +339,9 @@ def test_a_bump_of_a_drive_is_told_by_its_joint_and_place(kuka: Robot) -> None:
     rng = np.random.default_rng(3)
 
     def fitted(positions: np.ndarray, q: np.ndarray) -> ModelFit:
-        return calibrate(kuka, measurements_from_arrays(kuka.joint_names, q, position=positions), Options(effects=GEOMETRIC))
+        return calibrate(
+            kuka, measurements_from_arrays(kuka.joint_names, q, position=positions), Options(effects=GEOMETRIC)
+        ).fit
 
     for draw in range(50):
         q = kuka.random_configurations(300, rng)

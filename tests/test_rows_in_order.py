@@ -131,7 +131,7 @@ def test_what_follows_the_last_move_is_told_from_play(
     """A drive that has not come to rest is no play, nor is play a drive that has not come to rest."""
     rows = read(table(replace(machine, effects=(hidden,)), tmp_path / "rows.csv"))
     fit = calibrate(Robot.from_urdf(kuka_urdf_path(), tip="tool0"), rows, Options(effects=GEOMETRIC, sigma=SIGMA))
-    (step,) = discover_effects(fit, row_groups(rows, split="blocked", seed=0) % 8).steps
+    (step,) = discover_effects(fit.fit, row_groups(rows, split="blocked", seed=0) % 8).steps
 
     assert (step.effect.name, step.effect.locus.joint) == (name, "joint_3")
 

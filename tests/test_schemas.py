@@ -73,10 +73,14 @@ def test_what_a_discovery_writes_is_valid(table: pincal.Measurements) -> None:
     assert json.loads(msgspec.json.encode(msgspec.convert(contents, Findings))) == contents
 
 
-@pytest.mark.parametrize("name", ["tracker", "contacts", "camera", "discovered"])
-def test_files_of_version_0_1_0_are_valid(name: str) -> None:
-    """What was added since is optional."""
-    valid("model", json.loads((DATA / f"model_0_1_0_{name}.json").read_text()))
+@pytest.mark.parametrize("name", ["0_1_0_tracker", "0_1_0_contacts", "0_1_0_camera", "0_1_0_discovered", "2_stations"])
+def test_files_of_earlier_versions_are_saved_as_of_this_one(name: str, tmp_path: Path) -> None:
+    """Read and written again they are valid."""
+    pincal.load_model(DATA / f"model_{name}.json").save(tmp_path / "model.json")
+    contents = json.loads((tmp_path / "model.json").read_text())
+
+    assert contents["format_version"] == 3
+    valid("model", contents)
 
 
 def test_a_camera_that_was_found_is_valid() -> None:

@@ -18,7 +18,7 @@ OPTIONS = Options(effects=GEOMETRIC)
 
 def wrong_rows(table: Measurements) -> np.ndarray:
     """Return which rows a calibration leaves out as wrong readings."""
-    return next(iter(calibrate(ROBOT, table, OPTIONS).wrong), np.zeros(len(table), bool))
+    return next(iter(calibrate(ROBOT, table, OPTIONS).fit.wrong), np.zeros(len(table), bool))
 
 
 @pytest.mark.parametrize("cycles", [2, 3, 5])

@@ -15,8 +15,7 @@ from scipy.stats import multivariate_normal
 
 from pincal import GEOMETRIC, Measurements, Options, Robot
 from pincal import simulate as sim
-from pincal.calibration.calibrated_robot import Fit as CalibratedFit
-from pincal.calibration.calibrated_robot import load_model
+from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.discover import drive_curves
 from pincal.discover.drive_curves import CurveSquares, resolved, smoothed
 from pincal.discover.levers import situation_of
@@ -246,7 +245,7 @@ def test_what_an_earlier_fit_knows_of_a_curve_has_its_smoothness(
 ) -> None:
     """So that it is not counted again; and a file keeps it."""
     fit = fits[1]
-    options = replace(fit.options, earlier=CalibratedFit.of(fit).robot_estimate)
+    options = replace(fit.options, earlier=FittedRobot.of(fit).robot_estimate)
     later = fit_tables(kuka, rows.select(slice(0, 60)), options)
 
     assert [term.sigma is None for term in fit.problem.beliefs.terms] == [True]
@@ -255,7 +254,7 @@ def test_what_an_earlier_fit_knows_of_a_curve_has_its_smoothness(
 
 def test_a_file_keeps_how_rough_a_curve_is(fits: tuple[ModelFit, ModelFit], tmp_path: Path) -> None:
     """And one that says nothing of it is of a curve of which nothing was known."""
-    fit = CalibratedFit.of(fits[1])
+    fit = FittedRobot.of(fits[1])
     fit.save(tmp_path / "model.json")
     read = load_model(tmp_path / "model.json")
     text = (tmp_path / "model.json").read_text(encoding="utf-8")

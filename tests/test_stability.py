@@ -11,7 +11,7 @@ from discovery_cases import Case, draw_case
 from scipy.stats import binom, kstest
 from stability_study import by_class, study
 
-from pincal.calibration.calibrated_robot import Fit as CalibratedFit
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.discover.ending import of_bearings, of_candidates, of_masses
 from pincal.discover.findings import chance_of_best, findings_of
 from pincal.discover.levers import missing_features
@@ -68,7 +68,7 @@ def test_a_name_counts_where_it_is_named_or_could_be_meant() -> None:
 
 def test_what_is_plain_to_see_comes_up_in_every_half(case: Case, found: Discovery) -> None:
     """And the file says so; it is the same without the repetition but for that."""
-    alone = msgspec.to_builtins(findings_of(found.calibration.fit, found.trail, gaps=found.gaps, traces=found.traces))
+    alone = msgspec.to_builtins(findings_of(found.calibration.fit.fit, found.trail, gaps=found.gaps, traces=found.traces))
     report = json.loads(json.dumps(found.report, allow_nan=False))
     # What is held out, and the verdict on the noise, are told by the whole.
     for of in (alone, report):
@@ -155,8 +155,8 @@ def test_standard_deviations_pay_for_what_is_not_in_the_model(found: Discovery) 
     others = fit.readings(found.calibration.train).conditions
 
     assert np.all(ratio > 1.0 - 1e-9) and 1.05 < ratio.max() < 2.0
-    assert np.all(fit.estimate.sigma <= fit.priors.sizes * (1.0 + 1e-9))
-    assert np.all(fit.position_sigma(others) > CalibratedFit.of(last).position_sigma(others))
+    assert np.all(fit.estimate.sigma <= fit.fit.priors.sizes * (1.0 + 1e-9))
+    assert np.all(fit.position_sigma(others) > FittedRobot.of(last).position_sigma(others))
     assert np.array_equal(fit.values, last.values) and np.array_equal(fit.solution.sigma, last.solution.sigma)
     assert fit.solution.posterior.identifiable_rank == last.solution.posterior.identifiable_rank
 

@@ -14,8 +14,7 @@ from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated_robot import Fit as CalibratedFit
-from pincal.calibration.calibrated_robot import load_stations
+from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.result_tables import parameter_rows
 from pincal.discover.score_tests import ScoreTests, score_test
 from pincal.errors import BadInputError
@@ -619,11 +618,11 @@ def test_what_one_station_has_by_itself_is_fitted_there_alone(machine: sim.TrueM
     slope = (station.residuals(at - step) - station.residuals(at + step)) / 2e-6
     np.testing.assert_allclose(J[i], slope, atol=1e-8)
     np.testing.assert_allclose(J[i], J[station.model.index("joint_3.theta")], atol=1e-15)
-    fit = CalibratedFit.of(fit)
-    fit.save(tmp_path / "model.json")
-    again = load_stations(tmp_path / "model.json")
-    assert again.at("west").model.effects == fit.at("west").model.effects
-    np.testing.assert_array_equal(again.at("west").predict(tables["west"].q), fit.at("west").predict(tables["west"].q))
+    robot = FittedRobot.of(fit)
+    robot.save(tmp_path / "model.json")
+    again = load_model(tmp_path / "model.json")
+    assert again.at("west").model.effects == robot.at("west").model.effects
+    np.testing.assert_array_equal(again.at("west").predict(tables["west"].q), robot.at("west").predict(tables["west"].q))
 
 
 def wandering(machine: sim.TrueMachine, robot: Robot, days: int, size: float) -> dict[str, Measurements]:

@@ -10,7 +10,7 @@ import pytest
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated_robot import CalibratedRobot, load_stations
+from pincal.calibration.fitted_robot import load_model
 from pincal.errors import ModelFileError
 from pincal.model.effects import GEOMETRIC
 from pincal.schemas import shipped
@@ -20,7 +20,7 @@ BASE = np.array([[0.0, -1.0, 0.0, 2.0], [1.0, 0.0, 0.0, 0.5], [0.0, 0.0, 1.0, -0
 
 
 @pytest.fixture(scope="module")
-def fit() -> pincal.Fit:
+def fit() -> pincal.FittedRobot:
     """Return a fit of a tracker in two places, in the second one reading poses of another target."""
     rng = np.random.default_rng(3)
     robot = pincal.Robot.from_urdf(kuka_urdf_path())
@@ -38,15 +38,15 @@ def fit() -> pincal.Fit:
 
 
 @pytest.fixture
-def path(fit: pincal.Fit, tmp_path: Path) -> Path:
+def path(fit: pincal.FittedRobot, tmp_path: Path) -> Path:
     """Return its file."""
     fit.save(tmp_path / "model.json")
     return tmp_path / "model.json"
 
 
-def test_each_station_predicts_what_the_fit_does(fit: pincal.Fit, path: Path) -> None:
+def test_each_station_predicts_what_the_fit_does(fit: pincal.FittedRobot, path: Path) -> None:
     """From the file as from the fit: poses, their uncertainty, names, ranges and provenance."""
-    again = load_stations(path)
+    again = load_model(path)
     assert again.names == ("east", "west")
     for station, places in zip(fit.problem.stations, fit.problem.places, strict=True):
         model, read = fit.at(station.name), again.at(station.name)
@@ -60,7 +60,7 @@ def test_each_station_predicts_what_the_fit_does(fit: pincal.Fit, path: Path) ->
         assert read.outside(station.conditions) == []
 
 
-def test_uncertainty_of_a_station_is_that_of_the_joint_covariance(fit: pincal.Fit) -> None:
+def test_uncertainty_of_a_station_is_that_of_the_joint_covariance(fit: pincal.FittedRobot) -> None:
     """J C J^T with the columns of the station's own parameters and the robot's, by the dense covariance of all."""
     station, places = fit.problem.stations[1], fit.problem.places[1]
     rows = station.conditions.select(np.arange(3))
@@ -75,27 +75,27 @@ def test_uncertainty_of_a_station_is_that_of_the_joint_covariance(fit: pincal.Fi
 def test_the_file_is_valid_and_refused_where_damaged(path: Path) -> None:
     """By the shipped schema; a parameter that is missing and a group beyond the fitted ones are named."""
     contents = json.loads(path.read_text())
-    jsonschema.validate(contents, json.loads(shipped("stations").read_text()))
+    jsonschema.validate(contents, json.loads(shipped("model").read_text()))
     for edit, words in (
         (lambda c: c["stations"][1].pop("sensor_kind"), r"stations\[1\]\.sensor_kind: is missing"),
         (lambda c: c["covariance"]["groups"][0]["parameters"].__setitem__(0, 999), r"groups\[0\]\.parameters: has an entry"),
-        (lambda c: c["parameters"][0].__setitem__("name", "red"), "parameters: lack"),
+        (lambda c: c["parameters"][0].__setitem__("name", "red"), "parameters: are not those of the effects"),
         (lambda c: c["values"].pop(), r"values: has shape"),
-        (lambda c: c.__setitem__("format_version", 3), "written by a newer pincal"),
+        (lambda c: c.__setitem__("format_version", 4), "written by a newer pincal"),
     ):
         damaged = json.loads(path.read_text())
         edit(damaged)  # type: ignore[no-untyped-call]
         path.write_text(json.dumps(damaged))
         with pytest.raises(ModelFileError, match=words):
-            load_stations(path)
+            load_model(path)
         path.write_text(json.dumps(contents))
 
 
-def test_a_station_has_to_be_chosen_to_predict(fit: pincal.Fit, path: Path) -> None:
+def test_a_station_has_to_be_chosen_to_predict(fit: pincal.FittedRobot, path: Path) -> None:
     """One model to predict with is that of a station; the message names them."""
-    with pytest.raises(pincal.BadInputError, match=r"several stations: east, west; .*load_stations"):
-        pincal.load_model(path)
+    with pytest.raises(pincal.BadInputError, match="2: east, west; choose one"):
+        pincal.load_model(path).predict(np.zeros(6))
     with pytest.raises(pincal.BadInputError, match="2: east, west; choose one"):
         fit.predict(np.zeros(6))
     with pytest.raises(pincal.BadInputError, match="station 'north' is not in the model; expected one of east, west"):
-        CalibratedRobot.of(fit).at("north")
+        fit.at("north")

@@ -10,7 +10,7 @@ import pytest
 from stop_cases import NOISE, MeasuredRobot, MeasuringPlan
 
 import pincal
-from pincal import CalibratedModel, Options
+from pincal import FittedRobot, Options
 from pincal.calibration.placing import place_station
 from pincal.calibration.validation import validate_rows
 from pincal.cli import main
@@ -53,7 +53,7 @@ def run(*arguments: object) -> int:
 
 
 @pytest.fixture(scope="module")
-def single() -> tuple[MeasuredRobot, CalibratedModel]:
+def single() -> tuple[MeasuredRobot, FittedRobot]:
     """Return a robot whose drives arrive within 40 urad, and its model from single readings."""
     robot, rng = drawn(0, 4e-5)
     return robot, robot.calibrated(MeasuringPlan(100), rng)
@@ -66,7 +66,7 @@ def test_the_scatter_within_and_between_stops_is_found() -> None:
     position = table.position.copy()
     position[100] += 5e-3
     fit = pincal.calibrate(robot.robot, table.with_readings(position=position), Options(effects=GEOMETRIC))
-    found = fit.scatter[""]
+    found = fit.fit.scatter[""]
     # A drive's arrival moves the target along its lever.
     levers = place_station(fit, robot.measured(MeasuringPlan(200), rng)).model
     q = table.q[::4]
@@ -178,7 +178,7 @@ def test_false_alarms_are_as_rare_as_promised_by_any_plan(plan: str) -> None:
     assert alarms <= 2
 
 
-def test_a_check_of_ten_cycles_raises_no_alarm(single: tuple[MeasuredRobot, CalibratedModel]) -> None:
+def test_a_check_of_ten_cycles_raises_no_alarm(single: tuple[MeasuredRobot, FittedRobot]) -> None:
     """What a model lacks at a pose is not averaged away by cycles: the means of poses are not ten times as sure."""
     robot, model = single
     rng = np.random.default_rng(5)
@@ -191,7 +191,7 @@ def test_a_check_of_ten_cycles_raises_no_alarm(single: tuple[MeasuredRobot, Cali
 
 
 @pytest.mark.parametrize("dwell", [1, 5])
-def test_an_offset_is_found_in_rows_of_any_dwell(single: tuple[MeasuredRobot, CalibratedModel], dwell: int) -> None:
+def test_an_offset_is_found_in_rows_of_any_dwell(single: tuple[MeasuredRobot, FittedRobot], dwell: int) -> None:
     """0.3 mrad of a joint are named, with a size beyond its uncertainty, from single readings and from five a stop."""
     robot, model = single
     rng = np.random.default_rng(6)
@@ -205,7 +205,7 @@ def test_an_offset_is_found_in_rows_of_any_dwell(single: tuple[MeasuredRobot, Ca
     assert abs(parameter.after - parameter.before) > 2.0 * parameter.sigma
 
 
-def test_single_readings_are_independent(single: tuple[MeasuredRobot, CalibratedModel]) -> None:
+def test_single_readings_are_independent(single: tuple[MeasuredRobot, FittedRobot]) -> None:
     """Rows of a pose of their own have the noise of the calibration, which follows the levers if the drives scatter."""
     robot, model = single
     placed = place_station(model, robot.measured(MeasuringPlan(15), np.random.default_rng(7)))
@@ -218,7 +218,7 @@ def test_single_readings_are_independent(single: tuple[MeasuredRobot, Calibrated
     assert of_exact.shared is None
 
 
-def test_what_is_announced_exceeds_its_uncertainty(single: tuple[MeasuredRobot, CalibratedModel]) -> None:
+def test_what_is_announced_exceeds_its_uncertainty(single: tuple[MeasuredRobot, FittedRobot]) -> None:
     """A change that others made superfluous is not announced."""
     robot, model = single
     rng = np.random.default_rng(8)
@@ -234,7 +234,7 @@ def test_what_is_announced_exceeds_its_uncertainty(single: tuple[MeasuredRobot, 
     assert verdict.without_vanished() is verdict
 
 
-def test_copies_and_repeats_do_not_sharpen_an_update(single: tuple[MeasuredRobot, CalibratedModel]) -> None:
+def test_copies_and_repeats_do_not_sharpen_an_update(single: tuple[MeasuredRobot, FittedRobot]) -> None:
     """Twenty readings a stop add no more than their mean does, and copies add nothing."""
     robot, model = single
     table = robot.measured(MeasuringPlan(15, dwell=20), np.random.default_rng(9))
@@ -243,27 +243,27 @@ def test_copies_and_repeats_do_not_sharpen_an_update(single: tuple[MeasuredRobot
     copied = pincal.update(model, table.select(np.tile(np.arange(0, len(table), 20), 3)))
     single_rows = pincal.update(model, table.select(np.arange(0, len(table), 20)))
 
-    def size(updated: CalibratedModel) -> np.ndarray:
+    def size(updated: FittedRobot) -> np.ndarray:
         return np.sqrt(np.diag(updated.robot_estimate.dense_covariance()))
 
     np.testing.assert_allclose(size(several), size(means), rtol=1e-6)
     np.testing.assert_allclose(size(copied), size(single_rows), rtol=1e-6)
 
 
-def test_rows_of_a_stop_are_recognised_as_fitted(single: tuple[MeasuredRobot, CalibratedModel]) -> None:
+def test_rows_of_a_stop_are_recognised_as_fitted(single: tuple[MeasuredRobot, FittedRobot]) -> None:
     """A model that was fitted to means of stops and cycles knows their single readings again."""
     robot, _ = single
     rng = np.random.default_rng(12)
     for plan in (MeasuringPlan(40, dwell=3), MeasuringPlan(40, dwell=2, visits=2)):
         table = robot.measured(plan, rng)
-        model = pincal.calibrate(robot.robot, table, Options(effects=GEOMETRIC)).to_model()
+        model = pincal.calibrate(robot.robot, table, Options(effects=GEOMETRIC)).at()
 
         assert validate_rows([model], table).fitted_rows == len(table)
         with pytest.raises(MeasurementError, match=f"fitted to {len(table)} of these {len(table)} rows"):
             pincal.diagnose(model, table)
 
 
-def test_readings_of_a_stop_are_no_replicates(single: tuple[MeasuredRobot, CalibratedModel]) -> None:
+def test_readings_of_a_stop_are_no_replicates(single: tuple[MeasuredRobot, FittedRobot]) -> None:
     """A complete model is not called incomplete because drives arrive with more scatter than the instrument has."""
     robot, model = single
     rng = np.random.default_rng(13)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from placed_arms import run
 
-from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.covered import Covered
+from pincal.calibration.curve_coverage import outside_curves, turned_curves
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.identify.split import Split, row_groups
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.table import write_table
@@ -25,13 +26,13 @@ SPAN = (-2.5, 2.5)
 TURN = 2.0 * np.pi
 
 
-def model_with(robot: Robot, effect: Effect) -> CalibratedModel:
+def model_with(robot: Robot, effect: Effect) -> FittedRobot:
     """Return a model whose effect was seen from -2.5 to 2.5 rad."""
     model = Model(Chain.of(robot), (BaseFrame(), ToolFrame(), effect))
     rng = np.random.default_rng(0)
     estimate = estimate_of(model.parameters, rng.normal(0.0, 1e-3, model.n_parameters), 1e-12 * np.eye(model.n_parameters))
     covered = Covered(np.tile(SPAN, (robot.n_joints, 1)), np.zeros(2))
-    return CalibratedModel(model, estimate, "position", np.zeros(3), covered, np.array([5e-5]), {})
+    return FittedRobot.given(model, estimate, covered)
 
 
 def poses(turns: float = 0.0, joint: int = 0) -> Conditions:
@@ -58,10 +59,10 @@ def test_a_turn_away_the_arm_is_where_it_was(kuka: Robot, effect: Effect) -> Non
     for turns in (-1, 1, 2):
         away = poses(turns)
         np.testing.assert_allclose(model.predict(away), model.predict(poses()), rtol=0, atol=1e-12)
-        assert model.outside(away) == [] and model.outside_curves(away) == []
-        told = [(curve.effect, curve.joint, curve.variable, curve.rows) for curve in model.turned_curves(away)]
+        assert model.outside(away) == [] and outside_curves(model, away) == []
+        told = [(curve.effect, curve.joint, curve.variable, curve.rows) for curve in turned_curves(model, away)]
         assert told == ([(effect.name, effect.locus.joint, "joint_1", 30)] if effect.locus.span else [])
-    assert model.turned_curves(poses()) == []
+    assert turned_curves(model, poses()) == []
 
 
 def test_what_counts_turns_goes_on_counting(kuka: Robot) -> None:
@@ -79,7 +80,7 @@ def test_positions_that_no_turn_brings_into_the_range_stay(kuka: Robot) -> None:
     q[:, 0] = 3.0, 3.2
     beyond = Conditions.at(q)
 
-    assert [row.value for row in model.outside(beyond)] == [3.0, 3.2] and model.turned_curves(beyond) == []
+    assert [row.value for row in model.outside(beyond)] == [3.0, 3.2] and turned_curves(model, beyond) == []
     ends = model.model.effects[2].terms(model.model.chain, beyond, None)
     assert all(np.ptp(term.basis) == 0.0 for term in ends)
 

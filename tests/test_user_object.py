@@ -9,14 +9,13 @@ import pytest
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import Calibrated
 from pincal.model.conditions import Conditions
 from pincal.model.effects import GEOMETRIC
 from pincal.simulate import Instrument, TrueMachine, plan_poses
 
 
 @pytest.fixture(scope="module")
-def fit() -> pincal.Fit:
+def fit() -> pincal.FittedRobot:
     """Return a fit of the KUKA to 60 positions of two targets."""
     rng = np.random.default_rng(3)
     machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0").draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
@@ -31,17 +30,19 @@ def fit() -> pincal.Fit:
 
 
 @pytest.fixture(params=["fit", "model", "file"])
-def found(request: pytest.FixtureRequest, fit: pincal.Fit, tmp_path: Path) -> Calibrated:
+def found(request: pytest.FixtureRequest, fit: pincal.FittedRobot, tmp_path: Path) -> pincal.FittedRobot:
     """Return the fit, its calibrated model, and the model read from its file."""
     if request.param == "fit":
         return fit
     if request.param == "model":
-        return fit.to_model()
+        return fit.at()
     fit.save(tmp_path / "model.json")
     return pincal.load_model(tmp_path / "model.json")
 
 
-def test_prediction_is_the_models_at_joint_positions_and_at_conditions(found: Calibrated, fit: pincal.Fit) -> None:
+def test_prediction_is_the_models_at_joint_positions_and_at_conditions(
+    found: pincal.FittedRobot, fit: pincal.FittedRobot
+) -> None:
     """Joint positions of one pose or of many, by the name of the target, or the conditions of rows."""
     q = fit.model.chain.robot.random_configurations(5, np.random.default_rng(0))
     far = fit.model.chain.targets.index("far")
@@ -60,7 +61,7 @@ def test_prediction_is_the_models_at_joint_positions_and_at_conditions(found: Ca
         found.predict(q, target="middle")
 
 
-def test_parameters_are_a_table_and_their_covariance_a_matrix(found: Calibrated, fit: pincal.Fit) -> None:
+def test_parameters_are_a_table_and_their_covariance_a_matrix(found: pincal.FittedRobot, fit: pincal.FittedRobot) -> None:
     """One row per parameter, in the order of the covariance, whose diagonal is the square of sigma."""
     table = found.parameters
     sigma = [row[4].value if row[4] is not None else None for row in table.rows]  # type: ignore[union-attr]
@@ -71,7 +72,7 @@ def test_parameters_are_a_table_and_their_covariance_a_matrix(found: Calibrated,
         assert not free or stated == pytest.approx(size, rel=1e-12), name
 
 
-def test_exports_carry_the_calibrated_geometry(found: Calibrated, fit: pincal.Fit, tmp_path: Path) -> None:
+def test_exports_carry_the_calibrated_geometry(found: pincal.FittedRobot, fit: pincal.FittedRobot, tmp_path: Path) -> None:
     """Pinocchio's forward kinematics of the model and of the written URDF put the tip where the calibration does."""
     robot = fit.model.chain.robot
     export = found.export_urdf(tmp_path / "calibrated.urdf")
@@ -89,40 +90,40 @@ def test_exports_carry_the_calibrated_geometry(found: Calibrated, fit: pincal.Fi
             np.testing.assert_allclose(data.oMf[tip].translation, place, rtol=0.0, atol=1e-9)
 
 
-def test_it_introduces_itself_in_a_few_words(found: Calibrated) -> None:
+def test_it_introduces_itself_in_a_few_words(found: pincal.FittedRobot) -> None:
     """The repr fits a line, the summary a few, and a notebook shows the table of parameters."""
     assert "kuka_kr125_2" in repr(found) and len(repr(found)) < 120
     assert "kuka_kr125_2, 6 joints from" in found.summary() and len(found.summary().splitlines()) <= 4
     assert "<table" in found._repr_html_() and "joint_2.s_x" in found._repr_html_()
 
 
-def test_what_only_base_and_tool_explain_travels_with_the_file(fit: pincal.Fit, tmp_path: Path) -> None:
+def test_what_only_base_and_tool_explain_travels_with_the_file(fit: pincal.FittedRobot, tmp_path: Path) -> None:
     """The values with base and tool fitted alone come back to the last bit."""
     fit.save(tmp_path / "model.json")
     nominal = pincal.load_model(tmp_path / "model.json").nominal_values
 
     assert nominal is not None
-    np.testing.assert_array_equal(nominal, fit.nominal.values)
+    np.testing.assert_array_equal(nominal, fit.fit.nominal.values)
 
 
-def test_names_of_the_last_release_still_work_with_a_warning(fit: pincal.Fit) -> None:
+def test_names_of_the_last_release_still_work_with_a_warning(fit: pincal.FittedRobot) -> None:
     """They say by what they were replaced."""
-    with pytest.warns(DeprecationWarning, match=r"pincal.calibrated_model_of is now pincal.CalibratedModel.of"):
-        model = pincal.calibrated_model_of(fit, {"seed": 1})
+    with pytest.warns(DeprecationWarning, match=r"pincal.calibrated_model_of is now pincal.FittedRobot.of"):
+        model = pincal.calibrated_model_of(fit.fit, {"seed": 1})
     assert model.provenance == {"seed": 1}
     with pytest.warns(DeprecationWarning, match=r"pincal.calibrated_model is now pincal.pinocchio_model"):
         assert pincal.calibrated_model is pincal.pinocchio_model
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert pincal.CalibratedModel.of(fit).provenance == {}
+        assert pincal.FittedRobot.of(fit.fit).provenance == {}
 
 
-def test_a_fit_of_several_stations_is_the_same_object(fit: pincal.Fit) -> None:
+def test_a_fit_of_several_stations_is_the_same_object(fit: pincal.FittedRobot) -> None:
     """Its parameters are one table, the robot is exported as one, and what is a station's is asked of that station."""
-    table = fit.station.sensor
+    table = fit.fit.station.sensor
     rows = np.arange(len(table)) < len(table) / 2
-    q, position = fit.station.conditions.q, table.position  # type: ignore[attr-defined]
-    target = np.array(fit.model.chain.targets)[fit.station.conditions.target]
+    q, position = fit.fit.station.conditions.q, table.position  # type: ignore[attr-defined]
+    target = np.array(fit.model.chain.targets)[fit.fit.station.conditions.target]
     robot = fit.model.chain.robot
     east, west = (
         pincal.measurements_from_arrays(robot.joint_names, q[part], position=position[part], target=target[part])
@@ -142,17 +143,15 @@ def test_a_fit_of_several_stations_is_the_same_object(fit: pincal.Fit) -> None:
         two.predict(q)
 
 
-def test_a_robot_of_a_file_with_one_station_is_used_as_its_model(fit: pincal.Fit, tmp_path: Path) -> None:
+def test_a_robot_of_a_file_with_one_station_is_used_as_its_model(fit: pincal.FittedRobot, tmp_path: Path) -> None:
     """It predicts the same, and is saved in the same bytes; names of 0.1.0 warn."""
     paths = [tmp_path / name for name in ("model.json", "again.json")]
     fit.save(paths[0])
-    robot = pincal.load_stations(paths[0])
+    robot = pincal.load_model(paths[0])
     robot.save(paths[1])
     q = np.zeros(robot.at().model.chain.robot.n_joints)
 
     np.testing.assert_array_equal(robot.predict(q), pincal.load_model(paths[0]).predict(q))
     assert paths[0].read_bytes() == paths[1].read_bytes()
-    with pytest.warns(DeprecationWarning, match=r"pincal.CalibratedStations is now pincal.CalibratedRobot"):
+    with pytest.warns(DeprecationWarning, match=r"pincal.CalibratedStations is now pincal.FittedRobot"):
         assert isinstance(robot, pincal.CalibratedStations)
-    with pytest.warns(DeprecationWarning, match="to_stations"):
-        assert fit.to_stations().names == fit.names

@@ -10,8 +10,8 @@ from machines import kuka as true_kuka
 from placed_arms import FIRST, MOVE, NOISE, measured, run, transform, written
 
 from pincal import simulate as sim
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import calibrate
+from pincal.calibration.checked_fit import calibrate
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.validation import validate_rows
 from pincal.diagnosis.robot_diagnosis import diagnose
 from pincal.errors import BadInputError
@@ -39,12 +39,12 @@ def machine() -> sim.TrueMachine:
 
 
 @pytest.fixture(scope="module")
-def model(machine: sim.TrueMachine, kuka: Robot) -> CalibratedModel:
+def model(machine: sim.TrueMachine, kuka: Robot) -> FittedRobot:
     """Return its calibration at the first station."""
-    return calibrate(kuka, measured(machine, kuka, poses=100), Options(effects=GEOMETRIC)).to_model()
+    return calibrate(kuka, measured(machine, kuka, poses=100), Options(effects=GEOMETRIC)).at()
 
 
-def test_rows_of_the_same_station_stand_as_calibrated(machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel) -> None:
+def test_rows_of_the_same_station_stand_as_calibrated(machine: sim.TrueMachine, kuka: Robot, model: FittedRobot) -> None:
     """Nothing is fitted again where nothing calls for it."""
     found = validate_rows([model], measured(machine, kuka, seed=5))
 
@@ -53,7 +53,7 @@ def test_rows_of_the_same_station_stand_as_calibrated(machine: sim.TrueMachine, 
 
 
 def test_rows_that_were_fitted_are_not_called_held_out(
-    machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    machine: sim.TrueMachine, kuka: Robot, model: FittedRobot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """They tell how well the model was fitted: said as diagnose says it, with the number of such rows."""
     fitted, new = measured(machine, kuka, poses=100), measured(machine, kuka, seed=5)
@@ -75,7 +75,7 @@ def test_rows_that_were_fitted_are_not_called_held_out(
 
 
 @pytest.mark.parametrize("way", [2e-4, 5.0])
-def test_a_moved_instrument_is_told(machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel, way: float) -> None:
+def test_a_moved_instrument_is_told(machine: sim.TrueMachine, kuka: Robot, model: FittedRobot, way: float) -> None:
     """A fifth of a millimetre or five metres: the place is found again, and the errors there are noise."""
     at = transform((0.0, 0.0, 0.0), (way, 0.0, 0.0)) @ FIRST
     found = validate_rows([model], measured(machine, kuka, seed=6, T_instrument_base=at, poses=100))
@@ -86,7 +86,7 @@ def test_a_moved_instrument_is_told(machine: sim.TrueMachine, kuka: Robot, model
 
 
 @pytest.mark.long
-def test_many_changes_at_once_may_be_another_robot(machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel) -> None:
+def test_many_changes_at_once_may_be_another_robot(machine: sim.TrueMachine, kuka: Robot, model: FittedRobot) -> None:
     """A diagnosis of another robot's rows asks whose they are."""
     found = diagnose(model, measured(drawn(5), kuka, poses=40)).found
 
@@ -119,7 +119,7 @@ def altered(table: Measurements, change: str) -> Measurements:
     ],
 )
 def test_a_robot_that_changed_is_doubted(
-    machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel, change: str, at: np.ndarray
+    machine: sim.TrueMachine, kuka: Robot, model: FittedRobot, change: str, at: np.ndarray
 ) -> None:
     """No place of the instrument explains a joint that stands elsewhere, a column that lags, or other lengths."""
     table = measured(machine, kuka, seed=7, T_instrument_base=at)
@@ -130,13 +130,13 @@ def test_a_robot_that_changed_is_doubted(
     assert validate_rows([model], table).doubt == ""
 
 
-def test_another_robot_of_the_type_is_doubted(kuka: Robot, model: CalibratedModel) -> None:
+def test_another_robot_of_the_type_is_doubted(kuka: Robot, model: FittedRobot) -> None:
     """Its errors are not those that were calibrated."""
     for seed in (5, 6, 7):
         assert validate_rows([model], measured(drawn(seed), kuka, T_instrument_base=AWAY)).doubt
 
 
-def test_a_load_that_was_never_carried_hides_no_other_robot(kuka: Robot, model: CalibratedModel) -> None:
+def test_a_load_that_was_never_carried_hides_no_other_robot(kuka: Robot, model: FittedRobot) -> None:
     """A calibration that does no better than none is another robot's, with whatever load."""
     table = measured(drawn(5), kuka, T_instrument_base=AWAY)
 
@@ -155,7 +155,7 @@ def test_the_demos_robot_is_known_again_and_another_is_not(kuka: Robot) -> None:
         )
     )
     options = Options(effects=ELASTIC, sigma=NOISE)
-    model = calibrate(kuka, first, options).to_model()
+    model = calibrate(kuka, first, options).at()
     found, refused = validate_rows([model], again), validate_rows([model], stranger)
 
     assert found.placed == "refitted" and found.doubt == "" and np.linalg.norm(MOVE[:3, 3]) > 1.0
@@ -172,7 +172,7 @@ def test_a_calibration_that_is_another_robots_does_no_good() -> None:
     assert not belongs_to_other_robot(e + 0.6 * d, e - 0.4 * d, allowed=6e-4)
 
 
-def test_rows_that_are_too_few_to_place(machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel) -> None:
+def test_rows_that_are_too_few_to_place(machine: sim.TrueMachine, kuka: Robot, model: FittedRobot) -> None:
     """They are judged where the instrument was, unless they can't be from there."""
     here, away = (measured(machine, kuka, poses=2, T_instrument_base=at) for at in (FIRST, AWAY))
 
@@ -184,12 +184,12 @@ def test_rows_that_are_too_few_to_place(machine: sim.TrueMachine, kuka: Robot, m
 def test_the_nearest_station_is_taken(machine: sim.TrueMachine, kuka: Robot) -> None:
     """Of a robot calibrated at two stations the one that the rows are of; one that is chosen stays."""
     tables = {name: measured(machine, kuka, seed=k, poses=80, T_instrument_base=at) for k, (name, at) in enumerate(ENDS)}
-    models = calibrate(kuka, tables, Options(effects=GEOMETRIC)).models
+    monday, tuesday = calibrate(kuka, tables, Options(effects=GEOMETRIC)).each
     rows = measured(machine, kuka, seed=9, T_instrument_base=AWAY)
-    found = validate_rows(list(models.values()), rows)
+    found = validate_rows([monday, tuesday], rows)
 
-    assert found.placed == "as calibrated" and found.model is models["tuesday"]
-    forced = validate_rows([models["monday"]], rows, refit=False)
+    assert found.placed == "as calibrated" and found.model is tuesday
+    forced = validate_rows([monday], rows, refit=False)
     assert forced.placed == "as calibrated" and "fit a different pose" in forced.notes[0].text and forced.doubt == ""
 
 
@@ -197,7 +197,7 @@ ENDS = (("monday", FIRST), ("tuesday", AWAY))
 
 
 def test_the_command_tells_places_and_exits(
-    machine: sim.TrueMachine, kuka: Robot, model: CalibratedModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    machine: sim.TrueMachine, kuka: Robot, model: FittedRobot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two tables are two stations; the JSON is that of the contract; a robot that changed ends with 6 and the next step."""
     model.save(tmp_path / "model.json")
@@ -234,7 +234,7 @@ def test_false_alarms_are_rare(kuka: Robot) -> None:
         fit = calibrate(kuka, measured(machine, kuka, poses=int(rng.integers(30, 120)), seed=k), Options(effects=GEOMETRIC))
         for at in (FIRST, AWAY):
             table = measured(machine, kuka, poses=int(rng.integers(6, 60)), seed=1000 + k, T_instrument_base=at)
-            found = validate_rows([fit.to_model()], table)
+            found = validate_rows([fit.at()], table)
             moved += found.placed == "refitted" and at is FIRST
             doubts += bool(found.doubt)
             assert found.placed == "refitted" or at is FIRST
@@ -247,7 +247,7 @@ def test_a_real_robot_of_another_month_is_the_same(shared_data: Path, effects: t
     """Calibrated on series A, the UR10 of series B is found elsewhere, blocks of A where they were; a UR5 is doubted."""
     robot = Robot.from_urdf("ur10")
     series = {name: read_measurements(shared_data / "ur10_tmac" / f"series_{name}.csv", robot.joint_names) for name in "AB"}
-    model = calibrate(robot, series["A"].select(slice(None, None, 4)), Options(effects=effects)).to_model()
+    model = calibrate(robot, series["A"].select(slice(None, None, 4)), Options(effects=effects)).at()
 
     for rows in (slice(0, 12), slice(0, 100), slice(None)):
         found = validate_rows([model], series["B"].select(rows))

@@ -13,9 +13,8 @@ import trimesh
 from click.testing import CliRunner
 
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import save_model
 from pincal.calibration.covered import Covered
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.cli import main
 from pincal.cli.export import view
 from pincal.errors import BadInputError, OutputError
@@ -48,7 +47,7 @@ ORTHOGONAL = """<robot name="{name}">
 
 def machine(
     robot: Robot, rng: np.random.Generator, *effects: Effect, size: float = 1e-3, kind: str = "position"
-) -> CalibratedModel:
+) -> FittedRobot:
     """Return a robot as a calibration might have left it, somewhere in the instrument's frame."""
     from scipy.spatial.transform import Rotation
 
@@ -64,10 +63,10 @@ def machine(
     covered = Covered(np.tile([-1.5, 1.5], (robot.n_joints, 1)), np.array([0.0, 10.0]))
     covariance = 1e-8 * np.eye(len(values))
     estimate = estimate_of(model.parameters, values, covariance)
-    return CalibratedModel(model, estimate, kind, np.zeros(3), covered, np.array([5e-5]), {})
+    return FittedRobot.given(model, estimate, covered, sensor_kind=kind, sigma=[5e-5])
 
 
-def measured(calibrated: CalibratedModel, rng: np.random.Generator, n: int = 40, **columns: np.ndarray) -> Measurements:
+def measured(calibrated: FittedRobot, rng: np.random.Generator, n: int = 40, **columns: np.ndarray) -> Measurements:
     """Return what an instrument without noise reads of this robot."""
     names = calibrated.model.chain.robot.joint_names
     q = rng.uniform(*calibrated.covered.q.T, (n, len(names)))
@@ -374,7 +373,7 @@ def files(tmp_path: Path, rng: np.random.Generator) -> tuple[Path, Path]:
     """Return a model and a table as files."""
     calibrated = machine(Robot.from_urdf(kuka_urdf_path()), rng)
     table = measured(calibrated, rng)
-    save_model(tmp_path / "model.json", calibrated)
+    calibrated.save(tmp_path / "model.json")
     columns = {name: table.q[:, i] for i, name in enumerate(table.joint_names)}
     assert table.position is not None
     write_table(tmp_path / "data.csv", columns | {axis: table.position[:, i] for i, axis in enumerate("xyz")})

@@ -11,8 +11,9 @@ from placed_arms import measured, run, written
 from zeros_study import ARMS, CASES, corrections, drawn, is_named, tried
 
 from pincal.builtin import kuka_urdf_path
-from pincal.calibration.calibrated_robot import calibrate, load_model
 from pincal.calibration.calibration import run_calibration
+from pincal.calibration.checked_fit import calibrate
+from pincal.calibration.fitted_robot import load_model
 from pincal.compensate.compensation import compensate_program
 from pincal.errors import BadInputError, MeasurementError
 from pincal.export import export_model

@@ -13,7 +13,7 @@ def prepare(urdf, reflector, elastic):
     def fit(q, position):
         table = measurements_from_arrays(robot.joint_names, q, position=position)
         found = calibrate(robot, table, Options(effects=ELASTIC if elastic else GEOMETRIC))
-        model = found.to_model()
+        model = found.at()
 
         def predict(joints):
             return np.asarray(model.predict(joints))[:, :3, 3]

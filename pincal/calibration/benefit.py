@@ -35,10 +35,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import Fit
 from pincal.calibration.caveats import Caveat, CaveatKind
 from pincal.calibration.elsewhere import random_conditions
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.improvement import unplaced
 from pincal.identify.beliefs import deviations, priors_of
 from pincal.identify.calibrate import refit
@@ -91,7 +90,7 @@ class Benefit(NamedTuple):
     cautious: float | None
 
 
-def without_harm(fit: Fit) -> Fit:
+def without_harm(fit: ModelFit) -> ModelFit:
     """Return a fit that is expected to be better than the URDF: itself, one with narrower priors,
     or one with the robot as in its URDF.
     """
@@ -101,7 +100,7 @@ def without_harm(fit: Fit) -> Fit:
     return at_nominal(fit, found) if found.cautious is None else _cautious(fit, found.cautious)
 
 
-def _cautious(fit: Fit, scale: float) -> Fit:
+def _cautious(fit: ModelFit, scale: float) -> ModelFit:
     """Return a fit with priors as wide as the robot deviates by all its parameters together.
 
     Some kinds of parameters may deviate more, so that the fit is as uncertain as priors allow that
@@ -114,7 +113,7 @@ def _cautious(fit: Fit, scale: float) -> Fit:
     solution = replace(
         found.solution, posterior=posterior_of(found.problem, found.solution, priors)
     )
-    return Fit.of(with_blocks(replace(found, solution=solution, priors=priors)))
+    return with_blocks(replace(found, solution=solution, priors=priors))
 
 
 def findings_on_benefit(fit: ModelFit) -> Iterator[Caveat]:
@@ -205,7 +204,7 @@ def _weights(logarithms: np.ndarray) -> np.ndarray:
     return np.asarray(weights / weights.sum())
 
 
-def at_nominal(fit: Fit, benefit: Benefit) -> Fit:
+def at_nominal(fit: ModelFit, benefit: Benefit) -> ModelFit:
     """Return a fit of base, target and instrument alone, in which the robot's parameters are
     nominal, and uncertain.
 
@@ -347,10 +346,11 @@ def _weight(fit: ModelFit, shared: np.ndarray, at: Station, conditions: Conditio
     """Return the matrix of the mean square position error over poses of a station's robot, shape
     (F, F) [m^2].
     """
-    model = CalibratedModel.of(fit, station=at.name)
-    poses, J = model.model.linearise(model.model_values, model.of_its_day(conditions))
+    robot = FittedRobot.of(fit).at(at.name)
+    on_its_day = robot.of_its_day(conditions)
+    poses, J = robot.model.linearise(robot.model_values, on_its_day)
     along = unplaced(J[:, :3], poses)
-    places = {name: k for k, name in enumerate(model.model.names)}
+    places = {name: k for k, name in enumerate(robot.model.names)}
     names = [
         p.name for p, is_shared in zip(fit.problem.parameters, shared, strict=True) if is_shared
     ]

@@ -13,7 +13,7 @@ import numpy as np
 
 from pincal.calibration.agreed import fit_agreed
 from pincal.calibration.benefit import without_harm
-from pincal.calibration.calibrated_robot import Fit
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import (
     WAYS,
     LeftOut,
@@ -30,6 +30,7 @@ from pincal.calibration.result_tables import error_table
 from pincal.calibration.screened import screened
 from pincal.errors import BadInputError, warn
 from pincal.identify.calibrate import Tables, tables_of
+from pincal.identify.fit import ModelFit
 from pincal.identify.folds import Folds
 from pincal.identify.mass_error import with_masses_unsure
 from pincal.identify.options import Options
@@ -50,7 +51,7 @@ class Calibration:
     Attributes:
         robot: the arm.
         stations: the rows of each station, fitted and held out.
-        fit: the calibrated model.
+        fit: the calibrated robot.
         result: parameters, errors, warnings.
         notes: the warnings among them that are on robot and tables, not on the fit.
         validated: the errors of the fitted readings by fits without their folds; None where rows
@@ -59,7 +60,7 @@ class Calibration:
 
     robot: Robot
     stations: tuple[StationRows, ...]
-    fit: Fit
+    fit: FittedRobot
     result: Result
     notes: tuple[Note, ...] = ()
     validated: Validated | None = None
@@ -176,7 +177,8 @@ def run_calibration(
         left_out=tuple(left_out),
         validated=validated,
     )
-    return Calibration(fitted.robot, fitted.stations, fitted.fit, result, fitted.notes, validated)
+    calibrated = FittedRobot.of(fitted.fit)
+    return Calibration(fitted.robot, fitted.stations, calibrated, result, fitted.notes, validated)
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,7 @@ class FittedTables:
 
     robot: Robot
     stations: tuple[StationRows, ...]
-    fit: Fit
+    fit: ModelFit
     notes: tuple[Note, ...]
     folds: Folds | None
     admitted: dict[str, Measurements]
@@ -234,7 +236,7 @@ def fit_admitted(
     trained = {part.name: part.measured[0] for part in parts}
     agreed = fit_agreed(robot, admitted.tables, options, trained=trained)
     robot = agreed.robot
-    fit = Fit.of(agreed.fit)
+    fit = agreed.fit
     corrected = agreed.notes
     for text in corrected:
         warn(text)

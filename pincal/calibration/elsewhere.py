@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.improvement import unplaced
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
@@ -66,7 +66,7 @@ def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere |
     if not stations or not has_instrument(fit):
         return None
     at = stations[0]
-    model = CalibratedModel.of(fit, station=at.name)
+    model = FittedRobot.of(fit).at(at.name)
     if task is None:
         conditions = random_conditions(at)
     else:
@@ -134,7 +134,7 @@ def _recorded_as(
     return replace(conditions, **columns)
 
 
-def _covariances(model: CalibratedModel, conditions: Conditions, *, placed: bool) -> np.ndarray:
+def _covariances(model: FittedRobot, conditions: Conditions, *, placed: bool) -> np.ndarray:
     """Return the covariances of predicted positions, shape (N, 3, 3) [m^2].
 
     Where readings are positions in the instrument's frame, ``placed``, so are these. Other readings
@@ -145,7 +145,7 @@ def _covariances(model: CalibratedModel, conditions: Conditions, *, placed: bool
     poses, J = model.model.linearise(model.model_values, model.of_its_day(conditions))
     along = J[:, :3] if placed else unplaced(J[:, :3], poses)
     return np.asarray(
-        np.einsum("nip,pq,njq->nij", along, model.dense_covariance[:n, :n], along, optimize=True)
+        np.einsum("nip,pq,njq->nij", along, model.covariance[:n, :n], along, optimize=True)
     )
 
 

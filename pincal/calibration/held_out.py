@@ -17,8 +17,8 @@ from typing import Literal, cast, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.calibration.calibrated_robot import Fit as CalibratedFit
-from pincal.calibration.calibrated_robot import fitted
+from pincal.calibration.checked_fit import fitted
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import place_station
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import Tables, tables_of
@@ -412,7 +412,7 @@ class Validated:
         return statistics_of(self.leading(model)[k : k + 1])
 
 
-FitOthers = Callable[[Robot, dict[str, Measurements], Options], CalibratedFit]
+FitOthers = Callable[[Robot, dict[str, Measurements], Options], FittedRobot]
 """Calibrates a robot from the tables of some stations and options; picklable if an executor needs
 that.
 """
@@ -465,7 +465,7 @@ def _left_out(
     geometric = replace(options, effects=GEOMETRIC)
     sizes: dict[str, Mapping[str, list[float]]] = {}
     try:
-        found: dict[str, CalibratedFit] = {"calibrated": fit_others(robot, others, options)}
+        found: dict[str, FittedRobot] = {"calibrated": fit_others(robot, others, options)}
         is_same = set(found["calibrated"].options.effects) == set(GEOMETRIC)
         found["geometric"] = found["calibrated"] if is_same else fitted(robot, others, geometric)
         found["nominal"] = fitted(robot, others, replace(options, effects=()))

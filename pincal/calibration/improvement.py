@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.caveats import Caveat, CaveatKind
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import PriorScale
@@ -123,7 +123,7 @@ def _within(unseen: tuple[np.ndarray, ...]) -> str:
 
 def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
     """Yield the improvement of the predicted positions of a link, region by region."""
-    found = CalibratedModel.of(fit, station=fit.problem.stations[0].name)
+    found = FittedRobot.of(fit).each[0]
     robot = fit.problem.chain.robot
     rng = np.random.default_rng(_SEED)
     stations = fit.problem.stations

@@ -14,8 +14,10 @@ from itertools import compress
 import numpy as np
 from scipy.special import gammainc
 
-from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.another_day import unrecorded
 from pincal.calibration.covered import of_the_day
+from pincal.calibration.day_notes import note_on, notes_on_day
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.row_noise import RowNoise, noise_of_rows
 from pincal.errors import BadInputError
 from pincal.identify.beliefs import bounds_of
@@ -106,7 +108,7 @@ class Placed:
         notes: effects of the calibration's day or set-up that could not be transferred.
     """
 
-    model: CalibratedModel
+    model: FittedRobot
     station: Station
     solution: Solution
     moved: FrameShift
@@ -177,7 +179,7 @@ class Placed:
 
 
 def place_station(
-    calibrated: Calibrated,
+    calibrated: FittedRobot,
     measurements: Measurements | StopRows,
     *,
     sigma_orientation: float | None = None,
@@ -222,7 +224,8 @@ def place_station(
     )
     setup = replace(known.setup, points={name: known.setup.points.get(name) for name in points})
     check_placeable(measurements, setup)
-    measurements, as_recorded = known.of_its_day(measurements), measurements
+    as_recorded = measurements
+    measurements = known.of_its_day(measurements)
     reads = measurements.position is not None
 
     def comes_along(effect: Effect) -> bool:
@@ -231,7 +234,7 @@ def place_station(
         )
 
     arm = known.with_effects(comes_along)
-    options = known.options(setup=setup)
+    options = known.fitting_options(setup=setup)
     ((station, start),) = place_arm(
         arm.model, arm.model_values, {"": measurements}, options=options
     )
@@ -257,24 +260,24 @@ def place_station(
         np.array([parameter.size for parameter in station.parameters]), bounds_of(problem, options)
     )
     solution = solve(problem, start, free, priors, Noise(noise.declared))
-    model = replace(
-        known,
-        model=station.model,
-        estimate=_estimate(station, solution, arm.estimate),
+    at_station = replace(
+        known.station,
         sensor_kind=measurements.kind,
         sigma=noise.estimated(solution.estimated),
         setup=setup,
-        nominal_values=None,
         repeatability=noise.repeatability,
     )
+    estimate = _estimate(station, solution, arm.estimate)
+    model = known.with_station(at_station).with_model(station.model, estimate)
     _refuse_undetermined(model, station, solution, source=measurements.source)
     for block in np.flatnonzero(~noise.is_known):
-        model = replace(model, sigma=_beyond_uncertainty(model, station, solution, int(block)))
+        sigma = _beyond_uncertainty(model, station, solution, int(block))
+        model = model.with_station(replace(model.station, sigma=sigma))
     return Placed(model, station, solution, moved(known, model), stops, noise, notes)
 
 
 def _beyond_uncertainty(
-    model: CalibratedModel, station: Station, solution: Solution, block: int
+    model: FittedRobot, station: Station, solution: Solution, block: int
 ) -> np.ndarray:
     """Return the noise, shape (blocks,), with that of one block reduced by what the calibration's
     uncertainty explains.
@@ -313,7 +316,7 @@ def _beyond_uncertainty(
 
 
 def _scatter(
-    known: CalibratedModel, station: Station, values: np.ndarray, stops: StopRows, setup: Setup
+    known: FittedRobot, station: Station, values: np.ndarray, stops: StopRows, setup: Setup
 ) -> StopScatter | None:
     """Return the scatter of the single readings behind a station's rows; None where none was
     repeated.
@@ -326,7 +329,7 @@ def _scatter(
 
 
 def _of_another_session(
-    known: CalibratedModel, station: Station, rows: Measurements, along: set[Effect]
+    known: FittedRobot, station: Station, rows: Measurements, along: set[Effect]
 ) -> tuple[float, tuple[str, ...]]:
     """Return the additional uncertainty of rows of another day or set-up, per axis [m], and notes
     on it.
@@ -334,7 +337,7 @@ def _of_another_session(
     It is what effects that are not transferred, and effects of columns that the rows lack, did to
     the target.
     """
-    lacking = set(known.unrecorded(rows))
+    lacking = set(unrecorded(known.station, rows))
     untransferred = [
         effect
         for effect in known.model.effects
@@ -354,13 +357,13 @@ def _of_another_session(
     )
     days = set(known.covered.days)
     found = [
-        known.note_on(effect, rows.source, at if set(effect.needs) <= days else None)
+        note_on(known, effect, rows.source, at if set(effect.needs) <= days else None)
         for effect in untransferred
     ]
     return float(np.sqrt(sum(size**2 / 3.0 for size, _ in found))), tuple(note for _, note in found)
 
 
-def fitted_rows(marks: str, model: CalibratedModel, stops: StopRows) -> np.ndarray:
+def fitted_rows(marks: str, model: FittedRobot, stops: StopRows) -> np.ndarray:
     """Return which single readings a model was fitted to, alone or in a mean of their stop or pose,
     shape (N,).
 
@@ -411,7 +414,7 @@ def _estimate(station: Station, solution: Solution, arm: Estimate) -> Estimate:
 
 
 def _refuse_undetermined(
-    model: CalibratedModel, station: Station, solution: Solution, *, source: str
+    model: FittedRobot, station: Station, solution: Solution, *, source: str
 ) -> None:
     """Refuse rows that do not determine instrument and target: predictions in other poses would be
     arbitrary.
@@ -443,26 +446,26 @@ def _refuse_undetermined(
 
 
 def without_absent(
-    calibrated: CalibratedModel, rows: Measurements
-) -> tuple[CalibratedModel, tuple[str, ...]]:
+    calibrated: FittedRobot, rows: Measurements
+) -> tuple[FittedRobot, tuple[str, ...]]:
     """Return the model without effects of its station that rows can't evaluate, such as a drift
     without times, and notes.
 
     Effects of a column whose mean the model contains are kept and evaluated at that mean.
     """
     days = set(calibrated.covered.days)
-    lacking = calibrated.unrecorded(rows)
+    lacking = unrecorded(calibrated.station, rows)
     gone = [
         effect
         for effect in lacking
         if effect.scope == "station" and not set(of_the_day(effect)) <= days
     ]
-    notes = tuple(calibrated.note_on(effect, rows.source, None)[1] for effect in gone)
+    notes = tuple(note_on(calibrated, effect, rows.source, None)[1] for effect in gone)
     found = calibrated.with_effects(lambda effect: effect not in gone) if gone else calibrated
-    return found, (*notes, *found.notes_on_day(rows))
+    return found, (*notes, *notes_on_day(found, rows))
 
 
-def moved(before: CalibratedModel, after: CalibratedModel) -> FrameShift:
+def moved(before: FittedRobot, after: FittedRobot) -> FrameShift:
     """Return the displacement of instrument and targets between two stations of the same robot."""
     both = set(before.estimate.names) & set(after.estimate.names)
     instrument = turned = target = None

@@ -14,7 +14,6 @@ from msgspec import UNSET, UnsetType, to_builtins
 from scipy.special import chdtrc
 
 from pincal.calibration.benefit import findings_on_benefit
-from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.caveats import (
     DOUBTS,
     UNUSABLE,
@@ -33,6 +32,7 @@ from pincal.calibration.caveats import (
     findings_on_scatter,
 )
 from pincal.calibration.elsewhere import elsewhere_of
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import (
     LeftOut,
     StationRows,
@@ -421,7 +421,7 @@ def _records(
     validated: Validated | None,
 ) -> Iterator[StationRecord]:
     """Yield the records of several stations."""
-    first = CalibratedModel.of(fit, station=seen[0].rows.name)
+    robots = FittedRobot.of(fit).each
     for k, (station, one, (iso, lack), moves) in enumerate(
         zip(seen, left_out, again, moved_there, strict=True)
     ):
@@ -441,11 +441,7 @@ def _records(
             if validated is not None and (found := validated.at_station(k, model)):
                 record["rows"]["test"] = record["rows"]["train"]
                 by_part["test"] = found
-        displacement = (
-            moved(first, CalibratedModel.of(fit, station=station.rows.name)).instrument
-            if k
-            else None
-        )
+        displacement = moved(robots[0], robots[k]).instrument if k else None
         if displacement is not None:
             record["moved_mm"] = 1e3 * displacement
         if one.sizes:

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.repeatability import Repeatability
-from pincal.calibration.station_model import StationModel
 from pincal.identify.criteria import CHANGES, STOPS
 from pincal.identify.station import count
 from pincal.identify.stop_scatter import StopScatter
@@ -66,7 +66,7 @@ class RowNoise:
 
 
 def noise_of_rows(
-    known: StationModel,
+    known: FittedRobot,
     kind: str,
     blocks: Sequence[Block],
     *,
@@ -136,7 +136,7 @@ def noise_of_rows(
 
 
 def calibrated_noise(
-    known: StationModel, kind: str, blocks: Sequence[Block]
+    known: FittedRobot, kind: str, blocks: Sequence[Block]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the noise of a calibration for each block of readings, and whether it has any for it,
     shape (blocks,) each.
@@ -152,11 +152,12 @@ def calibrated_noise(
     return np.array([by_unit.get(block.unit, block.noise) for block in blocks], float), is_known
 
 
-def _calibrated_scatter(known: StationModel, kind: str, blocks: Sequence[Block]) -> StopScatter:
+def _calibrated_scatter(known: FittedRobot, kind: str, blocks: Sequence[Block]) -> StopScatter:
     """Return the scatter of a calibration's readings for each block of other readings."""
-    if known.repeatability is None:
+    repeatability = known.station.repeatability
+    if repeatability is None:
         return StopScatter.none(len(blocks))
-    found = known.repeatability.scatter
+    found = repeatability.scatter
     if known.sensor_kind == kind:
         return found
     units = [block.unit for block in blocks_of(known.sensor_kind)]
@@ -178,7 +179,7 @@ def _calibrated_scatter(known: StationModel, kind: str, blocks: Sequence[Block])
     )
 
 
-def _degrees(known: StationModel, blocks: Sequence[Block]) -> float:
+def _degrees(known: FittedRobot, blocks: Sequence[Block]) -> float:
     """Return the degrees of freedom of a calibration's noise."""
     size = sum(block.size for block in blocks)
     rows = count(known.rows)

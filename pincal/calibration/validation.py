@@ -10,8 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import chdtri
 
-from pincal.calibration.calibrated import CalibratedModel
 from pincal.calibration.caveats import findings_on_held_out
+from pincal.calibration.curve_coverage import knows
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import FrameShift, Placed, fitted_rows, place_station
 from pincal.calibration.row_noise import noise_of_rows
 from pincal.errors import BadInputError
@@ -67,7 +68,7 @@ class Validation:
     name: str
     placed: Placement
     table: Measurements
-    model: CalibratedModel
+    model: FittedRobot
     station: Station
     found: np.ndarray
     moved: FrameShift
@@ -139,7 +140,7 @@ class Validation:
         """Mean errors where the calibration had determined every curve of the model, and elsewhere;
         None without both.
         """
-        known = self.model.knows(self.station.conditions)
+        known = knows(self.model, self.station.conditions)
         if known.all() or not known.any():
             return None
         unit, sizes = next(iter(pose_error_sizes(self.station, self.values).items()))
@@ -179,7 +180,7 @@ class Validation:
 
 
 def validate_rows(
-    models: Sequence[CalibratedModel],
+    models: Sequence[FittedRobot],
     measurements: Measurements,
     *,
     name: str = "",
@@ -211,14 +212,14 @@ def validate_rows(
 
 
 def _judged(
-    models: Sequence[CalibratedModel],
+    models: Sequence[FittedRobot],
     measurements: Measurements,
     *,
     name: str,
     refit: bool,
     angle: float | None,
 ) -> Validation:
-    def refitted(model: CalibratedModel) -> Validation:
+    def refitted(model: FittedRobot) -> Validation:
         rows = usable_rows(measurements, model.setup.over(measurements))
         return _refitted(name, rows, place_station(model, rows, sigma_orientation=angle))
 
@@ -249,7 +250,7 @@ def _judged(
         own = (
             model
             if model.sensor_kind == table.kind
-            else replace(model, sensor_kind=table.kind, sigma=sigma)
+            else model.with_station(replace(model.station, sensor_kind=table.kind, sigma=sigma))
         )
         return Validation(
             name, "as calibrated", table, own, station, none, still, found, **reservations
@@ -282,22 +283,20 @@ def _judged(
     )
 
 
-def _anywhere(models: Sequence[CalibratedModel]) -> CalibratedModel:
+def _anywhere(models: Sequence[FittedRobot]) -> FittedRobot:
     """Return the robot for rows of a new station; of several arms with the coverage of all
     stations.
     """
     first, *others = models
     if not first.model.chain.robot.links:
         return first
-    return replace(
-        first,
-        covered=reduce(lambda a, b: a.over(b), (model.covered for model in others), first.covered),
-    )
+    covered = reduce(lambda a, b: a.over(b), (model.covered for model in others), first.covered)
+    return first.with_station(replace(first.station, covered=covered))
 
 
 def _stands(
-    models: Sequence[CalibratedModel], measurements: Measurements, angle: float | None
-) -> Iterator[tuple[float, CalibratedModel, Measurements, Station, np.ndarray]]:
+    models: Sequence[FittedRobot], measurements: Measurements, angle: float | None
+) -> Iterator[tuple[float, FittedRobot, Measurements, Station, np.ndarray]]:
     """Yield the stations that rows may be of: same sensor, targets and points, and the columns that
     their effects need.
 
@@ -363,7 +362,7 @@ def doubt_of(placed: Placed) -> str:
     station = placed.station
     values = placed.values
     used = placed.solution.weights > 0.0
-    inside = known.knows(station.conditions)
+    inside = knows(known, station.conditions)
     sound = used & known.covered.carries(station.conditions.payload)
     for rows, factor in ((sound & inside, 1.0), (sound, _UNSEEN), (used & inside, np.inf)):
         misfit = placed.misfit_of(rows)
@@ -375,7 +374,7 @@ def doubt_of(placed: Placed) -> str:
             "instrument and target"
         )
         if misfit.is_far(factor):
-            mixed = mix_up(table, station, values, options=known.options(effects=()))
+            mixed = mix_up(table, station, values, options=known.fitting_options(effects=()))
             beyond = (
                 f"{off}, {misfit.ratio:.3g} times what noise and the uncertainty of the "
                 "calibration allow"
@@ -397,7 +396,9 @@ def _as_good(
     """
     known = placed.model
     station = placed.station
-    nominal = nominal_displacements(known.model.chain.robot, table, known.options(effects=()))[rows]
+    nominal = nominal_displacements(
+        known.model.chain.robot, table, known.fitting_options(effects=())
+    )[rows]
     size = station.sensor.blocks[0].size
     allowed = (
         misfit.allowed * known.sigma[0] * np.sqrt(size) * station.metres_per_reading(placed.values)

@@ -24,7 +24,7 @@ from pincal.units import plain_number
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pincal.calibration.calibrated import CalibratedModel
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.compensate.targets import CompensatedTable, Targets
     from pincal.programs.language import ControllerLanguage
     from pincal.robot.robot import Robot
@@ -230,7 +230,7 @@ def compensate(arguments: CompensateArguments) -> Exit:
 
 
 def _program(
-    calibrated: CalibratedModel, arguments: CompensateArguments, language: ControllerLanguage
+    calibrated: FittedRobot, arguments: CompensateArguments, language: ControllerLanguage
 ) -> Exit:
     """Correct a controller's program."""
     from pincal.cli.progress import end_progress
@@ -284,7 +284,7 @@ def _seed(robot: Robot, table: Targets | None, text: str | None) -> np.ndarray |
 
 
 def _columns(
-    calibrated: CalibratedModel, done: CompensatedTable, arguments: CompensateArguments
+    calibrated: FittedRobot, done: CompensatedTable, arguments: CompensateArguments
 ) -> dict[str, np.ndarray]:
     from pincal.compensate.returned_table import false_columns
     from pincal.compensate.robot_frames import false_targets as poses_to_give

@@ -17,7 +17,7 @@ from pincal.cli.arguments import option, pair
 from pincal.cli.quantities import LENGTH
 
 if TYPE_CHECKING:
-    from pincal.calibration.calibrated import CalibratedModel
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.programs.correct import Change, ProgramCell
     from pincal.programs.language import ControllerLanguage
     from pincal.programs.paths import Deviation
@@ -82,7 +82,7 @@ class ProgramOptions:
 
 
 def correct_file(
-    calibrated: CalibratedModel,
+    calibrated: FittedRobot,
     path: Path,
     out: Path,
     language: ControllerLanguage,

@@ -165,7 +165,7 @@ def _compensate(
     """Correct a program made with the nominal robot, run both on the machine, and return the errors
     [mm].
     """
-    from pincal.calibration.calibrated_robot import load_model
+    from pincal.calibration.fitted_robot import load_model
     from pincal.compensate.compensation import compensate_poses
     from pincal.measure.table import write_table
     from pincal.model.conditions import Conditions
@@ -174,7 +174,7 @@ def _compensate(
     # The program was made with the nominal robot, with base and tool fitted.
     fit = found.calibration.fit
     program = Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
-    wanted = fit.model.predict(fit.model.own(fit.nominal.values), program)
+    wanted = fit.model.predict(fit.model.own(fit.fit.nominal.values), program)
     corrected = compensate_poses(load_model(folder / "model.json"), wanted, program)
     exact = replace(tracker, sigma=0.0)
     position = dict(zip("xyz", wanted[:, :, 3].T, strict=True))
@@ -198,7 +198,7 @@ def _collide(
     """Measure a few poses after a collision, with the tracker in a new pose, and diagnose the
     change.
     """
-    from pincal.calibration.calibrated_robot import load_model
+    from pincal.calibration.fitted_robot import load_model
     from pincal.diagnosis.robot_diagnosis import diagnose
 
     table, _ = _measure(

@@ -102,7 +102,7 @@ class ExportArguments:
 @verb(ExportArguments, examples=_EXAMPLES, exits=(Exit.CHANGED,))
 def export(arguments: ExportArguments) -> Exit:
     """Write the calibrated robot in other formats."""
-    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.calibration.fitted_robot import load_model
     from pincal.cli.inputs import find_place
     from pincal.export import FORMATS, export_model
 
@@ -117,7 +117,7 @@ def export(arguments: ExportArguments) -> Exit:
         choices = ", ".join(f"--{name} ({cls.meaning})" for name, cls in known.items())
         raise click.UsageError(f"nothing to export; give at least one of {choices}")
     if all(known[name].of_robot for name in places) and not arguments.place.placement:
-        calibrated = load_stations(arguments.model).robot_model()
+        calibrated = load_model(arguments.model).robot_model()
     else:
         calibrated = find_place(arguments.model, arguments.place, arguments.table.options).model
     contents: dict[str, Any] = {}
@@ -233,12 +233,12 @@ def view(arguments: ViewArguments) -> Exit:
 
 
 def _scene(arguments: ViewArguments) -> Scene:
-    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.calibration.fitted_robot import load_model
     from pincal.cli.inputs import load_table
     from pincal.measure.table import concatenate
     from pincal.viewer import build_scene, held_out_rows
 
-    stations = load_stations(arguments.model)
+    stations = load_model(arguments.model)
     data = arguments.data
     holdout = arguments.holdout
     calibrated = stations.at(stations.names[0] if arguments.station is None else arguments.station)

@@ -203,7 +203,7 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
         if members:
             result = replace(result, warnings=doubts_first([*members, *result.warnings]))
         if task is not None:
-            result = replace(result, elsewhere=elsewhere_of(calibration.fit, task) or UNSET)
+            result = replace(result, elsewhere=elsewhere_of(calibration.fit.fit, task) or UNSET)
         calibration = replace(calibration, result=result)
         discovery = None if discovery is None else replace(discovery, calibration=calibration)
         notes = write_results(draft, calibration, origin, discovery, view=arguments.view)
@@ -357,7 +357,7 @@ def _residuals(calibration: Calibration, k: int) -> Iterator[dict[str, np.ndarra
     """
     from pincal.calibration.result_tables import residuals_by_name
 
-    fit = calibration.fit
+    fit = calibration.fit.fit
     rows = calibration.stations[k]
     _, places, _ = list(fit.stations)[k]
     for part, table in zip(("fitted", "held out"), rows.measured, strict=True):

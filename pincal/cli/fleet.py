@@ -19,7 +19,7 @@ from pincal.cli.quantities import LENGTH
 from pincal.errors import BadInputError, Exit, counted
 
 if TYPE_CHECKING:
-    from pincal.calibration.calibrated import CalibratedModel
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.fleet.machines import Machine
 
 # Number of parameters that are listed.
@@ -142,13 +142,13 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     return Exit.DONE
 
 
-def _machines(texts: Sequence[str]) -> tuple[list[Machine], CalibratedModel | None]:
+def _machines(texts: Sequence[str]) -> tuple[list[Machine], FittedRobot | None]:
     """Return the machines of files and stores, and the first model among them.
 
     Raises:
         BadInputError: for another kind of file, or a model without information.
     """
-    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.calibration.fitted_robot import load_model
     from pincal.fleet.jobs import last_model
     from pincal.fleet.machines import Machine, load_machines
     from pincal.fleet.store import open_store
@@ -165,7 +165,7 @@ def _machines(texts: Sequence[str]) -> tuple[list[Machine], CalibratedModel | No
         elif text not in names or b'"pincal-information"' in read_bounded(text, MODEL_FILE)[:100]:
             found += [replace(one, name=names.get(text, one.name)) for one in load_machines(text)]
         else:
-            model = load_stations(text).robot_model()
+            model = load_model(text).robot_model()
             if model.information is None:
                 raise BadInputError(
                     f"{text}: written by a version that stored no information matrix; "

@@ -109,7 +109,7 @@ def fleet_add(arguments: AddArguments) -> Exit:
     """Add models, diagnoses or tables of measurements to a store."""
     import datetime
 
-    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.calibration.fitted_robot import load_model
     from pincal.cli.inputs import load_table
     from pincal.fleet.jobs import add_diagnosis, add_model, last_model, load_diagnosis
     from pincal.fleet.store import Store, iso_day, named_machine, open_store
@@ -130,7 +130,7 @@ def fleet_add(arguments: AddArguments) -> Exit:
         )
         if path.suffix.lower() == ".json":
             is_diagnosis = b'"excluded"' in read_bounded(path, MODEL_FILE)
-            (load_diagnosis if is_diagnosis else load_stations)(path)
+            (load_diagnosis if is_diagnosis else load_model)(path)
             kinds.append("diagnosis" if is_diagnosis else "model")
             add: Callable[..., object] = (
                 add_diagnosis if is_diagnosis else partial(add_model, labels=labels)

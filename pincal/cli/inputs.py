@@ -12,8 +12,7 @@ from typing import Any, Literal
 import click
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import load_stations
+from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.located import located
 from pincal.calibration.placing import place_station, without_absent
 from pincal.calibration.validation import doubt_of
@@ -433,7 +432,7 @@ class PlacedModel:
             calibration.
     """
 
-    model: CalibratedModel
+    model: FittedRobot
     notes: tuple[str, ...] = ()
     contents: dict[str, Any] = field(default_factory=dict)
 
@@ -462,15 +461,15 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
             "--from and --to refer to links, --placement and --station to an instrument; "
             "use one pair"
         )
-    stations = load_stations(path)
-    first = next(iter(stations.models.values()))
+    stations = load_model(path)
+    first = stations.each[0]
     if chosen.start or chosen.to:
         return PlacedModel(stations.robot_model().between(chosen.start, chosen.to))
     if chosen.placement is not None:
         return _placed(path, first, chosen.placement, reading)
     if chosen.station is not None:
         return PlacedModel(stations.at(chosen.station))
-    if len(stations.models) > 1:
+    if len(stations.stations) > 1:
         raise BadInputError(
             f"{path}: calibrated at the stations {', '.join(stations.names)}; expected a "
             "choice: --station NAME for one of "
@@ -480,7 +479,7 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
     return PlacedModel(first)
 
 
-def _placed(file: Path, model: CalibratedModel, path: Path, reading: TableOptions) -> PlacedModel:
+def _placed(file: Path, model: FittedRobot, path: Path, reading: TableOptions) -> PlacedModel:
     robot = model.model.chain.robot
     table = load_table(robot, path, options=replace(reading, shares_log=True))
     check_table(robot, table, minimum=1)

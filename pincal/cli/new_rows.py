@@ -93,14 +93,14 @@ def validate(arguments: ValidateArguments) -> Exit:
 
     The instrument may be anywhere: its placement is identified from the rows.
     """
-    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.calibration.fitted_robot import load_model
     from pincal.calibration.validation import validate_rows
     from pincal.cli.inputs import load_tables, other_robot
     from pincal.measure.admit import check_table
 
-    calibrated = load_stations(arguments.model)
+    calibrated = load_model(arguments.model)
     chosen = arguments.station
-    models = list(calibrated.models.values()) if chosen is None else [calibrated.at(chosen)]
+    models = calibrated.each if chosen is None else (calibrated.at(chosen),)
     robot = models[0].model.chain.robot
     tables = load_tables(
         robot, arguments.data, options=arguments.table.options, motion=arguments.motion
@@ -294,14 +294,14 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
 
     Ten to sixty poses are enough: the calibration, with its uncertainty, serves as prior knowledge.
     """
-    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.calibration.fitted_robot import load_model
     from pincal.cli.progress import console
     from pincal.cli.screen import print_doubts
     from pincal.diagnosis.robot_diagnosis import diagnose
     from pincal.notes import doubts_of
     from pincal.report.diagnosis import curve_table, lines
 
-    calibrated = load_stations(arguments.model)
+    calibrated = load_model(arguments.model)
     table = arguments.read(calibrated.robot_model().model.chain.robot)
     with output_folder(arguments.out) as draft:
         found = diagnose(
@@ -366,11 +366,12 @@ def update_verb(arguments: UpdateArguments) -> Exit:
     Rows of a robot that has changed are refused (exit code 6): see diagnose. With --anew, the named
     effect is re-estimated from its prior.
     """
-    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.calibration.day_notes import notes_on_day
+    from pincal.calibration.fitted_robot import load_model
     from pincal.diagnosis.model_update import update
     from pincal.validate.accuracy import error_summary
 
-    stations = load_stations(arguments.model)
+    stations = load_model(arguments.model)
     table = arguments.read(stations.robot_model().model.chain.robot)
     calibrated = stations.robot_model(table.kind)
     with output_folder(arguments.out) as draft:
@@ -389,5 +390,5 @@ def update_verb(arguments: UpdateArguments) -> Exit:
         anew = f", {', '.join(arguments.anew)} re-estimated" if arguments.anew else ""
         click.echo(f"{len(table)} rows added{anew}; mean error {error['mean_mm']:.4f} mm")
         click.echo(f"written to {arguments.out}: model.json")
-    echo_notes(calibrated.notes_on_day(table), quiet=arguments.general.quiet)
+    echo_notes(notes_on_day(calibrated, table), quiet=arguments.general.quiet)
     return Exit.DONE

@@ -22,7 +22,7 @@ from pincal.errors import AccuracyGateError, OutputError, printable
 if TYPE_CHECKING:
     import numpy as np
 
-    from pincal.calibration.calibrated import CalibratedModel
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.model.conditions import Conditions
     from pincal.notes import Note
 
@@ -94,7 +94,7 @@ def columns_of_poses(poses: np.ndarray, *, with_orientation: bool) -> dict[str, 
 
 
 def extrapolation(
-    calibrated: CalibratedModel, conditions: Conditions, lines: np.ndarray
+    calibrated: FittedRobot, conditions: Conditions, lines: np.ndarray
 ) -> tuple[dict[str, Any], list[str]]:
     """Return where a model is used outside the range of its calibration data.
 
@@ -106,10 +106,11 @@ def extrapolation(
     Returns:
         Entries for ``--json``, and notes for the user.
     """
+    from pincal.calibration.curve_coverage import gaps_in_curves, outside_curves, turned_curves
     from pincal.recorded import RECORDABLE
 
     values = calibrated.outside(conditions)
-    curves = calibrated.outside_curves(conditions)
+    curves = outside_curves(calibrated, conditions)
     robot = calibrated.model.chain.robot
     units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
     units |= {name: variable.unit for name, variable in RECORDABLE.items()}
@@ -127,7 +128,7 @@ def extrapolation(
             f"{curve.lower:.4g} to {curve.upper:.4g} "
             "only and is held constant outside"
         )
-    gaps = calibrated.gaps(conditions)
+    gaps = gaps_in_curves(calibrated, conditions)
     for (effect, joint), group in groupby(gaps, key=lambda gap: (gap.effect, gap.joint)):
         *narrower, widest = sorted(group, key=lambda gap: gap.upper - gap.lower)
         more = f" and in {len(narrower)} narrower gap{'s'[: len(narrower) > 1]}" if narrower else ""
@@ -138,7 +139,7 @@ def extrapolation(
             "the calibration had too few poses "
             "there to determine it, and it is interpolated"
         )
-    turned = calibrated.turned_curves(conditions)
+    turned = turned_curves(calibrated, conditions)
     for found in turned:
         notes.append(
             f"{found.rows} rows have {found.variable} a revolution away from where the "

@@ -304,13 +304,13 @@ def design(arguments: DesignArguments) -> Exit:
 
 
 def _check(arguments: DesignArguments) -> Exit:
-    from pincal.calibration.calibrated_robot import load_stations
+    from pincal.calibration.fitted_robot import load_model
     from pincal.design.health import CheckRequest, design_check
     from pincal.robot.robot import Robot
 
     wanted = arguments.health
     is_model = Path(arguments.robot).suffix == ".json"
-    known = load_stations(arguments.robot).robot_model() if is_model else _robot(arguments)
+    known = load_model(arguments.robot).robot_model() if is_model else _robot(arguments)
     payloads = tuple(arguments.instrument.payload or ())
     given = {name: value for name, value in vars(wanted).items() if name != "check"}
     request = CheckRequest(

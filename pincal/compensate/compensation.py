@@ -13,7 +13,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.robot_frames import (
     PoseFrame,
@@ -75,7 +75,7 @@ class Compensation:
 
 
 def compensate_poses(
-    calibrated: CalibratedModel,
+    calibrated: FittedRobot,
     wanted: np.ndarray,
     conditions: Conditions,
     *,
@@ -119,7 +119,7 @@ def compensate_poses(
         >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), (JointOffset(),))
         >>> offset, covered = np.array([0.0, 0.0, 2e-3, 0.0, 0.0, 0.0]), Covered(np.zeros((6, 2)), np.zeros(2))
         >>> estimate = estimate_of(model.parameters, offset, np.zeros((6, 6)))
-        >>> known = CalibratedModel(model, estimate, "pose", np.zeros(3), covered, np.zeros(1), {})
+        >>> known = FittedRobot.given(model, estimate, covered, sensor_kind="pose", sigma=[0.0])
         >>> program = Conditions.at(np.array([[0.3, 1.2, -1.1, 0.4, 0.7, -0.5]]))
         >>> found = compensate_program(known, program)
         >>> found.status.tolist(), float((found.q - program.q)[0, 2].round(9))
@@ -171,7 +171,7 @@ def compensate_poses(
 
 
 def compensate_program(
-    calibrated: CalibratedModel, conditions: Conditions, *, limits: bool = True
+    calibrated: FittedRobot, conditions: Conditions, *, limits: bool = True
 ) -> Compensation:
     """Return the joint positions at which the real robot reaches the poses of a nominal program.
 

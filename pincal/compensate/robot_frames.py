@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
@@ -29,7 +29,7 @@ def _is_of(effect: Effect, *frames: str) -> bool:
     return effect.scope == "station" and effect.locus.acts_on in frames
 
 
-def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
+def in_base_frame(calibrated: FittedRobot) -> FittedRobot:
     """Return the calibrated model without the instrument, which predicts in the robot's
     base frame.
     """
@@ -39,17 +39,15 @@ def in_base_frame(calibrated: CalibratedModel) -> CalibratedModel:
 
 
 def _with_effects(
-    calibrated: CalibratedModel, is_kept: Callable[[Effect], bool], base_rotation: np.ndarray
-) -> CalibratedModel:
+    calibrated: FittedRobot, is_kept: Callable[[Effect], bool], base_rotation: np.ndarray
+) -> FittedRobot:
     found = calibrated.with_effects(is_kept)
     chain = found.model.chain.with_references(base_rotation, found.model.chain.tool_rotations)
     model = found.model.with_chain(chain)
-    return replace(
-        found, model=model, estimate=found.estimate.take(model.names), nominal_values=None
-    )
+    return found.with_model(model, found.estimate.take(model.names))
 
 
-def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
+def program_poses(calibrated: FittedRobot, conditions: Conditions) -> np.ndarray:
     """Return the target poses of a nominal program, by the nominal robot with the calibrated tool.
 
     Returns:
@@ -58,14 +56,14 @@ def program_poses(calibrated: CalibratedModel, conditions: Conditions) -> np.nda
     return nominal_robot(calibrated).predict(conditions)
 
 
-def nominal_robot(calibrated: CalibratedModel) -> CalibratedModel:
+def nominal_robot(calibrated: FittedRobot) -> FittedRobot:
     """Return the nominal robot with the calibrated tool, which predicts in the robot's
     base frame.
     """
     return _with_effects(calibrated, lambda effect: _is_of(effect, "tool"), np.eye(3))
 
 
-def nominal_in_instrument(calibrated: CalibratedModel) -> CalibratedModel:
+def nominal_in_instrument(calibrated: FittedRobot) -> FittedRobot:
     """Return the nominal robot with the calibrated tool and base, which predicts in the
     instrument's frame.
     """
@@ -74,7 +72,7 @@ def nominal_in_instrument(calibrated: CalibratedModel) -> CalibratedModel:
     )
 
 
-def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> np.ndarray:
+def base_in_instrument(calibrated: FittedRobot, conditions: Conditions) -> np.ndarray:
     """Return the pose of the robot's base in the instrument's frame at each of N poses, shape (N,
     3, 4) [m].
 
@@ -88,7 +86,7 @@ def base_in_instrument(calibrated: CalibratedModel, conditions: Conditions) -> n
 
 
 def false_targets(
-    calibrated: CalibratedModel, conditions: Conditions, *, of: FalseTarget = "tip"
+    calibrated: FittedRobot, conditions: Conditions, *, of: FalseTarget = "tip"
 ) -> np.ndarray:
     """Return the poses for which a controller with the nominal model commands given joint
     positions.

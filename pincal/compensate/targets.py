@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensation import (
     Compensation,
     KeptOrientation,
@@ -126,7 +126,7 @@ def read_targets(
 
 
 def run_compensation(
-    calibrated: CalibratedModel,
+    calibrated: FittedRobot,
     targets: Targets,
     *,
     frame: PoseFrame = "instrument",
@@ -179,7 +179,7 @@ def run_compensation(
     return CompensatedTable(targets, seeds, commanded, found, orientation, sigma, robot)
 
 
-def unreached_turns(calibrated: CalibratedModel, done: CompensatedTable) -> str:
+def unreached_turns(calibrated: FittedRobot, done: CompensatedTable) -> str:
     """Return a description of the rotations that an arm with too few joints can't make; "" if there
     are none.
     """
@@ -215,7 +215,7 @@ def _wanted(targets: Targets, *, with_orientation: bool) -> np.ndarray:
 
 
 def _check_unit(
-    calibrated: CalibratedModel, targets: Targets, *, seeds: Conditions, frame: PoseFrame
+    calibrated: FittedRobot, targets: Targets, *, seeds: Conditions, frame: PoseFrame
 ) -> None:
     """Reject a table with most positions far beyond the robot's reach, if its header does not state
     their unit.

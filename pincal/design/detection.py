@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.row_noise import noise_of_rows
 from pincal.design.design_model import check_rig, frame_effects, nominal_values, predicted_station
 from pincal.design.exchange import covariance
@@ -61,9 +61,7 @@ class DetectableChange:
     rank: int
 
 
-def lineup_over(
-    model: CalibratedModel, rig: SensorSetup, conditions: Conditions
-) -> ChangeHypotheses:
+def lineup_over(model: FittedRobot, rig: SensorSetup, conditions: Conditions) -> ChangeHypotheses:
     """Return all possible changes of a robot, for poses in which a new station reads the model's
     predictions.
     """
@@ -82,13 +80,10 @@ def lineup_over(
     station = predicted_station(there, values, rig, conditions)
     of_arm = np.zeros((len(values),) * 2)
     of_arm[np.ix_(places, places)] = known.dense_covariance()
-    placed = replace(
-        model,
-        model=there,
-        estimate=estimate_of(station.parameters, values, of_arm),
-        sensor_kind=rig.sensor,
-        sigma=noise_of_rows(model, rig.sensor, station.sensor.blocks).sigma,
-    )
+    sigma = noise_of_rows(model, rig.sensor, station.sensor.blocks).sigma
+    at_rig = replace(model.station, sensor_kind=rig.sensor, sigma=sigma)
+    estimate = estimate_of(station.parameters, values, of_arm)
+    placed = model.with_station(at_rig).with_model(there, estimate)
     few = ChangeHypotheses.of(
         placed, station.select(np.arange(_ROWS)), Known.of(model, station.conditions)
     )

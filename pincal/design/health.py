@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.covered import Covered
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.design.design_model import DesignModel, held_columns
 from pincal.design.detection import (
     DetectableChange,
@@ -240,7 +240,7 @@ class CheckRequest:
 
 
 def design_check(
-    known: Robot | Calibrated,
+    known: Robot | FittedRobot,
     request: CheckRequest | None = None,
     *,
     options: Options | None = None,
@@ -328,7 +328,7 @@ def design_check(
 
 def _as_if_calibrated(
     reach: Reach, options: Options, request: CheckRequest, *, rng: np.random.Generator
-) -> CalibratedModel:
+) -> FittedRobot:
     """Return the calibrated model expected from random poses of a robot that agrees
     with its URDF.
     """
@@ -347,13 +347,18 @@ def _as_if_calibrated(
     whole[np.ix_(design.free, design.free)] = C * np.outer(design.units, design.units)
     n = design.model.n_parameters
     estimate = estimate_of(design.model.parameters, design.values[:n], whole[:n, :n])
-    return CalibratedModel(
-        design.model, estimate, reach.rig.sensor, centre, Covered.of(conditions), design.sigma, {}
+    return FittedRobot.given(
+        design.model,
+        estimate,
+        Covered.of(conditions),
+        sensor_kind=reach.rig.sensor,
+        payload_centre=centre,
+        sigma=design.sigma,
     )
 
 
 def _conditions(
-    model: CalibratedModel, q: np.ndarray, request: CheckRequest, *, rng: np.random.Generator
+    model: FittedRobot, q: np.ndarray, request: CheckRequest, *, rng: np.random.Generator
 ) -> Conditions:
     """Return poses with the loads in turn and all columns that the effects of a model need."""
     n = len(q)
@@ -370,7 +375,7 @@ def _conditions(
     )
 
 
-def _rig_of(rig: SensorSetup, model: CalibratedModel) -> SensorSetup:
+def _rig_of(rig: SensorSetup, model: FittedRobot) -> SensorSetup:
     names = [f"{model.model.chain.targets[0]}.{symbol}" for symbol in FRAME_SYMBOLS[:3]]
     if rig.tool is not None or not set(names) <= set(model.estimate.names):
         return rig

@@ -11,7 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fit_evidence import KeptEvidence
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.diagnosis.row_evidence import Known, RowEvidence, prior_root, rows_in_noise
 from pincal.discover.levers import compliances_of
 from pincal.identify.criteria import CHANGES
@@ -215,7 +216,7 @@ class ChangeHypotheses:
         shared: noise that rows share: of the arrival in a stop, and of a pose; default: none.
     """
 
-    robot: CalibratedModel
+    robot: FittedRobot
     known: Known
     station: Station
     changes: tuple[PossibleChange, ...]
@@ -228,7 +229,7 @@ class ChangeHypotheses:
     @classmethod
     def of(
         cls,
-        robot: CalibratedModel,
+        robot: FittedRobot,
         station: Station,
         known: Known,
         shared: SharedNoise | None = None,
@@ -296,7 +297,7 @@ class ChangeHypotheses:
         """
         return self.reidentify(happened, start, is_certain=True).values
 
-    def reidentified(self, happened: Sequence[int], found: Refitted) -> CalibratedModel:
+    def reidentified(self, happened: Sequence[int], found: Refitted) -> FittedRobot:
         """Return the re-identified robot at the new station, with the changes and nothing else of
         the wide model.
         """
@@ -321,7 +322,8 @@ class ChangeHypotheses:
         estimate = estimate_of(
             station.parameters, found.values[places], whole[np.ix_(places, places)]
         )
-        return replace(self.robot, model=station.model, estimate=estimate, left_by=None)
+        evidence = KeptEvidence(information=self.robot.information)
+        return replace(self.robot, evidence=evidence).with_model(station.model, estimate)
 
     def reidentify(
         self, happened: Sequence[int], start: np.ndarray, *, is_certain: bool = False

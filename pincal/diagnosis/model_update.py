@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.fit_evidence import KeptEvidence
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.placing import Placed
 from pincal.diagnosis.robot_diagnosis import (
@@ -31,14 +32,14 @@ from pincal.parameters import Covariance, Estimate
 
 
 def update(
-    calibrated: Calibrated,
+    calibrated: FittedRobot,
     measurements: Measurements,
     *,
     alpha: float = FALSE_ALARM,
     sigma: float | None = None,
     sigma_orientation: float | None = None,
     anew: Sequence[str] = (),
-) -> CalibratedModel:
+) -> FittedRobot:
     """Add new rows to a calibration permanently, equivalent to a joint fit of old and new rows,
     without the old ones.
 
@@ -91,7 +92,7 @@ def update(
     return _taken_in(placed, model, kept, noise, earlier=known, before=model.information)
 
 
-def _named(text: str, model: CalibratedModel) -> list[Effect]:
+def _named(text: str, model: FittedRobot) -> list[Effect]:
     """Return the effects of a robot that a user names."""
     name, _, joint = (part.strip() for part in text.partition(":"))
     of_robot = [effect for effect in model.model.effects if effect.scope == "robot"]
@@ -105,7 +106,7 @@ def _named(text: str, model: CalibratedModel) -> list[Effect]:
     return found
 
 
-def _released(model: CalibratedModel, placed: Placed, effects: Sequence[Effect]) -> Estimate:
+def _released(model: FittedRobot, placed: Placed, effects: Sequence[Effect]) -> Estimate:
     """Return the estimate of a robot, its covariance widened by the priors of effects that may have
     changed.
     """
@@ -137,7 +138,7 @@ class _Declared:
     sigma_orientation: float | None
 
     @classmethod
-    def of(cls, model: CalibratedModel, kind: str, given: _Declared) -> _Declared:
+    def of(cls, model: FittedRobot, kind: str, given: _Declared) -> _Declared:
         """Return the noise that is given, else that of the calibration for such readings if it was
         declared.
         """
@@ -180,13 +181,13 @@ class _Declared:
 
 def _taken_in(
     placed: Placed,
-    model: CalibratedModel,
+    model: FittedRobot,
     measurements: Measurements,
     declared: _Declared,
     *,
     earlier: Estimate,
     before: RobotInformation | None = None,
-) -> CalibratedModel:
+) -> FittedRobot:
     """Return the robot at the station of new rows, fitted to them with its earlier estimate as
     prior.
 
@@ -204,7 +205,7 @@ def _taken_in(
     factor = _shared(placed)
     if factor > 1.0:
         noise = noise.widened(placed, factor**0.5)
-    options = model.options(
+    options = model.fitting_options(
         effects=tuple(effect for effect in arm.effects if effect.scope == "robot"),
         sigma=noise.sigma,
         sigma_orientation=noise.sigma_orientation,
@@ -215,21 +216,25 @@ def _taken_in(
         earlier=earlier,
     )
     fit = fit_tables(arm.chain.robot, model.of_its_day(measurements), options)
-    found = CalibratedModel.of(fit)
+    found = FittedRobot.of(fit, model.provenance)
     information = RobotInformation.of(fit)
     if before is not None:
         information = before + information
-    covered = model.covered.over(found.covered)
-    marks = together(model.rows, found.rows)
-    repeatability = placed.noise.repeatability
-    found = replace(found, repeatability=repeatability)
+    station = replace(
+        found.station,
+        covered=model.covered.over(found.covered),
+        rows=together(model.rows, found.rows),
+        repeatability=placed.noise.repeatability,
+    )
     if factor > 1.0:
         # Predictions of single rows have the noise of single rows.
-        is_declared = model.is_noise_declared or declared.sigma is not None
-        found = replace(found, sigma=found.sigma / factor**0.5, is_noise_declared=is_declared)
-    return replace(
-        found, covered=covered, rows=marks, provenance=model.provenance, information_by=information
-    )
+        station = replace(
+            station,
+            sigma=station.sigma / factor**0.5,
+            is_noise_declared=model.is_noise_declared or declared.sigma is not None,
+        )
+    found = found.with_station(station)
+    return replace(found, evidence=KeptEvidence(information=information))
 
 
 def _shared(placed: Placed) -> float:

@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from pincal.calibration.calibrated import Calibrated, CalibratedModel
 from pincal.calibration.caveats import CaveatKind, findings_on_outliers
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import Placed, fitted_rows, moved, place_station
 from pincal.diagnosis.change_search import ChangeVerdict, search
 from pincal.diagnosis.excluded import excluded, rival_names, tell_apart
@@ -60,7 +60,7 @@ class Diagnosis:
     """
 
     found: DiagnosisFile
-    model: CalibratedModel
+    model: FittedRobot
 
     def __repr__(self) -> str:
         what = ", ".join(
@@ -94,7 +94,7 @@ class Diagnosis:
 
 
 def diagnose(
-    calibrated: Calibrated,
+    calibrated: FittedRobot,
     measurements: Measurements,
     *,
     alpha: float = FALSE_ALARM,
@@ -161,7 +161,8 @@ def diagnose(
     reidentified = lineup.robot
     if happened:
         rows = together(model.rows, fingerprints(lineup.station))
-        reidentified = replace(lineup.reidentified(happened, posterior), rows=rows)
+        reidentified = lineup.reidentified(happened, posterior)
+        reidentified = reidentified.with_station(replace(reidentified.station, rows=rows))
     station = reidentified.readings(measurements)
     after = error_summary(station, reidentified.values)
     _refuse_strange(model, measurements, after["median_mm"], CHANGES.hopeless)
@@ -180,7 +181,7 @@ def diagnose(
             )
         )
         changes = [change if change.curve_rms is None else next(ranked) for change in changes]
-    shifts = [moved(before, reidentified) for before in calibrated.models.values()]
+    shifts = [moved(before, reidentified) for before in calibrated.each]
     nearest = min(
         shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument
     )
@@ -221,7 +222,7 @@ def looked_at(stops: StopRows) -> StopRows:
     return stops.select(sample_rows(len(stops.table), _MOST_ROWS, target))
 
 
-def changes_since(model: CalibratedModel, placed: Placed, alpha: float) -> ChangeVerdict:
+def changes_since(model: FittedRobot, placed: Placed, alpha: float) -> ChangeVerdict:
     """Return the changes of a calibrated robot that was located at a new station."""
     known = Known.of(model, placed.station.conditions)
     lineup = ChangeHypotheses.of(placed.model, placed.station, known, placed.shared)
@@ -309,7 +310,7 @@ def _averaged(stops: StopRows, n: int) -> Iterator[str]:
         )
 
 
-def known_degrees(model: CalibratedModel, station: Station) -> float:
+def known_degrees(model: FittedRobot, station: Station) -> float:
     """Return the degrees of freedom of a calibration's noise estimate, for readings like a
     station's.
     """
@@ -322,7 +323,7 @@ def known_degrees(model: CalibratedModel, station: Station) -> float:
 
 
 def relocated(
-    model: CalibratedModel,
+    model: FittedRobot,
     stops: StopRows,
     *,
     sigma: float | None = None,
@@ -370,7 +371,7 @@ def relocated(
 
 
 def _refuse_strange(
-    model: CalibratedModel, measurements: Measurements, median_mm: float, limit: float
+    model: FittedRobot, measurements: Measurements, median_mm: float, limit: float
 ) -> None:
     """Refuse rows whose median error exceeds this fraction of the robot's reach."""
     if median_mm > 1e3 * limit * model.model.chain.robot.reach:

@@ -27,7 +27,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.identify.mass_error import MassError
 from pincal.identify.normal import belief_rows
 from pincal.identify.quadratic import ROUNDING, SEEN, Quadratic, root_of_inverse
@@ -65,7 +65,7 @@ class Known:
     unmodelled: tuple[Effect, ...] = ()
 
     @classmethod
-    def of(cls, calibrated: CalibratedModel, conditions: Conditions) -> Known:
+    def of(cls, calibrated: FittedRobot, conditions: Conditions) -> Known:
         """Return what is known from a calibrated model, with unmodelled effects that new rows can
         show.
         """
@@ -84,7 +84,7 @@ class Known:
             # A calibration takes the targets of a stop to be independent.
             root = root * np.sqrt(calibrated.repeatability.shared)
         known = cls(names, estimate.values, root, masses, taken_up)
-        if (left := calibrated.left) is None:
+        if (left := calibrated.unmodelled) is None:
             return known
         # The part that the parameters absorbed remains in them where rows lack a column that the
         # effect needs.
@@ -114,7 +114,7 @@ class Known:
         )
 
 
-def _taken_up(calibrated: CalibratedModel, names: tuple[str, ...], masses: MassError) -> np.ndarray:
+def _taken_up(calibrated: FittedRobot, names: tuple[str, ...], masses: MassError) -> np.ndarray:
     """Return the change of a calibration's parameters per unit of each mass parameter, shape (K,
     m).
     """

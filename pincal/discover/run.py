@@ -26,8 +26,8 @@ from msgspec import to_builtins
 from msgspec.structs import replace as changed
 
 from pincal.calibration.benefit import without_harm
-from pincal.calibration.calibrated_robot import Fit as CalibratedFit
 from pincal.calibration.calibration import Calibration, FittedTables, fit_admitted
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import LeftOut, Validated, as_measured, leave_out_stations
 from pincal.calibration.result import result_of
 from pincal.calibration.validation import Validation
@@ -246,9 +246,7 @@ def run_discovery(
         validated=validated,
         arrivals=arrivals,
     )
-    final = Calibration(
-        first.robot, first.stations, CalibratedFit.of(fit), result, notes, validated
-    )
+    final = Calibration(first.robot, first.stations, FittedRobot.of(fit), result, notes, validated)
     # The search decides whether the model is inadequate; whether it is adequate, the rule common to
     # all commands.
     verdict = result.verdict_of(incomplete=findings.verdict is Verdict.NOT_ADEQUATE)
@@ -302,10 +300,10 @@ def _discovered(
     robot: Robot,
     tables: dict[str, Measurements],
     options: Options,
-) -> CalibratedFit:
+) -> FittedRobot:
     """Return the final fit of a discovery on all rows of some stations."""
     trail, _ = search(fit_admitted(robot, tables, options))
-    return CalibratedFit.of(trail.final)
+    return FittedRobot.of(trail.final)
 
 
 @dataclass(frozen=True)

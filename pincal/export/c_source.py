@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.export.exported import (
     FORMATS,
     Exported,
@@ -53,7 +53,7 @@ class CSource(Format):
     name: ClassVar[str] = "c"
     meaning: ClassVar[str] = "C99 without dependencies, for a controller's cycle"
 
-    def export(self, calibrated: CalibratedModel) -> Exported:
+    def export(self, calibrated: FittedRobot) -> Exported:
         formulas = formulas_of(placed_in(calibrated, self.frame))
         name = identifier(calibrated.model.chain.robot.name)
         files = {

@@ -18,7 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.atomic import write_atomic
-from pincal.calibration.calibrated import Calibrated, CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensation import ORTHONORMAL
 from pincal.compensate.robot_frames import in_base_frame
 from pincal.errors import BadInputError, OutputError, nearest_first
@@ -79,7 +79,7 @@ class Format(ABC):
     of_robot: ClassVar[bool] = False
 
     @abstractmethod
-    def export(self, calibrated: CalibratedModel) -> Exported:
+    def export(self, calibrated: FittedRobot) -> Exported:
         """Return a calibrated robot in this format, checked against the model.
 
         Raises:
@@ -93,7 +93,7 @@ FORMATS: Registry[Format] = Registry(
 
 
 def export_model(
-    calibrated: Calibrated, format: str, path: str | os.PathLike[str] | None = None, **options: str
+    calibrated: FittedRobot, format: str, path: str | os.PathLike[str] | None = None, **options: str
 ) -> Exported:
     """Return a calibrated robot in another format, and write it if a path is given.
 
@@ -117,7 +117,7 @@ def export_model(
         chosen = known[format](**options)
     except TypeError as error:
         raise BadInputError(f"format {format!r}: {error}") from None
-    exported = chosen.export(calibrated.robot_model() if chosen.of_robot else calibrated.to_model())
+    exported = chosen.export(calibrated.robot_model() if chosen.of_robot else calibrated.at())
     if chosen.of_robot and (couplings := calibrated.robot_model().model.chain.robot.couplings):
         coupled = ", ".join(dict.fromkeys(one.joint for one in couplings))
         note = f"{coupled}: as in the URDF, not as reported by the controller"
@@ -142,7 +142,7 @@ NOTES = (
 )
 
 
-def placed_in(calibrated: CalibratedModel, frame: str) -> CalibratedModel:
+def placed_in(calibrated: FittedRobot, frame: str) -> FittedRobot:
     """Return a calibrated model that predicts poses of targets, not readings of them, in a frame:
     "instrument" or "base".
 
@@ -161,7 +161,7 @@ def placed_in(calibrated: CalibratedModel, frame: str) -> CalibratedModel:
     )
 
 
-def notes_on(calibrated: CalibratedModel) -> tuple[str, ...]:
+def notes_on(calibrated: FittedRobot) -> tuple[str, ...]:
     """Return what source code can't represent of a calibrated model."""
     read = ", ".join(effect.name for effect in calibrated.model.effects if effect.is_sighted)
     return (
@@ -225,7 +225,7 @@ def as_comment(text: str) -> str:
     )
 
 
-def checked_poses(calibrated: CalibratedModel) -> Conditions:
+def checked_poses(calibrated: FittedRobot) -> Conditions:
     """Return poses at which an export is compared with the model: over the joint ranges, with all
     conditions recorded.
     """

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
 from pincal.model import walk
 from pincal.model.chain import Chain
@@ -40,7 +40,7 @@ class Formulas:
             row by row, 6 m entries.
     """
 
-    calibrated: CalibratedModel
+    calibrated: FittedRobot
     moments: tuple[Expression, ...]
     pose: tuple[Expression, ...]
     columns: tuple[Expression, ...]
@@ -65,7 +65,7 @@ class Formulas:
         return tuple(name for name in (*RECORDABLE, "target") if name in found)
 
 
-def formulas_of(calibrated: CalibratedModel) -> Formulas:
+def formulas_of(calibrated: FittedRobot) -> Formulas:
     """Return the formulas of a calibrated model, traced through the code of its effects.
 
     Raises:

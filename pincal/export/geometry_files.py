@@ -26,7 +26,7 @@ from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
 from pincal.export.exported import FORMATS, Exported, Format, as_comment
 from pincal.io.urdf_export import calibrated_urdf, rigid_notes, rigid_tips
@@ -55,7 +55,7 @@ class DhTable(Format):
     meaning: ClassVar[str] = "Denavit-Hartenberg parameters, standard and modified"
     of_robot: ClassVar[bool] = True
 
-    def export(self, calibrated: CalibratedModel) -> Exported:
+    def export(self, calibrated: FittedRobot) -> Exported:
         model = calibrated.model
         values = calibrated.model_values
         robot = model.chain.robot
@@ -186,7 +186,7 @@ class ControllerFrames(Format):
     name: ClassVar[str] = "frames"
     meaning: ClassVar[str] = "base and tool frames for a controller"
 
-    def export(self, calibrated: CalibratedModel) -> Exported:
+    def export(self, calibrated: FittedRobot) -> Exported:
         if self.controller not in get_args(Controller):
             raise BadInputError(
                 f"controller {self.controller!r}; expected one of {', '.join(get_args(Controller))}"
@@ -217,7 +217,7 @@ class ControllerFrames(Format):
         return Exported({"": text.encode()}, notes, float(max(lost)))
 
 
-def _frames(calibrated: CalibratedModel) -> dict[str, np.ndarray]:
+def _frames(calibrated: FittedRobot) -> dict[str, np.ndarray]:
     model = calibrated.model
     estimate = calibrated.estimate
     chain = model.chain
@@ -230,7 +230,7 @@ def _frames(calibrated: CalibratedModel) -> dict[str, np.ndarray]:
     }
 
 
-def _notes(calibrated: CalibratedModel, words: str) -> tuple[str, ...]:
+def _notes(calibrated: FittedRobot, words: str) -> tuple[str, ...]:
     model = calibrated.model
     robot = calibrated.model.chain.robot
     base = as_comment(robot.base)
@@ -275,7 +275,7 @@ class UrKinematics(Format):
     meaning: ClassVar[str] = "the kinematics of ur_description"
     of_robot: ClassVar[bool] = True
 
-    def export(self, calibrated: CalibratedModel) -> Exported:
+    def export(self, calibrated: FittedRobot) -> Exported:
         model = calibrated.model
         robot = calibrated.model.chain.robot
         _refuse_others(calibrated)
@@ -295,7 +295,7 @@ class UrKinematics(Format):
         return Exported({"": text.encode()}, notes, found.max_error_m)
 
 
-def _refuse_others(calibrated: CalibratedModel) -> None:
+def _refuse_others(calibrated: FittedRobot) -> None:
     """Refuse an arm that is not one of ur_description with an error that names the difference."""
     robot = calibrated.model.chain.robot
     expected = "expected a robot of ur_description, expanded from its xacro"
@@ -313,7 +313,7 @@ def _refuse_others(calibrated: CalibratedModel) -> None:
         raise BadInputError(f"{robot.name}: an older description with other frames; {expected}")
 
 
-def _tip_note(calibrated: CalibratedModel) -> tuple[str, ...]:
+def _tip_note(calibrated: FittedRobot) -> tuple[str, ...]:
     model = calibrated.model
     (_, before), (_, after) = (
         joint_placements(model, v) for v in (0.0 * calibrated.model_values, calibrated.model_values)
@@ -341,7 +341,7 @@ class CalibratedUrdf(Format):
     meaning: ClassVar[str] = "the calibrated URDF"
     of_robot: ClassVar[bool] = True
 
-    def export(self, calibrated: CalibratedModel) -> Exported:
+    def export(self, calibrated: FittedRobot) -> Exported:
         if not calibrated.model.chain.robot.urdf:
             raise BadInputError(
                 "the model holds no URDF to correct; calibrate again from a URDF file"
@@ -358,5 +358,5 @@ class CameraJson(Format):
     name: ClassVar[str] = "camera"
     meaning: ClassVar[str] = "the camera, parameters and mount"
 
-    def export(self, calibrated: CalibratedModel) -> Exported:
+    def export(self, calibrated: FittedRobot) -> Exported:
         return Exported({"": (json.dumps(calibrated.camera(), indent=1) + "\n").encode()})

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import base_in_instrument, nominal_robot
 from pincal.export.exported import (
@@ -79,7 +79,7 @@ class CorrectorPage(Format):
     name: ClassVar[str] = "page"
     meaning: ClassVar[str] = "a page that corrects programs in any browser, offline"
 
-    def export(self, calibrated: CalibratedModel) -> Exported:
+    def export(self, calibrated: FittedRobot) -> Exported:
         import jinja2
 
         placed_in(calibrated, self.frame)
@@ -167,7 +167,7 @@ _TAKEN = """  let moments = new Array({n}).fill(0);
   }}"""
 
 
-def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[str, Any]:
+def _about(calibrated: FittedRobot, formulas: Formulas, frame: str) -> dict[str, Any]:
     """Return the data of the robot on the page in addition to the formulas."""
     chain = calibrated.model.chain
     own = formulas.joints
@@ -217,7 +217,7 @@ def _place(robot: Robot, name: str) -> list[float]:
     return [float(x) for x in (np.eye(4) if found is None else found)[:3].ravel()]
 
 
-def _follows(calibrated: CalibratedModel) -> list[list[float]]:
+def _follows(calibrated: FittedRobot) -> list[list[float]]:
     """Return for each joint of the arm the independent joint that it follows, factor and offset."""
     robot = calibrated.model.chain.robot
     place = {robot.joint_names[i]: k for k, i in enumerate(robot.own_joints)}

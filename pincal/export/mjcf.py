@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.export.exported import FORMATS, Exported, Format
 from pincal.io.urdf_export import rigid_joints, rigid_notes, rigid_tips
 from pincal.model.augmented import closure_frames, joint_mounts, link_placements
@@ -76,7 +76,7 @@ class MujocoModel(Format):
     meaning: ClassVar[str] = "a MuJoCo model"
     of_robot: ClassVar[bool] = True
 
-    def export(self, calibrated: CalibratedModel) -> Exported:
+    def export(self, calibrated: FittedRobot) -> Exported:
         model = calibrated.model
         values = calibrated.model_values
         robot = model.chain.robot
@@ -272,7 +272,7 @@ def _add_mass(body: ET.Element, model: Model, values: np.ndarray, *, i: int) -> 
     )
 
 
-def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
+def _notes(calibrated: FittedRobot, springs: _Springs) -> tuple[str, ...]:
     """Return the differences between the MuJoCo model and the calibrated one."""
     model = calibrated.model
     robot = calibrated.model.chain.robot
@@ -317,7 +317,7 @@ def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
     return notes
 
 
-def _bent(calibrated: CalibratedModel) -> str:
+def _bent(calibrated: FittedRobot) -> str:
     """Return a note on the distance between equilibrium and moments on the undeflected arm."""
     own = calibrated.with_effects(lambda effect: effect.scope == "robot" and not effect.needs)
     q = own.model.chain.robot.random_configurations(_CHECKED_POSES, np.random.default_rng(0))

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import nominal_in_instrument, nominal_robot
 from pincal.errors import BadInputError
@@ -67,7 +67,7 @@ class NumpySource(Format):
     name: ClassVar[str] = "python"
     meaning: ClassVar[str] = "a Python file that needs only NumPy"
 
-    def export(self, calibrated: CalibratedModel) -> Exported:
+    def export(self, calibrated: FittedRobot) -> Exported:
         formulas = formulas_of(placed_in(calibrated, self.frame))
         text = numpy_source(formulas, frame=self.frame)
         return Exported(
@@ -126,7 +126,7 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
     )
 
 
-def refuse_wrong(calibrated: CalibratedModel, *, text: str) -> float:
+def refuse_wrong(calibrated: FittedRobot, *, text: str) -> float:
     """Return the largest difference between poses of a file and of the model [m, elements of the
     rotation matrix].
 
@@ -150,7 +150,7 @@ def refuse_wrong(calibrated: CalibratedModel, *, text: str) -> float:
     )
 
 
-def _error(calibrated: CalibratedModel, text: str) -> float:
+def _error(calibrated: FittedRobot, text: str) -> float:
     names: dict[str, Any] = {}
     exec(compile(text, "<export>", "exec"), names)
     forward: Callable[..., np.ndarray] = names["forward"]

@@ -20,8 +20,8 @@ import msgspec
 import numpy as np
 import polars as pl
 
-from pincal.calibration.calibrated import CalibratedModel
-from pincal.calibration.calibrated_robot import fitted, load_stations
+from pincal.calibration.checked_fit import fitted
+from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.information import RobotInformation
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, diagnose
 from pincal.discover.run import run_discovery
@@ -139,7 +139,7 @@ class CalibrateTables(Job):
                 self.robot, table, self.type, self.options, name=key.machine
             )
             off = member.off
-        machine = Machine.of(fit, key.machine, labels=labels)
+        machine = Machine.of(fit.fit, key.machine, labels=labels)
         how = {
             "rows": len(table),
             "converged": fit.solution.converged,
@@ -367,7 +367,7 @@ def add_model(
         ModelFileError: if it can't be read.
         OutputError: if the store can't be written to.
     """
-    information = load_stations(path).robot_model().information
+    information = load_model(path).robot_model().information
     store.add_text(MODELS, machine, day, path.read_text(encoding="utf-8"))
     if information is not None:
         store.add_information(day, Machine(machine, information, dict(labels or {})))
@@ -406,9 +406,7 @@ def add_diagnosis(store: Store, machine: str, day: str, path: Path) -> None:
     store.add_text(DIAGNOSES, machine, day, path.read_text(encoding="utf-8"), **facts)
 
 
-def last_model(
-    store: Store, machine: str | None = None, day: str = "9999"
-) -> CalibratedModel | None:
+def last_model(store: Store, machine: str | None = None, day: str = "9999") -> FittedRobot | None:
     """Return the last model of a machine, default any, from a day or earlier; None if there is
     none.
     """
@@ -420,7 +418,7 @@ def last_model(
         path.write_text(
             store.frame(max(known, key=lambda one: one.day))["text"][0], encoding="utf-8"
         )
-        return load_stations(path).robot_model()
+        return load_model(path).robot_model()
 
 
 def _check(robot: Robot, table: Measurements) -> None:

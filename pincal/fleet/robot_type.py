@@ -12,7 +12,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 import numpy as np
 
-from pincal.calibration.calibrated_robot import Fit, fitted
+from pincal.calibration.checked_fit import fitted
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.information import geometry_of
 from pincal.errors import BadInputError, ModelFileError
 from pincal.fleet.evidence import (
@@ -436,7 +437,7 @@ def calibrate_of_type(
     options: Options | None = None,
     *,
     name: str = "",
-) -> tuple[Fit, Membership]:
+) -> tuple[FittedRobot, Membership]:
     """Calibrate a machine of a known type, with a wider prior if its rows show that it is not like
     the others.
 
@@ -459,8 +460,9 @@ def calibrate_of_type(
     fit = fitted(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects)))
     # A deviation that the prior excludes inflates the noise, so that nothing is significant: then
     # judged without the prior.
-    is_fair = fit.is_declared and fit.solution.cost < _FITS
-    member = of.judge(Machine.of(fit if is_fair else fitted(robot, measurements, options), name))
+    is_fair = fit.fit.is_declared and fit.solution.cost < _FITS
+    fair = fit if is_fair else fitted(robot, measurements, options)
+    member = of.judge(Machine.of(fair.fit, name))
     if not member.is_usual:
         wider = of.prior_of(robot, options.effects, member)
         fit = fitted(robot, measurements, replace(options, earlier=wider))

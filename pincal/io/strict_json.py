@@ -102,7 +102,7 @@ class FileKind:
     def fault(self, file: str, place: str, problem: str, expected: str) -> BadInputError:
         """Return the error for a fault at a key of a file."""
         key = f"{place}{self.mark}" if place else ""
-        if self.whole and (not place or problem == MISSING):
+        if self.whole and (place in ("", "format", "format_version") or problem == MISSING):
             expected = self.whole
         return self.error(
             f"{file}: {key}{problem}; expected {expected}"

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensation import compensate_poses
 from pincal.compensate.robot_frames import false_targets
 from pincal.model.conditions import Conditions
@@ -105,14 +105,16 @@ class Corrector:
     """Corrects points of programs by a calibrated model."""
 
     def __init__(
-        self, calibrated: CalibratedModel, language: ControllerLanguage, cell: ProgramCell
+        self, calibrated: FittedRobot, language: ControllerLanguage, cell: ProgramCell
     ) -> None:
         # Internally, joints are those of the URDF; the program's axes convert from what the
         # controller reports.
         chain = calibrated.model.chain
         robot = replace(chain.robot, couplings=())
-        calibrated = replace(
-            calibrated, model=calibrated.model.with_chain(replace(chain, robot=robot))
+        calibrated = calibrated.with_model(
+            calibrated.model.with_chain(replace(chain, robot=robot)),
+            calibrated.estimate,
+            nominal_values=calibrated.nominal_values,
         )
         self.calibrated = calibrated
         self.language = language

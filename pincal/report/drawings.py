@@ -33,4 +33,4 @@ def drawings(of: Calibration | Discovery) -> tuple[Drawing, ...]:
 
 def _of_calibration(of: Calibration) -> Iterator[Drawing]:
     yield from error_drawings(evidence_of(of))
-    yield from correction_drawings(parameter_rows(of.fit))
+    yield from correction_drawings(parameter_rows(of.fit.fit))

@@ -49,7 +49,7 @@ def missing(subject: Subject) -> Section | None:
     if subject.discovery is None:
         return None
     found = subject.discovery.findings
-    is_declared = subject.discovery.calibration.fit.is_declared
+    is_declared = subject.discovery.calibration.fit.fit.is_declared
     noise = (
         "The noise alone"
         if is_declared

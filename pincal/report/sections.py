@@ -453,7 +453,7 @@ def where(subject: Subject) -> Section:
 
 def moments(subject: Subject) -> Section | None:
     """The identified moments at a typical pose; None if the masses are those of the URDF."""
-    found = found_moments(subject.calibration.fit)
+    found = found_moments(subject.calibration.fit.fit)
     if found is None:
         return None
     held = (

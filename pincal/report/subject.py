@@ -102,7 +102,7 @@ class _Shown:
 
 def _fitted_and_held(calibration: Calibration, k: int) -> _Shown:
     """Return the fitted and the held-out rows of the k-th station."""
-    fit = calibration.fit
+    fit = calibration.fit.fit
     rows = calibration.stations[k]
     station, places, _ = list(fit.stations)[k]
     tables = [table for table in (rows.train, rows.test) if len(table)]
@@ -122,7 +122,7 @@ def _fitted_and_held(calibration: Calibration, k: int) -> _Shown:
 
 def _left_out(calibration: Calibration, k: int, validated: Validated) -> _Shown:
     """Return the readings of the k-th station, each predicted by fits without its fold."""
-    fit = calibration.fit
+    fit = calibration.fit.fit
     rows = calibration.stations[k]
     before, after = (validated.leading(model)[k] for model in ("nominal", "calibrated"))
     known = np.flatnonzero(
@@ -147,7 +147,7 @@ def _left_out(calibration: Calibration, k: int, validated: Validated) -> _Shown:
 
 def _of_station(calibration: Calibration, k: int) -> Iterator[RowErrors]:
     """Yield the errors of the k-th station, one kind of reading after the other."""
-    fit = calibration.fit
+    fit = calibration.fit.fit
     robot = calibration.robot
     station, _, blocks = list(fit.stations)[k]
     validated = calibration.validated

@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 
 from pincal.calibration.information import RobotInformation
-from pincal.calibration.model_file import ModelFile, StationsFile
+from pincal.calibration.model_file import ModelFile
 from pincal.calibration.result import ResultFile
 from pincal.fleet.robot_type import RobotType
 from pincal.io.camera_file import CameraFile
@@ -24,7 +24,6 @@ from pincal.model.effect import Effect
 
 FILES: dict[str, type] = {
     "model": ModelFile,
-    "stations": StationsFile,
     "result": ResultFile,
     "discovery": Findings,
     "diagnosis": DiagnosisFile,
@@ -39,7 +38,7 @@ def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON Schema of a file.
 
     Args:
-        name: "model", "stations" (a model.json with several), "result", "discovery", "diagnosis",
+        name: "model", "result", "discovery", "diagnosis",
             "camera", "information" or "type".
 
     Example:

@@ -7,14 +7,14 @@ Example:
     >>> from pincal.model.chain import Chain
     >>> from pincal.model.effects import GEOMETRIC
     >>> from pincal.model.model import Model
-    >>> from pincal.calibration.calibrated import CalibratedModel
+    >>> from pincal.calibration.fitted_robot import FittedRobot
     >>> from pincal.parameters import estimate_of
     >>> from pincal.calibration.covered import Covered
     >>> from pincal.robot.robot import Robot
     >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), GEOMETRIC)
     >>> values, covered = np.full(model.n_parameters, 1e-4), Covered(np.tile([-1.0, 1.0], (6, 1)), np.zeros(2))
     >>> estimate = estimate_of(model.parameters, values, np.zeros((len(values), len(values))))
-    >>> kuka = CalibratedModel(model, estimate, "position", np.zeros(3), covered, np.ones(1), {})
+    >>> kuka = FittedRobot.given(model, estimate, covered)
     >>> [layer.name for layer in deviation_fields(kuka, grid=50).layers]  # doctest: +ELLIPSIS
     ['workspace/nominal to calibrated', 'workspace/explained by joint_offset', ...]
     >>> scene = build_scene(kuka, grid=50)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
 from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
@@ -112,7 +112,7 @@ class Fields:
 
 
 def deviation_fields(
-    calibrated: CalibratedModel,
+    calibrated: FittedRobot,
     measurements: Measurements | None = None,
     *,
     held_out: np.ndarray | None = None,
@@ -180,7 +180,7 @@ def deviation_fields(
 
 
 def _measured_layers(
-    calibrated: CalibratedModel,
+    calibrated: FittedRobot,
     measurements: Measurements,
     conditions: Conditions,
     nominal: np.ndarray,
@@ -237,7 +237,7 @@ def _positions(model: Model, values: np.ndarray, conditions: Conditions) -> np.n
 
 
 def _nominal_from_data(
-    calibrated: CalibratedModel, measurements: Measurements, held_out: np.ndarray | None
+    calibrated: FittedRobot, measurements: Measurements, held_out: np.ndarray | None
 ) -> tuple[np.ndarray, list[str]]:
     """Return the values with only base and tool fitted, to the rows that the calibration was fitted
     to.
@@ -255,7 +255,7 @@ def _nominal_from_data(
     return _frames_fitted(calibrated, problem.select(fitted)), []
 
 
-def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> np.ndarray:
+def _nominal_from_predictions(calibrated: FittedRobot, over: Conditions) -> np.ndarray:
     """Return the values with only base and tool fitted, to the calibrated robot over
     its workspace.
     """
@@ -268,7 +268,7 @@ def _nominal_from_predictions(calibrated: CalibratedModel, over: Conditions) -> 
     return _frames_fitted(calibrated, Station(calibrated.model, sample, sensor, np.ones(len(rows))))
 
 
-def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
+def _frames_fitted(calibrated: FittedRobot, station: Station) -> np.ndarray:
     """Fit only base and tool; a frame that was known in the calibration is held fixed."""
     found = calibrated.estimate.take(parameter.name for parameter in station.parameters)
     frames = np.array([parameter.is_extrinsic for parameter in found.parameters], bool)
@@ -292,8 +292,8 @@ def _frames_fitted(calibrated: CalibratedModel, station: Station) -> np.ndarray:
 
 
 def _workspace(
-    calibrated: CalibratedModel, grid: int, seed: int, seen: Conditions | None
-) -> tuple[Conditions, CalibratedModel, list[str]]:
+    calibrated: FittedRobot, grid: int, seed: int, seen: Conditions | None
+) -> tuple[Conditions, FittedRobot, list[str]]:
     """Return poses all over the workspace, the model that can predict there, and notes on
     assumptions.
     """
@@ -330,7 +330,7 @@ def _workspace(
 
 
 def _workspace_poses(
-    calibrated: CalibratedModel, places: int, *, payload: float, known: dict[str, float], seed: int
+    calibrated: FittedRobot, places: int, *, payload: float, known: dict[str, float], seed: int
 ) -> np.ndarray:
     """Return joint positions within the calibrated range, shape (about ``places``, n), one for each
     cell of a regular grid.
@@ -354,7 +354,7 @@ def _workspace_poses(
 
 
 def _at_conditions(
-    q: np.ndarray, calibrated: CalibratedModel, payload: float, known: dict[str, float]
+    q: np.ndarray, calibrated: FittedRobot, payload: float, known: dict[str, float]
 ) -> Conditions:
     """Return the conditions of joint positions, shape (N, n), with the same payload [kg],
     temperature and time.

@@ -27,7 +27,7 @@ import msgspec
 import numpy as np
 
 from pincal.atomic import write_atomic
-from pincal.calibration.calibrated import Calibrated
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError, OutputError, nearest_first, needed
 from pincal.io.strict_json import in_script
 from pincal.measure.measurements import Measurements
@@ -287,7 +287,7 @@ _HEAD = 0.25
 
 def draw_field(
     viz: meshcat.Visualizer | MeshcatVisualizer,
-    calibrated: Calibrated,
+    calibrated: FittedRobot,
     measurements: Measurements | None = None,
     *,
     layer: str | None = None,
@@ -323,7 +323,7 @@ def draw_field(
 
     if scale is not None and not 0.0 < scale < np.inf:
         raise BadInputError(f"scale is {scale}; expected a positive number")
-    model = calibrated.to_model()
+    model = calibrated.at()
     robot = model.model.chain.robot
     fields = deviation_fields(model, measurements, grid=grid).transformed(
         _root_of(robot) @ np.linalg.inv(base_of(model))

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.calibration.calibrated import CalibratedModel
+from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import Chain
@@ -48,9 +48,7 @@ class Axis:
     offset: float
 
 
-def axes_of(
-    calibrated: CalibratedModel, factor: float | None = None
-) -> tuple[tuple[Axis, ...], float]:
+def axes_of(calibrated: FittedRobot, factor: float | None = None) -> tuple[tuple[Axis, ...], float]:
     """Return the joint axes and the factor by which their distortions are exaggerated.
 
     Args:
@@ -209,7 +207,7 @@ class Scene:
 
 
 def build_scene(
-    calibrated: CalibratedModel,
+    calibrated: FittedRobot,
     measurements: Measurements | None = None,
     *,
     held_out: np.ndarray | None = None,
@@ -266,7 +264,7 @@ def build_scene(
 
 
 def _slider_ends(
-    calibrated: CalibratedModel, poses: tuple[FieldPoses, ...]
+    calibrated: FittedRobot, poses: tuple[FieldPoses, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the ends of the joints' sliders, shape (n,) each, which enclose the limits and all
     poses shown.
@@ -280,7 +278,7 @@ def _slider_ends(
     )
 
 
-def base_of(calibrated: CalibratedModel) -> np.ndarray:
+def base_of(calibrated: FittedRobot) -> np.ndarray:
     """Return the robot's base in the instrument's frame, shape (4, 4)."""
     chain = calibrated.model.chain
     coordinates = calibrated.model.rigid_coordinates(calibrated.model_values)
@@ -318,7 +316,7 @@ def _upright(gravity: np.ndarray) -> np.ndarray:
 
 
 def _frames(
-    calibrated: CalibratedModel,
+    calibrated: FittedRobot,
     upright: np.ndarray,
     T_scene_instrument: np.ndarray,
     coordinates: np.ndarray,

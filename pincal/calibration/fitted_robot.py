@@ -1,0 +1,764 @@
+"""A fitted robot: effects, estimate, stations and provenance, from a fit or from its file."""
+
+from __future__ import annotations
+
+import html
+import os
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pincal.atomic import write_atomic
+from pincal.calibration.another_day import of_its_day, unrecorded, varied_by
+from pincal.calibration.covered import Covered, Outside
+from pincal.calibration.earlier_files import read_model
+from pincal.calibration.fit_evidence import Evidence, FitEvidence, KeptEvidence
+from pincal.calibration.fitted_station import FittedStation
+from pincal.calibration.information import RobotInformation
+from pincal.calibration.likelihood import log_likelihood, noise_in_words, score
+from pincal.calibration.model_file import ModelFile, write_model_file
+from pincal.calibration.repeatability import Repeatability
+from pincal.calibration.result_tables import (
+    estimate_table,
+    parameter_rows,
+    parameter_table,
+    residual_table,
+)
+from pincal.calibration.unmodelled import Unmodelled
+from pincal.errors import BadInputError, MeasurementError
+from pincal.identify import split
+from pincal.identify.explain import ParameterFinding, explain
+from pincal.identify.fit import ModelFit, Solution
+from pincal.identify.options import Options
+from pincal.identify.problem import Problem
+from pincal.identify.station import Station, conditions_of, station_of, together
+from pincal.io.urdf_export import UrdfExport, calibrated_urdf
+from pincal.measure.admit import check_joints_of
+from pincal.measure.measurements import Measurements
+from pincal.measure.setup import Setup
+from pincal.measure.table import read_measurements
+from pincal.model.augmented import pinocchio_model
+from pincal.model.conditions import Conditions
+from pincal.model.effect import Effect
+from pincal.model.model import Model
+from pincal.parameters import Estimate
+from pincal.result_table import Table
+from pincal.robot.se3 import placed
+from pincal.thresholds import Count
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+_Rows = TypeVar("_Rows", Measurements, Conditions)
+# Rows per piece: with 60 parameters a piece is about 6 MB.
+_PIECE: Count = 4096
+# Stations whose noise stands in one line.
+_NAMED_STATIONS: Count = 3
+
+
+@dataclass(frozen=True, repr=False)
+class FittedRobot:
+    """A robot as it was fitted, ready to predict.
+
+    What is of one station (a prediction in the frame of its instrument, its model, its covered
+    range) is asked of a robot with one station; of several, :meth:`at` chooses.
+
+    Attributes:
+        stations: where it was measured, one or more.
+        estimate: the robot's parameters, then those of each station; of several stations under the
+            station's name.
+        nominal_values: shape (P,), the values with only base and tool fitted; None where unknown.
+        provenance: version of pincal, time, input files with their SHA-256, command and seed.
+        evidence: what the rows show besides.
+
+    Example:
+        >>> from pincal import Chain, Robot
+        >>> from pincal.parameters import estimate_of
+        >>> model = Model(Chain.of(Robot.from_urdf("ur10")), ())
+        >>> covered = Covered(np.tile([-1.0, 1.0], (6, 1)), np.array([0.0, 5.0]))
+        >>> ur10 = FittedRobot.given(model, estimate_of((), np.zeros(0), np.zeros((0, 0))), covered)
+        >>> ur10.outside(Conditions.at(np.zeros((1, 6)), payload=8.0))
+        [Outside(row=0, name='payload', value=8.0, lower=0.0, upper=5.0)]
+        >>> ur10.predict(np.zeros(6)).shape, ur10
+        ((1, 3, 4), FittedRobot('ur10': 0 parameters, position))
+    """
+
+    stations: tuple[FittedStation, ...]
+    estimate: Estimate
+    nominal_values: np.ndarray | None = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+    evidence: Evidence = field(default_factory=KeptEvidence)
+
+    @classmethod
+    def of(cls, fit: ModelFit, provenance: dict[str, Any] | None = None) -> FittedRobot:
+        """Return the robot of a fit, with its origin in JSON types."""
+        prior = np.array([parameter.size for parameter in fit.problem.parameters])
+        return cls(
+            tuple(FittedStation.of(fit, k) for k in range(len(fit.problem.stations))),
+            replace(fit.estimate, prior=prior),
+            fit.nominal.values,
+            dict(provenance or {}),
+            FitEvidence(fit),
+        )
+
+    @classmethod
+    def given(
+        cls,
+        model: Model,
+        estimate: Estimate,
+        covered: Covered,
+        *,
+        sensor_kind: str = "position",
+        payload_centre: ArrayLike = (0.0, 0.0, 0.0),
+        sigma: ArrayLike = (1e-4,),
+    ) -> FittedRobot:
+        """Return a robot as if it had been fitted at one station.
+
+        Args:
+            model: chain and effects.
+            estimate: of its parameters.
+            covered: the range of the rows.
+            sensor_kind: what was measured.
+            payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
+            sigma: shape (blocks,), noise of one component of each block of readings [m, rad, px].
+        """
+        station = FittedStation(
+            name="",
+            model=model,
+            parameter_names=estimate.names,
+            sensor_kind=sensor_kind,
+            payload_centre=np.array(payload_centre, float),
+            covered=covered,
+            sigma=np.array(sigma, float),
+        )
+        return cls((station,), estimate)
+
+    def __repr__(self) -> str:
+        robot = self.stations[0].model.chain.robot.name
+        if isinstance(self.evidence, FitEvidence):
+            noise = noise_in_words(self.fit)
+            if len(noise) > _NAMED_STATIONS:
+                more = f"and {len(noise) - _NAMED_STATIONS} more stations"
+                noise = [*noise[:_NAMED_STATIONS], more]
+            what = f"{len(self.problem)} rows, noise {'; '.join(noise)}"
+        elif len(self.stations) > 1:
+            what = f"stations {' '.join(self.names)}"
+        else:
+            what = f"{len(self.estimate)} parameters, {self.sensor_kind}"
+        return f"FittedRobot({robot!r}: {what})"
+
+    def _repr_html_(self) -> str:
+        lines = "<br>".join(html.escape(line) for line in self.summary().splitlines())
+        return f"<p>{lines}</p>{self.parameters._repr_html_()}"
+
+    # Stations
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the stations."""
+        return tuple(station.name for station in self.stations)
+
+    def at(self, station: str | None = None) -> FittedRobot:
+        """Return the robot with one station alone; default: the only one.
+
+        Raises:
+            BadInputError: if there is no such station, or none is named and there are several.
+        """
+        names = self.names
+        if station is None:
+            if len(names) > 1:
+                raise BadInputError(
+                    f"this needs a single station, and there are {len(names)}: "
+                    f"{', '.join(names)}; choose one with fit.at(NAME)"
+                )
+            return self
+        if station not in names and names == ("",):
+            raise BadInputError(
+                f"station {station!r} is not in the model, which was calibrated at a "
+                "single one; omit the name"
+            )
+        if station not in names:
+            raise BadInputError(
+                f"station {station!r} is not in the model; expected one of {', '.join(names)}"
+            )
+        return self._alone(names.index(station))
+
+    def _alone(self, k: int) -> FittedRobot:
+        """Return the robot with its k-th station alone, whose parameters then have their local
+        names.
+        """
+        if len(self.stations) == 1:
+            return self
+        station = self.stations[k]
+        estimate = self.estimate.take(station.parameter_names)
+        local = tuple(replace(p, name=p.local_name, station="") for p in estimate.parameters)
+        nominal = self.nominal_values
+        if nominal is not None:
+            nominal = nominal[self.estimate.places(station.parameter_names)]
+        return FittedRobot(
+            (replace(station, parameter_names=tuple(p.name for p in local)),),
+            replace(estimate, parameters=local),
+            nominal,
+            self.provenance,
+            # The information of all stations counts once.
+            self.evidence if k == 0 else KeptEvidence(),
+        )
+
+    @cached_property
+    def each(self) -> tuple[FittedRobot, ...]:
+        """The robot with each station alone."""
+        return tuple(map(self._alone, range(len(self.stations))))
+
+    def robot_model(self, kind: str | None = None) -> FittedRobot:
+        """Return the robot with its first station alone, with the coverage of all stations, which
+        share the robot.
+
+        Args:
+            kind: kind of sensor; the first station with such a sensor is taken, if there is any.
+        """
+        kinds = [station.sensor_kind for station in self.stations]
+        k = kinds.index(kind) if kind in kinds else 0
+        one = self._alone(k)
+        others = [station for i, station in enumerate(self.stations) if i != k]
+        covered = one.covered
+        for station in others:
+            covered = covered.over(station.covered)
+        rows = together(one.rows, *(station.rows for station in others))
+        return one.with_station(replace(one.station, covered=covered, rows=rows))
+
+    def with_station(self, station: FittedStation) -> FittedRobot:
+        """Return the robot with another record of its only station."""
+        return replace(self, stations=(station,))
+
+    @property
+    def station(self) -> FittedStation:
+        """The only station.
+
+        Raises:
+            BadInputError: if there are several.
+        """
+        return self.at().stations[0]
+
+    @property
+    def model(self) -> Model:
+        """The model of the only station."""
+        return self.station.model
+
+    @property
+    def sensor_kind(self) -> str:
+        """What was measured at the only station."""
+        return self.station.sensor_kind
+
+    @property
+    def payload_centre(self) -> np.ndarray:
+        """Centre of mass of the payload in the tip frame, shape (3,) [m]."""
+        return self.station.payload_centre
+
+    @property
+    def covered(self) -> Covered:
+        """The range of the rows of the only station."""
+        return self.station.covered
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Noise of one component of each block of readings of the only station, shape (blocks,) [m,
+        rad, px].
+        """
+        return self.station.sigma
+
+    @property
+    def setup(self) -> Setup:
+        """Named points and the camera of the only station."""
+        return self.station.setup
+
+    @property
+    def rows(self) -> str:
+        """Fingerprints of the rows of the only station."""
+        return self.station.rows
+
+    @property
+    def is_noise_declared(self) -> bool:
+        """Whether the noise of the only station was declared, not estimated."""
+        return self.station.is_noise_declared
+
+    @property
+    def repeatability(self) -> Repeatability | None:
+        """Scatter of the readings of the only station; None where nothing was repeated."""
+        return self.station.repeatability
+
+    # Parameters
+
+    @property
+    def values(self) -> np.ndarray:
+        """Values of all parameters, shape (P,), as deviations from the nominal."""
+        return self.estimate.values
+
+    @property
+    def model_values(self) -> np.ndarray:
+        """Values of the parameters of the only station's model, without the sensor's own."""
+        return self.model.own(self.values)
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance of the values, shape (P, P); zero rows and columns for parameters that were
+        not fitted.
+        """
+        return self.estimate.dense_covariance()
+
+    @property
+    def robot_estimate(self) -> Estimate:
+        """The estimate of the robot's own parameters: ``Options.earlier`` of a further fit."""
+        model = self.stations[0].model
+        effects = (effect for effect in model.effects if effect.scope == "robot")
+        return self.estimate.take(
+            p.name for effect in effects for p in effect.parameters(model.chain)
+        )
+
+    @property
+    def parameters(self) -> Table:
+        """Value and standard deviation of each parameter; of a fit also status and reason."""
+        if isinstance(self.evidence, FitEvidence):
+            return parameter_table(parameter_rows(self.fit))
+        return estimate_table(self.estimate)
+
+    def summary(self) -> str:
+        """Return the robot, its measurements, the number of fitted parameters and, of a fit, how it
+        ended, in words.
+        """
+        model = self.stations[0].model
+        robot = model.chain.robot
+        effects = ", ".join(dict.fromkeys(effect.name for effect in model.effects))
+        kinds = ", ".join(dict.fromkeys(station.sensor_kind for station in self.stations))
+        words = (
+            f"{robot.name}, {robot.n_joints} joints from {robot.base} to {robot.tip}, "
+            f"calibrated with {kinds} measurements\n{int(self.estimate.free.sum())} of "
+            f"{len(self.estimate)} parameters fitted: {effects}"
+        )
+        if not isinstance(self.evidence, FitEvidence):
+            return words
+        solution = self.solution
+        state = "converged" if solution.converged else "did not converge"
+        return (
+            f"{words}\n{len(self.problem)} rows, {state} after {self.fit.iterations} iterations; "
+            f"{solution.posterior.identifiable_rank} combinations of {int(solution.free.sum())} "
+            f"parameters determined; noise {'; '.join(noise_in_words(self.fit))}"
+        )
+
+    # Evidence
+
+    @property
+    def unmodelled(self) -> Unmodelled | None:
+        """Effects present in the rows but not in the model; None without any, or where they were
+        not searched for.
+        """
+        return self.evidence.unmodelled
+
+    @property
+    def information(self) -> RobotInformation | None:
+        """Information of the rows of all stations on the robot, without priors; None where it is
+        not known.
+        """
+        return self.evidence.information
+
+    @property
+    def fit(self) -> ModelFit:
+        """The fit: its problem, rows and solution.
+
+        Raises:
+            BadInputError: for a robot from a file, which does not hold them.
+        """
+        if not isinstance(self.evidence, FitEvidence):
+            raise BadInputError(
+                "this robot was read from a file, which does not hold the rows of the fit; "
+                "calibrate again from the table"
+            )
+        return self.evidence.fit
+
+    @property
+    def problem(self) -> Problem:
+        """Model and rows of all stations of the fit."""
+        return self.fit.problem
+
+    @property
+    def solution(self) -> Solution:
+        """Values, noise and weights of the fit, and how it ended."""
+        return self.fit.solution
+
+    @property
+    def options(self) -> Options:
+        """How the fit was made."""
+        return self.fit.options
+
+    @property
+    def residuals(self) -> Table:
+        """Reading minus prediction at each row of the fit, by the nominal and the calibrated robot.
+
+        Of the nominal robot only base and tool are fitted. A row is a reading, or the mean of those
+        of a pose; outliers, which the fit left out, are marked 1. Units stand in the headings.
+        """
+        return residual_table(self.fit)
+
+    def explain(self) -> tuple[ParameterFinding, ...]:
+        """Return for each parameter of the fit whether the readings identify it, and why not."""
+        return explain(self.fit)
+
+    def bootstrap(
+        self, *, draws: int, seed: int = 0, executor: Executor | None = None
+    ) -> np.ndarray:
+        """Refit poses drawn with replacement, see :func:`pincal.identify.split.bootstrap`; return
+        shape (draws, P).
+        """
+        return split.bootstrap(self.fit, draws=draws, seed=seed, executor=executor)
+
+    def bootstrap_stations(
+        self, *, draws: int, seed: int = 0, executor: Executor | None = None
+    ) -> np.ndarray:
+        """Refit stations drawn with replacement, see
+        :func:`pincal.identify.split.bootstrap_stations`; return shape (draws, P).
+        """
+        return split.bootstrap_stations(self.fit, draws=draws, seed=seed, executor=executor)
+
+    def monte_carlo(
+        self, *, draws: int, seed: int = 0, executor: Executor | None = None
+    ) -> np.ndarray:
+        """Refit simulated readings, see :func:`pincal.identify.split.monte_carlo`; return shape
+        (draws, P).
+        """
+        return split.monte_carlo(self.fit, draws=draws, seed=seed, executor=executor)
+
+    @property
+    def log_likelihood(self) -> float:
+        """Log-likelihood of the fitted readings without outliers, given the values and the
+        noise.
+        """
+        return log_likelihood(self.fit)
+
+    @property
+    def aic(self) -> float:
+        """Akaike's information criterion; a parameter counts as far as readings, not its prior,
+        determine it.
+        """
+        return 2.0 * self.solution.effective - 2.0 * self.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion; parameters count as for :attr:`aic`."""
+        n = int(self.problem.readings(self.solution.weights).sum())
+        return float(self.solution.effective * np.log(n)) - 2.0 * self.log_likelihood
+
+    def score(
+        self, measurements: Measurements | str | os.PathLike[str], *, station: str | None = None
+    ) -> float:
+        """Return the mean log-likelihood per reading of other rows, given the values and the noise;
+        larger is better.
+
+        Args:
+            measurements: the rows, or their file.
+            station: their station, with its base, targets and noise; default: the only one.
+
+        Raises:
+            BadInputError: if there is no such station.
+            MeasurementError: if the table can't be of this robot.
+        """
+        one = self.at(station)
+        if not isinstance(measurements, Measurements):
+            measurements = read_measurements(measurements, one.model.chain.robot)
+        return score(self.fit, measurements, self.names.index(one.names[0]))
+
+    # Rows
+
+    def readings(self, measurements: Measurements) -> Station:
+        """Return the model over measurements.
+
+        Raises:
+            MeasurementError: if they are of another kind than those of the calibration, or of
+                unknown points.
+        """
+        if not self.reads(measurements):
+            raise MeasurementError(
+                f"{measurements.source}: measurements of kind {measurements.kind}; "
+                f"expected {self.sensor_kind}, "
+                "as this model was calibrated with"
+            )
+        rows = self.of_its_day(measurements)
+        return station_of(self.model, rows, self.payload_centre, self.setup)
+
+    def of_its_day(self, rows: _Rows) -> _Rows:
+        """Return rows with the calibration's means of temperature, time and moves that effects need
+        and they lack.
+        """
+        return of_its_day(self.station, rows)
+
+    def reads(self, measurements: Measurements) -> bool:
+        """Return whether it predicts measurements of this kind: its own, or any if it has no
+        parameters of a sensor.
+        """
+        has_own = bool(self.setup.points) or len(self.values) > self.model.n_parameters
+        return not has_own or self.sensor_kind == measurements.kind
+
+    def conditions(self, measurements: Measurements) -> Conditions:
+        """Return the conditions of a table's rows, with the payload's centre of mass that the
+        calibration assumed.
+
+        Raises:
+            BadInputError: for a target that the model does not have.
+        """
+        return conditions_of(self.model, measurements, np.array(self.payload_centre))
+
+    def conditions_at(
+        self, q: ArrayLike, *, payload: float = 0.0, target: str | None = None
+    ) -> Conditions:
+        """Return the conditions of reported joint positions with a common payload [kg] and target.
+
+        Joints that follow from others may be left out of ``q``.
+
+        Raises:
+            BadInputError: if the joint positions have another shape, or there is no such target.
+        """
+        positions = np.atleast_2d(np.asarray(q, float))
+        robot = self.model.chain.robot
+        n = robot.n_joints
+        if robot.dependent and positions.ndim == 2 and positions.shape[1] == len(robot.own_joints):
+            positions = robot.spread(positions)
+        if positions.ndim != 2 or positions.shape[1] != n:
+            raise BadInputError(
+                f"joint positions have shape {np.shape(q)}; expected (N, {n}), one row per pose"
+            )
+        targets = self.model.chain.targets
+        if target is not None and target not in targets:
+            raise BadInputError(
+                f"target {target!r} is not in the model; expected one of {', '.join(targets)}"
+            )
+        found = Conditions.at(
+            robot.from_reported(positions), payload=payload, payload_centre=self.payload_centre
+        )
+        number = 0 if target is None else targets.index(target)
+        return replace(found, target=np.full(len(positions), number))
+
+    def outside(self, conditions: Conditions) -> list[Outside]:
+        """Return, row by row, values beyond the range of the fitted rows, where the model is not
+        validated.
+        """
+        return self.covered.outside(self.model.chain.robot, conditions)
+
+    def fitting_options(self, **others: Any) -> Options:
+        """Return the options of the calibration's station for another fit, with others."""
+        x, y, z = map(float, self.payload_centre)
+        return Options(payload_centre=(x, y, z), **{"setup": self.setup} | others)
+
+    # Predictions
+
+    @overload
+    def predict(
+        self,
+        at: Conditions | Measurements | ArrayLike,
+        *,
+        payload: float = 0.0,
+        target: str | None = None,
+        return_sigma: Literal[False] = False,
+    ) -> np.ndarray: ...
+
+    @overload
+    def predict(
+        self,
+        at: Conditions | Measurements | ArrayLike,
+        *,
+        payload: float = 0.0,
+        target: str | None = None,
+        return_sigma: Literal[True],
+    ) -> tuple[np.ndarray, np.ndarray]: ...
+
+    def predict(
+        self,
+        at: Conditions | Measurements | ArrayLike,
+        *,
+        payload: float = 0.0,
+        target: str | None = None,
+        return_sigma: bool = False,
+    ) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+        """Return the target's poses in the instrument's frame (of contacts: in the robot's base
+        frame).
+
+        Args:
+            at: joint positions, shape (N, n) or (n,) [rad, prismatic m], or the conditions of N
+                poses, for models that need temperature, time or the direction of approach. Missing
+                temperatures and times are taken to be the means of the calibration's rows. Or a
+                table, whose joints are matched by name, with its payloads and targets.
+            payload: mass at the tip [kg]; only with joint positions.
+            target: name of the target; default: the first one; only with joint positions.
+            return_sigma: whether to also return the standard deviation of the position.
+
+        Returns:
+            Rotation and translation [m], shape (N, 3, 4), and with ``return_sigma`` the standard
+            deviation of the position, shape (N, 3) [m], see :meth:`position_sigma`.
+
+        Raises:
+            BadInputError: if the joint positions have another shape, or there is no such target.
+            MeasurementError: if the joints of a table are not the robot's, or their positions
+                are impossible.
+        """
+        if isinstance(at, Measurements):
+            robot = self.model.chain.robot
+            table = at.in_order_of(robot)
+            check_joints_of(robot, table)
+            conditions = self.conditions(table)
+        elif isinstance(at, Conditions):
+            conditions = at
+        else:
+            conditions = self.conditions_at(at, payload=payload, target=target)
+        poses = self.model.predict(self.model_values, self.of_its_day(conditions))
+        return (poses, self.position_sigma(conditions)) if return_sigma else poses
+
+    def position_sigma(self, conditions: Conditions) -> np.ndarray:
+        r"""Return the standard deviation of the predicted position, shape (N, 3) [m], in the
+        instrument's axes.
+
+        :math:`\sqrt{\mathrm{diag}(J C J^T)}`, the uncertainty of the calibration, without
+        measurement noise; plus, where an effect depends on a temperature or time that the
+        conditions lack, its variation over the calibration's rows.
+        """
+        lacking = unrecorded(self.station, conditions)
+        conditions = self.of_its_day(conditions)
+        values = self.model_values
+        n = self.model.n_parameters
+        C = self.covariance[:n, :n]
+        variance = np.empty((len(conditions), 3))
+        for start in range(0, len(conditions), _PIECE):
+            rows = slice(start, start + _PIECE)
+            _, J = self.model.linearise(values, conditions.select(rows))
+            variance[rows] = np.einsum("nip,nip->ni", J @ C, J)
+        unknown = [varied_by(self.station, values, of, conditions) ** 2 for of in lacking]
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + sum(unknown)))
+
+    # The same robot otherwise
+
+    def with_effects(self, is_kept: Callable[[Effect], bool]) -> FittedRobot:
+        """Return the robot of one station without some effects, not refitted."""
+        model = self.model
+        gone = [effect for effect in model.effects if not is_kept(effect)]
+        names = {p.name for effect in gone for p in effect.parameters(model.chain)}
+        kept = np.array([name not in names for name in self.estimate.names], bool)
+        effects = [effect for effect in model.effects if is_kept(effect)]
+        nominal = None if self.nominal_values is None else self.nominal_values[kept]
+        return self.with_model(
+            model.with_effects(effects), self.estimate.drop(names), nominal_values=nominal
+        )
+
+    def with_model(
+        self, model: Model, estimate: Estimate, *, nominal_values: np.ndarray | None = None
+    ) -> FittedRobot:
+        """Return the robot of one station with another model and the estimate of its parameters."""
+        station = replace(self.station, model=model, parameter_names=estimate.names)
+        return replace(self, stations=(station,), estimate=estimate, nominal_values=nominal_values)
+
+    def between(self, start: str | None = None, tip: str | None = None) -> FittedRobot:
+        """Return the robot with the pose of one of its links relative to another as its prediction,
+        without any instrument or target.
+
+        Args:
+            start: the reference link; default: the robot's base.
+            tip: the link; default: that of the calibration.
+
+        Raises:
+            RobotFileError: for an unknown link, or if a joint on the way is locked in this robot.
+        """
+        own = self.with_effects(lambda effect: effect.scope == "robot")
+        chain = own.model.chain.between(
+            start or own.model.chain.robot.base, tip or own.model.chain.path.tip
+        )
+        chain = chain.with_references(np.eye(3), np.tile(np.eye(3), (len(chain.targets), 1, 1)))
+        return own.with_model(
+            own.model.with_chain(chain), own.estimate, nominal_values=own.nominal_values
+        )
+
+    # Files
+
+    def save(
+        self, path: str | os.PathLike[str], *, provenance: dict[str, Any] | None = None
+    ) -> None:
+        """Write ``model.json``, from which :func:`pincal.load_model` returns the robot.
+
+        Args:
+            path: the file; an existing one is replaced only when the new one is complete.
+            provenance: its origin, in JSON types; default: that of the robot.
+
+        Raises:
+            OutputError: if the file can't be written, or a number is not finite.
+        """
+
+        def made() -> ModelFile:
+            return ModelFile.of_robot(
+                self.stations,
+                self.estimate,
+                self.nominal_values,
+                self.evidence,
+                self.provenance if provenance is None else provenance,
+            )
+
+        write_model_file(path, made)
+
+    def export_urdf(self, path: str | os.PathLike[str] | None = None) -> UrdfExport:
+        """Return the robot's URDF with the calibrated geometry, and write it to a file if one is
+        named.
+
+        Raises:
+            RobotFileError: if the model has no URDF.
+            OutputError: if the file can't be written.
+        """
+        found = self.robot_model()
+        export = calibrated_urdf(found.model, found.values)
+        if path is not None:
+            write_atomic(path, export.text)
+        return export
+
+    def to_pinocchio(self) -> pin.Model:
+        """Return the robot's Pinocchio model with the calibrated geometry, without
+        elastic effects.
+        """
+        found = self.robot_model()
+        return pinocchio_model(found.model, found.model_values)
+
+    def camera(self) -> dict[str, Any]:
+        """Return the camera, as :func:`pincal.io.camera_file.read_camera` reads it from JSON.
+
+        Raises:
+            BadInputError: if the model was not calibrated with images.
+        """
+        places = {
+            p.name.removeprefix("camera."): p
+            for p in self.estimate.parameters
+            if p.effect.startswith("lens")
+        }
+        if not places:
+            raise BadInputError(
+                f"this model was calibrated with {self.sensor_kind}, not with images: it "
+                "has no camera"
+            )
+        mount = placed(self.model.chain.tool_rotations[0], self.estimate.frame("camera"))
+        lens = {
+            name: parameter.nominal + self.estimate[parameter.name]
+            for name, parameter in places.items()
+        }
+        return {**lens, "T_tip_camera": mount.tolist()}
+
+
+def load_model(path: str | os.PathLike[str]) -> FittedRobot:
+    """Read ``model.json``.
+
+    Raises:
+        ModelFileError: if the file can't be read, is cut off or newer than this version, or a value
+            is invalid.
+    """
+    file = read_model(path)
+    return FittedRobot(
+        file.fitted_stations(),
+        file.estimate(),
+        file.nominal_values,
+        file.provenance,
+        KeptEvidence(file.unmodelled, file.information),
+    )
