@@ -7,7 +7,7 @@ import pytest
 from machines import kuka as true_kuka
 
 from pincal import simulate as sim
-from pincal.calibration.held_out import StationRows, as_measured
+from pincal.calibration.held_out import StationRows, by_stops
 from pincal.discover.scatter import Excess, find_excess, related, visits
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options
@@ -64,7 +64,7 @@ def test_noise_of_several_targets_is_no_scatter(seed: int, kuka: Robot) -> None:
 def _excess_of_rows(kuka: Robot, table: Measurements, options: Options) -> Excess | None:
     """Return the excess of a calibration, whose poses are means, as the rows of the table tell it."""
     fit = fit_tables(kuka, table, options)
-    return find_excess(fit, as_measured(fit, [StationRows.of("", table)]))
+    return find_excess(fit, by_stops(fit, [StationRows.of("", table)]))
 
 
 def test_replicates_show_that_a_joint_scatters(kuka: Robot) -> None:
@@ -79,6 +79,24 @@ def test_replicates_show_that_a_joint_scatters(kuka: Robot) -> None:
     assert scatters.scattering.shown_by == "replicates" and scatters.sigma == pytest.approx(5e-5, rel=0.3)
     assert follows is not None and follows.scattering is None
     assert "measured twice" not in follows.statement
+
+
+@pytest.mark.parametrize("readings", [1, 5])
+def test_drives_that_arrive_alike_are_no_model_error(kuka: Robot, readings: int) -> None:
+    """All drives stop to 40 urad, 24 poses: neither scatter of one joint nor, as readings of a stop agree, an error of it."""
+    rng = np.random.default_rng(4)
+    machine = true_kuka().draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
+    q = sim.plan_poses(machine.nominal, 24, rng)
+    arrived = np.repeat(q + 4e-5 * rng.standard_normal(q.shape), readings, axis=0)
+    table = sim.Instrument(targets=TARGETS, sigma=5e-6).measure(machine, arrived, rng=rng)
+    rows = measurements_from_arrays(
+        kuka.joint_names,
+        np.repeat(q, readings * len(TARGETS), axis=0),
+        position=np.column_stack([table[axis] for axis in "xyz"]),
+        target=table["target"],
+    )
+
+    assert _excess_of_rows(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-6)) is None
 
 
 def test_a_function_of_two_joints_is_no_scatter(kuka: Robot) -> None:

@@ -31,6 +31,7 @@ from pincal.measure.admit import admit_test, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, by_pose, replicate_groups
 from pincal.measure.setup import Setup
+from pincal.measure.stops import StopRows
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
 from pincal.spread import spread
@@ -200,21 +201,26 @@ def with_holdout(
     return tuple(StationRows.of(name, table, tests.get(name)) for name, table in tables.items())
 
 
-def as_measured(fit: ModelFit, rows: Sequence[StationRows]) -> ModelFit:
-    """Return a fit over the fitted rows as measured, where means of poses were fitted;
-    else itself.
+def by_stops(fit: ModelFit, rows: Sequence[StationRows]) -> ModelFit:
+    """Return a fit over the means of the sound readings of each stop, where means of poses were
+    fitted; else itself.
+
+    Readings of a stop share where the drives arrived, so that they are no replicates of each other.
     """
     if all(part.train is part.measured[0] for part in rows):
         return fit
+    problem = fit.problem
+    tables = list[Measurements]()
+    for part, of in zip(rows, problem.rows, strict=True):
+        as_read = part.measured[0]
+        sound = part.by_row(fit.solution.weights[of]) > 0.0
+        sound &= ~np.isin(as_read.rows, part.wrong)
+        tables.append(StopRows.of(as_read.select(sound)).table)
     stations = tuple(
-        fit.readings(part.measured[0], station=at.name)
-        for part, at in zip(rows, fit.problem.stations, strict=True)
+        fit.readings(table, station=at.name)
+        for table, at in zip(tables, problem.stations, strict=True)
     )
-    weights = [
-        part.by_row(fit.solution.weights[of])
-        for part, of in zip(rows, fit.problem.rows, strict=True)
-    ]
-    return fit.over(stations, np.concatenate(weights))
+    return fit.over(stations, np.ones(sum(map(len, stations))))
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def findings_of(
         trail: the history.
         gaps: the errors at the start and after each change of the model.
         traces: partial residuals of each effect.
-        measured: the last fit over the rows as measured, each reading of a pose a row; default:
+        measured: the last fit over the means of each stop; default:
             those of the fit.
         held_out: the errors at the start and in the end on rows held out in each way.
         approach_from: origin of the directions of approach, in words; None without any.

@@ -323,6 +323,10 @@ class NoiseNumbers:
         "5 standard deviations of one parameter, so that no joint exceeds it by chance: "
                 "neither noise nor several targets "
         "do, 50 urad of scatter do")
+    beyond_alike: float = _number(6.0, "2 log likelihood", "test_scatter.py::test_drives_that_arrive_alike_are_no_model_error",
+        "gain of one joint over all alike, below which an excess that may be scatter is that of all",
+        "the largest of six joints exceeds it by chance in one sound table of twenty-five; 60 "
+                "urad of one joint gain 9 to 46 in 24 poses")
     ratios: tuple[float, float, int] = _number((-2.0, 3.0, 101), "log10, log10, number", _SCATTER,
         "candidate variances of the joint, in units of the noise seen at the joint's mean lever",
         "an eighth apart: a likelihood is flatter")

@@ -28,7 +28,7 @@ from msgspec.structs import replace as changed
 from pincal.calibration.benefit import without_harm
 from pincal.calibration.calibration import Calibration, FittedTables, fit_admitted
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.held_out import LeftOut, Validated, as_measured, leave_out_stations
+from pincal.calibration.held_out import LeftOut, Validated, by_stops, leave_out_stations
 from pincal.calibration.result import result_of
 from pincal.calibration.validation import Validation
 from pincal.calibration.visit_findings import is_shifted
@@ -221,7 +221,7 @@ def run_discovery(
     origins = ", ".join(
         dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations)))
     )
-    measured = as_measured(trail.final, first.stations)
+    measured = by_stops(trail.final, first.stations)
     arrivals = arrivals_within(trail.final)
     findings = findings_of(
         fit,

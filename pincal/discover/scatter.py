@@ -118,7 +118,8 @@ def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | Non
     """Return the joint with the largest excess along its lever, if significant, and whether it is
     scatter.
 
-    Scatter that all joints have alike is none of one. It is scatter if replicates differ by it, in
+    Scatter that all joints have alike is none of one, nor is an excess that may be such scatter as
+    too few poses are neighbours to tell. It is scatter if replicates differ by it, in
     ``measured`` if the rows of the fit are means of poses. Without replicates it is scatter if
     neighbours in the positions of some joints have unrelated errors although a smooth function of
     these joints would have been detected, in a permutation test.
@@ -128,14 +129,15 @@ def find_excess(fit: ModelFit, measured: ModelFit | None = None) -> Excess | Non
     if found[index][0].gain <= NOISE.scatter:
         return None
     excess = _excess_of(found, index, measured)
-    if not excess.shown_by:
+    if excess.follows or (excess.is_repeated and not excess.shown_by):
+        # A function of the pose, which no scatter of all joints explains.
         return excess
     is_again = excess.shown_by == "replicates"
     # Where replicates show it, by the differences between them, which lack what follows the pose.
     shown_in = measured if is_again and measured is not None else fit
     more = _Arrivals.of(shown_in, between=is_again).beyond_others()
     joint = max(more, key=lambda name: more[name])
-    if more[joint] <= NOISE.scatter:
+    if more[joint] <= (NOISE.scatter if excess.shown_by else NOISE.beyond_alike):
         return None
     return excess if excess.joint == joint else _excess_of(found, _largest(found, joint), measured)
 
