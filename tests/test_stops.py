@@ -63,6 +63,13 @@ def test_time_to_leave_and_come_back_divides_stops() -> None:
     assert visits.n_stops == 6
 
 
+def test_a_counter_of_rows_is_no_clock() -> None:
+    """Times in equal steps do not tell whether the arm left between two readings."""
+    plan = plan_of(table([0, 0, 0, 1, 1, 1], time=[0.0, 2.0, 4.0, 6.0, 8.0, 10.0]))
+
+    assert plan.n_stops == 2
+
+
 def test_passes_and_sessions() -> None:
     """A program that runs three times makes three passes, and a night between them two sessions."""
     time = [0.0, 8.0, 16.0, 24.0, 32.0, 40.0, 6e4, 6e4 + 8.0, 6e4 + 16.0]

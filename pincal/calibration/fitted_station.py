@@ -27,7 +27,8 @@ class FittedStation:
         payload_centre: shape (3,), centre of mass of the payload in the tip frame [m].
         covered: the range of the fitted rows.
         sigma: shape (blocks,), noise of one component of each block of readings that the fit used
-            [m, rad, px].
+            [m, rad, px]; where rows are weighted by the visits behind them, at least that of their
+            residuals.
         setup: named points and the camera.
         rows: fingerprints of the fitted rows; empty where unknown.
         is_noise_declared: whether the noise was declared, not estimated.
@@ -54,6 +55,12 @@ class FittedStation:
         at = problem.stations[k]
         options = fit.options.at(at.name)
         scatter = fit.scatter.get(at.name)
+        blocks = problem.block_spans[k]
+        sigma = np.array(fit.solution.sigma[blocks], float)
+        if scatter is not None and scatter.of_single:
+            # The noise of a visit: a declared one is that of the instrument alone, and the arrival
+            # of the drives shows in the residuals, also where they do not exceed it significantly.
+            sigma = np.maximum(sigma, fit.solution.estimated[blocks])
         return cls(
             name=at.name,
             model=at.model,
@@ -61,7 +68,7 @@ class FittedStation:
             sensor_kind=at.sensor.kind,
             payload_centre=np.array(options.payload_centre, float),
             covered=Covered.of(at.conditions),
-            sigma=np.array(fit.solution.sigma[problem.block_spans[k]], float),
+            sigma=sigma,
             setup=options.setup,
             rows=fingerprints(at),
             is_noise_declared=options.sigma is not None,

@@ -113,7 +113,8 @@ def plan_of(table: Measurements) -> Plan:
     ``stop``.
 
     Consecutive rows of one pose are one stop, unless the column ``stop`` or a pause in ``time``
-    that is long enough to leave the pose and come back divides them.
+    that is long enough to leave the pose and come back divides them; times in equal steps, as of a
+    counter of the rows, do not.
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
@@ -240,7 +241,8 @@ def _stops_begin(table: Measurements, pose: np.ndarray, order: np.ndarray) -> np
         return moved
     gaps = np.diff(table.time[order])
     usual = float(np.median(gaps[moved[1:]]))
-    if usual <= 0.0:
+    if usual <= 0.0 or np.allclose(gaps, usual):
+        # Equal steps, as of a counter of the rows, do not tell whether the arm left.
         return moved
     return np.asarray(moved | np.append(True, gaps >= _AWAY * usual))
 
