@@ -44,7 +44,7 @@ from pincal.discover.run import Discovery, run_discovery
 from pincal.fleet.jobs import CalibrateTables, run_job
 from pincal.fleet.robot_type import learn_type
 from pincal.fleet.store import open_store
-from pincal.identify.calibrate import Tables
+from pincal.identify.calibrate import Tables, fit_tables
 from pincal.identify.noise import Loss
 from pincal.model.chain import MOMENT_FRAMES
 from pincal.model.effects import BearingElasticity, JointElasticity
@@ -147,6 +147,10 @@ def time_calibration() -> Iterator[Line]:
         )
         yield line(f"{what}: best", float(taken.min()), None if target is None else 1e3 * target, "{:.1f} ms")
         yield line(f"{'':4s}median of {CALLS}", float(np.median(taken)), None, "{:.1f} ms")
+    rows = {"": table_of(1_000, with_elasticity=True)}
+    options = Options(effects=ELASTIC, payload_centre=PAYLOAD_COM)
+    whole, alone = (seconds(partial(of, ROBOT, rows, options), CALLS).min() for of in (pincal.run_calibration, fit_tables))
+    yield line("run_calibration elastic, N = 1000, errors and verdict included, over one fit", whole / alone, 3.0, "{:.2f}")
 
 
 # Talos with its arms on a torso of two joints, a head of two, and eight joints of its legs.

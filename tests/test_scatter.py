@@ -82,8 +82,8 @@ def test_replicates_show_that_a_joint_scatters(kuka: Robot) -> None:
 
 
 @pytest.mark.parametrize("readings", [1, 5])
-def test_drives_that_arrive_alike_are_no_model_error(kuka: Robot, readings: int) -> None:
-    """All drives stop to 40 urad, 24 poses: neither scatter of one joint nor, as readings of a stop agree, an error of it."""
+def test_drives_alike_are_no_model_error(kuka: Robot, readings: int) -> None:
+    """All stop to 40 urad, 24 poses: neither scatter of one joint nor, as readings of a stop agree, an error of it."""
     rng = np.random.default_rng(4)
     machine = true_kuka().draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
     q = sim.plan_poses(machine.nominal, 24, rng)

@@ -323,7 +323,7 @@ class NoiseNumbers:
         "5 standard deviations of one parameter, so that no joint exceeds it by chance: "
                 "neither noise nor several targets "
         "do, 50 urad of scatter do")
-    beyond_alike: float = _number(6.0, "2 log likelihood", "test_scatter.py::test_drives_that_arrive_alike_are_no_model_error",
+    beyond_alike: float = _number(6.0, "2 log likelihood", "test_scatter.py::test_drives_alike_are_no_model_error",
         "gain of one joint over all alike, below which an excess that may be scatter is that of all",
         "the largest of six joints exceeds it by chance in one sound table of twenty-five; 60 "
                 "urad of one joint gain 9 to 46 in 24 poses")

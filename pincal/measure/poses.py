@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ import numpy as np
 from pincal.measure.approach import SAME
 from pincal.measure.measurements import Measurements
 from pincal.measure.registry import known_fields
+from pincal.thresholds import Count
 
 SCATTER = 1e-4
 """Joint positions that count as the same although drives settle differently [rad or m].
@@ -28,6 +30,8 @@ SCATTER = 1e-4
 Drives repeat to 1e-5 to 9e-5 rad (Slamani 2012: an IRB 1600 to 8.7e-5); means of closer rows are
 exact to 1e-9 m.
 """
+# Bytes of joint positions whose labels are remembered.
+_MOST_REMEMBERED: Count = 1 << 20
 # Payloads that count as the same [kg]: a gram bends no arm. Range of temperatures by ISO 9283, ±2 K
 # [K].
 _SAME_LOAD = 1e-3
@@ -205,7 +209,21 @@ def _numbered(keys: np.ndarray) -> np.ndarray:
 
 
 def same_joints(q: np.ndarray, within: float = SAME) -> np.ndarray:
-    """Return a label for rows with the same joint positions, by connected cells of a grid."""
+    """Return a label for rows with the same joint positions, shape (N,), by connected cells of a
+    grid.
+    """
+    if q.nbytes > _MOST_REMEMBERED:
+        return _labels(q, within)
+    # One calibration asks for the same rows a dozen times.
+    return _remembered(np.ascontiguousarray(q, float).tobytes(), q.shape[1], within).copy()
+
+
+@lru_cache(maxsize=8)
+def _remembered(content: bytes, joints: int, within: float) -> np.ndarray:
+    return _labels(np.frombuffer(content).reshape(-1, joints), within)
+
+
+def _labels(q: np.ndarray, within: float) -> np.ndarray:
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
