@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Literal
 
 import numpy as np
@@ -160,16 +160,18 @@ def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterat
     problem = replace(fit.problem, stations=tuple(stations)) if is_serial else fit.problem
     readings = max(float(problem.readings(weights).sum()), 1.0)
     point = Linearised(problem, solution.values, free, weights, fit.priors.sizes)
-    whole = point.posterior(solution.sigma)
+    # The step of the fit of all rows, which may not be at rest itself, by damping.
+    of_all = cache(partial(_step, point.posterior(solution.sigma), bounds))
+
+    def step_beyond(posterior: Posterior, damping: float) -> np.ndarray:
+        return np.asarray(_step(posterior, bounds, damping) - of_all(damping))
+
     for k, posterior in enumerate(point.without_each(fold, solution.sigma)):
         others = np.where(fold == k, 0.0, weights)
         here = Linearised(
             problem, solution.values, free, others, fit.priors.sizes, squares_first=True
         )
-        # The fit of all rows may not be at rest itself.
-        here, step = _descended(
-            here, partial(_step_beyond, whole, posterior, bounds), solution.sigma
-        )
+        here, step = _descended(here, partial(step_beyond, posterior), solution.sigma)
         for _ in range(_STEPS - 1):
             if is_serial or posterior.square(step) < _SHORT**2 * readings:
                 break
@@ -181,13 +183,6 @@ def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterat
 def _step(posterior: Posterior, bounds: np.ndarray, damping: float) -> np.ndarray:
     """Return the step of all free parameters, shape (F,)."""
     return np.asarray(posterior.step_within(bounds, damping)[0])
-
-
-def _step_beyond(
-    whole: Posterior, posterior: Posterior, bounds: np.ndarray, damping: float
-) -> np.ndarray:
-    """Return the step of all free parameters less that of the fit of all rows, shape (F,)."""
-    return np.asarray(_step(posterior, bounds, damping) - _step(whole, bounds, damping))
 
 
 def _descended(
