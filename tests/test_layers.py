@@ -24,6 +24,7 @@ LAYERS = (
     "compiled",
     "units",
     "notes",
+    "hypotheses",
     "result_table",
     "parameters",
     "recorded",
