@@ -6,7 +6,6 @@ values, such as degrees, millimetres or swapped joints, are errors; unlikely one
 
 from __future__ import annotations
 
-import itertools
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,13 +15,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import MeasurementError, PincalWarning, few, nearest_first, warn
+from pincal.hypotheses.limits import JOINT_COLUMNS
+from pincal.measure.joint_columns import JointColumns
 from pincal.measure.measurements import Measurements, sensor_like, sensor_of
 from pincal.measure.sensor import Excluded, Grouped, Plausible
 from pincal.measure.setup import Setup
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count
 
-# Lines that a warning lists.
-_LISTED = 8
+# Lines that a warning lists: of rows left out, and of copies.
+_LISTED: Count = 8
+_LISTED_LINES: Count = 5
 
 
 @dataclass(frozen=True)
@@ -238,19 +241,6 @@ def _check_count(
         )
 
 
-# Share of rows beyond the limits above which the column, not the row, is at fault.
-_MANY = 0.2
-# Longer than any rail of a robot [m].
-_MOST_M = 50.0
-# Two revolutions: more than cables allow, and less than a motion of some degrees read as radians.
-_MOST_RAD = 4 * np.pi
-# Limits of URDFs are rounded and controllers overshoot them by about this much [rad, m].
-_LIMIT_TOLERANCE = 0.05
-# Range of a joint that is only encoder noise [rad, m].
-_CONSTANT = 1e-4
-_LISTED_LINES = 5
-
-
 def check_table(robot: Robot, measurements: Measurements, *, minimum: int = 2) -> None:
     """Refuse impossible measurements of this robot, or fewer than ``minimum`` rows; warn of
     unlikely ones.
@@ -310,7 +300,7 @@ def check_rows(measurements: Measurements, *, minimum: int) -> None:
         raise MeasurementError(
             f"{source}: {count} rows; expected at least {max(minimum, 1)}, measure more poses"
         )
-    if count > 1 and (np.ptp(measurements.q, axis=0) <= _CONSTANT).all():
+    if count > 1 and (np.ptp(measurements.q, axis=0) <= JOINT_COLUMNS.constant).all():
         raise MeasurementError(
             f"{source}: all {count} rows have the same joint values; expected different poses"
         )
@@ -360,102 +350,5 @@ def check_joint_values(
     Raises:
         MeasurementError: for degrees or millimetres without a unit, or two swapped columns.
     """
-    q = measurements.q
-    slides = np.array([kind == "prismatic" for kind in joint_types])
-    if not q.size:
-        return
-    low = np.array(lower, dtype=float)
-    high = np.array(upper, dtype=float)
-    unlimited = ~(low < high)
-    low[unlimited] = -np.inf
-    high[unlimited] = np.inf
-    excess = np.maximum(low - q, q - high)
-    outside = excess > _LIMIT_TOLERANCE
-    in_small_unit = np.where(slides, q / 1000, np.deg2rad(q))
-    fits_small_unit = _inside(in_small_unit, low, high).all(axis=0)
-
-    far = (np.abs(q) > np.where(slides, _MOST_M, _MOST_RAD)) & (
-        outside | ~np.isfinite(low) | ~np.isfinite(high)
-    )
-    _refuse_unit(
-        measurements, far.any(axis=0) & ((far.mean(axis=0) > _MANY) | fits_small_unit), slides
-    )
-    swaps = _curing_swaps(measurements, low, high, slides=slides) if outside.any() else []
-    share = float(outside.any(axis=1).mean())
-    coupled = _seems_coupled(q, low, high) if outside.any() else np.zeros(q.shape[1], bool)
-    if swaps and share > _MANY and not coupled.any():
-        raise MeasurementError(
-            f"{measurements.source}: {share:.0%} of the rows lie beyond the joint limits, "
-            "and none does with "
-            f"the columns {' or '.join(swaps)} swapped; exchange their names in the header"
-        )
-    is_far = np.abs(q).max(axis=0) > 2 * np.maximum(np.abs(low), np.abs(high))
-    _refuse_unit(
-        measurements, is_far & (outside.mean(axis=0) > _MANY) & fits_small_unit & ~coupled, slides
-    )
-    _warn_outside(measurements, outside, excess, swaps)
-
-
-def _inside(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    return (values >= low - _LIMIT_TOLERANCE) & (values <= high + _LIMIT_TOLERANCE)
-
-
-def _seems_coupled(q: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return which joints exceed their limits but not when a neighbour is added or subtracted, as
-    for coupled drives.
-    """
-    found = np.array(~_inside(q, low, high).all(axis=0))
-    for i in np.flatnonzero(found):
-        sums = [
-            q[:, i] + s * q[:, j]
-            for j in (i - 1, i + 1)
-            if 0 <= j < q.shape[1]
-            for s in (1.0, -1.0)
-        ]
-        found[i] = any(_inside(both, low[i], high[i]).all() for both in sums)
-    return found
-
-
-def _refuse_unit(measurements: Measurements, is_wrong: np.ndarray, slides: np.ndarray) -> None:
-    """Raise for a joint whose unit is wrong, shape (n,), unless it was stated explicitly."""
-    for j in np.flatnonzero(is_wrong):
-        name = measurements.joint_names[j]
-        row = int(np.abs(measurements.q[:, j]).argmax())
-        if name not in measurements.units:
-            unit, word, si = ("mm", "millimetres", "m") if slides[j] else ("deg", "degrees", "rad")
-            raise MeasurementError(
-                f'{measurements.source}, line {measurements.rows[row]}, "{name}": '
-                f"{measurements.q[row, j]:g} "
-                f"{si} looks like {word}; write `{name} [{unit}]` in the header "
-                f"(`[{unit}]` after the name of the "
-                f"column), or `{name} [{si}]` if intended"
-            )
-
-
-def _curing_swaps(
-    measurements: Measurements, low: np.ndarray, high: np.ndarray, *, slides: np.ndarray
-) -> list[str]:
-    """Return the pairs of columns whose exchange brings all values within the limits."""
-    names = measurements.joint_names
-    ends = np.stack([measurements.q.min(axis=0), measurements.q.max(axis=0)])
-    cures = []
-    for i, j in itertools.combinations(range(len(names)), 2):
-        order = np.arange(len(names))
-        order[[i, j]] = j, i
-        if slides[i] == slides[j] and _inside(ends[:, order], low, high).all():
-            cures.append(f"{names[i]} and {names[j]}")
-    return cures
-
-
-def _warn_outside(
-    measurements: Measurements, outside: np.ndarray, excess: np.ndarray, swaps: Sequence[str]
-) -> None:
-    hint = f"; all rows are inside with {' or '.join(swaps)} swapped" if swaps else ""
-    for j in np.flatnonzero(outside.any(axis=0)):
-        worst = int(excess[:, j].argmax())
-        warn(
-            f"{measurements.source}: {outside[:, j].sum()} rows of "
-            f'"{measurements.joint_names[j]}" lie beyond its limits, '
-            f"the worst is {measurements.q[worst, j]:.6g} in line {measurements.rows[worst]}, "
-            f"{excess[worst, j]:.3g} too far{hint}; check the sign, the zero and the URDF"
-        )
+    if measurements.q.size:
+        JointColumns.of(measurements, lower, upper, joint_types).check()
