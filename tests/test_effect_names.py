@@ -17,7 +17,7 @@ ALLOWED = {
     "pincal.model.catalogue.bearing_features": "is the elasticity of a bearing in directions of its own",
     "pincal.model.catalogue.motion": "names what every drive does, which an IMU alone sees",
     "pincal.validate.agreement": "zeros that data have pulled far are looked for",
-    "pincal.validate.cures": "looks for the zeros of joints",
+    "pincal.validate.rough_fit": "looks for the zeros of joints",
     "pincal.identify.explain": "a reason names base and tool",
     "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on, and its clock",
     "pincal.compensate.ik_problem": "moves joints as if their offsets were free",

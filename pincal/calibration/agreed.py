@@ -14,12 +14,13 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count
 from pincal.validate.agreement import check_agreement, unknown_zeros
 from pincal.validate.clock_jumps import check_clocks
 
 log = logging.getLogger(__name__)
 # Corrections of a robot's description at most.
-_CORRECTIONS = 12
+_CORRECTIONS: Count = 12
 
 
 @dataclass(frozen=True)

@@ -280,6 +280,8 @@ class AgreementNumbers:
         "chosen")
     rival: float = number(2.0, "ratio", _MISTAKEN,
         "of the residuals of another correction to those of the best, below which it is as likely", "chosen")
+    alike: float = number(1.2, "ratio", _ZEROS,
+        "of the residuals of shifted zeros to the least, below which the smallest shifts are taken", "chosen")
     shift: float = number(radians(2.0), "rad", _ZEROS, "above which the error of a zero is named", "chosen")
     slight: float = number(0.01, "rad", _ZEROS,
         "above which errors of other zeros are corrected with it", "chosen")

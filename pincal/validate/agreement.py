@@ -4,14 +4,16 @@ identified by trial.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from pincal.errors import MeasurementError
+from pincal.hypotheses.hypothesis import Explanation, Likeliest, likeliest
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.criteria import AGREEMENT
 from pincal.identify.fit import ModelFit
@@ -21,32 +23,39 @@ from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC, JointOffset
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count, Scale
 from pincal.validate.cures import (
-    UNFIT,
+    TOPICS,
+    Case,
     Correction,
-    TableCorrection,
-    cures,
-    least_size,
-    roughly_placed,
+    Mistake,
+    lengths_of,
+    mistakes,
     scaled,
     shift_words,
+)
+from pincal.validate.rough_fit import (
+    UNFIT,
+    least_size,
+    roughly_placed,
     typical_residuals,
     zero_shifts,
 )
 
 # Rows used for trials, each of which is a fit; and the number of the best that are fitted in full.
-_ROWS = 200
-_FITTED = 3
-# Number of corrections for which base and tool are fitted, those with the best closed-form
-# placement: a true one leaves some mm there, others hundreds. A six-axis arm has some 120, and they
+_ROWS: Count = 200
+_FITTED: Count = 3
+# Number of mistakes for which base and tool are fitted, those with the best closed-form placement:
+# the true one undone leaves some mm there, others hundreds. A six-axis arm has some 120, and they
 # grow with the square of the joints.
-_PLACED = 20
+_PLACED: Count = 20
 # Largest number of rows examined: neighbours matter, and all of a long table would add nothing.
-_MOST_ROWS = 20_000
+_MOST_ROWS: Count = 20_000
 # Range of scales of lengths, as logarithms: larger factors are refused earlier, smaller ones are
 # instrument errors.
-_SCALED = 0.5
-_SCALE_STEP = 2e-4
+_SCALED: Scale = 0.5
+_SCALE_STEP: Scale = 2e-4
+_Residuals = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -56,7 +65,7 @@ class _Limits:
     position: float
     orientation: float
 
-    def exceeded(self, left: tuple[float, float]) -> float:
+    def exceeded(self, left: _Residuals) -> float:
         """Return the ratio of residuals to the limits."""
         return max(left[0] / self.position, left[1] / self.orientation)
 
@@ -91,76 +100,240 @@ def check_agreement(
             typical_residuals(station, values[places])
             for values in (fit.nominal.values, fit.values)
         )
-        limits = _limits(fit, k, table)
-        if (
-            error[0] < AGREEMENT.suspicious * robot.reach
-            and limits.exceeded(left) < 1.0
-            and not pulled
-        ):
+        trials = _Trials(Case(robot, table), _limits(fit, k, table), fit.options.at(station.name))
+        suspect = _Suspect(trials, error, left, pulled)
+        if suspect.is_sound:
             continue
-        options = fit.options.at(station.name)
-        got = (
-            f"with only base and tool fitted, {error[0] * 1e3:.0f} mm remain at a reach of "
-            f"{robot.reach:.1f} m"
-        )
-        found = [
-            (exceeded, cure, after)
-            for cure, after in _cured(
-                robot, table, error=limits.exceeded(error), limits=limits, options=options
-            )
-            if (exceeded := limits.exceeded(_calibrated(cure, options)[1]))
-            < min(1.0, limits.exceeded(left) / AGREEMENT.cured)
-        ]
-        shifted, after = _shifted(robot, table, options)
-        if shifted is not None and shifted.correction is not None:
-            exceeded = limits.exceeded(after)
-            before = limits.exceeded(left)
-            insisted = pulled & shifted.correction.shifts.keys()
-            if exceeded < min(
-                1.0,
-                max(AGREEMENT.no_worse * before, AGREEMENT.usual)
-                if insisted
-                else before / AGREEMENT.improved,
-            ):
-                found.append((exceeded, shifted, after))
-        if found:
-            return _chosen(found, f"{table.source}: ", got, is_held=fit.options.earlier is not None)
-        if error[0] > AGREEMENT.hopeless * robot.reach:
-            raise MeasurementError(
-                f"{table.source}: {got}; expected a few mm. "
-                f"Are units, joint zeros, tip ({robot.tip}) and URDF those of this robot?"
-            )
+        found = likeliest(list(suspect.explanations()), lambda least: AGREEMENT.rival * least)
+        if found is not None:
+            return suspect.believed(found, is_held=fit.options.earlier is not None)
+        suspect.refuse_another_robot()
     return None
 
 
-def _chosen(
-    found: Sequence[tuple[float, TableCorrection, tuple[float, float]]],
-    source: str,
-    got: str,
-    *,
-    is_held: bool,
-) -> Correction | None:
-    """Return the correction with the least residuals if no other one has as little."""
-    least = min(exceeded for exceeded, *_ in found)
-    # Of mistakes that are undone equally well, the first counts.
-    (cure, after), *others = [
-        (cure, after) for exceeded, cure, after in found if exceeded < AGREEMENT.rival * least
-    ]
-    rivals = [
-        other.words
-        for other, _ in others
-        if (other.correction is not None or cure.correction is not None)
-        and not _is_same(cure, other)
-    ]
-    if cure.correction is not None and not rivals and not is_held:
-        return cure.correction
-    words = f"{cure.words}, or {rivals[0]}" if rivals else cure.words
-    raise MeasurementError(
-        f"{source}{words}: {got}, with this corrected {after[0] * 1e3:.1f} mm; {cure.advice}"
+@dataclass(frozen=True)
+class _Cure:
+    """A mistake, and what remains of the residuals with it undone on some rows.
+
+    Attributes:
+        mistake: the hypothesis.
+        case: some rows of the table, with the mistake undone.
+        left: typical residuals of position [m] and orientation [rad].
+    """
+
+    mistake: Mistake
+    case: Case
+    left: _Residuals = (np.inf, np.inf)
+
+
+@dataclass(frozen=True)
+class _Trials:
+    """Trials of mistakes on some rows of a table.
+
+    Attributes:
+        case: the table and its robot.
+        limits: the largest plausible residuals.
+        options: of the fits.
+    """
+
+    case: Case
+    limits: _Limits
+    options: Options
+
+    def cures(self, error: float) -> list[_Cure]:
+        """Return the mistakes that undone remove most of an error, relative to the limits, with
+        base and tool fitted; the best first.
+        """
+        case = replace(self.case, table=self.case.table.select(slice(0, _MOST_ROWS)))
+        rows = _few(case.table)
+        possible = mistakes(case.robot, case.table, TOPICS)
+        found = self._placed([_undone(one, case, rows) for one in possible])
+        if lengths := lengths_of(case.table):
+            found.append(self._best_scale(lengths, case, rows))
+        # Of equivalent mistakes, such as one mirror or another, the first.
+        found.sort(key=lambda cure: float(f"{self.limits.exceeded(cure.left):.2g}"))
+        return [
+            cure for cure in found if self.limits.exceeded(cure.left) * AGREEMENT.cured < error
+        ][:_FITTED]
+
+    def _placed(self, undone: list[_Cure]) -> list[_Cure]:
+        """Return the likeliest of some mistakes with base and tool fitted, in their own order: of
+        equivalent ones, the first counts.
+        """
+        sizes = [
+            least_size(cure.case.robot, cure.case.table, self.options, self.limits.exceeded)
+            for cure in undone
+        ]
+        likely = sorted(np.argsort(sizes, kind="stable")[:_PLACED])
+        return [self._fitted(undone[k]) for k in likely]
+
+    def _fitted(self, cure: _Cure) -> _Cure:
+        """Return a cure with base and tool fitted."""
+        with suppress(*UNFIT):
+            placed = roughly_placed(cure.case.robot, cure.case.table, self.options)
+            return replace(cure, left=typical_residuals(*placed))
+        return cure
+
+    def _best_scale(self, lengths: tuple[str, ...], case: Case, rows: np.ndarray) -> _Cure:
+        """Return the scale of the measured lengths, by name, with the least residuals."""
+
+        def tried(scale: float) -> _Cure:
+            return self._fitted(_undone(scaled(lengths, float(np.exp(scale))), case, rows))
+
+        best = minimize_scalar(
+            lambda scale: self.limits.exceeded(tried(scale).left),
+            bounds=(-_SCALED, _SCALED),
+            method="bounded",
+            options={"xatol": _SCALE_STEP},
+        )
+        return tried(best.x)
+
+    def calibrated(self, case: Case) -> tuple[ModelFit | None, _Residuals]:
+        """Return a calibration of the geometry by some rows, and its residuals; None if it
+        fails.
+        """
+        options = replace(self.options, effects=GEOMETRIC, earlier=None, moment_frame="paper")
+        with suppress(*UNFIT):
+            fit = fit_tables(case.robot, case.table, options)
+            return fit, typical_residuals(fit.station, fit.values)
+        return None, (np.inf, np.inf)
+
+    def shifted(self) -> _Cure | None:
+        """Return the shifts of the zeros of joints, with the residuals of a calibration; None if
+        they are about right.
+        """
+        few = replace(self.case, table=self.case.table.select(_few(self.case.table)))
+        shifts = {
+            name: shift
+            for name, shift in zero_shifts(few.robot, few.table, self.options).items()
+            if abs(shift) > AGREEMENT.slight
+        }
+        if max(map(abs, shifts.values()), default=0.0) < AGREEMENT.shift:
+            return None
+        fit, left = self.calibrated(Correction(shifts).undone(few))
+        if fit is None:
+            return None
+        pairs = zip(fit.problem.parameters, fit.values, strict=True)
+        offsets = {p.name: value for p, value in pairs}
+        shifts = {name: shift + float(offsets[f"{name}.theta"]) for name, shift in shifts.items()}
+        words = " and ".join(
+            f"{name!r} by {np.rad2deg(shift):+.1f} deg" for name, shift in shifts.items()
+        )
+        mistake = Correction(shifts).mistake(f"joints appear to be shifted: {words}")
+        return _Cure(mistake, mistake.undo(few), left)
+
+
+def _undone(mistake: Mistake, case: Case, rows: np.ndarray) -> _Cure:
+    """Return a mistake undone on some rows of a table; neighbours of these may matter."""
+    undone = mistake.undo(case)
+    few = undone.table.select(rows[rows < len(undone.table)])
+    return _Cure(mistake, replace(undone, table=few))
+
+
+def _few(table: Measurements) -> np.ndarray:
+    """Return the rows used for trials."""
+    names = table.point_names
+    return sample_rows(
+        len(table), _ROWS, None if names is None else np.unique(names, return_inverse=True)[1]
     )
 
 
-def _is_same(sign: TableCorrection, zero: TableCorrection) -> bool:
+@dataclass(frozen=True)
+class _Suspect:
+    """A table whose residuals are to be explained.
+
+    Attributes:
+        trials: of mistakes in it.
+        error: residuals with only base and tool fitted: position [m], orientation [rad].
+        left: residuals of the calibration.
+        pulled: joints whose zeros the data have pulled far from their priors.
+    """
+
+    trials: _Trials
+    error: _Residuals
+    left: _Residuals
+    pulled: frozenset[str]
+
+    @cached_property
+    def exceeded(self) -> float:
+        """The residuals of the calibration relative to plausible ones."""
+        return self.trials.limits.exceeded(self.left)
+
+    @property
+    def reach(self) -> float:
+        """Of the robot [m]."""
+        return self.trials.case.robot.reach
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether nothing is to be explained."""
+        is_near = self.error[0] < AGREEMENT.suspicious * self.reach
+        return is_near and self.exceeded < 1.0 and not self.pulled
+
+    @property
+    def found(self) -> str:
+        """What was found, in words."""
+        return (
+            f"with only base and tool fitted, {self.error[0] * 1e3:.0f} mm remain at a reach of "
+            f"{self.reach:.1f} m"
+        )
+
+    def explanations(self) -> Iterator[Explanation[_Cure]]:
+        """Yield the mistakes that explain the residuals, shifted zeros last."""
+        limits = self.trials.limits
+        for cure in self.trials.cures(limits.exceeded(self.error)):
+            exceeded = limits.exceeded(self.trials.calibrated(cure.case)[1])
+            if exceeded < min(1.0, self.exceeded / AGREEMENT.cured):
+                yield Explanation(cure, exceeded)
+        cure_of_zeros = self.trials.shifted()
+        if cure_of_zeros is not None:
+            exceeded = limits.exceeded(cure_of_zeros.left)
+            if exceeded < min(1.0, self._enough(cure_of_zeros.mistake)):
+                yield Explanation(cure_of_zeros, exceeded)
+
+    def _enough(self, shifts: Mistake) -> float:
+        """Return the residuals, relative to plausible ones, below which shifts of zeros explain
+        them.
+        """
+        assert shifts.correction is not None
+        if self.pulled & shifts.correction.shifts.keys():
+            return max(AGREEMENT.no_worse * self.exceeded, AGREEMENT.usual)
+        return self.exceeded / AGREEMENT.improved
+
+    def believed(self, found: Likeliest[_Cure], *, is_held: bool) -> Correction:
+        """Return the correction of the robot's description that explains the residuals alone.
+
+        ``is_held`` says that the description is that of an earlier calibration.
+
+        Raises:
+            MeasurementError: naming the mistake, if it is another one, or one of two.
+        """
+        mistake = found.best.mistake
+        rivals = [
+            other.mistake.words
+            for other in found.rivals
+            if (other.mistake.correction is not None or mistake.correction is not None)
+            and not _is_same(mistake, other.mistake)
+        ]
+        if mistake.correction is not None and not rivals and not is_held:
+            return mistake.correction
+        words = f"{mistake.words}, or {rivals[0]}" if rivals else mistake.words
+        raise MeasurementError(
+            f"{self.trials.case.table.source}: {words}: {self.found}, "
+            f"with this corrected {found.best.left[0] * 1e3:.1f} mm; {mistake.advice}"
+        )
+
+    def refuse_another_robot(self) -> None:
+        """Refuse residuals that no geometric error explains."""
+        if self.error[0] > AGREEMENT.hopeless * self.reach:
+            raise MeasurementError(
+                f"{self.trials.case.table.source}: {self.found}; expected a few mm. "
+                f"Are units, joint zeros, tip ({self.trials.case.robot.tip}) and URDF those of "
+                "this robot?"
+            )
+
+
+def _is_same(sign: Mistake, zero: Mistake) -> bool:
     """Return whether two corrections describe one robot: reversing a wrist's last joint is half a
     turn of another joint.
     """
@@ -171,18 +344,18 @@ def _is_same(sign: TableCorrection, zero: TableCorrection) -> bool:
     )
 
 
-def _pulled(fit: ModelFit) -> set[str]:
+def _pulled(fit: ModelFit) -> frozenset[str]:
     """Return the joints whose zeros the data have pulled far outside their priors."""
     offsets = [
         (p, fit.values[i])
         for i, p in enumerate(fit.problem.parameters)
         if p.effect == JointOffset.name
     ]
-    return {
+    return frozenset(
         p.name.split(".")[0]
         for p, value in offsets
         if p.unit == "rad" and abs(value) > AGREEMENT.pulled * p.size
-    }
+    )
 
 
 def unknown_zeros(fit: ModelFit) -> Iterator[str]:
@@ -201,31 +374,6 @@ def unknown_zeros(fit: ModelFit) -> Iterator[str]:
             and fit.estimate.sigma[i] < AGREEMENT.slight
         ):
             yield shift_words(parameter.name.split(".")[0], float(fit.values[i]))
-
-
-def _shifted(
-    robot: Robot, table: Measurements, options: Options
-) -> tuple[TableCorrection | None, tuple[float, float]]:
-    """Return the correction that shifts the zeros of joints, None if they are about right, and its
-    residuals.
-    """
-    few = table.select(_few(table))
-    shifts = {
-        name: shift
-        for name, shift in zero_shifts(robot, few, options).items()
-        if abs(shift) > AGREEMENT.slight
-    }
-    if max(map(abs, shifts.values()), default=0.0) < AGREEMENT.shift:
-        return None, (np.inf, np.inf)
-    fit, left = _calibrated(Correction(shifts).cure(robot, few, ""), options)
-    if fit is None:
-        return None, left
-    offsets = {p.name: value for p, value in zip(fit.problem.parameters, fit.values, strict=True)}
-    shifts = {name: shift + float(offsets[f"{name}.theta"]) for name, shift in shifts.items()}
-    words = " and ".join(
-        f"{name!r} by {np.rad2deg(shift):+.1f} deg" for name, shift in shifts.items()
-    )
-    return Correction(shifts).cure(robot, few, f"joints appear to be shifted: {words}"), left
 
 
 def implausible(fit: ModelFit, tables: Iterable[Measurements]) -> Iterator[tuple[str, str]]:
@@ -282,8 +430,8 @@ def mix_up(
     limits = _Limits(
         max(AGREEMENT.implausible * robot.reach, AGREEMENT.implausible_m), AGREEMENT.implausible_rad
     )
-    found = _cured(robot, measurements, error=limits.exceeded(left), limits=limits, options=options)
-    return found[0][0].words if found else ""
+    found = _Trials(Case(robot, measurements), limits, options).cures(limits.exceeded(left))
+    return found[0].mistake.words if found else ""
 
 
 def _limits(fit: ModelFit, k: int, table: Measurements) -> _Limits:
@@ -310,72 +458,6 @@ def _limits(fit: ModelFit, k: int, table: Measurements) -> _Limits:
                 * station.metres_per_reading(fit.values[places]),
             )
     return _Limits(length, angle)
-
-
-def _cured(
-    robot: Robot, table: Measurements, *, error: float, limits: _Limits, options: Options
-) -> list[tuple[TableCorrection, tuple[float, float]]]:
-    """Return the corrections that remove most of an error, the best first, and their residuals with
-    base and tool fitted.
-    """
-    table = table.select(slice(0, _MOST_ROWS))
-    rows = _few(table)
-
-    def of_few(cure: TableCorrection) -> TableCorrection:
-        return replace(cure, table=cure.table.select(rows[rows < len(cure.table)]))
-
-    def tried(few: TableCorrection) -> tuple[TableCorrection, tuple[float, float]]:
-        with suppress(*UNFIT):
-            return few, typical_residuals(*roughly_placed(few.robot, few.table, options))
-        return few, (np.inf, np.inf)
-
-    possible = list(map(of_few, cures(robot, table)))
-    # In their own order: of equivalent corrections, the first counts.
-    sizes = [least_size(few.robot, few.table, options, limits.exceeded) for few in possible]
-    likely = sorted(np.argsort(sizes, kind="stable")[:_PLACED])
-    found = [tried(possible[k]) for k in likely]
-    if scaled(robot, table, 1.0) is not None:
-
-        def left_by(scale: float) -> float:
-            cure = scaled(robot, table, float(np.exp(scale)))
-            assert cure is not None
-            return limits.exceeded(tried(of_few(cure))[1])
-
-        best = minimize_scalar(
-            left_by, bounds=(-_SCALED, _SCALED), method="bounded", options={"xatol": _SCALE_STEP}
-        )
-        found += [
-            tried(of_few(cure))
-            for cure in [scaled(robot, table, float(np.exp(best.x)))]
-            if cure is not None
-        ]
-    # Of equivalent corrections, such as one mirror or another, the first.
-    found.sort(key=lambda one: float(f"{limits.exceeded(one[1]):.2g}"))
-    return [one for one in found if limits.exceeded(one[1]) * AGREEMENT.cured < error][:_FITTED]
-
-
-def _few(table: Measurements) -> np.ndarray:
-    """Return the rows used for trials."""
-    names = table.point_names
-    return sample_rows(
-        len(table), _ROWS, None if names is None else np.unique(names, return_inverse=True)[1]
-    )
-
-
-def _calibrated(
-    cure: TableCorrection, options: Options
-) -> tuple[ModelFit | None, tuple[float, float]]:
-    """Return a calibration of the geometry with a mistake undone, and its residuals; None if it
-    fails.
-    """
-    with suppress(*UNFIT):
-        fit = fit_tables(
-            cure.robot,
-            cure.table,
-            replace(options, effects=GEOMETRIC, earlier=None, moment_frame="paper"),
-        )
-        return fit, typical_residuals(fit.station, fit.values)
-    return None, (np.inf, np.inf)
 
 
 def belongs_to_other_robot(left: np.ndarray, nominal: np.ndarray, *, allowed: float) -> bool:
