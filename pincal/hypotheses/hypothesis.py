@@ -8,8 +8,9 @@ leave: it believes the one that leaves least, and names those that leave hardly 
 nobody can decide.
 
 A new hypothesis is an entry in the list of its topic; neither the trial nor the comparison changes.
-The lists stand where what they need is known: of columns in :mod:`pincal.measure.admit`, of tables
-and robots in :mod:`pincal.validate.cures`.
+The lists stand where what they need is known: of columns in
+:mod:`pincal.measure.joint_columns`, of tables and robots in :mod:`pincal.validate.cures`, of events
+between rows in :mod:`pincal.validate.causes`.
 """
 
 from __future__ import annotations

@@ -225,6 +225,20 @@ class VisitNumbers:
         "five standard deviations of the difference of two means are then seen in 19 of 20 tables")
     as_likely: float = number(2.0 * log(1000.0), _GAIN, _SHIFTED,
         "within which another cause explains a change between visits as well", "odds of 1000 to 1")
+    as_good: float = number(3.84, _GAIN, _SHIFTED, "within which the simpler of two patterns of visits is taken",
+        "95 % for one parameter")
+    same_line: float = number(3.84, _GAIN, _SHIFTED, "within which a step may begin at another line as well",
+        "95 % for one parameter")
+    both_sides: int = number(3, "poses", _SHIFTED, "with visits before and after a step, at least",
+        "nine coordinates for the three of a displacement")
+    few_passes: int = number(5, "passes", _SOUND_VISITS,
+        "up to which a displacement of the instrument between two of them is tested by itself",
+        "with more the test of any step, which looks at their seams, too, tells of it")
+    clipped: float = number(1e-4, "probability", "test_visits.py::test_wrong_readings_make_no_change_between_visits",
+        "of a sound deviation to whose size larger ones are clipped", "single wrong readings make no pattern")
+    permuted: float = number(0.01, "probability", _SOUND_VISITS,
+        "of a pattern without multiplicity, above which it is none and nothing is permuted",
+        "twenty times the limit of any pattern")
     arrival: float = number(1.5e-4, "rad or m", _SCATTER,
         "standard deviation of the arrival of a drive, above which visits scatter by more "
                 "than drives do",

@@ -21,68 +21,49 @@ there: an effect that follows it is no better explanation than a step unless it 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtri
 
+from pincal.hypotheses.hypothesis import Explanation, likeliest
 from pincal.identify.criteria import MIDWAY
-from pincal.identify.motion_fields import MotionField, fields_of_joints, fields_of_setup
+from pincal.identify.motion_fields import MotionField
 from pincal.identify.station import Station
 from pincal.measure.extrinsics import sample_rows
+from pincal.thresholds import Count, Scale
+from pincal.validate.causes import (
+    BETWEEN_ROWS,
+    JOINT,
+    THERMAL_GROWTH,
+    CellMotions,
+    StepCause,
+    event_of,
+)
 
 # A drift is a curve of this degree along the rows: it explains six sevenths of a step in the
 # middle, less of one elsewhere, and nearly all of a robot that warms up.
-_DRIFT = 3
+_DRIFT: Count = 3
 # Rows that suffice to detect a step; around it all rows within so many of these are examined.
-_FEW = 400
-_AROUND = 3
+_FEW: Count = 400
+_AROUND: Count = 3
 # Directions of the fitted parameters weaker than this, relative to the strongest, are excluded.
-_RANK = 1e-5
+_RANK: Scale = 1e-5
 # Functions of a curve that may each follow a step; of more, neighbours do together, as the curve is
 # smooth: the few rows would not distinguish so many, nor leave anything of a step.
-_FUNCTIONS = 24
+_FUNCTIONS: Count = 24
 # Trial correlation lengths, in rows, and variances of the process from one row to the next, in
 # units of white noise: from what 400 rows would hardly show to the process alone. The longest is a
 # random walk.
-_LENGTHS = (3.0, 10.0, 30.0, 100.0, 1000.0)
-_WALKS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
+_LENGTHS: tuple[Scale, ...] = (3.0, 10.0, 30.0, 100.0, 1000.0)
+_WALKS: tuple[Scale, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
 # Largest fraction of the rows that may be missing between two of them.
-_LONGEST_GAP = 0.2
+_LONGEST_GAP: Scale = 0.2
 # Rounds in which a step and its noise are estimated in turn; iterations of a robust estimate of a
 # step's size.
-_TRIES = 4
-_TURNS = 20
-
-
-@dataclass(frozen=True)
-class StepCause:
-    """A possible event between two rows.
-
-    Attributes:
-        name: "instrument", "tool", "load", or the joint's.
-        size: displacement of readings or target [m], or of the joint [rad, or m if prismatic].
-        unit: of the size: "m" or "rad".
-    """
-
-    name: str
-    size: float
-    unit: str
-
-    def __str__(self) -> str:
-        shown = f"{1e3 * self.size:.3g} m{self.unit}"
-        if self.name == "instrument":
-            return (
-                f"readings are shifted by {shown}: was the instrument or the robot's base touched?"
-            )
-        if self.name == "tool":
-            return (
-                f"the target is displaced by {shown} on the tool: was it touched, or the tool "
-                "exchanged?"
-            )
-        if self.name == "load":
-            return f"the arm is bent by {shown} as by another load: was a payload changed?"
-        return f"{self.name} is off by {shown}: was it remastered?"
+_TRIES: Count = 4
+_TURNS: Count = 20
 
 
 @dataclass(frozen=True)
@@ -171,41 +152,31 @@ def change_in(
     if not station.sensor.reads_pose or len(order) < 4 * MIDWAY.each:
         return None
     few = sample_rows(len(order), _FEW)
-    # Held-out rows are missing between others, and noise evolves there; a night counts as a limited
-    # number of rows.
-    gaps = np.diff(lines[order[few]].astype(float), prepend=lines[order[0]])
-    gaps = np.minimum(gaps / max(float(np.median(gaps)), 1e-9), _LONGEST_GAP * len(few))
-    rows = _rows(station.select(order[few]), values, free, np.cumsum(gaps))
+    at = _places(lines[order], few)
+    rows = _rows(station.select(order[few]), values, free, at)
     if not _is_loud(rows):
         return None
-    steps, noise, likelihood = _judged(rows)
-    best = max(steps, key=_excess)
-    if min(_excess(best), likelihood - _limit(best)) < 0.0 or best.gain < max(
-        _drift(rows, field, _curves_along_rows(rows), noise) for field in (best.field, rows.growth)
-    ):
+    found = _judged(rows)
+    if not found.is_step or (along is not None and found.follows(along[order[few]])):
         return None
-    if along is not None and best.gain + MIDWAY.distinguished < max(
-        _drift(rows, field, _centred(along[order[few]])[:, None], noise)
-        for field in (best.field, rows.growth)
-    ):
-        return None
-    after = _robust_step(rows, best)[best.row :]
-    # Residuals as of a fit to independent rows: under persistent noise, a fit keeps part of them.
-    left = rows.residuals(rows.off)
-    correlated = np.abs(np.diag(noise, 1)).mean() > MIDWAY.correlated * np.diag(noise).mean()
-    if correlated and np.sqrt(np.mean(after**2)) < MIDWAY.least_part * np.sqrt(np.mean(left**2)):
-        return None
-    causes: dict[str, StepCause] = {}
-    for step in sorted(steps, key=_excess, reverse=True):
-        if _excess(step) > max(_excess(best) - MIDWAY.distinguished, 0.0):
-            causes.setdefault(step.field.name, _cause(rows, step))
-    first, *others = causes.values()
+    first, *others = found.causes()
     place = (
-        order[few[best.row]]
+        order[few[found.best.row]]
         if len(few) == len(order)
-        else order[_near(station, values, free, order, few, best)]
+        else order[_near(station, values, free, order, few, found.best)]
     )
     return StepChange(int(lines[place]), first, tuple(others))
+
+
+def _places(lines: np.ndarray, few: np.ndarray) -> np.ndarray:
+    """Return the positions of some rows of a table, 1 apart in the median, for their sorted lines.
+
+    Held-out rows are missing between others, and noise evolves there; a night counts as a limited
+    number of rows.
+    """
+    gaps = np.diff(lines[few].astype(float), prepend=lines[0])
+    gaps = np.minimum(gaps / max(float(np.median(gaps)), 1e-9), _LONGEST_GAP * len(few))
+    return np.asarray(np.cumsum(gaps))
 
 
 def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray) -> _Rows:
@@ -221,9 +192,11 @@ def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray
     sizes, axes = np.linalg.eigh(J.T @ J)
     kept = sizes > _RANK**2 * sizes[-1]
     fitted = (J @ (axes[:, kept] / np.sqrt(sizes[kept]))).reshape(n, 3, -1)
-    growth, *fields = (*fields_of_setup(station, values), *fields_of_joints(station, values))
+    cell = CellMotions(station, values)
+    fields = tuple(field for event in BETWEEN_ROWS for field in event.fields(cell))
+    (growth,) = THERMAL_GROWTH.fields(cell)
     pose = np.unique(station.conditions.q, axis=0, return_inverse=True)[1].ravel()
-    return _Rows(station.displacements(values), fitted, tuple(fields), growth, at, pose)
+    return _Rows(station.displacements(values), fitted, fields, growth, at, pose)
 
 
 def _clipped(off: np.ndarray) -> np.ndarray:
@@ -246,13 +219,83 @@ def _is_loud(rows: _Rows) -> bool:
     )
 
 
-def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
-    """Return the best step along each field, gains in units of the noise, its precision, and the
-    best one's likelihood.
+@dataclass(frozen=True)
+class _Judged:
+    """The best step along each field, in the noise that is likeliest with the best one.
 
-    The precision has shape (n, n); the likelihood is twice the log ratio to no step. A joint with
-    uneven arrival scatters more along its lever than in other directions: if the best step is along
-    it, all gains are reduced accordingly.
+    Attributes:
+        rows: in their order.
+        steps: gains in units of the noise.
+        precision: of the noise of each coordinate, shape (n, n).
+        likelihood: of the best step, twice the log ratio to no step.
+    """
+
+    rows: _Rows
+    steps: tuple[_Best, ...]
+    precision: np.ndarray
+    likelihood: float
+
+    @cached_property
+    def best(self) -> _Best:
+        """The most significant step."""
+        return max(self.steps, key=_excess)
+
+    @property
+    def is_step(self) -> bool:
+        """Whether something changed at once: no chance, no drift, and more than correlated noise
+        does.
+        """
+        best = self.best
+        if min(_excess(best), self.likelihood - _limit(best)) < 0.0:
+            return False
+        return best.gain >= self._gain_of(_curves_along_rows(self.rows)) and not self._is_noise
+
+    def follows(self, along: np.ndarray) -> bool:
+        """Return whether a motion in proportion to a variable, shape (n,), explains far more."""
+        return self.best.gain + MIDWAY.distinguished < self._gain_of(_centred(along)[:, None])
+
+    def _gain_of(self, curves: np.ndarray) -> float:
+        """Return the gain of a motion that follows functions of the rows, shape (n, k), along the
+        field of the step, or of growth.
+        """
+        return max(
+            _drift(self.rows, field, curves, self.precision)
+            for field in (self.best.field, self.rows.growth)
+        )
+
+    @property
+    def _is_noise(self) -> bool:
+        """Whether noise is correlated along the rows, and the step no larger than the residuals.
+
+        These are of a fit to independent rows: under persistent noise, a fit keeps part of them.
+        """
+        after = _robust_step(self.rows, self.best)[self.best.row :]
+        left = self.rows.residuals(self.rows.off)
+        diagonal = np.diag(self.precision).mean()
+        beside = np.abs(np.diag(self.precision, 1)).mean()
+        is_correlated = beside > MIDWAY.correlated * diagonal
+        smallest = MIDWAY.least_part * np.sqrt(np.mean(left**2))
+        return bool(is_correlated and np.sqrt(np.mean(after**2)) < smallest)
+
+    def causes(self) -> tuple[StepCause, ...]:
+        """Return the cause that is believed, and those that are as likely."""
+        ranked = sorted(self.steps, key=_excess, reverse=True)
+        found = likeliest(
+            [Explanation(step, -_excess(step)) for step in ranked],
+            lambda least: min(least + MIDWAY.distinguished, 0.0),
+        )
+        causes = dict[str, StepCause]()
+        for step in () if found is None else found.every:
+            if step.field.name not in causes:
+                causes[step.field.name] = _cause(self.rows, step)
+        return tuple(causes.values())
+
+
+def _judged(rows: _Rows) -> _Judged:
+    """Return the best step along each field, and the noise.
+
+    A joint with uneven arrival scatters more along its lever than in other directions: if the best
+    step is along it, all gains are reduced accordingly.
     """
     best = _plain(rows)
     for _ in range(_TRIES):
@@ -263,11 +306,8 @@ def _judged(rows: _Rows) -> tuple[list[_Best], np.ndarray, float]:
         if best.row == before.row and best.field is before.field:
             break
     even = 1.0 / max(_unevenness(rows, best), _togetherness(rows, best))
-    return (
-        [replace(step, gain=even * step.gain) for step in steps],
-        even * precision,
-        even * likelihood,
-    )
+    reduced = tuple(replace(step, gain=even * step.gain) for step in steps)
+    return _Judged(rows, reduced, even * precision, even * likelihood)
 
 
 def _unevenness(rows: _Rows, step: _Best) -> float:
@@ -424,7 +464,7 @@ def _cause(rows: _Rows, step: _Best) -> StepCause:
     """Return the cause of a step: displacement of the targets, or of a joint."""
     moved = _robust_step(rows, step)
     lever = step.step
-    if step.field.name in ("instrument", "tool"):
+    if event_of(step.field.name) is not JOINT:
         after = moved[step.row :]
         return StepCause(step.field.name, float(np.sqrt(np.mean(np.sum(after**2, axis=1)))), "m")
     return StepCause(

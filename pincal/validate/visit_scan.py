@@ -27,24 +27,20 @@ from scipy.special import chdtri, digamma, fdtrc, polygamma
 from pincal.identify.criteria import VISITS
 from pincal.identify.motion_fields import MotionField
 from pincal.identify.visit_scatter import Arrivals, arrivals_of
+from pincal.thresholds import Count, Scale
 
-# Probability of a sound deviation to whose size larger ones are clipped: single wrong readings make
-# no pattern.
-_CLIPPED = 1e-4
 # Iterations of a robust estimate of a size.
-_TURNS = 20
+_TURNS: Count = 20
 # Number of permutations, and of them at once; gains beyond theirs are judged by the
 # distribution of the largest of some.
-_ORDERS = 300
-_AT_ONCE = 20
+_ORDERS: Count = 300
+_AT_ONCE: Count = 20
 # Rounds in which the number of independent patterns and their scale are found in turn.
-_ROUNDS = 3
-# P-value, without multiplicity, above which nothing is permuted.
-_LIKELY = 0.01
+_ROUNDS: Count = 3
 # Directions weaker than this relative to the strongest are excluded.
-_RANK = 1e-6
+_RANK: Scale = 1e-6
 # Smallest scatter [m].
-_LEAST = 1e-9
+_LEAST: Scale = 1e-9
 
 
 @dataclass(frozen=True)
@@ -165,7 +161,7 @@ class Scan:
         white = np.linalg.inv(np.linalg.cholesky(covariance))
         turned = np.einsum("nab,nb->na", white[visits.thing], left)
         size = np.linalg.norm(turned, axis=1, keepdims=True)
-        limit = np.sqrt(chdtri(3, _CLIPPED))
+        limit = np.sqrt(chdtri(3, VISITS.clipped))
         turned = turned * np.minimum(1.0, limit / np.maximum(size, 1e-300))
         whole = turned + np.einsum("nab,nb->na", white[visits.thing], explained)
         return cls(visits, white, visits.centred(whole))
@@ -200,7 +196,7 @@ class Scan:
         significant.
         """
         surprise = max((best.surprise for best in self.best(pattern)), default=0.0)
-        if np.exp(-surprise) > _LIKELY:
+        if np.exp(-surprise) > VISITS.permuted:
             return 1.0
         rng = np.random.default_rng(0)
         drawn: list[np.ndarray] = []
@@ -226,7 +222,7 @@ class Scan:
         X = (turn @ columns).reshape(off.size, -1)
         inverse = np.linalg.pinv(X, rcond=np.sqrt(_RANK))
         white = np.einsum("nab,nb->na", turn, off)
-        limit = np.sqrt(chdtri(3, _CLIPPED))
+        limit = np.sqrt(chdtri(3, VISITS.clipped))
         size = inverse @ self.clipped.ravel()
         for _ in range(_TURNS):
             fitted = (X @ size).reshape(off.shape)

@@ -11,43 +11,41 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from scipy.special import bdtrc, chdtri
 
+from pincal.hypotheses.hypothesis import Explanation, likeliest
 from pincal.identify.criteria import VISITS
-from pincal.identify.motion_fields import (
-    MotionField,
-    field_of_load,
-    fields_of_joints,
-    fields_of_setup,
-)
+from pincal.identify.motion_fields import MotionField
 from pincal.identify.station import Station
 from pincal.identify.visit_scatter import Arrivals
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import without_copies
 from pincal.measure.stops import Plan, plan_of
-from pincal.validate.midway import StepCause, StepChange
+from pincal.thresholds import Count
+from pincal.validate.causes import (
+    BETWEEN_VISITS,
+    INSTRUMENT,
+    JOINT,
+    CellMotions,
+    StepCause,
+    event_of,
+    without_like,
+)
+from pincal.validate.midway import StepChange
 from pincal.validate.visit_scan import Best, Pattern, Scan, Visits
 
 # Changes looked for in one table, the most significant first.
-_MOST = 3
+_MOST: Count = 3
 # Stops from which on a step may begin at most, spread over the table; those around the best are
 # then all tried.
-_CUTS = 150
-# Passes up to which a step between two of them is looked for by itself.
-_MOST_PASSES = 5
-# Poses with visits on both sides of a step.
-_BOTH_SIDES = 3
+_CUTS: Count = 150
 # Rounds in which a change and the scatter without it are estimated in turn.
-_TURNS = 2
+_TURNS: Count = 2
 # Degree of the curves of a drift that is not steady.
-_DRIFT = 3
-# Twice the log likelihood ratio within which a line is as likely as the best: 95 % for one
-# parameter.
-_SAME_LINE = 3.84
-# The same within which the simpler of two patterns is taken.
-_AS_GOOD = 3.84
+_DRIFT: Count = 3
 
 
 @dataclass(frozen=True)
@@ -83,35 +81,20 @@ class VisitChange:
             return str(self.step)
         what = "readings within a stop" if self.within else "visits of the same pose"
         far = f"by up to {1e3 * self.size:.2g} mm"
-        first, *others = (cause.name for cause in self.causes)
         if self.kind == "drift":
-            seen = " or ".join(
-                dict.fromkeys(_DRIFTS.get(name, f"{name} drifts") for name in (first, *others))
-            )
-            return f"{what} drift apart along the rows {far}: {seen}"
-        seen = " or ".join(
-            dict.fromkeys(_SEEN.get(name, f"along {name}") for name in (first, *others))
-        )
-        columns = dict.fromkeys(_COLUMNS.get(name, f"approach_{name}") for name in (first, *others))
+            return f"{what} drift apart along the rows {far}: {self._words('drift')}"
+        columns = (event_of(cause.name).column.format(name=cause.name) for cause in self.causes)
         return (
-            f"{what} differ {self.pattern} {far}, {seen}; a column would tell why: "
-            f"{', '.join(columns)}"
+            f"{what} differ {self.pattern} {far}, {self._words('visits')}; a column would tell "
+            f"why: {', '.join(dict.fromkeys(columns))}"
         )
 
-
-_DRIFTS = {
-    "growth": "as of an arm or an instrument that warms up",
-    "instrument": "as if the instrument or the robot's base moved",
-    "tool": "as if the target moved on the tool",
-    "load": "as if the arm sagged more and more",
-}
-_SEEN = {
-    "growth": "growing from a point, as with temperature",
-    "instrument": "all in one direction",
-    "tool": "all in one direction of the tool",
-    "load": "as a load bends the arm",
-}
-_COLUMNS = {"growth": "temperature", "instrument": "station", "tool": "target", "load": "payload"}
+    def _words(self, which: Literal["drift", "visits"]) -> str:
+        """Return what the causes are like, in words, each once."""
+        words = (
+            getattr(event_of(cause.name), which).format(name=cause.name) for cause in self.causes
+        )
+        return " or ".join(dict.fromkeys(words))
 
 
 @dataclass(frozen=True)
@@ -148,10 +131,10 @@ class _Rows:
         touched.
         """
         begun, first = np.unique(self.passes, return_index=True)
-        if not 1 < len(begun) <= _MOST_PASSES:
+        if not 1 < len(begun) <= VISITS.few_passes:
             return None
         after = (self.passes[:, None] >= begun[1:]).astype(float)
-        others = frozenset(field.name for field in self.visits.fields) - {"instrument"}
+        others = frozenset(field.name for field in self.visits.fields) - {INSTRUMENT.name}
         return Pattern(
             "step", after[:, :, None], others, VISITS.touched, self.visits.visit[first[1:]]
         )
@@ -163,7 +146,8 @@ class _Rows:
     def _steps(self, most: int) -> Pattern:
         begins = self.begins(most)
         after = (self.visits.visit[:, None] >= begins).astype(float)
-        return Pattern("step", after[:, :, None], frozenset({"growth"}), begins=begins)
+        never = frozenset(event.name for event in BETWEEN_VISITS if not event.step)
+        return Pattern("step", after[:, :, None], never, begins=begins)
 
     def begins(self, most: int) -> np.ndarray:
         """Return the numbers of the stops from which a step may begin, at most so many,
@@ -177,7 +161,7 @@ class _Rows:
             if len(numbers)
             else after
         )
-        numbers = numbers[both >= min(_BOTH_SIDES, len(self.visits.count))]
+        numbers = numbers[both >= min(VISITS.both_sides, len(self.visits.count))]
         few = np.unique(np.linspace(0, len(numbers) - 1, min(most, len(numbers))).astype(int))
         return np.asarray(numbers[few])
 
@@ -281,16 +265,10 @@ def _changes(rows: _Rows) -> Iterator[VisitChange]:
     visits = rows.visits
     for _ in range(_MOST):
         scan = Scan.of(visits, np.zeros_like(visits.off))
-        seen = [pattern for pattern in rows.patterns() if scan.chance(pattern) < pattern.limit]
-        if not seen:
+        found = _best_pattern(scan, rows.patterns())
+        if found is None:
             return
-        bests = [max(scan.best(pattern), key=lambda found: found.likelihood) for pattern in seen]
-        # A step, most of all one between passes, or a difference from visit to visit, may be the
-        # same pattern as a drift, and explains it with less.
-        enough = max(best.likelihood for best in bests) - _AS_GOOD
-        pattern, best = next(
-            pair for pair in zip(seen, bests, strict=True) if pair[1].likelihood >= enough
-        )
+        pattern, best = found
         if pattern.begins is not None and len(pattern.begins) == _CUTS:
             pattern = rows.steps()
         for _ in range(_TURNS):
@@ -304,35 +282,61 @@ def _changes(rows: _Rows) -> Iterator[VisitChange]:
         rows = replace(rows, visits=visits)
 
 
+def _best_pattern(scan: Scan, patterns: list[Pattern]) -> tuple[Pattern, Best] | None:
+    """Return the pattern that visits follow, with its best field; None if they follow none.
+
+    A step, most of all one between passes, or a difference from visit to visit, may be the same
+    pattern as a drift, and explains it with less: the patterns stand in this order.
+    """
+    seen = [pattern for pattern in patterns if scan.chance(pattern) < pattern.limit]
+    bests = [max(scan.best(pattern), key=lambda found: found.likelihood) for pattern in seen]
+    found = likeliest(
+        [Explanation(pair, -pair[1].likelihood) for pair in zip(seen, bests, strict=True)],
+        lambda least: least + VISITS.as_good,
+    )
+    return None if found is None else found.best
+
+
 def _described(rows: _Rows, scan: Scan, *, pattern: Pattern, best: Best) -> VisitChange:
     """Return a change with its likely causes."""
-    every = sorted(scan.best(pattern), key=lambda other: -other.likelihood)
-    causes = dict[str, StepCause]()
-    for other in every:
-        if other.likelihood > best.likelihood - VISITS.as_likely:
-            causes.setdefault(
-                other.field.name, _cause(rows, scan.motion(pattern, other), pattern, other)
-            )
-    if "instrument" in causes:
-        # Growth about a point that is far away is the same.
-        causes.pop("growth", None)
     size = _largest_difference(rows.visits, scan.motion(pattern, best))
-    change = VisitChange(pattern.kind, tuple(causes.values()), size, rows.within)
+    causes = _causes(rows, scan, pattern)
+    change = VisitChange(pattern.kind, causes, size, rows.within)
     if pattern.kind == "order":
         words = ("more with each", "from the first", "by turns")
         only = "between the first and the second"
         return replace(change, pattern=words[best.pattern] if pattern.x.shape[1] > 1 else only)
-    if (begins := pattern.begins) is not None:
-        line = int(rows.lines[begins[best.pattern]])
-        gains = scan.gains(pattern, best.field)
-        ratios = best.degrees * -np.log(np.maximum(scan.total - gains, 1e-12 * scan.total))
-        close = begins[ratios > ratios.max() - _SAME_LINE]
-        # Poses that were visited once tell nothing of what lies between the last visit before and
-        # the first one after.
-        before = rows.visits.visit[rows.visits.visit < close[0]].max()
-        lines = int(rows.lines[before + 1]), int(rows.lines[close[-1]])
-        return replace(change, line=line, lines=lines)
+    if pattern.begins is not None:
+        line = int(rows.lines[pattern.begins[best.pattern]])
+        return replace(change, line=line, lines=_likely_lines(rows, scan, pattern, best))
     return change
+
+
+def _causes(rows: _Rows, scan: Scan, pattern: Pattern) -> tuple[StepCause, ...]:
+    """Return the cause that is believed, and those that are as likely."""
+    ranked = sorted(scan.best(pattern), key=lambda other: -other.likelihood)
+    found = likeliest(
+        [Explanation(other, -other.likelihood) for other in ranked],
+        lambda least: least + VISITS.as_likely,
+    )
+    causes = dict[str, StepCause]()
+    for other in () if found is None else found.every:
+        if other.field.name not in causes:
+            motion = scan.motion(pattern, other)
+            causes[other.field.name] = _cause(rows, motion, pattern, other)
+    return without_like(causes)
+
+
+def _likely_lines(rows: _Rows, scan: Scan, pattern: Pattern, best: Best) -> tuple[int, int]:
+    """Return the first and the last line at which a step is as likely to begin."""
+    assert pattern.begins is not None
+    gains = scan.gains(pattern, best.field)
+    ratios = best.degrees * -np.log(np.maximum(scan.total - gains, 1e-12 * scan.total))
+    close = pattern.begins[ratios > ratios.max() - VISITS.same_line]
+    # Poses that were visited once tell nothing of what lies between the last visit before and
+    # the first one after.
+    before = rows.visits.visit[rows.visits.visit < close[0]].max()
+    return int(rows.lines[before + 1]), int(rows.lines[close[-1]])
 
 
 def _cause(rows: _Rows, motion: np.ndarray, pattern: Pattern, best: Best) -> StepCause:
@@ -342,7 +346,7 @@ def _cause(rows: _Rows, motion: np.ndarray, pattern: Pattern, best: Best) -> Ste
     visits = rows.visits
     field = best.field
     whole = motion - motion[np.unique(visits.thing, return_index=True)[1]][visits.thing]
-    if field.freedoms > 1 or field.name in _SEEN:
+    if event_of(field.name) is not JOINT:
         lengths = np.linalg.norm(whole, axis=1)
         moved = lengths[lengths > 0.0]
         return StepCause(field.name, float(np.sqrt(np.mean(moved**2))) if len(moved) else 0.0, "m")
@@ -374,42 +378,39 @@ def _rows_of(station: Station, values: np.ndarray, table: Measurements) -> Itera
     plan = plan_of(table)
     if not (plan.is_revisited or plan.is_repeated):
         return
-    off = station.displacements(values)
     kept = np.zeros(len(table), bool)
     kept[without_copies(table, plan.thing)] = True
+    readings = _Readings(station, values, plan, table.rows, kept, station.displacements(values))
     if plan.is_revisited:
-        pairs = np.column_stack([plan.stop, plan.thing])
-        yield from _visits(
-            station,
-            values,
-            plan,
-            off,
-            lines=table.rows,
-            kept=kept,
-            slots=pairs,
-            group=plan.thing,
-            visit=plan.stop,
-        )
+        yield from readings.grouped(_Grouping(plan.thing, plan.stop, plan.visit))
     if plan.is_repeated:
-        rank = _ranks(plan)
-        group = np.unique(np.column_stack([plan.stop, plan.thing]), axis=0, return_inverse=True)[
-            1
-        ].ravel()
-        visit = plan.stop * (int(rank.max()) + 1) + rank
-        pairs = np.column_stack([visit, group])
-        yield from _visits(
-            station,
-            values,
-            plan,
-            off,
-            lines=table.rows,
-            kept=kept,
-            slots=pairs,
-            group=group,
-            visit=visit,
-            rank=rank,
-            within=True,
-        )
+        yield from readings.grouped(_within_stops(plan))
+
+
+@dataclass(frozen=True, eq=False)
+class _Grouping:
+    """Readings that are compared with each other, each array of shape (N,).
+
+    Attributes:
+        group: of which readings should be the same.
+        visit: number of the visit; those of a group and a visit are averaged.
+        rank: number of the visit among those of its group, from 0.
+        within: whether groups are those of a stop.
+    """
+
+    group: np.ndarray
+    visit: np.ndarray
+    rank: np.ndarray
+    within: bool = False
+
+
+def _within_stops(plan: Plan) -> _Grouping:
+    """Return the grouping by stop and target, of which each reading is a visit."""
+    rank = _ranks(plan)
+    pairs = np.column_stack([plan.stop, plan.thing])
+    group = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+    visit = plan.stop * (int(rank.max()) + 1) + rank
+    return _Grouping(group, visit, rank, within=True)
 
 
 def _ranks(plan: Plan) -> np.ndarray:
@@ -425,55 +426,67 @@ def _ranks(plan: Plan) -> np.ndarray:
     return rank
 
 
-def _visits(
-    station: Station,
-    values: np.ndarray,
-    plan: Plan,
-    off: np.ndarray,
-    *,
-    lines: np.ndarray,
-    kept: np.ndarray,
-    slots: np.ndarray,
-    group: np.ndarray,
-    visit: np.ndarray,
-    rank: np.ndarray | None = None,
-    within: bool = False,
-) -> Iterator[_Rows]:
-    """Yield the readings of groups with several visits; arrays of shape (N,), ``slots`` (N, 2)
-    whose rows are averaged.
+@dataclass(frozen=True, eq=False)
+class _Readings:
+    """The readings of a table.
+
+    Attributes:
+        station: the calibrated model over its rows.
+        values: of its parameters, shape (P,).
+        plan: how the rows came about.
+        lines: shape (N,), of the rows.
+        kept: shape (N,), which rows are no copies of others.
+        off: shape (N, 3), displacements from the predictions [m].
     """
-    rows = plan.order[kept[plan.order]]
-    _, first, slot = np.unique(slots[rows], axis=0, return_index=True, return_inverse=True)
-    slot = slot.ravel()
-    count = np.bincount(slot)
-    means = np.stack([np.bincount(slot, column) for column in off[rows].T], axis=1) / count[:, None]
-    first = rows[first]
-    several = np.bincount(group[first], minlength=int(group.max()) + 1) > 1
-    again = several[group[first]]
-    means = means[again]
-    first = first[again]
-    if not len(first):
-        return
-    thing = np.unique(group[first], return_inverse=True)[1].ravel()
-    if len(first) - len(np.unique(thing)) < _BOTH_SIDES:
-        return
-    at = station.select(first[np.unique(thing, return_index=True)[1]])
-    joints = list(fields_of_joints(at, values))
-    setup = list(fields_of_setup(at, values))
-    fields = (*setup[1:], *joints, field_of_load(at, values), setup[0])
-    levers = (
-        np.concatenate([field.directions for field in joints], axis=2)
-        if joints
-        else np.zeros((len(at), 3, 0))
-    )
-    visits = Visits(np.zeros_like(means), thing, visit[first], _distinct(fields), levers)
-    visits = replace(visits, off=visits.centred(means))
-    begins = np.unique(plan.stop[plan.order], return_index=True)[1]
-    along = 2.0 * plan.stop[first] / max(len(begins) - 1, 1) - 1.0
-    rank = plan.visit if rank is None else rank
-    yield _Rows(
-        visits, first, lines[plan.order[begins]], along, rank[first], plan.passes[first], within
-    )
+
+    station: Station
+    values: np.ndarray
+    plan: Plan
+    lines: np.ndarray
+    kept: np.ndarray
+    off: np.ndarray
+
+    def grouped(self, of: _Grouping) -> Iterator[_Rows]:
+        """Yield the visits of groups with several of them, if there are enough."""
+        plan = self.plan
+        first, means = self._means(of)
+        several = np.bincount(of.group[first], minlength=int(of.group.max()) + 1) > 1
+        again = several[of.group[first]]
+        first = first[again]
+        thing = np.unique(of.group[first], return_inverse=True)[1].ravel()
+        if len(first) - len(np.unique(thing)) < VISITS.both_sides:
+            return
+        visits = self._visits(first, thing, of.visit[first])
+        visits = replace(visits, off=visits.centred(means[again]))
+        begins = np.unique(plan.stop[plan.order], return_index=True)[1]
+        along = 2.0 * plan.stop[first] / max(len(begins) - 1, 1) - 1.0
+        lines = self.lines[plan.order[begins]]
+        yield _Rows(visits, first, lines, along, of.rank[first], plan.passes[first], of.within)
+
+    def _means(self, of: _Grouping) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first row of each group in each visit, shape (m,), and the mean of its
+        displacements, shape (m, 3).
+        """
+        rows = self.plan.order[self.kept[self.plan.order]]
+        slots = np.column_stack([of.visit, of.group])[rows]
+        _, first, slot = np.unique(slots, axis=0, return_index=True, return_inverse=True)
+        slot = slot.ravel()
+        sums = np.stack([np.bincount(slot, column) for column in self.off[rows].T], axis=1)
+        return rows[first], sums / np.bincount(slot)[:, None]
+
+    def _visits(self, first: np.ndarray, thing: np.ndarray, visit: np.ndarray) -> Visits:
+        """Return visits without deviations, by their rows, shape (n,), pose and target, and
+        visit.
+        """
+        at = self.station.select(first[np.unique(thing, return_index=True)[1]])
+        cell = CellMotions(at, self.values)
+        fields = tuple(field for event in BETWEEN_VISITS for field in event.fields(cell))
+        levers = (
+            np.concatenate([field.directions for field in cell.joints], axis=2)
+            if cell.joints
+            else np.zeros((len(at), 3, 0))
+        )
+        return Visits(np.zeros((len(first), 3)), thing, visit, _distinct(fields), levers)
 
 
 def _distinct(fields: tuple[MotionField, ...]) -> tuple[MotionField, ...]:
