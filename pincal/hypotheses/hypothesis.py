@@ -10,7 +10,7 @@ nobody can decide.
 A new hypothesis is an entry in the list of its topic; neither the trial nor the comparison changes.
 The lists stand where what they need is known: of columns in
 :mod:`pincal.measure.joint_columns`, of tables and robots in :mod:`pincal.validate.cures`, of events
-between rows in :mod:`pincal.validate.causes`.
+between rows in :mod:`pincal.validate.causes`, of logs in :mod:`pincal.motion`.
 """
 
 from __future__ import annotations

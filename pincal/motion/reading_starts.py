@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning
+from pincal.hypotheses.hypothesis import Hypothesis, explaining
 from pincal.measure.sensor import Sensor
 from pincal.motion.clocks import Alignment, Clock, aligned
 from pincal.motion.moving_arm import MovingArm
@@ -51,7 +52,7 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
     """
     parts = list(_most_seen(tracker))
     if sensor.reads_pose:
-        return _start_poses(arm, parts[0], parts[0].readings[sensor.fields[0].name])
+        return _start_poses(arm, parts[0], sensor.fields[0].name)
     things = [_Thing.of(part, sensor) for part in parts]
     what = f"{sensor.blocks[0].name}s"
     (begin, end) = arm.path.span
@@ -98,28 +99,45 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
     return alignment.clock
 
 
-def _start_poses(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Clock:
+def _start_poses(arm: MovingArm, tracker: Stream, name: str) -> Clock:
+    """Return the clock by positions, ``name`` in the readings, and orientations if there are
+    any.
+    """
+
+    def follow(stream: Stream) -> bool:
+        with contextlib.suppress(MeasurementError), warnings.catch_warnings():
+            warnings.simplefilter("ignore", PincalWarning)
+            start_positions(arm, stream, stream.readings[name])
+            return True
+        return False
+
+    try:
+        return start_positions(arm, tracker, tracker.readings[name])
+    except OtherMotionError:
+        mistake = next(explaining(_mistakes(tracker, name), tracker, follow), None)
+        if mistake is None:
+            raise
+    raise MeasurementError(f"{tracker.name}: {mistake.words}: {mistake.advice}")
+
+
+def _mistakes(tracker: Stream, name: str) -> Iterator[Hypothesis[Stream]]:
+    """Yield mistakes in poses, whose position is ``name`` in the readings."""
+    if "quaternion" in tracker.readings:
+        words = (
+            "poses are of the instrument in the target's frame; expected the target in the "
+            "instrument's frame"
+        )
+        yield Hypothesis(words, lambda stream: _inverted(stream, name), "invert them")
+
+
+def _inverted(stream: Stream, name: str) -> Stream:
+    """Return a stream with its poses inverted."""
     from scipy.spatial.transform import Rotation
 
-    quaternions = tracker.readings.get("quaternion")
-    try:
-        return start_positions(arm, tracker, position)
-    except OtherMotionError:
-        turned: MeasurementError | None = None
-        if quaternions is not None:
-            with contextlib.suppress(MeasurementError), warnings.catch_warnings():
-                warnings.simplefilter("ignore", PincalWarning)
-                back = Rotation.from_quat(quaternions).inv()
-                inverted = {**tracker.readings, "quaternion": back.as_quat()}
-                start_positions(arm, replace(tracker, readings=inverted), -back.apply(position))
-                turned = MeasurementError(
-                    f"{tracker.name}: poses are of the instrument in the target's frame; "
-                    "expected the target in the "
-                    "instrument's frame: invert them"
-                )
-        if turned is not None:
-            raise turned from None
-        raise
+    back = Rotation.from_quat(stream.readings["quaternion"]).inv()
+    position = -back.apply(stream.readings[name])
+    readings = {**stream.readings, "quaternion": back.as_quat(), name: position}
+    return replace(stream, readings=readings)
 
 
 def _most_seen(tracker: Stream) -> Iterator[Stream]:

@@ -8,13 +8,14 @@ another session, one that slipped.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
+from pincal.hypotheses.hypothesis import Hypothesis, explaining
 from pincal.measure.sensors.imu import FORCE, RATE, Window
 from pincal.motion.clocks import CLEARLY, Alignment, Clock, SpeedMatch, aligned, correlate
 from pincal.motion.imu_rows import ImuRows
@@ -98,12 +99,11 @@ def start_imu(
     )
     found = _turned(arm, imu, rows)
     if found is None:
-        names = [name for name, other in others if _turned(other, imu, rows) is not None]
-        whose = (
-            f"it is of {names[0]}: were two IMUs, or two files, swapped?"
-            if names
-            else "is it of another arm or session?"
+        sessions = [_of_session(name, other) for name, other in others]
+        mistakes = list(
+            explaining(sessions, arm, lambda other: _turned(other, imu, rows) is not None)
         )
+        whose = mistakes[0].words if mistakes else "is it of another arm or session?"
         raise OtherMotionError(
             f"{imu.name}: its rates do not follow these joints at any offset of the "
             f"clocks; {whose} Expected an IMU on the "
@@ -116,6 +116,11 @@ def start_imu(
     _check_forces(arm, imu, rows, found.clock, mount)
     _check_slip(arm, imu, rows, found.clock, mount)
     return ImuStart(found.clock, mount, rows)
+
+
+def _of_session(name: str, other: MovingArm) -> Hypothesis[MovingArm]:
+    """Return the hypothesis that an IMU was on another arm, or on this one in another session."""
+    return Hypothesis(f"it is of {name}: were two IMUs, or two files, swapped?", lambda arm: other)
 
 
 def aligned_forces(arm: MovingArm, start: ImuStart) -> float:
@@ -354,23 +359,32 @@ def _check_turns(arm: MovingArm, tracker: Stream, found: Alignment) -> None:
     quaternions = tracker.readings["quaternion"]
     if off(quaternions) < _TURNED:
         return
-    others = {
-        "in the order w x y z (--orientation wxyz, or names of columns)": quaternions[
-            :, [1, 2, 3, 0]
-        ],
-        "in the order x y z w (--orientation xyzw, or names of columns)": quaternions[
-            :, [3, 0, 1, 2]
-        ],
-        "inverted": quaternions * np.array([-1.0, -1.0, -1.0, 1.0]),
-    }
-    cures = [f"they would {words}" for words, other in others.items() if off(other) < _TURNED]
+    mistake = next(explaining(_orders(), quaternions, lambda q: off(q) < _TURNED), None)
+    cure = (
+        "check their convention (--orientation) and order"
+        if mistake is None
+        else f"they would {mistake.words}"
+    )
     raise MeasurementError(
         f"{tracker.name}: orientations do not follow the arm, they are off by "
         f"{np.degrees(off(quaternions)):.0f} deg; "
-        f"{(*cures, 'check their convention (--orientation) and order')[0]}; or leave "
+        f"{cure}; or leave "
         "them out (--ignore, one by one): "
         "positions are enough"
     )
+
+
+def _orders() -> Iterator[Hypothesis[np.ndarray]]:
+    """Yield mistakes in quaternions, shape (N, 4), w last."""
+    yield Hypothesis(
+        "in the order w x y z (--orientation wxyz, or names of columns)",
+        lambda q: q[:, [1, 2, 3, 0]],
+    )
+    yield Hypothesis(
+        "in the order x y z w (--orientation xyzw, or names of columns)",
+        lambda q: q[:, [3, 0, 1, 2]],
+    )
+    yield Hypothesis("inverted", lambda q: q * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def steady(values: np.ndarray) -> np.ndarray:

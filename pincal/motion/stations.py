@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning
+from pincal.hypotheses.hypothesis import Hypothesis, exchange_order, explaining
 from pincal.measure.measurements import Measurements, measurements
 from pincal.measure.registry import sensor_class
 from pincal.measure.sensor import Sensor
@@ -108,7 +109,8 @@ def _at_fault(
     none follows these.
     """
     name = session.joints.name
-    for words, path in _mistaken(arm):
+
+    def follow(path: JointPath) -> bool:
         try:
             other = MovingArm(arm.robot, path)
             with warnings.catch_warnings():
@@ -118,9 +120,14 @@ def _at_fault(
                 if session.tracker is not None:
                     start_tracker(other, session.tracker)
         except MeasurementError:
-            continue
+            return False
+        return True
+
+    mistake = next(explaining(_mistakes(arm), arm.path, follow), None)
+    if mistake is not None:
         return MeasurementError(
-            f"{name}: the readings follow these joints {words}, but not otherwise ({wrong[0]})"
+            f"{name}: the readings follow these joints {mistake.words}, but not otherwise "
+            f"({wrong[0]})"
         )
     if session.imu is None or session.tracker is None or len(wrong) < 2:
         return wrong[0]
@@ -131,29 +138,37 @@ def _at_fault(
     )
 
 
-def _mistaken(arm: MovingArm) -> Iterator[tuple[str, JointPath]]:
-    """Yield common mistakes in joints, in words, and the corrected path."""
+def _mistakes(arm: MovingArm) -> Iterator[Hypothesis[JointPath]]:
+    """Yield common mistakes in logs of joints: signs, columns exchanged, their order, their unit,
+    zeros.
+    """
     names = arm.robot.joint_names
     n = arm.robot.n_joints
     one = np.eye(n)
     for i in range(n):
-        yield (
-            f"with the sign of {names[i]} changed (--sign {names[i]})",
-            arm.path.mapped(one - 2.0 * np.diag(one[i])),
-        )
+        words = f"with the sign of {names[i]} changed (--sign {names[i]})"
+        yield _mapped(words, one - 2.0 * np.diag(one[i]))
     for i, j in itertools.combinations(range(n), 2):
-        order = np.arange(n)
-        order[[i, j]] = j, i
-        yield f"with the columns {names[i]} and {names[j]} exchanged", arm.path.mapped(one[order])
-    yield "in the order from the flange to the base", arm.path.mapped(one[::-1])
-    yield "in revolutions: multiply them by 2 pi", arm.path.mapped(2.0 * np.pi * one)
+        words = f"with the columns {names[i]} and {names[j]} exchanged"
+        yield _mapped(words, one[exchange_order(n, i, j)])
+    yield _mapped("in the order from the flange to the base", one[::-1])
+    yield _mapped("in revolutions: multiply them by 2 pi", 2.0 * np.pi * one)
     for i, quarter in itertools.product(range(1, n), (1, -1, 2)):
         if arm.robot.joint_types[i] == "revolute":
             words = (
                 f"with {90 * quarter:+d} deg added to {names[i]}, whose zero differs from the "
                 "URDF's"
             )
-            yield words, arm.path.mapped(one, 0.5 * np.pi * quarter * one[i])
+            yield _mapped(words, one, 0.5 * np.pi * quarter * one[i])
+
+
+def _mapped(
+    words: str, matrix: np.ndarray, offsets: np.ndarray | float = 0.0
+) -> Hypothesis[JointPath]:
+    """Return the hypothesis that the joints are linear functions of those in the log, shape (n, n),
+    plus offsets, shape (n,) [rad or m].
+    """
+    return Hypothesis(words, lambda path: path.mapped(matrix, offsets))
 
 
 def _path(session: Session) -> JointPath:
