@@ -13,6 +13,7 @@ from scipy.special import chdtrc, fdtrc
 
 from pincal.diagnosis.lineup import ChangeHypotheses
 from pincal.diagnosis.row_evidence import RowEvidence
+from pincal.hypotheses.hypothesis import Explanation, likeliest
 from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import ROUNDING, root_of_inverse
 from pincal.identify.selection import Scored, select_stepwise
@@ -240,28 +241,27 @@ class ChangeVerdict:
         limit = self.limit
         if not any(score.p_value < limit for score in self.scores):
             return None
-        close = self.scores
-        places = self.lineup.places[close[0].change]
-        step = self.evidence.estimate(places, self.lineup.changes[close[0].change].belief)
-        shift = self.lineup.motion(self.values)[:, :, places] @ step
-        if np.linalg.norm(shift, axis=1).max() > _LINEAR:
-            # Too far for first-order tests.
-            close = sorted(
-                (self._tried(score) for score in close[:_MOST_TRIED]), key=lambda score: score.cost
-            )
-        chosen = next((score for score in close if score.p_value < limit), None)
-        if chosen is None:
+        found = likeliest(
+            [Explanation(score, score.cost, score.p_value < limit) for score in self._ranked()],
+            lambda least: least + CHANGES.equivalent,
+        )
+        if found is None:
             return None
-        equivalent = (
-            score
-            for score in close
-            if score is not chosen and score.cost < chosen.cost + CHANGES.equivalent
-        )
-        return NamedChange(
-            chosen,
-            min(1.0, chosen.p_value * len(self.scores) / CHANGES.for_changes),
-            tuple(equivalent),
-        )
+        p_value = found.best.p_value * len(self.scores) / CHANGES.for_changes
+        return NamedChange(found.best, min(1.0, p_value), found.rivals)
+
+    def _ranked(self) -> list[ChangeScore]:
+        """Return the changes, the best explanation first; the best ones are refitted where they are
+        too far for first-order tests.
+        """
+        first = self.scores[0].change
+        places = self.lineup.places[first]
+        step = self.evidence.estimate(places, self.lineup.changes[first].belief)
+        shift = self.lineup.motion(self.values)[:, :, places] @ step
+        if np.linalg.norm(shift, axis=1).max() <= _LINEAR:
+            return self.scores
+        tried = (self._tried(score) for score in self.scores[:_MOST_TRIED])
+        return sorted(tried, key=lambda score: score.cost)
 
     def _tried(self, score: ChangeScore) -> ChangeScore:
         if self.lineup.changes[score.change].belief is not None:
