@@ -34,20 +34,21 @@ from pincal.model.catalogue.candidates import testable
 from pincal.model.conditions import PoseSet, joined_conditions, recorded_variable
 from pincal.model.effect import Curve
 from pincal.parameters import Parameter
+from pincal.thresholds import Count, Scale
 from pincal.validate.outcome import MovedParameter
 
 # Stations at most: work and memory grow with their square.
-_MOST_STATIONS = 100
+_MOST_STATIONS: Count = 100
 # Rows and stations at most in a search for curves.
-_ROWS = 2000
-_STATIONS = 20
+_ROWS: Count = 2000
+_STATIONS: Count = 20
 # Parts of a station's rows between which a parameter differs by chance, at most, with the fewest
 # rows of each; for curves.
-_MOST_PARTS = 8
-_ROWS_EACH = 12
-_PARTS = 2
+_MOST_PARTS: Count = 8
+_ROWS_EACH: Count = 12
+_PARTS: Count = 2
 # Tolerance on a constant function.
-_CONSTANT = 1e-6
+_CONSTANT: Scale = 1e-6
 
 
 def moves_of(fit: ModelFit) -> tuple[tuple[MovedParameter, ...], ...]:

@@ -32,15 +32,16 @@ from pincal.model.catalogue.candidates import testable
 from pincal.model.chain import Chain
 from pincal.model.conditions import PoseSet, joined_conditions
 from pincal.model.effect import Curve, Effect
+from pincal.thresholds import Count, Scale
 
 # Effects, rows and stations at most, which bound the work on large tables.
-_MOST = 8
-_ROWS = 2000
-_STATIONS = 20
+_MOST: Count = 8
+_ROWS: Count = 2000
+_STATIONS: Count = 20
 # Fraction of a parameter's information that has to remain for it to be observable, and to exceed
 # rounding.
-_SEEN = 1e-4
-_ROUNDING = 1e-8
+_SEEN: Scale = 1e-4
+_ROUNDING: Scale = 1e-8
 
 
 class Unmodelled(Record, frozen=True):

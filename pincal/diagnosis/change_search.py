@@ -17,13 +17,14 @@ from pincal.hypotheses.hypothesis import Explanation, likeliest
 from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import ROUNDING, root_of_inverse
 from pincal.identify.selection import Scored, select_stepwise
+from pincal.thresholds import Count, Scale
 
 # Changes that are fitted, where first-order tests are not accurate enough.
-_MOST_TRIED = 16
+_MOST_TRIED: Count = 16
 # Displacement of the target above which first-order tests are not accurate enough [m].
-_LINEAR = 1e-3
+_LINEAR: Scale = 1e-3
 # Changes and wrong rows at most, in addition to each curve of a drive.
-_MOST = 6
+_MOST: Count = 6
 
 
 @dataclass(frozen=True)

@@ -14,21 +14,19 @@ from pincal.diagnosis.lineup import PossibleChange
 from pincal.identify.criteria import CHANGES
 from pincal.identify.station import Station
 from pincal.io.diagnosis_file import ExcludedEntry
+from pincal.thresholds import Count, Scale
 
 # Probability of detecting a change of the reported size.
 DETECTED = CHANGES.detected
 # Numbers of further poses to distinguish changes, random poses among which they are chosen, and
 # those shown.
-_MORE = (3, 6, 12, 25, 50)
-_TRIED = 200
-_SHOWN = 2
+_MORE: tuple[Count, ...] = (3, 6, 12, 25, 50)
+_TRIED: Count = 200
+_SHOWN: Count = 2
 # Equivalent changes listed at most.
-_NAMED = 8
-# Displacement [m] that no instrument resolves: the best laser trackers have a tenth of it as
-# resolution, and no less as repeatability on a target at rest.
-_RESOLVABLE = 1e-6
+_NAMED: Count = 8
 # Fraction of an effect's strength in its best direction below which a direction is not observable.
-_SEEN = 1e-6
+_SEEN: Scale = 1e-6
 
 
 def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[ExcludedEntry]:
@@ -93,7 +91,7 @@ def tell_apart(verdict: ChangeVerdict, step: NamedChange) -> str:
     change = step.score.change
     there, apart = most_different_poses(verdict, change, rival)
     most = f"{1e3 * apart[0]:.2g} mm"
-    for n in _MORE if apart[0] > _RESOLVABLE else ():
+    for n in _MORE if apart[0] > CHANGES.resolvable else ():
         if separation(verdict, there.select(np.arange(n)), change, rival) > CHANGES.told_apart:
             shown = ", then ".join(_pose_words(verdict, there, i) for i in range(min(n, _SHOWN)))
             like = " and poses like these" if n > _SHOWN else ""
@@ -101,7 +99,7 @@ def tell_apart(verdict: ChangeVerdict, step: NamedChange) -> str:
                 f"measure {n} more poses in which the two differ most, by {most} at the "
                 f"target: {shown}{like}"
             )
-    few = f"{_MORE[-1]} more poses" if apart[0] > _RESOLVABLE else "any instrument"
+    few = f"{_MORE[-1]} more poses" if apart[0] > CHANGES.resolvable else "any instrument"
     return (
         f"the two differ by at most {most}, too little for {few}; re-identify either, or "
         "inspect the joints themselves"

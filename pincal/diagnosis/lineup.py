@@ -26,6 +26,7 @@ from pincal.model.effects import Compliance
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.parameters import Parameter, estimate_of
+from pincal.thresholds import Count, Scale
 
 
 @dataclass(frozen=True)
@@ -165,10 +166,10 @@ def _bent_links(model: Model) -> Iterator[PossibleChange]:
 
 
 # Gauss-Newton steps at most, and halvings of a step that increased the cost.
-_MOST_STEPS = 30
-_HALVINGS = 6
+_MOST_STEPS: Count = 30
+_HALVINGS: Count = 6
 # Square of the last step, in units of the noise.
-_SHORT = 1e-6
+_SHORT: Scale = 1e-6
 
 
 @dataclass(frozen=True)

@@ -41,13 +41,14 @@ from pincal.measure.stops import StopRows
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
+from pincal.thresholds import Count
 from pincal.units import format_readable
 from pincal.validate.accuracy import error_summary, pose_error_sizes
 
 # Probability of a false alarm.
 FALSE_ALARM = CHANGES.false_alarm
 # Rows used to search for changes at most: all are held in memory with all possible changes.
-_MOST_ROWS = 6_000
+_MOST_ROWS: Count = 6_000
 
 
 @dataclass(frozen=True, repr=False)

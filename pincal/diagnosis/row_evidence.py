@@ -38,9 +38,10 @@ from pincal.model.effect import Effect
 from pincal.model.sizes import largest_basis
 from pincal.parameters import root_of
 from pincal.recorded import RECORDED, typical_columns
+from pincal.thresholds import Count
 
 # Random poses at which the calibration's bias by masses is computed.
-_POSES = 200
+_POSES: Count = 200
 
 
 @dataclass(frozen=True)

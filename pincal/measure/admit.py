@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import MeasurementError, PincalWarning, few, nearest_first, warn
-from pincal.hypotheses.limits import JOINT_COLUMNS
+from pincal.measure.column_numbers import JOINT_COLUMNS
 from pincal.measure.joint_columns import JointColumns
 from pincal.measure.measurements import Measurements, sensor_like, sensor_of
 from pincal.measure.sensor import Excluded, Grouped, Plausible

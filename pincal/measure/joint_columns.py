@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from pincal.errors import MeasurementError, warn
 from pincal.hypotheses.hypothesis import Hypothesis, exchange_order, explaining
-from pincal.hypotheses.limits import JOINT_COLUMNS
+from pincal.measure.column_numbers import JOINT_COLUMNS
 from pincal.measure.measurements import Measurements
 
 _Columns = Hypothesis[np.ndarray]

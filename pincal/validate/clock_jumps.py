@@ -7,15 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from pincal.errors import MeasurementError
+from pincal.identify.criteria import MIDWAY
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.motion.clocks import Jump, likeliest_jump
+from pincal.thresholds import Count
 
 # Rows that suffice to detect one.
-_ROWS = 2_000
-# Jump that neither an error of an arm nor a sound clock makes [s].
-_LEAST = 1e-3
+_ROWS: Count = 2_000
 
 
 def check_clocks(tables: Sequence[Measurements], fit: ModelFit) -> None:
@@ -40,7 +40,7 @@ def check_clocks(tables: Sequence[Measurements], fit: ModelFit) -> None:
             is_offset,
             solution.estimated[blocks],
         )
-        if jump.is_sure(_LEAST):
+        if jump.is_sure(MIDWAY.clock):
             line = table.rows[table.time >= jump.time].min(initial=table.rows.max())
             raise MeasurementError(f"{table.source}, about line {line}: {jump}")
 

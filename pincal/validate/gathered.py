@@ -20,38 +20,22 @@ from functools import cached_property
 import numpy as np
 from scipy.special import bdtrc, stdtr
 
+from pincal.identify.criteria import GATHERED
 from pincal.identify.motion_fields import MotionField, fields_of_joints
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, same_joints
+from pincal.thresholds import Count, Scale
 
-# False-alarm probability for a cluster of outliers.
-_CHANCE = 1e-4
-# Fewest outliers that make a cluster, and the most for which all windows are tested.
-_FEWEST = 3
-_MOST = 200
-# Fewest rows in a window in which a joint may have a bump, the ratio of consecutive widths, and the
-# largest fraction of all rows in a window: others have to show what windows are like.
-_IN_BUMP = 5
-_WIDER = 1.4
-_PART = 1 / 8
-# Multiples of the typical error to which rows are clipped, and beyond which they are outliers and
-# excluded: a few wrong rows make no bump.
-_CLIPPED = 4.0
-_OUTLIER = 8.0
-# False-alarm probability for a bump; number of permutations that determine it, and the p-value for
-# disjoint windows, 5 to 50 times as large, up to which they are drawn.
-_CHANCE_OF_BUMP = 0.005
-_ORDERS = 200
-_LIKELY = 0.25
-# Errors whose windows are computed at once.
-_AT_ONCE = 50_000
+# Outliers up to which all windows are tested.
+_MOST: Count = 200
+# Ratio of consecutive widths of windows.
+_WIDER: Scale = 1.4
+# Permutations that determine how likely a bump is, and errors whose windows are computed at once.
+_ORDERS: Count = 200
+_AT_ONCE: Count = 50_000
 # Standard deviation over the median absolute error, for normal noise.
-_NORMAL = 1.4826
-# Fraction of the squares that a misread joint has to explain to be named.
-_EXPLAINED = 0.8
-# Largest number of misclassified rows of a region, as a fraction of the rows that do not fit.
-_MISTOLD = 0.3
+_NORMAL: Scale = 1.4826
 
 
 @dataclass(frozen=True)
@@ -84,7 +68,7 @@ def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
     if station.conditions.inertial is not None:
         # A moving arm passes a place within a moment: consecutive wrong readings there are one.
         rejected = rejected & ~np.append(False, rejected[:-1])
-    if not _FEWEST <= np.count_nonzero(rejected) <= min(_MOST, len(rejected) // 2):
+    if not GATHERED.fewest <= np.count_nonzero(rejected) <= min(_MOST, len(rejected) // 2):
         return None
     names = (*station.model.chain.robot.joint_names, "line")
     order = np.arange(len(rejected), dtype=float) if station.position is None else station.position
@@ -99,7 +83,7 @@ def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
         return None
     p_value, k, low, high = min(found)
     p_value = min(p_value * len(features), 1.0)
-    if p_value > _CHANCE:
+    if p_value > GATHERED.chance:
         return None
     inside = (features[k] >= low) & (features[k] <= high)
     return Gathering(
@@ -120,11 +104,11 @@ def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
         is_moving
         or not station.sensor.reads_pose
         or station.serial is not None
-        or len(station) * _PART < _IN_BUMP
+        or len(station) * GATHERED.part < GATHERED.in_bump
     ):
         return None
     pose = np.unique(same_joints(station.conditions.q, SCATTER), return_inverse=True)[1].ravel()
-    if (pose.max() + 1) * _PART < _IN_BUMP:
+    if (pose.max() + 1) * GATHERED.part < GATHERED.in_bump:
         return None
     off = station.displacements(values)
     fields = list(fields_of_joints(station, values))
@@ -134,10 +118,10 @@ def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
     surprises = [float(windows.surprises(windows.off).max()) for windows in every]
     best = every[int(np.argmax(surprises))]
     most = max(surprises)
-    if np.exp(-most) * len(best.q) * len(best.widths) > _LIKELY:
+    if np.exp(-most) * len(best.q) * len(best.widths) > GATHERED.permuted:
         return None
     p_value = best.chance(most) * len(fields)
-    return None if p_value > _CHANCE_OF_BUMP else best.gathering(p_value)
+    return None if p_value > GATHERED.bump_chance else best.gathering(p_value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,14 +164,16 @@ class _Windows:
     @cached_property
     def widths(self) -> list[int]:
         """Numbers of rows in windows."""
-        count = 1 + int(np.log(_PART * len(self.q) / _IN_BUMP) / np.log(_WIDER))
-        return [int(_IN_BUMP * _WIDER**k) for k in range(count)]
+        count = 1 + int(np.log(GATHERED.part * len(self.q) / GATHERED.in_bump) / np.log(_WIDER))
+        return [int(GATHERED.in_bump * _WIDER**k) for k in range(count)]
 
     def _clipped(self, off: np.ndarray) -> tuple[float, np.ndarray]:
         """Return the typical size of errors [m], and clipped errors in units of it, shape (N,)."""
         typical = max(_NORMAL * float(np.median(np.abs(off))), 1e-300)
         return typical, np.where(
-            np.abs(off) < _OUTLIER * typical, np.clip(off / typical, -_CLIPPED, _CLIPPED), 0.0
+            np.abs(off) < GATHERED.outlier * typical,
+            np.clip(off / typical, -GATHERED.clipped, GATHERED.clipped),
+            0.0,
         )
 
     def _means(self, clipped: np.ndarray) -> Iterator[np.ndarray]:
@@ -249,7 +235,7 @@ def _thickest(x: np.ndarray, rejected: np.ndarray) -> Iterator[tuple[float, floa
     ends = np.sort(x[rejected])
     first = np.searchsorted(order, ends, "left")
     last = np.searchsorted(order, ends, "right")
-    i, j = np.triu_indices(len(ends), _FEWEST - 1)
+    i, j = np.triu_indices(len(ends), GATHERED.fewest - 1)
     if len(i):
         chances = bdtrc(j - i, len(ends), (last[j] - first[i]) / len(x))
         best = int(np.argmin(chances))
@@ -264,7 +250,7 @@ def in_common(station: Station, values: np.ndarray, table: Measurements, apart: 
     """
     for name, unit, feature in _features(table):
         for word, inside in _subsamples(feature, apart):
-            if (inside == apart).mean() >= 1.0 - _MISTOLD * min(float(apart.mean()), 0.5):
+            if (inside == apart).mean() >= 1.0 - GATHERED.mistold * min(float(apart.mean()), 0.5):
                 end = feature[inside].min() if word == "at least" else feature[inside].max()
                 return f"nearly all of them have {name} {word} {end:.6g}{unit}"
     off = station.displacements(values)[apart]
@@ -284,7 +270,7 @@ def in_common(station: Station, values: np.ndarray, table: Measurements, apart: 
     share, name, angle, unit = max(explained, default=(0.0, "", 0.0, ""))
     return (
         f"{name} appears to be misread by {abs(angle) * 1e3:.3g} m{unit} in them"
-        if share >= _EXPLAINED
+        if share >= GATHERED.explained
         else ""
     )
 

@@ -1,9 +1,4 @@
-"""The thresholds of searches for what is wrong: each with its unit and origin.
-
-They stand here for the rooms below ``identify``, and for all that is not about a fit;
-:mod:`pincal.identify.criteria` has those on the agreement of a fit, changes midway and changes of a
-robot.
-"""
+"""The thresholds by which joint columns are doubted or refused: each with its unit and origin."""
 
 from __future__ import annotations
 
