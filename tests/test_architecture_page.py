@@ -21,15 +21,17 @@ from pincal import Chain, Conditions, Model, Robot, calibrate, measurements_from
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import _COMMANDS
 from pincal.cli import pincal as pincal_command
+from pincal.errors import MeasurementError
 from pincal.identify.options import Options
 from pincal.measure.registry import SENSORS
 from pincal.measure.table import write_table
 from pincal.model.effect_registry import EFFECTS
-from pincal.model.effects import JointOffset
+from pincal.model.effects import GEOMETRIC, JointOffset
 from pincal.plugins import load_plugin
 from pincal.report.html import SECTIONS, report_page
 from pincal.report.subject import Subject
 from pincal.simulate import TrueMachine, plan_poses
+from pincal.validate.cures import TOPICS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "architecture.md").read_text(encoding="utf-8")
 
@@ -145,6 +147,27 @@ def test_the_recipe_of_a_sensor(recipe: ModuleType, kuka: Robot) -> None:
 
     assert SENSORS.known()["height"] is recipe.HeightGauge and table.kind == "height"
     assert np.abs(fit.fit.station.residuals(fit.values)).max() < 1e-9
+
+
+@pytest.mark.parametrize("recipe", ["hypothesis"], indirect=True)
+def test_the_recipe_of_a_hypothesis(recipe: ModuleType, kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One more topic is all it takes for a table to be refused with its words; a sound table has none of it."""
+    rng = np.random.default_rng(3)
+    machine = TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0").draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
+    q = plan_poses(machine.arm, 60, rng)
+    position = machine.tip(q)[:, :3, 3] + 5e-5 * rng.normal(size=(60, 3))
+    wrong, sound = (measurements_from_arrays(kuka.joint_names, rows, position=position) for rows in (q[::-1], q))
+    # Shifted zeros explain nothing of either, and take time to try.
+    monkeypatch.setattr("pincal.validate.agreement.zero_shifts", lambda *_: {})
+    geometry = Options(effects=GEOMETRIC)
+    words = "the rows of the joints appear to be in reverse order: .* reverse them and run again"
+
+    with pytest.raises(MeasurementError, match="Are units, joint zeros"):
+        calibrate(kuka, wrong, geometry)
+    monkeypatch.setattr("pincal.validate.agreement.TOPICS", (*TOPICS, recipe.orders))
+    with pytest.raises(MeasurementError, match=words):
+        calibrate(kuka, wrong, geometry)
+    assert len(calibrate(kuka, sound, geometry).problem) == 60
 
 
 @pytest.mark.parametrize("recipe", ["verb"], indirect=True)

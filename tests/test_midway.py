@@ -7,8 +7,10 @@ from scipy.stats import beta
 from pincal import Options, Robot, calibrate, measurements_from_arrays, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.identify.motion_fields import MotionField
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
+from pincal.validate.causes import BETWEEN_ROWS, Event
 from pincal.validate.midway import StepChange, change_in
 
 URDF = kuka_urdf_path()
@@ -46,6 +48,17 @@ def table(seed: int, *, change: str = "", cut: int = 0, noise: str = "white", n:
         warmed = 15.0 * (1.0 - np.exp(-np.linspace(0.0, 3.0, n)))
         position += 12e-6 * warmed[:, None] * (position - position.mean(axis=0))
     return measurements_from_arrays(machine.names, q, position=position)
+
+
+WAVELENGTH = Event(
+    "wavelength",
+    # From the origin of the instrument, where the readings are zero.
+    lambda cell: [MotionField("wavelength", cell.station.sensor.position[:, :, None])],
+    step="lengths are longer by {size}: was the wavelength set anew?",
+    drift="as if the air warmed up",
+    visits="in proportion to their lengths",
+    column="temperature",
+)
 
 
 def _read(machine: sim.TrueMachine, q: np.ndarray, target: np.ndarray, seed: int) -> np.ndarray:
@@ -128,3 +141,24 @@ def test_drifts_are_no_changes(noise: str) -> None:
     """In sixty tables of each noise none is seen: at most 4.9 % by the exact 95 % interval, one-sided."""
     alarms = sum(seen(table(9000 + seed, noise=noise)) is not None for seed in range(60))
     assert alarms == 0 and beta.ppf(0.95, 1, 60) < 0.049
+
+
+def test_an_event_that_is_added_is_named_with_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tracker that was set to another wavelength: of what is known nothing explains it; the new event does, alone."""
+    every = (*BETWEEN_ROWS, WAVELENGTH)
+    rows = table(3)
+    position = rows.array("position").copy()
+    position[80:] *= 1.0 + 3e-4
+    changed = rows.with_readings(position=position)
+    before = seen(changed)
+    for module in ("causes", "midway"):
+        monkeypatch.setattr(f"pincal.validate.{module}.BETWEEN_ROWS", every)
+    found = seen(changed)
+
+    assert before is None
+    assert found is not None and found.cause.name == "wavelength" and found.others == ()
+    assert abs(found.line - rows.rows[80]) <= 1
+    longer = 3e-4 * float(np.sqrt(np.mean(np.sum(position[80:] ** 2, axis=1))))
+    assert found.cause.size == pytest.approx(longer, rel=0.25)
+    assert str(found) == f"lengths are longer by {1e3 * found.cause.size:.3g} mm: was the wavelength set anew?"
+    assert seen(rows) is None
