@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -148,71 +149,110 @@ def diagnose(
         )
     model = calibrated.robot_model(measurements.kind)
     measurements = measurements.in_order_of(model.model.chain.robot)
-    all_rows = len(measurements)
     whole = StopRows.of(measurements)
-    stops = looked_at(whole)
-    placed = relocated(model, stops, sigma=sigma, sigma_orientation=sigma_orientation)
-    measurements = placed.table
-    verdict = searched = changes_since(model, placed, alpha)
-    if doubts := doubts_about(verdict, placed):
-        verdict = verdict.none()
-    lineup = verdict.lineup
-    happened = verdict.happened
-    posterior = lineup.reidentify(happened, lineup.release(happened, verdict.values))
-    reidentified = lineup.robot
-    if happened:
-        rows = together(model.rows, fingerprints(lineup.station))
-        reidentified = lineup.reidentified(happened, posterior)
-        reidentified = reidentified.with_station(replace(reidentified.station, rows=rows))
-    station = reidentified.readings(measurements)
-    after = error_summary(station, reidentified.values)
-    _refuse_strange(model, measurements, after["median_mm"], CHANGES.hopeless)
-    session = Path(measurements.source).stem
-    kept = np.ones(len(measurements), bool)
-    kept[list(verdict.wrong_rows)] = False
-    curves = redrawn_curves(placed, measurements, kept=kept, session=session)
-    changes = list(_entries(verdict, posterior, session))
-    if curves is not None:
-        # Changed curves are listed by how much each reduces the error.
-        order = [entry.joint for entry in curves.joints]
-        ranked = iter(
-            sorted(
-                (c for c in changes if c.curve_rms is not None),
-                key=lambda c: order.index(str(c.joint)),
-            )
-        )
-        changes = [change if change.curve_rms is None else next(ranked) for change in changes]
-    shifts = [moved(before, reidentified) for before in calibrated.each]
+    placed = relocated(model, looked_at(whole), sigma=sigma, sigma_orientation=sigma_orientation)
+    judged = _JudgedRows(model, placed, changes_since(model, placed, alpha))
+    verdict = judged.verdict
+    station = judged.reidentified.readings(placed.table)
+    after = error_summary(station, judged.reidentified.values)
+    _refuse_strange(model, placed.table, after["median_mm"], CHANGES.hopeless)
+    shifts = [moved(before, judged.reidentified) for before in calibrated.each]
     nearest = min(
         shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument
     )
-    notes: list[Note | str] = [
-        *doubts,
-        *placed.notes,
-        *_unseen(curves),
-        *_notes(verdict, placed, measurements),
-    ]
-    notes += _averaged(whole, all_rows)
-    notes += _estimated(placed)
-    if len(measurements) < len(whole.table):
-        notes.append(
-            f"changes were searched for in {len(measurements)} of the {all_rows} rows, "
-            "sampled from the whole table"
-        )
+    notes = [*judged.notes(), *_averaged(whole, len(measurements)), *_estimated(placed)]
+    notes += _sampled(len(placed.table), whole, len(measurements))
     found = DiagnosisFile(
         changed=verdict.changed,
         p_value=verdict.p_value,
         alpha=alpha,
-        changes=tuple(changes),
-        excluded=tuple(excluded(verdict, searched)),
+        changes=judged.changes(),
+        excluded=tuple(excluded(verdict, judged.searched)),
         gap={"before": error_summary(placed.station, placed.values), "after": after},
         station=MovedEntry(**nearest.to_dict()),
-        rows=len(measurements),
+        rows=len(placed.table),
         warnings=doubts_first(notes),
-        curves=curves,
-        is_judged=not doubts,
+        curves=judged.curves,
+        is_judged=not judged.doubts,
     )
-    return Diagnosis(found, reidentified)
+    return Diagnosis(found, judged.reidentified)
+
+
+@dataclass(frozen=True, eq=False)
+class _JudgedRows:
+    """New rows, and what a search for changes finds by them.
+
+    Attributes:
+        model: the robot as it was calibrated.
+        placed: the same at the station of the rows.
+        searched: the verdict of the search, whatever may be doubted about the rows.
+    """
+
+    model: FittedRobot
+    placed: Placed
+    searched: ChangeVerdict
+
+    @cached_property
+    def doubts(self) -> tuple[Note, ...]:
+        """Why the rows can't decide."""
+        return doubts_about(self.searched, self.placed)
+
+    @cached_property
+    def verdict(self) -> ChangeVerdict:
+        """What has changed, if the rows can decide."""
+        return self.searched.none() if self.doubts else self.searched
+
+    @cached_property
+    def posterior(self) -> Refitted:
+        """The robot with the changes re-estimated."""
+        happened = self.verdict.happened
+        lineup = self.verdict.lineup
+        return lineup.reidentify(happened, lineup.release(happened, self.verdict.values))
+
+    @cached_property
+    def reidentified(self) -> FittedRobot:
+        """The re-identified model; as calibrated if nothing has changed."""
+        lineup = self.verdict.lineup
+        if not self.verdict.happened:
+            return lineup.robot
+        rows = together(self.model.rows, fingerprints(lineup.station))
+        found = lineup.reidentified(self.verdict.happened, self.posterior)
+        return found.with_station(replace(found.station, rows=rows))
+
+    @property
+    def _session(self) -> str:
+        return Path(self.placed.table.source).stem
+
+    @cached_property
+    def curves(self) -> CurvesEntry | None:
+        """What each drive curve contributes to the error."""
+        table = self.placed.table
+        kept = np.ones(len(table), bool)
+        kept[list(self.verdict.wrong_rows)] = False
+        return redrawn_curves(self.placed, table, kept=kept, session=self._session)
+
+    def changes(self) -> tuple[ChangeEntry, ...]:
+        """Return the changes, curves by how much each reduces the error."""
+        changes = list(_entries(self.verdict, self.posterior, self._session))
+        if self.curves is None:
+            return tuple(changes)
+        order = [entry.joint for entry in self.curves.joints]
+        of_curves = [change for change in changes if change.curve_rms is not None]
+        ranked = iter(sorted(of_curves, key=lambda change: order.index(str(change.joint))))
+        return tuple(change if change.curve_rms is None else next(ranked) for change in changes)
+
+    def notes(self) -> Iterator[Note | str]:
+        """Yield doubts, and what is noticed in the rows."""
+        yield from self.doubts
+        yield from self.placed.notes
+        yield from _unseen(self.curves)
+        yield from _notes(self.verdict, self.placed, self.placed.table)
+
+
+def _sampled(few: int, stops: StopRows, n: int) -> Iterator[str]:
+    """Yield a note if changes were searched for in some rows of a table of n."""
+    if few < len(stops.table):
+        yield (f"changes were searched for in {few} of the {n} rows, sampled from the whole table")
 
 
 def looked_at(stops: StopRows) -> StopRows:
@@ -346,14 +386,9 @@ def relocated(
             "session with tracker.csv"
         )
     check_table(model.model.chain.robot, measurements, minimum=1)
+    _check_noise(sigma, sigma_orientation)
     if sigma is not None:
-        if not 0.0 < sigma < np.inf:
-            raise BadInputError(f"noise of {sigma:g} m; expected a length above 0, such as 5e-5")
         stops = replace(stops, table=replace(measurements, sigma=np.full(len(measurements), sigma)))
-    if sigma_orientation is not None and not 0.0 < sigma_orientation < np.inf:
-        raise BadInputError(
-            f"noise of {sigma_orientation:g} rad; expected an angle above 0, such as 1e-4"
-        )
     placed = place_station(model, stops, sigma_orientation=sigma_orientation)
     known = int(np.sum(fitted_rows(model.rows, placed.model, stops)))
     if known > CHANGES.same_by_chance:
@@ -369,6 +404,16 @@ def relocated(
         CHANGES.strange,
     )
     return placed
+
+
+def _check_noise(sigma: float | None, sigma_orientation: float | None) -> None:
+    """Refuse a declared noise [m, rad] that is none."""
+    if sigma is not None and not 0.0 < sigma < np.inf:
+        raise BadInputError(f"noise of {sigma:g} m; expected a length above 0, such as 5e-5")
+    if sigma_orientation is not None and not 0.0 < sigma_orientation < np.inf:
+        raise BadInputError(
+            f"noise of {sigma_orientation:g} rad; expected an angle above 0, such as 1e-4"
+        )
 
 
 def _refuse_strange(
@@ -405,41 +450,10 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
 
 
 def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Iterator[ChangeEntry]:
-    lineup = verdict.lineup
+    """Yield what has changed, as it is written."""
     changes = verdict.lineup.changes
-    model = lineup.station.model
-    free = lineup.free(verdict.happened)
     for step in verdict.steps:
         change = changes[step.score.change]
-        places = lineup.places[step.score.change]
-        parameters = {}
-        curve_rms = None
-        at = np.searchsorted(free, places)
-        for place, moved_by, sigma in zip(
-            places, posterior.changes[at], posterior.sigma[at], strict=True
-        ):
-            parameter = lineup.station.parameters[place]
-            before = parameter.nominal + float(lineup.start[place])
-            parameters[parameter.name] = ChangedParameter(
-                before, before + float(moved_by), float(sigma), parameter.unit
-            )
-        curve = next(
-            (
-                e
-                for e, span in zip(model.effects, model.spans, strict=True)
-                if span.start == places[0]
-            ),
-            None,
-        )
-        if change.belief is not None and isinstance(curve, Curve):
-            # The rms of its change over the rows, without its mean.
-            q = recorded_variable(
-                model.chain,
-                lineup.station.conditions,
-                str(curve.locus.joint),
-                span=curve.locus.span,
-            )
-            curve_rms = float(np.std(posterior.changes[at] @ curve.basis(q)))
         equivalent = (
             ChangeName(effect=c.name, joint=c.joint, source=c.source)
             for c in rival_names(changes, step)
@@ -448,11 +462,11 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
             effect=change.name,
             joint=change.joint,
             source=change.source,
-            parameters=parameters,
+            parameters=_changed(verdict, posterior, step.score.change),
             p_value=step.p_value,
             equivalent=tuple(equivalent),
             tell_apart=tell_apart(verdict, step),
-            curve_rms=curve_rms,
+            curve_rms=_curve_rms(verdict, posterior, step.score.change),
             session=session,
         )
     if verdict.is_unexplained:
@@ -465,6 +479,39 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
             tell_apart="measure more poses over the whole range of the joints, and calibrate or "
             "discover again with them",
         )
+
+
+def _changed(verdict: ChangeVerdict, posterior: Refitted, k: int) -> dict[str, ChangedParameter]:
+    """Return the parameters of a change before and after it, by name."""
+    lineup = verdict.lineup
+    places = lineup.places[k]
+    at = np.searchsorted(lineup.free(verdict.happened), places)
+    found = {}
+    for place, moved_by, sigma in zip(
+        places, posterior.changes[at], posterior.sigma[at], strict=True
+    ):
+        parameter = lineup.station.parameters[place]
+        before = parameter.nominal + float(lineup.start[place])
+        found[parameter.name] = ChangedParameter(
+            before, before + float(moved_by), float(sigma), parameter.unit
+        )
+    return found
+
+
+def _curve_rms(verdict: ChangeVerdict, posterior: Refitted, k: int) -> float | None:
+    """Return the rms of the change of a curve over the rows, without its mean; None of others."""
+    lineup = verdict.lineup
+    model = lineup.station.model
+    places = lineup.places[k]
+    effects = zip(model.effects, model.spans, strict=True)
+    curve = next((effect for effect, span in effects if span.start == places[0]), None)
+    if lineup.changes[k].belief is None or not isinstance(curve, Curve):
+        return None
+    conditions = lineup.station.conditions
+    joint = str(curve.locus.joint)
+    q = recorded_variable(model.chain, conditions, joint, span=curve.locus.span)
+    at = np.searchsorted(lineup.free(verdict.happened), places)
+    return float(np.std(posterior.changes[at] @ curve.basis(q)))
 
 
 def _notes(
