@@ -238,16 +238,7 @@ class ChangeHypotheses:
         """Return the hypotheses for a robot that was located at the station of new rows."""
         model = station.model
         of_model, of_sensor = station.split(robot.values)
-        compliances = tuple(compliances_of(model, of_model).tolist())
-        conditions = station.conditions
-        if conditions.payload.any() and not varies(conditions.payload):
-            # A single load counts as varying: the calibration includes the unloaded robot.
-            twice = conditions.select(np.repeat(np.arange(len(conditions)), 2))
-            conditions = replace(
-                twice, payload=np.where(np.arange(len(twice)) % 2, twice.payload, 0.0)
-            )
-        situation = PoseSet(model.chain, conditions, compliances)
-        changes, others = changes_of(model, situation)
+        changes, others = changes_of(model, _situation(station, of_model))
         added = [change.effect for change in changes if change.effect is not None]
         masses = [] if known.masses is None else [known.masses]
         wide = model.with_effects([*model.effects, *masses, *known.unmodelled, *others, *added])
@@ -255,14 +246,6 @@ class ChangeHypotheses:
         surroundings = np.concatenate(
             [np.zeros(0, int), *map(_span, wide.spans[n : n + len(others)])]
         )
-        spans = iter(wide.spans[n + len(others) :])
-        index = {name: i for i, name in enumerate(model.names)}
-        places = [
-            np.array([index[name] for name in change.parameters], int)
-            if change.effect is None
-            else _span(next(spans))
-            for change in changes
-        ]
         own = np.flatnonzero(station.split(station.is_own)[0])
         own = np.append(own, wide.n_parameters + np.flatnonzero(~station.sensor.fixed))
         nothing = np.zeros(wide.n_parameters - model.n_parameters)
@@ -273,7 +256,7 @@ class ChangeHypotheses:
             known,
             station.with_model(wide),
             changes,
-            tuple(places),
+            _places(model, changes, wide.spans[n + len(others) :]),
             own,
             surroundings,
             start,
@@ -335,52 +318,7 @@ class ChangeHypotheses:
         A parameter that is known and free is the sum of its calibrated value and a change. There is
         no robust weighting.
         """
-        root, names = (np.zeros((0, 0)), ()) if is_certain else (self.known.root, self.known.names)
-        free = self.free(happened)
-        n = root.shape[1]
-        known = np.array([self.station.model.index(name) for name in names], int)
-        places = np.union1d(known, free).astype(int)
-        # Maps a vector of uncorrelated unknowns to the parameters.
-        W = np.zeros((len(places), n + len(free)))
-        W[np.searchsorted(places, known), :n] = root
-        W[np.searchsorted(places, free), np.arange(n, W.shape[1])] = 1.0
-        precision = np.diag(np.append(np.ones(n), self.sizes[free] ** -2.0))
-        for of_change, belief in self._redrawn(happened):
-            at = n + np.searchsorted(free, of_change)
-            precision[np.ix_(at, at)] = belief
-        unknown = np.append(np.zeros(n), (start - self.start)[free])
-
-        def at_values(unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-            values = self.start.copy()
-            values[places] += W @ unknown
-            A, r = rows_in_noise(self.station, values, self.robot.sigma, places, shared=self.shared)
-            return (
-                values,
-                W.T @ (A @ A.T) @ W + precision,
-                W.T @ (A @ r),
-                float(r @ r + unknown @ precision @ unknown),
-            )
-
-        values, H, g, cost = at_values(unknown)
-        for _ in range(_MOST_STEPS):
-            uncertain = root_of_inverse(H, np.diag(H), ROUNDING)
-            step = uncertain @ (uncertain.T @ (g - precision @ unknown))
-            for _ in range(_HALVINGS):
-                there = at_values(unknown + step)
-                if there[3] <= cost * (1.0 + 1e-9) + _SHORT:
-                    break
-                step = 0.5 * step
-            else:
-                break
-            unknown = unknown + step
-            (values, H, g, cost) = there
-            if step @ H @ step < _SHORT:
-                break
-        uncertain = root_of_inverse(H, np.diag(H), ROUNDING)
-        spread = W @ uncertain
-        return Refitted(
-            values, places, spread @ spread.T, unknown[n:], uncertain[n:] @ uncertain[n:].T
-        )
+        return _Refit.of(self, happened, is_certain=is_certain).run(start)
 
     def weigh(self, values: np.ndarray, happened: Sequence[int]) -> RowEvidence:
         """Return the evidence of the rows on everything else, given some changes, linearised about
@@ -468,6 +406,142 @@ class ChangeHypotheses:
             self.station.model, self.station.conditions
         )[0]
         return np.array([parameter.size for parameter in self.station.parameters]) / largest
+
+
+def _situation(station: Station, of_model: np.ndarray) -> PoseSet:
+    """Return the poses of a station, with the parameters of its model, shape (P,).
+
+    A single load counts as varying: the calibration includes the unloaded robot.
+    """
+    conditions = station.conditions
+    if conditions.payload.any() and not varies(conditions.payload):
+        twice = conditions.select(np.repeat(np.arange(len(conditions)), 2))
+        is_loaded = np.arange(len(twice)) % 2
+        conditions = replace(twice, payload=np.where(is_loaded, twice.payload, 0.0))
+    compliances = tuple(compliances_of(station.model, of_model).tolist())
+    return PoseSet(station.model.chain, conditions, compliances)
+
+
+def _places(
+    model: Model, changes: Sequence[PossibleChange], spans: Sequence[slice]
+) -> tuple[np.ndarray, ...]:
+    """Return the indices of the parameters of each change; ``spans`` are those of new effects."""
+    index = {name: i for i, name in enumerate(model.names)}
+    new = iter(spans)
+    return tuple(
+        np.array([index[name] for name in change.parameters], int)
+        if change.effect is None
+        else _span(next(new))
+        for change in changes
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """The unknowns of a refit, and the equations there.
+
+    Attributes:
+        unknown: shape (u,).
+        values: of all parameters, shape (P,).
+        H: shape (u, u), information of rows and priors.
+        g: shape (u,), gradient of the rows.
+        cost: square of residuals and priors.
+    """
+
+    unknown: np.ndarray
+    values: np.ndarray
+    H: np.ndarray
+    g: np.ndarray
+    cost: float
+
+    @cached_property
+    def root(self) -> np.ndarray:
+        """Root of the covariance of the unknowns, shape (u, r)."""
+        return root_of_inverse(self.H, np.diag(self.H), ROUNDING)
+
+
+@dataclass(frozen=True, eq=False)
+class _Refit:
+    """A Gauss-Newton search over changes, and over the rest of the robot within its uncertainty.
+
+    Attributes:
+        lineup: the rows.
+        places: shape (p,), indices of parameters that may move.
+        free: shape (F,), indices of the unconstrained ones.
+        W: shape (p, u), the parameters by u unknowns that are uncorrelated beforehand: directions
+            of the uncertainty, then changes.
+        precision: shape (u, u), of the unknowns beforehand.
+    """
+
+    lineup: ChangeHypotheses
+    places: np.ndarray
+    free: np.ndarray
+    W: np.ndarray
+    precision: np.ndarray
+
+    @classmethod
+    def of(cls, lineup: ChangeHypotheses, happened: Sequence[int], *, is_certain: bool) -> _Refit:
+        """Return the search for some changes, by index; all else is held if certain."""
+        root = np.zeros((0, 0)) if is_certain else lineup.known.root
+        names = () if is_certain else lineup.known.names
+        free = lineup.free(happened)
+        n = root.shape[1]
+        known = np.array([lineup.station.model.index(name) for name in names], int)
+        places = np.union1d(known, free).astype(int)
+        W = np.zeros((len(places), n + len(free)))
+        W[np.searchsorted(places, known), :n] = root
+        W[np.searchsorted(places, free), np.arange(n, W.shape[1])] = 1.0
+        precision = np.diag(np.append(np.ones(n), lineup.sizes[free] ** -2.0))
+        for of_change, belief in lineup._redrawn(happened):
+            at = n + np.searchsorted(free, of_change)
+            precision[np.ix_(at, at)] = belief
+        return cls(lineup, places, free, W, precision)
+
+    @property
+    def _n(self) -> int:
+        """Number of the unknowns that are no changes."""
+        return int(self.W.shape[1]) - len(self.free)
+
+    def run(self, start: np.ndarray) -> Refitted:
+        """Return the most probable values, searched from some values, shape (P,)."""
+        changes = (start - self.lineup.start)[self.free]
+        here = self._at(np.append(np.zeros(self._n), changes))
+        for _ in range(_MOST_STEPS):
+            better = self._better(here)
+            if better is None:
+                break
+            step, here = better
+            if step @ here.H @ step < _SHORT:
+                break
+        spread = self.W @ here.root
+        of_changes = here.root[self._n :] @ here.root[self._n :].T
+        changes = here.unknown[self._n :]
+        return Refitted(here.values, self.places, spread @ spread.T, changes, of_changes)
+
+    def _at(self, unknown: np.ndarray) -> _Point:
+        """Return the equations at some unknowns, shape (u,)."""
+        lineup = self.lineup
+        W = self.W
+        values = lineup.start.copy()
+        values[self.places] += W @ unknown
+        A, r = rows_in_noise(
+            lineup.station, values, lineup.robot.sigma, self.places, shared=lineup.shared
+        )
+        H = W.T @ (A @ A.T) @ W + self.precision
+        cost = float(r @ r + unknown @ self.precision @ unknown)
+        return _Point(unknown, values, H, W.T @ (A @ r), cost)
+
+    def _better(self, here: _Point) -> tuple[np.ndarray, _Point] | None:
+        """Return a step, halved until the cost does not grow, and the point after it; None if it
+        does.
+        """
+        step = here.root @ (here.root.T @ (here.g - self.precision @ here.unknown))
+        for _ in range(_HALVINGS):
+            there = self._at(here.unknown + step)
+            if there.cost <= here.cost * (1.0 + 1e-9) + _SHORT:
+                return step, there
+            step = 0.5 * step
+        return None
 
 
 def _span(span: slice) -> np.ndarray:

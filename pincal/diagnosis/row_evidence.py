@@ -28,11 +28,13 @@ from functools import cached_property
 import numpy as np
 
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.calibration.unmodelled import Unmodelled
 from pincal.identify.mass_error import MassError
 from pincal.identify.normal import belief_rows
 from pincal.identify.quadratic import ROUNDING, SEEN, Quadratic, root_of_inverse
 from pincal.identify.station import Station
 from pincal.identify.stop_scatter import SharedNoise
+from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
 from pincal.model.sizes import largest_basis
@@ -85,13 +87,18 @@ class Known:
             # A calibration takes the targets of a stop to be independent.
             root = root * np.sqrt(calibrated.repeatability.shared)
         known = cls(names, estimate.values, root, masses, taken_up)
-        if (left := calibrated.unmodelled) is None:
-            return known
-        # The part that the parameters absorbed remains in them where rows lack a column that the
-        # effect needs.
-        taken = np.zeros((len(names), len(left.values)))
+        left = calibrated.unmodelled
+        return known if left is None else known._with_unmodelled(left, chain, conditions)
+
+    def _with_unmodelled(self, left: Unmodelled, chain: Chain, conditions: Conditions) -> Known:
+        """Return what is known of effects that the model lacks, too, where new rows show them.
+
+        The part that the parameters absorbed remains in them where rows lack a column that the
+        effect needs.
+        """
+        taken = np.zeros((len(self.names), len(left.values)))
         root = root_of(left.covariance)
-        taken[[names.index(name) for name in left.names]] = left.taken_up
+        taken[[self.names.index(name) for name in left.names]] = left.taken_up
         shown = [
             effect
             for effect in left.effects
@@ -103,14 +110,14 @@ class Known:
             for parameter in effect.parameters(chain)
         ]
         E = len(own)
-        return cls(
-            names=(*names, *(left.parameter_names[i] for i in own)),
-            values=np.concatenate([known.values - taken @ left.values, left.values[own]]),
+        return Known(
+            names=(*self.names, *(left.parameter_names[i] for i in own)),
+            values=np.concatenate([self.values - taken @ left.values, left.values[own]]),
             root=np.block(
-                [[known.root, -taken @ root], [np.zeros((E, known.root.shape[1])), root[own]]]
+                [[self.root, -taken @ root], [np.zeros((E, self.root.shape[1])), root[own]]]
             ),
-            masses=masses,
-            taken_up=np.vstack([taken_up, np.zeros((E, taken_up.shape[1]))]),
+            masses=self.masses,
+            taken_up=np.vstack([self.taken_up, np.zeros((E, self.taken_up.shape[1]))]),
             unmodelled=tuple(shown),
         )
 
