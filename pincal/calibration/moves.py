@@ -63,35 +63,54 @@ def moves_of(fit: ModelFit) -> tuple[tuple[MovedParameter, ...], ...]:
     if n > _MOST_STATIONS:
         return tuple(map(tuple, own))
     shared = SharedInformation.of(fit)
-    if (curves := _with_curves(fit)) is not None:
-        information = curves.information
-        apart = curves.apart
-        chosen = curves.moved
-    else:
-        same = np.eye(len(shared.parameters))
-        singles = [(p,) for p in range(len(shared.parameters))]
-        information = shared.together(same)
-        apart = None
-        chosen = information.moved(singles)
-        parts = min(_MOST_PARTS, min(map(len, fit.problem.stations)) // _ROWS_EACH)
-        if (
-            chosen
-            and parts > 1
-            and not any(station.sensor.is_whole for station in fit.problem.stations)
-        ):
-            apart = Apart.of(SharedInformation.of(fit, parts, in_order=True), same, parts)
-            chosen = information.moved(singles, apart=apart)
-    for group in chosen:
-        shape = None if curves is None else curves.shapes.get(group)
+    curves = _with_curves(fit)
+    found = _moved_alone(fit, shared) if curves is None else curves.found
+    for group in found.chosen:
+        shape = found.shapes.get(group)
         parameter = shared.parameters[group[0]] if shape is None else shape.parameter
-        noise = (
-            1.0
-            if apart is None
-            else apart.noise([other for other in chosen if other != group], group)[0]
-        )
-        for k, change, sigma, moved in _course(information, chosen, group, noise, shape):
+        for k, change, sigma, moved in _course(found, group):
             own[k].append(_entry(parameter, change, sigma, moved))
     return tuple(map(tuple, own))
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """Groups of parameters that differ between stations.
+
+    Attributes:
+        information: of the stations.
+        chosen: the groups, by the indices of their parameters.
+        apart: the information of parts of each station; None where they do not differ by chance.
+        shapes: of groups that are the curve of a drive.
+    """
+
+    information: StationsInformation
+    chosen: tuple[Together, ...]
+    apart: Apart | None
+    shapes: dict[Together, _Shape]
+
+    def noise(self, group: Together) -> float:
+        """Return the factor on the variance of a group by differences between parts of stations."""
+        if self.apart is None:
+            return 1.0
+        return self.apart.noise([other for other in self.chosen if other != group], group)[0]
+
+
+def _moved_alone(fit: ModelFit, shared: SharedInformation) -> _Moved:
+    """Return the single parameters that differ between stations, without any curve that the model
+    lacks.
+    """
+    same = np.eye(len(shared.parameters))
+    singles = [(p,) for p in range(len(shared.parameters))]
+    information = shared.together(same)
+    chosen = information.moved(singles)
+    stations = fit.problem.stations
+    parts = min(_MOST_PARTS, min(map(len, stations)) // _ROWS_EACH)
+    is_whole = any(station.sensor.is_whole for station in stations)
+    if not chosen or parts <= 1 or is_whole:
+        return _Moved(information, chosen, None, {})
+    apart = Apart.of(SharedInformation.of(fit, parts, in_order=True), same, parts)
+    return _Moved(information, information.moved(singles, apart=apart), apart, {})
 
 
 @dataclass(frozen=True)
@@ -201,6 +220,11 @@ class _WithCurves:
         )
 
     @property
+    def found(self) -> _Moved:
+        """What differs between stations, given these curves."""
+        return _Moved(self.information, self.moved, self.apart, self.shapes)
+
+    @property
     def cost(self) -> float:
         """Cost of curves less what they explain: of the shared ones, if negative, and
         of changes.
@@ -250,18 +274,13 @@ def _with_curves(fit: ModelFit) -> _WithCurves | None:
     return found if found.cost < 0.0 else None
 
 
-def _course(
-    found: StationsInformation,
-    chosen: Sequence[Together],
-    group: Together,
-    noise: float,
-    shape: _Shape | None,
-) -> Iterator[tuple[int, float, float, bool]]:
+def _course(found: _Moved, group: Together) -> Iterator[tuple[int, float, float, bool]]:
     """Yield station, change since the first, its standard deviation, and whether it moved since the
     previous station.
     """
-    station, values, covariance = found.own_values(chosen, group)
-    covariance = noise * covariance
+    station, values, covariance = found.information.own_values(found.chosen, group)
+    covariance = found.noise(group) * covariance
+    shape = found.shapes.get(group)
     for k in station[:1]:
         yield int(k), 0.0, 0.0, False
     for i in range(1, len(station)):

@@ -182,7 +182,8 @@ def _places(lines: np.ndarray, few: np.ndarray) -> np.ndarray:
 def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray) -> _Rows:
     """Return the data of rows in order."""
     # Displacements follow from the readings without whitening.
-    station, n = replace(station, whitening=None, serial=None, arrival=None), len(station)
+    station = replace(station, whitening=None, serial=None, arrival=None)
+    n = len(station)
     parts = (
         jacobian.columns(_FUNCTIONS, slice(3))
         for _, _, jacobian in station.linearise_shared(values, free)
