@@ -23,7 +23,7 @@ from pincal.measure.table import read_measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
 from pincal.robot.urdf_file import find_file
-from pincal.validate import agreement
+from pincal.validate import trials
 from pincal.validate.agreement import implausible
 from pincal.validate.gathered import in_common
 from pincal.validate.midway import change_in
@@ -162,15 +162,15 @@ def test_a_strange_table_costs_a_fixed_number_of_fits(
 ) -> None:
     """All cures are looked at where they would stand, the likeliest are fitted: as many for any number of joints."""
     looked, fits = list[int](), list[int]()
-    left, placed = agreement.least_size, agreement.roughly_placed
-    monkeypatch.setattr(agreement, "least_size", lambda *given: looked.append(1) or left(*given))
-    monkeypatch.setattr(agreement, "roughly_placed", lambda *given: fits.append(1) or placed(*given))
-    monkeypatch.setattr(agreement, "minimize_scalar", lambda *_, **__: SimpleNamespace(x=0.1))
+    left, placed = trials.least_size, trials.roughly_placed
+    monkeypatch.setattr(trials, "least_size", lambda *given: looked.append(1) or left(*given))
+    monkeypatch.setattr(trials, "roughly_placed", lambda *given: fits.append(1) or placed(*given))
+    monkeypatch.setattr(trials, "minimize_scalar", lambda *_, **__: SimpleNamespace(x=0.1))
     order = np.random.default_rng(0).permutation(len(table))
     with pytest.raises(MeasurementError, match="with only base and tool fitted"):
         run_calibration(kuka, replace(table, q=table.q[order]), Options(effects=GEOMETRIC))
     assert len(looked) > 80
-    assert len(fits) == agreement._PLACED + 1
+    assert len(fits) == trials._PLACED + 1
 
 
 def test_a_noisy_instrument_may_be_declared_in_the_table(kuka: Robot, table: Measurements) -> None:

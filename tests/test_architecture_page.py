@@ -158,13 +158,13 @@ def test_the_recipe_of_a_hypothesis(recipe: ModuleType, kuka: Robot, monkeypatch
     position = machine.tip(q)[:, :3, 3] + 5e-5 * rng.normal(size=(60, 3))
     wrong, sound = (measurements_from_arrays(kuka.joint_names, rows, position=position) for rows in (q[::-1], q))
     # Shifted zeros explain nothing of either, and take time to try.
-    monkeypatch.setattr("pincal.validate.agreement.zero_shifts", lambda *_: {})
+    monkeypatch.setattr("pincal.validate.trials.zero_shifts", lambda *_: {})
     geometry = Options(effects=GEOMETRIC)
     words = "the rows of the joints appear to be in reverse order: .* reverse them and run again"
 
     with pytest.raises(MeasurementError, match="Are units, joint zeros"):
         calibrate(kuka, wrong, geometry)
-    monkeypatch.setattr("pincal.validate.agreement.TOPICS", (*TOPICS, recipe.orders))
+    monkeypatch.setattr("pincal.validate.trials.TOPICS", (*TOPICS, recipe.orders))
     with pytest.raises(MeasurementError, match=words):
         calibrate(kuka, wrong, geometry)
     assert len(calibrate(kuka, sound, geometry).problem) == 60

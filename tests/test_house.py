@@ -72,7 +72,7 @@ GUARDED = {
     *("discover", "diagnosis", "hypotheses", "identify", "io"),
     *("measure.admit", "measure.joint_columns", "calibration.agreed", "calibration.moves", "calibration.unmodelled"),
     *("validate.agreement", "validate.causes", "validate.clock_jumps", "validate.cures", "validate.gathered"),
-    *("validate.midway", "validate.rough_fit", "validate.visit_scan", "validate.visits"),
+    *("validate.midway", "validate.rough_fit", "validate.trials", "validate.visit_scan", "validate.visits"),
 }
 
 

@@ -50,7 +50,7 @@ def test_what_differs_from_the_urdf_is_found_and_named(name: str) -> None:
 
 def test_sound_tables_pay_nothing(table: Measurements, kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nothing is searched for, and nothing said."""
-    monkeypatch.setattr("pincal.validate.agreement.zero_shifts", None)
+    monkeypatch.setattr("pincal.validate.trials.zero_shifts", None)
 
     assert not corrections(run_calibration(kuka, table, PLAIN))
 

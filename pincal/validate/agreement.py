@@ -5,69 +5,23 @@ identified by trial.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from pincal.errors import MeasurementError
 from pincal.hypotheses.hypothesis import Explanation, Likeliest, likeliest
-from pincal.identify.calibrate import fit_tables
 from pincal.identify.criteria import AGREEMENT
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.station import Station
-from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
-from pincal.model.effects import GEOMETRIC, JointOffset
+from pincal.model.effects import JointOffset
 from pincal.robot.robot import Robot
-from pincal.thresholds import Count, Scale
-from pincal.validate.cures import (
-    TOPICS,
-    Case,
-    Correction,
-    Mistake,
-    lengths_of,
-    mistakes,
-    scaled,
-    shift_words,
-)
-from pincal.validate.rough_fit import (
-    UNFIT,
-    least_size,
-    roughly_placed,
-    typical_residuals,
-    zero_shifts,
-)
-
-# Rows used for trials, each of which is a fit; and the number of the best that are fitted in full.
-_ROWS: Count = 200
-_FITTED: Count = 3
-# Number of mistakes for which base and tool are fitted, those with the best closed-form placement:
-# the true one undone leaves some mm there, others hundreds. A six-axis arm has some 120, and they
-# grow with the square of the joints.
-_PLACED: Count = 20
-# Largest number of rows examined: neighbours matter, and all of a long table would add nothing.
-_MOST_ROWS: Count = 20_000
-# Range of scales of lengths, as logarithms: larger factors are refused earlier, smaller ones are
-# instrument errors.
-_SCALED: Scale = 0.5
-_SCALE_STEP: Scale = 2e-4
-_Residuals = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class _Limits:
-    """Largest plausible residuals of a robot: position [m], orientation [rad]."""
-
-    position: float
-    orientation: float
-
-    def exceeded(self, left: _Residuals) -> float:
-        """Return the ratio of residuals to the limits."""
-        return max(left[0] / self.position, left[1] / self.orientation)
+from pincal.validate.cures import Case, Correction, Mistake, shift_words
+from pincal.validate.rough_fit import roughly_placed, typical_residuals
+from pincal.validate.trials import Cure, PlausibleResiduals, Residuals, Trials
 
 
 def check_agreement(
@@ -100,7 +54,7 @@ def check_agreement(
             typical_residuals(station, values[places])
             for values in (fit.nominal.values, fit.values)
         )
-        trials = _Trials(Case(robot, table), _limits(fit, k, table), fit.options.at(station.name))
+        trials = Trials(Case(robot, table), _limits(fit, k, table), fit.options.at(station.name))
         suspect = _Suspect(trials, error, left, pulled)
         if suspect.is_sound:
             continue
@@ -109,133 +63,6 @@ def check_agreement(
             return suspect.believed(found, is_held=fit.options.earlier is not None)
         suspect.refuse_another_robot()
     return None
-
-
-@dataclass(frozen=True)
-class _Cure:
-    """A mistake, and what remains of the residuals with it undone on some rows.
-
-    Attributes:
-        mistake: the hypothesis.
-        case: some rows of the table, with the mistake undone.
-        left: typical residuals of position [m] and orientation [rad].
-    """
-
-    mistake: Mistake
-    case: Case
-    left: _Residuals = (np.inf, np.inf)
-
-
-@dataclass(frozen=True)
-class _Trials:
-    """Trials of mistakes on some rows of a table.
-
-    Attributes:
-        case: the table and its robot.
-        limits: the largest plausible residuals.
-        options: of the fits.
-    """
-
-    case: Case
-    limits: _Limits
-    options: Options
-
-    def cures(self, error: float) -> list[_Cure]:
-        """Return the mistakes that undone remove most of an error, relative to the limits, with
-        base and tool fitted; the best first.
-        """
-        case = replace(self.case, table=self.case.table.select(slice(0, _MOST_ROWS)))
-        rows = _few(case.table)
-        possible = mistakes(case.robot, case.table, TOPICS)
-        found = self._placed([_undone(one, case, rows) for one in possible])
-        if lengths := lengths_of(case.table):
-            found.append(self._best_scale(lengths, case, rows))
-        # Of equivalent mistakes, such as one mirror or another, the first.
-        found.sort(key=lambda cure: float(f"{self.limits.exceeded(cure.left):.2g}"))
-        return [
-            cure for cure in found if self.limits.exceeded(cure.left) * AGREEMENT.cured < error
-        ][:_FITTED]
-
-    def _placed(self, undone: list[_Cure]) -> list[_Cure]:
-        """Return the likeliest of some mistakes with base and tool fitted, in their own order: of
-        equivalent ones, the first counts.
-        """
-        sizes = [
-            least_size(cure.case.robot, cure.case.table, self.options, self.limits.exceeded)
-            for cure in undone
-        ]
-        likely = sorted(np.argsort(sizes, kind="stable")[:_PLACED])
-        return [self._fitted(undone[k]) for k in likely]
-
-    def _fitted(self, cure: _Cure) -> _Cure:
-        """Return a cure with base and tool fitted."""
-        with suppress(*UNFIT):
-            placed = roughly_placed(cure.case.robot, cure.case.table, self.options)
-            return replace(cure, left=typical_residuals(*placed))
-        return cure
-
-    def _best_scale(self, lengths: tuple[str, ...], case: Case, rows: np.ndarray) -> _Cure:
-        """Return the scale of the measured lengths, by name, with the least residuals."""
-
-        def tried(scale: float) -> _Cure:
-            return self._fitted(_undone(scaled(lengths, float(np.exp(scale))), case, rows))
-
-        best = minimize_scalar(
-            lambda scale: self.limits.exceeded(tried(scale).left),
-            bounds=(-_SCALED, _SCALED),
-            method="bounded",
-            options={"xatol": _SCALE_STEP},
-        )
-        return tried(best.x)
-
-    def calibrated(self, case: Case) -> tuple[ModelFit | None, _Residuals]:
-        """Return a calibration of the geometry by some rows, and its residuals; None if it
-        fails.
-        """
-        options = replace(self.options, effects=GEOMETRIC, earlier=None, moment_frame="paper")
-        with suppress(*UNFIT):
-            fit = fit_tables(case.robot, case.table, options)
-            return fit, typical_residuals(fit.station, fit.values)
-        return None, (np.inf, np.inf)
-
-    def shifted(self) -> _Cure | None:
-        """Return the shifts of the zeros of joints, with the residuals of a calibration; None if
-        they are about right.
-        """
-        few = replace(self.case, table=self.case.table.select(_few(self.case.table)))
-        shifts = {
-            name: shift
-            for name, shift in zero_shifts(few.robot, few.table, self.options).items()
-            if abs(shift) > AGREEMENT.slight
-        }
-        if max(map(abs, shifts.values()), default=0.0) < AGREEMENT.shift:
-            return None
-        fit, left = self.calibrated(Correction(shifts).undone(few))
-        if fit is None:
-            return None
-        pairs = zip(fit.problem.parameters, fit.values, strict=True)
-        offsets = {p.name: value for p, value in pairs}
-        shifts = {name: shift + float(offsets[f"{name}.theta"]) for name, shift in shifts.items()}
-        words = " and ".join(
-            f"{name!r} by {np.rad2deg(shift):+.1f} deg" for name, shift in shifts.items()
-        )
-        mistake = Correction(shifts).mistake(f"joints appear to be shifted: {words}")
-        return _Cure(mistake, mistake.undo(few), left)
-
-
-def _undone(mistake: Mistake, case: Case, rows: np.ndarray) -> _Cure:
-    """Return a mistake undone on some rows of a table; neighbours of these may matter."""
-    undone = mistake.undo(case)
-    few = undone.table.select(rows[rows < len(undone.table)])
-    return _Cure(mistake, replace(undone, table=few))
-
-
-def _few(table: Measurements) -> np.ndarray:
-    """Return the rows used for trials."""
-    names = table.point_names
-    return sample_rows(
-        len(table), _ROWS, None if names is None else np.unique(names, return_inverse=True)[1]
-    )
 
 
 @dataclass(frozen=True)
@@ -249,9 +76,9 @@ class _Suspect:
         pulled: joints whose zeros the data have pulled far from their priors.
     """
 
-    trials: _Trials
-    error: _Residuals
-    left: _Residuals
+    trials: Trials
+    error: Residuals
+    left: Residuals
     pulled: frozenset[str]
 
     @cached_property
@@ -278,7 +105,7 @@ class _Suspect:
             f"{self.reach:.1f} m"
         )
 
-    def explanations(self) -> Iterator[Explanation[_Cure]]:
+    def explanations(self) -> Iterator[Explanation[Cure]]:
         """Yield the mistakes that explain the residuals, shifted zeros last."""
         limits = self.trials.limits
         for cure in self.trials.cures(limits.exceeded(self.error)):
@@ -300,7 +127,7 @@ class _Suspect:
             return max(AGREEMENT.no_worse * self.exceeded, AGREEMENT.usual)
         return self.exceeded / AGREEMENT.improved
 
-    def believed(self, found: Likeliest[_Cure], *, is_held: bool) -> Correction:
+    def believed(self, found: Likeliest[Cure], *, is_held: bool) -> Correction:
         """Return the correction of the robot's description that explains the residuals alone.
 
         ``is_held`` says that the description is that of an earlier calibration.
@@ -427,14 +254,14 @@ def mix_up(
     left = typical_residuals(station, values)
     if left[0] < AGREEMENT.suspicious * robot.reach:
         return ""
-    limits = _Limits(
+    limits = PlausibleResiduals(
         max(AGREEMENT.implausible * robot.reach, AGREEMENT.implausible_m), AGREEMENT.implausible_rad
     )
-    found = _Trials(Case(robot, measurements), limits, options).cures(limits.exceeded(left))
+    found = Trials(Case(robot, measurements), limits, options).cures(limits.exceeded(left))
     return found[0].mistake.words if found else ""
 
 
-def _limits(fit: ModelFit, k: int, table: Measurements) -> _Limits:
+def _limits(fit: ModelFit, k: int, table: Measurements) -> PlausibleResiduals:
     """Return the largest plausible residuals of the k-th station; its table may declare the noise
     of lengths row by row.
     """
@@ -457,7 +284,7 @@ def _limits(fit: ModelFit, k: int, table: Measurements) -> _Limits:
                 * float(np.median(sigma))
                 * station.metres_per_reading(fit.values[places]),
             )
-    return _Limits(length, angle)
+    return PlausibleResiduals(length, angle)
 
 
 def belongs_to_other_robot(left: np.ndarray, nominal: np.ndarray, *, allowed: float) -> bool:

@@ -3,7 +3,7 @@ couplings, readings mixed up, other positions of the joints, rows late, lengths 
 robot.
 
 Each is a :class:`Mistake`, which says how to undo it. A new one is an entry of a topic, a new topic
-a function in :data:`TOPICS`; :mod:`pincal.validate.agreement` tries them all.
+a function in :data:`TOPICS`; :mod:`pincal.validate.trials` tries them all.
 """
 
 from __future__ import annotations
