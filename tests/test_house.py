@@ -13,12 +13,13 @@ import pincal
 from pincal.discover import policy
 from pincal.identify import criteria
 from pincal.identify.problem import Problem
+from pincal.measure import reading_numbers
 
 TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [
     thing
-    for module in (policy, criteria)
+    for module in (policy, criteria, reading_numbers)
     for thing in vars(module).values()
     if hasattr(thing, "__dataclass_fields__") and not isinstance(thing, type)
 ]
@@ -76,6 +77,9 @@ BOUNDS = {
     "validate.midway": "_DRIFT _FEW _AROUND _RANK _FUNCTIONS _LENGTHS _WALKS _LONGEST_GAP _TRIES _TURNS",
 }
 
+# Files of these rooms whose numbers are not sorted yet.
+OPEN = {"measure.admit"}
+
 
 @pytest.mark.parametrize("numbers", NUMBERS, ids=lambda numbers: type(numbers).__name__)
 def test_numbers_that_decide_stand_in_a_policy(numbers: object) -> None:
@@ -92,8 +96,9 @@ def test_numbers_that_decide_stand_in_a_policy(numbers: object) -> None:
 
 def test_no_other_number_decides() -> None:
     """None at the top of discover's other files, and elsewhere only those that bound a computation."""
-    rooms = {"discover", "diagnosis", "identify", "io"}
-    found = {of.name: " ".join(of.numbers) for of in HOUSE.files if of.numbers and (of.room in rooms or of.name in BOUNDS)}
+    rooms = {"discover", "diagnosis", "identify", "io", "measure"}
+    files = [of for of in HOUSE.files if of.numbers and of.name not in OPEN]
+    found = {of.name: " ".join(of.numbers) for of in files if of.room in rooms or of.name in BOUNDS}
 
     assert found == BOUNDS
 
