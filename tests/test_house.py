@@ -13,6 +13,7 @@ import pincal
 from pincal.discover import policy
 from pincal.identify import criteria
 from pincal.identify.problem import Problem
+from pincal.io import file_numbers
 from pincal.measure import reading_numbers
 from pincal.motion import motion_numbers
 from pincal.robot import robot_numbers
@@ -21,7 +22,7 @@ TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [
     thing
-    for module in (policy, criteria, reading_numbers, motion_numbers, robot_numbers)
+    for module in (policy, criteria, reading_numbers, motion_numbers, robot_numbers, file_numbers)
     for thing in vars(module).values()
     if hasattr(thing, "__dataclass_fields__") and not isinstance(thing, type)
 ]
@@ -70,11 +71,6 @@ BOUNDS = {
     "identify.stop_scatter": "_LOGITS _MOST_ROWS _RANK",
     "identify.visit_weights": "_SAME _AGREES",
     "identify.whitening": "_TILE",
-    "io.arrays": "_ROTATION _EXACT _MOST_EXACT _MOST_ROWS _BITS",
-    "io.camera_file": "_ROTATION",
-    "io.strict_json": "MOST_BYTES MOST_TOKENS MOST_DEPTH MOST_DIGITS",
-    "io.urdf_export": "FK_TOLERANCE _TIP_MOVED _CHECKED_POSES",
-    "io.urdf_text": "UNCHANGED _ROUNDING",
     "validate.agreement": "_ROWS _FITTED _PLACED _MOST_ROWS _SCALED _SCALE_STEP",
     "validate.midway": "_DRIFT _FEW _AROUND _RANK _FUNCTIONS _LENGTHS _WALKS _LONGEST_GAP _TRIES _TURNS",
 }
