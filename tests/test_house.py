@@ -15,6 +15,7 @@ from pincal.identify import criteria
 from pincal.identify.problem import Problem
 from pincal.io import file_numbers
 from pincal.measure import reading_numbers
+from pincal.model import effect_numbers
 from pincal.motion import motion_numbers
 from pincal.robot import robot_numbers
 
@@ -22,7 +23,7 @@ TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [
     thing
-    for module in (policy, criteria, reading_numbers, motion_numbers, robot_numbers, file_numbers)
+    for module in (policy, criteria, reading_numbers, motion_numbers, robot_numbers, file_numbers, effect_numbers)
     for thing in vars(module).values()
     if hasattr(thing, "__dataclass_fields__") and not isinstance(thing, type)
 ]
@@ -94,7 +95,7 @@ def test_numbers_that_decide_stand_in_a_policy(numbers: object) -> None:
 
 def test_no_other_number_decides() -> None:
     """None at the top of discover's other files, and elsewhere only those that bound a computation."""
-    rooms = {"discover", "diagnosis", "identify", "io", "measure", "motion", "robot"}
+    rooms = {"discover", "diagnosis", "identify", "io", "measure", "model", "motion", "robot"}
     files = [of for of in HOUSE.files if of.numbers and of.name not in OPEN]
     found = {of.name: " ".join(of.numbers) for of in files if of.room in rooms or of.name in BOUNDS}
 
