@@ -11,16 +11,16 @@ from dataclasses import dataclass
 
 from pincal.thresholds import number
 
-_REST = "test_joints_at_rest.py::test_a_joint_moves_if_it_moves_more_than_its_encoder_jitters"
-_GRID = "test_repeats.py::test_no_curve_is_finer_than_the_positions_of_its_joint"
+_REST = "test_effect_numbers.py::test_a_joint_moves_by_a_tenth_of_a_milliradian"
+_GRID = "test_effect_numbers.py::test_positions_are_distinct_by_a_thousandth_of_their_range"
 _UNTRIED = "test_catalogue.py::test_what_can_not_be_tried_has_a_reason"
 _ROUNDING = "test_model.py::test_a_bearing_that_feels_a_moment_of_rounding_is_not_made_of_rubber"
 _SPRING = "test_catalogue.py::test_with_everything_recorded_nearly_everything_can_be_tried"
 _PAYLOAD = "test_catalogue.py::test_a_wrong_payload_bends_the_drives"
 _SHORT = "test_catalogue.py::test_elasticity_of_the_joints_takes_most_of_a_bent_link"
 _LOOPS = "test_loops.py::test_names_of_parameters_are_those_that_loops_leave"
-_PERIODIC = "test_catalogue.py::test_a_curve_over_nearly_a_turn_repeats"
-_PIECES = "test_repeats.py::test_what_repeated_positions_can_not_tell_is_said"
+_PERIODIC = "test_effect_numbers.py::test_a_curve_over_nine_tenths_of_a_turn_is_periodic"
+_PIECES = "test_effect_numbers.py::test_a_piece_of_a_curve_has_six_poses"
 _BAND = "test_tones.py::test_the_second_wave_of_two_lobes_is_in_the_band"
 _PAID = "test_tones.py::test_what_was_searched_for_is_paid_for"
 _MULTIPLE = "test_tones.py::test_a_multiple_is_proposed_unless_chance_does_as_well"
