@@ -23,6 +23,7 @@ from pincal.cli import main as command
 from pincal.cli import pincal as verbs
 from pincal.cli.quantities import LENGTH
 from pincal.errors import MeasurementError, PincalWarning, RobotFileError
+from pincal.measure.heading import find_heading
 from pincal.measure.measurements import Measurements
 from pincal.measure.orientation import CONVENTIONS as KNOWN
 from pincal.measure.table import read_measurements, write_table
@@ -277,6 +278,16 @@ def test_an_orientation_that_is_not_clear_is_refused(
         read(write(tmp_path, columns() | turned), {"orientation": said})
     for part in parts:
         assert part in str(caught.value)
+
+
+def test_a_row_is_of_the_table_if_most_of_it_is_filled() -> None:
+    """Three cells of five are a row of numbers below names; two are a remark, which has no names above it."""
+    names = ["A1", "A2", "x", "y", "z"]
+    whole = ["1", "2", "3", "4", "5"]
+    found = find_heading([names, ["1", "2", "3", "", ""], whole])
+
+    assert found is not None and found.labels == tuple(names)
+    assert find_heading([names, ["1", "2", "", "", ""], whole]) is None
 
 
 def test_joints_called_q_are_no_quaternion(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.fields import TableOptions
-from pincal.measure.joined import held_poses
+from pincal.measure.joined import held_poses, held_rows, is_log
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import joint_columns, read_measurements, write_table
 from pincal.robot.tree import Mimic
@@ -192,6 +192,30 @@ def test_only_poses_that_are_held_count() -> None:
     found = held_poses(time, jump)
     assert len(found) == 2 and found.at(time, np.array([4.9, 5.1])).tolist() == [0, 1]
     assert len(held_poses(time[::200], stop[::200])) == 0
+
+
+def test_a_table_is_a_log_by_its_rows_and_their_times() -> None:
+    """A hundred rows and more, ten a second and more: no one measures as many poses as fast."""
+    assert is_log(0.09 * np.arange(100))
+    assert not is_log(0.09 * np.arange(99))
+    assert not is_log(0.11 * np.arange(1000))
+
+
+def of_logged(count: int, held: int, moving: int, *, was_joined: bool = False) -> int:
+    """Return how many rows remain of a log in steps of 0.09 s, with poses that are held for some rows and left for some."""
+    q = np.concatenate([[k] * held + [k + (i + 1.0) / (moving + 1.0) for i in range(moving)] for k in range(count)])
+    values = {"time": 0.09 * np.arange(len(q)), "a": q}
+    return len(held_rows(values, np.arange(len(q)), ["a"], was_joined=was_joined, source="log.csv")[1])
+
+
+def test_a_log_is_cut_where_the_arm_moves() -> None:
+    """A table in which the arm hardly moves is none, unless it was joined with a log and has many rows of each pose."""
+    with pytest.warns(PincalWarning, match="cut into the 10 poses"):
+        assert of_logged(10, held=16, moving=1) == 10
+    assert of_logged(10, held=24, moving=1) == 250
+    with pytest.warns(PincalWarning, match="cut into the 10 poses"):
+        assert of_logged(10, held=10, moving=0, was_joined=True) == 10
+    assert of_logged(20, held=9, moving=0, was_joined=True) == 180
 
 
 def test_a_joint_that_follows_another_needs_no_column(tmp_path: Path) -> None:

@@ -79,6 +79,16 @@ def test_passes_and_sessions() -> None:
     assert plan.session.tolist() == [0] * 6 + [1] * 3
 
 
+def test_a_short_break_divides_no_session() -> None:
+    """Ten minutes divide nothing, and neither do twenty times the usual time from stop to stop."""
+
+    def sessions(usual: float, pause: float) -> int:
+        return int(plan_of(table([0, 1, 2, 0], time=[0.0, usual, 2.0 * usual, 2.0 * usual + pause])).session.max()) + 1
+
+    assert [sessions(8.0, pause) for pause in (590.0, 610.0)] == [1, 2]
+    assert [sessions(60.0, pause) for pause in (1190.0, 1210.0)] == [1, 2]
+
+
 def test_rows_out_of_order_are_put_in_order_by_time() -> None:
     """The order of the lines does not matter where times are given."""
     ordered = table([0, 0, 1, 0], time=[0.0, 0.1, 8.0, 16.0])

@@ -21,9 +21,10 @@ from scipy.spatial.transform import Rotation
 
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import run_calibration
-from pincal.errors import PincalWarning
+from pincal.errors import MeasurementError, PincalWarning
 from pincal.identify.options import Options
 from pincal.measure.measurements import measurements_from_arrays
+from pincal.measure.nested_sheet import open_nested
 from pincal.measure.table import read_measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
@@ -440,3 +441,17 @@ def test_poses_that_the_controller_computed_are_called_that(is_exact: bool) -> N
     told = [note for note in notes if "computed" in note.text]
 
     assert [note.is_doubt for note in told] == [is_exact]
+
+
+def test_samples_that_show_no_camera_on_the_hand_are_refused(tmp_path: Path) -> None:
+    """Rotations about one axis are those of a camera on the hand and of a fixed one; about several, of one of the two."""
+    with pytest.warns(PincalWarning, match="camera fixed and the object on the hand"):
+        open_nested(moveit(MATRICES)(tmp_path), "yaml")
+    alike = np.tile(np.eye(4), (K, 1, 1))
+    noise = np.random.default_rng(3).normal(0.0, 1e-3, (K, 3))
+    alike[:, :3, :3] = Rotation.from_rotvec(noise + np.linspace(0.0, 2.0, K)[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    pairs = zip(alike.reshape(K, 16).tolist(), np.roll(alike, 1, axis=0).reshape(K, 16).tolist(), strict=True)
+    samples = [{"effector_wrt_world": a, "object_wrt_sensor": b} for a, b in pairs]
+    (tmp_path / "samples.yaml").write_text(yaml.safe_dump(samples))
+    with pytest.raises(MeasurementError, match="do not show whether the camera is on the hand"):
+        open_nested(tmp_path / "samples.yaml", "yaml")

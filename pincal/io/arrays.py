@@ -27,14 +27,11 @@ from typing import Annotated, Any, Self, get_args, get_type_hints
 import msgspec
 import numpy as np
 
+from pincal.io.file_numbers import IN_FILES
 from pincal.io.strict_json import Fault
 from pincal.robot.se3 import are_rotations
+from pincal.thresholds import Count
 
-# Tolerance of rotations: users give as few as three decimals.
-_ROTATION = 1e-3
-# Tolerance of the robot's transforms, which pincal writes in full precision: a micrometre on an arm
-# of a metre.
-_EXACT = 1e-6
 _NUMBERS = {float, int, type(None)}
 
 
@@ -66,14 +63,14 @@ class ArrayShape:
 
 
 def _check_rotations(found: np.ndarray) -> None:
-    if not are_rotations(found, tolerance=_ROTATION):
+    if not are_rotations(found, tolerance=IN_FILES.rotation):
         raise Fault("is not a rotation", "orthonormal rows of a right-handed system")
 
 
 def _check_transforms(found: np.ndarray) -> None:
     last = found[..., 3, :]
     if (
-        not are_rotations(found[..., :3, :3], tolerance=_EXACT)
+        not are_rotations(found[..., :3, :3], tolerance=IN_FILES.transform)
         or not (last == [0.0, 0.0, 0.0, 1.0]).all()
     ):
         raise Fault(
@@ -209,10 +206,10 @@ def _shape_in(hint: Any) -> ArrayShape | None:
 
 
 # Most parameters whose covariance is written to the last bit, in less than 1 MB.
-_MOST_EXACT = 300
+_MOST_EXACT: Count = 300
 # Largest covariance that pincal writes.
-_MOST_ROWS = 1500
-_BITS = 50
+_MOST_ROWS: Count = 1500
+_BITS: Count = 50
 _COVARIANCE = "covariance:"
 _MATRIX = "matrix:"
 _EXPECTED = "a matrix, as lists of numbers or as pincal packs it"

@@ -10,12 +10,11 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.io.arrays import Matrix, array_of
+from pincal.io.file_numbers import IN_FILES
 from pincal.io.strict_json import Fault, FileKind, read_json
 from pincal.measure.lens import DISTORTION, PINHOLE, Lens
 from pincal.robot.se3 import are_rotations
 
-# Tolerance of the rotation of a mount, which is used without correction.
-_ROTATION = 1e-6
 _CAMERA_FILE = FileKind(
     "a camera's JSON",
     MeasurementError,
@@ -42,7 +41,7 @@ class CameraFile(Lens):
                 raise Fault(f"is {getattr(self, name):g} px", "more than 0", key=f".{name}")
         if (mount := self.T_tip_camera) is not None:
             is_whole = mount.shape == (4, 4) and bool(np.isfinite(mount).all())
-            is_rigid = is_whole and are_rotations(mount[:3, :3], tolerance=_ROTATION)
+            is_rigid = is_whole and are_rotations(mount[:3, :3], tolerance=IN_FILES.mount)
             if not is_rigid or not np.array_equal(mount[3], [0.0, 0.0, 0.0, 1.0]):
                 raise Fault(
                     "is not a rigid transform",

@@ -64,7 +64,9 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             >>> msgspec.to_builtins(EffectName.of(JointCoupling("joint_5", "joint_4")))
             {'effect': 'joint_coupling', 'joint': 'joint_5', 'source': 'joint_4'}
         """
-        (name, joint, source), at, nameless = effect.heading, effect.locus, effect.is_nameless
+        name, joint, source = effect.heading
+        at = effect.locus
+        nameless = effect.is_nameless
         return cls(
             effect=name,
             joint=joint,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import Field, fields
 from functools import cache
 from typing import Annotated, Any
@@ -114,11 +115,8 @@ def model_of(
     given = msgspec.structs.asdict(chain)
     n = robot.n_joints
     is_of_carriages = given.pop("on_carriages")
-    slides = [
-        name
-        for name, kind in zip(robot.joint_names, robot.joint_types, strict=True)
-        if kind == "prismatic"
-    ]
+    kinds = zip(robot.joint_names, robot.joint_types, strict=True)
+    slides = [name for name, kind in kinds if kind == "prismatic"]
     if slides and not is_of_carriages and any(effect.uses_moments for effect in effects):
         warn(
             f"{robot.name}: an earlier version took the moments on {', '.join(slides)} "
@@ -273,6 +271,27 @@ def effect_to_entry(effect: Effect) -> dict[str, Any]:
     return {"name": effect.name, **origin, **msgspec.to_builtins(values, enc_hook=_plain)}
 
 
+def _known_name(entry: Mapping[str, Any], known: Collection[str]) -> str:
+    """Return the name of an effect's entry; refuse one that is missing or unknown."""
+    if "name" not in entry:
+        raise Fault(MISSING, "this key", key=".name")
+    name = entry["name"]
+    if not isinstance(name, str):
+        raise Fault(what_is(name, "a string"), "a string", key=".name")
+    if name in known:
+        return name
+    if isinstance(module := entry.get("module"), str):
+        raise Fault(
+            f"effect {name!r} is not pincal's own",
+            f"its module to be loaded: --plugin {module}",
+            key=".name",
+        )
+    names = ", ".join(nearest_first([name], sorted(known)))
+    raise Fault(
+        f"unknown effect {name!r}", f"one of {names} (a newer pincal may know it)", key=".name"
+    )
+
+
 def effect_from_entry(entry: Any) -> Effect:
     """Return the effect of :func:`effect_to_entry`; missing fields have their defaults.
 
@@ -281,23 +300,8 @@ def effect_from_entry(entry: Any) -> Effect:
     """
     if not isinstance(entry, dict):
         raise Fault(what_is(entry, "an object"), "an object")
-    name = entry.get("name")
     known = EFFECTS.known()
-    if "name" not in entry:
-        raise Fault(MISSING, "this key", key=".name")
-    if not isinstance(name, str):
-        raise Fault(what_is(name, "a string"), "a string", key=".name")
-    if name not in known:
-        if isinstance(module := entry.get("module"), str):
-            raise Fault(
-                f"effect {name!r} is not pincal's own",
-                f"its module to be loaded: --plugin {module}",
-                key=".name",
-            )
-        names = ", ".join(nearest_first([name], sorted(known)))
-        raise Fault(
-            f"unknown effect {name!r}", f"one of {names} (a newer pincal may know it)", key=".name"
-        )
+    name = _known_name(entry, known)
     given = {key: value for key, value in entry.items() if key not in ("name", "module")}
     wanted = [field.name for field in _fields(known[name])]
     for key in given.keys() - set(wanted):

@@ -131,30 +131,7 @@ class RobotEntry(Record, frozen=True, kw_only=True):
         if not self.joint_names:
             raise Fault("has no entries", "at least one joint", key=".joint_names")
         self._check_tree()
-        driven = {mimic.joint for mimic in self.mimics}
-        for k, mimic in enumerate(self.mimics):
-            if (
-                mimic.joint not in self.joint_names
-                or mimic.source not in set(self.joint_names) - driven
-            ):
-                raise Fault(
-                    "names other joints",
-                    "a joint of the arm that follows another of its own",
-                    key=f".mimics[{k}]",
-                )
-        for k, one in enumerate(self.couplings):
-            if {one.joint, one.source} - set(self.joint_names) or one.joint == one.source:
-                raise Fault("names other joints", "two of the arm's", key=f".couplings[{k}]")
-        rows = sum(len(closure.rows) for closure in self.closures)
-        if (
-            len(set(self.passive) & set(self.joint_names) - driven) != rows
-            or len(self.passive) != rows
-        ):
-            raise Fault(
-                "do not fit the loops",
-                f"{rows} joints, one for each equation of the closures",
-                key=".passive",
-            )
+        self._check_dependent()
         shaped(
             ".frames.T_base_link",
             self.frames.T_base_link,
@@ -167,6 +144,28 @@ class RobotEntry(Record, frozen=True, kw_only=True):
             raise Fault(
                 f"is not text ({error.reason})", "the text of a URDF, or null", key=".urdf"
             ) from None
+
+    def _check_dependent(self) -> None:
+        """Refuse mimic, coupled and passive joints that the arm does not have."""
+        own = set(self.joint_names)
+        free = own - {mimic.joint for mimic in self.mimics}
+        for k, mimic in enumerate(self.mimics):
+            if mimic.joint not in own or mimic.source not in free:
+                raise Fault(
+                    "names other joints",
+                    "a joint of the arm that follows another of its own",
+                    key=f".mimics[{k}]",
+                )
+        for k, one in enumerate(self.couplings):
+            if {one.joint, one.source} - own or one.joint == one.source:
+                raise Fault("names other joints", "two of the arm's", key=f".couplings[{k}]")
+        rows = sum(len(closure.rows) for closure in self.closures)
+        if len(set(self.passive) & free) != rows or len(self.passive) != rows:
+            raise Fault(
+                "do not fit the loops",
+                f"{rows} joints, one for each equation of the closures",
+                key=".passive",
+            )
 
     def _check_tree(self) -> None:
         """Refuse joints that are not carried by the base or an earlier joint, and wrong

@@ -17,6 +17,7 @@ import numpy as np
 
 from pincal.atomic import write_atomic
 from pincal.errors import BadInputError, ModelFileError, OutputError
+from pincal.thresholds import Count
 
 _T = TypeVar("_T")
 Hook = Callable[[Any, Any], Any]
@@ -24,14 +25,14 @@ Hook = Callable[[Any, Any], Any]
 # Limits that are checked before parsing. Together they bound the work on a hostile file to less
 # than a second and 200 MB, but allow a model of 1500 parameters, whose covariance has 2.25 million
 # numbers in files of version 0.1.0.
-MOST_BYTES = 52 << 20
+MOST_BYTES: Count = 52 << 20
 # Separators, brackets and quotes: each value has at least one, and becomes a Python object of 30 to
 # 100 bytes.
-MOST_TOKENS = 2_500_000
+MOST_TOKENS: Count = 2_500_000
 # pincal's files nest eight deep; the provenance by users may be deeper.
-MOST_DEPTH = 32
+MOST_DEPTH: Count = 32
 # The longest sensible number has 325 digits: the smallest one written out in full.
-MOST_DIGITS = 1000
+MOST_DIGITS: Count = 1000
 
 _LONG_NUMBER = b"0" * (MOST_DIGITS + 1)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
 import numpy as np
 
 from pincal.errors import PincalWarning, RobotFileError
+from pincal.io.file_numbers import IN_FILES
 from pincal.io.urdf_text import Origin, append_frame, read_origins, rpy_of, write_origins
 from pincal.model.augmented import closure_frames, link_placements
 from pincal.model.chain import Chain
@@ -21,13 +22,9 @@ from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 from pincal.robot.tree import MOVING_TYPES, UrdfJoint, UrdfTree
 from pincal.robot.urdf_file import parse_urdf
+from pincal.thresholds import Count
 
-# Largest error of the written URDF's tip [m], and of an element of its rotation matrix, relative to
-# the calibrated geometry: a thousand times the rounding and a thousandth of any measurement.
-FK_TOLERANCE = 1e-9
-# Largest change of a tip that counts as none [m or rad].
-_TIP_MOVED = 1e-12
-_CHECKED_POSES = 50
+_CHECKED_POSES: Count = 50
 _GEOMETRIC_NAMES = tuple(effect.name for effect in GEOMETRIC)
 
 
@@ -96,32 +93,15 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     pins, open_pins = _pin_origins(tree, model, values, old)
     edited = write_origins(text, _origins(segments, old, before, after) | pins, tree.source)
     tip = robot.tip
-    notes = rigid_notes(model)
-    if open_pins:
-        notes = (
-            *notes,
-            f"the loops at {', '.join(open_pins)} are as in the URDF; their calibration "
-            "is in model.json only",
-        )
     is_moved = {
-        end: np.abs(after[end] - before[end]).max() > _TIP_MOVED
+        end: np.abs(after[end] - before[end]).max() > IN_FILES.tip_moved
         for end in ends
         if not segments[end]
     }
     if is_moved.pop(tip, False):
         edited, tip = _with_tip(edited, tree, robot, np.linalg.inv(before[tip]) @ after[tip])
-        notes = (
-            *notes,
-            f"no fixed joint holds {robot.tip}; link {tip} was inserted behind it as the "
-            "calibrated tip",
-        )
     held = [end for end, moved in is_moved.items() if moved]
-    if held:
-        notes = (
-            *notes,
-            f"no fixed joint holds {', '.join(held)}; their calibrated placement is in "
-            "model.json only",
-        )
+    notes = (*rigid_notes(model), *_notes_on_ends(open_pins, robot.tip, tip, held))
     new = read_origins(edited, tree.source)
     changed = tuple(name for name in old if not np.array_equal(new[name].matrix, old[name].matrix))
     lost = (*held, *ends, tip) if open_pins else held
@@ -230,7 +210,7 @@ def _pin_origins(
                 new[way[-1].name] = _moved(
                     old[way[-1].name], ahead @ on_link, ahead @ moved @ on_link
                 )
-            elif np.abs(moved - np.eye(4)).max() > _TIP_MOVED or closure.name not in old:
+            elif np.abs(moved - np.eye(4)).max() > IN_FILES.tip_moved or closure.name not in old:
                 held.append(closure.name)
     return new, list(dict.fromkeys(held))
 
@@ -269,6 +249,27 @@ def _with_tip(
     ), name
 
 
+def _notes_on_ends(
+    open_pins: Sequence[str], old_tip: str, tip: str, held: Sequence[str]
+) -> Iterator[str]:
+    """Yield notes on loops and links that have no fixed joint for their calibration."""
+    if open_pins:
+        yield (
+            f"the loops at {', '.join(open_pins)} are as in the URDF; their calibration "
+            "is in model.json only"
+        )
+    if tip != old_tip:
+        yield (
+            f"no fixed joint holds {old_tip}; link {tip} was inserted behind it as the "
+            "calibrated tip"
+        )
+    if held:
+        yield (
+            f"no fixed joint holds {', '.join(held)}; their calibrated placement is in "
+            "model.json only"
+        )
+
+
 def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
     """Return notes on effects that are in ``model.json`` but not in a file of the rigid
     geometry.
@@ -282,40 +283,24 @@ def rigid_notes(model: Model, *, what: str = "URDF") -> tuple[str, ...]:
         for e in of.values()
     ]
     elastic = list(compress(names, bends))
-    others = [
-        n
-        for n in names
-        if n not in (*_GEOMETRIC_NAMES, "base_frame", "tool_frame", *elastic, *read)
-    ]
-    notes = []
-    if elastic:
-        notes.append(
-            f"{', '.join(elastic)}: a {what} describes a rigid arm; deflection under the "
-            "arm's own weight and under a "
-            "payload is in model.json only"
-        )
-    if others:
-        notes.append(
-            f"{', '.join(others)}: varies from pose to pose; the {what} has its value at "
-            "q = 0, model.json the whole effect"
-        )
-    if read:
-        notes.append(
-            f"{', '.join(read)}: an error of the instrument, not of the robot; it is in "
-            "model.json only"
-        )
-    if "base_frame" in names:
-        notes.append(
-            f"base_frame: the pose of {model.chain.robot.base} in the instrument's frame "
-            "is in model.json only"
-        )
-    if "tool_frame" in names:
-        targets = ", ".join(model.chain.targets)
-        notes.append(
-            f"tool_frame: the pose of the target ({targets}) on {model.chain.robot.tip} "
-            "is in model.json only"
-        )
-    return tuple(notes)
+    told = {*_GEOMETRIC_NAMES, "base_frame", "tool_frame", *elastic, *read}
+    others = [name for name in names if name not in told]
+    targets = ", ".join(model.chain.targets)
+    robot = model.chain.robot
+    notes = {
+        f"{', '.join(elastic)}: a {what} describes a rigid arm; deflection under the "
+        "arm's own weight and under a "
+        "payload is in model.json only": bool(elastic),
+        f"{', '.join(others)}: varies from pose to pose; the {what} has its value at "
+        "q = 0, model.json the whole effect": bool(others),
+        f"{', '.join(read)}: an error of the instrument, not of the robot; it is in "
+        "model.json only": bool(read),
+        f"base_frame: the pose of {robot.base} in the instrument's frame "
+        "is in model.json only": "base_frame" in names,
+        f"tool_frame: the pose of the target ({targets}) on {robot.tip} "
+        "is in model.json only": "tool_frame" in names,
+    }
+    return tuple(note for note, is_told in notes.items() if is_told)
 
 
 def _check(
@@ -339,11 +324,11 @@ def _check(
                 :, :3
             ] - rigid_tips(model, values, q, path)
             error = max(error, float(np.linalg.norm(difference[:, :, 3], axis=1).max()))
-            if not np.abs(difference).max() <= FK_TOLERANCE:
+            if not np.abs(difference).max() <= IN_FILES.tip_error:
                 raise RobotFileError(
                     f"{robot.source}: the calibrated URDF would put {last} up to "
                     f"{error:.3g} m from where the model does, "
-                    f"expected at most {FK_TOLERANCE:g} m: give the URDF that the robot "
+                    f"expected at most {IN_FILES.tip_error:g} m: give the URDF that the robot "
                     "was calibrated with"
                 )
     return error

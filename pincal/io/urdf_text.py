@@ -11,13 +11,13 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from pincal.errors import RobotFileError
+from pincal.io.file_numbers import IN_FILES
 from pincal.robot.se3 import rotation_of_rpy, transform
 from pincal.robot.urdf_file import parse_xml
+from pincal.thresholds import Scale
 
-# Largest change of a number that is rounding, for which its text is kept [rad or m].
-UNCHANGED = 1e-15
 # Rounding of the product of three rotations, within which angles are equally good.
-_ROUNDING = 2e-16
+_ROUNDING: Scale = 2e-16
 
 # Elements with origins, and the tags of these.
 _ORIGINS = {"joint": ("origin",), "constraint": ("parent_origin", "child_origin")}
@@ -99,7 +99,7 @@ def write_origins(text: bytes, origins: Mapping[str, Origin], source: str) -> by
         changes = {
             key: value
             for key, (value, old) in pairs.items()
-            if np.any(np.abs(value - old) >= UNCHANGED)
+            if np.any(np.abs(value - old) >= IN_FILES.kept)
         }
         if changes:
             at = places.origins.get(name)
@@ -186,7 +186,7 @@ def _words(values: np.ndarray, old: bytes = b"") -> str:
         # Text with character references is not kept.
         texts = ["nan"] * 3
     return " ".join(
-        word if abs(float(word) - value) < UNCHANGED else repr(float(value) + 0.0)
+        word if abs(float(word) - value) < IN_FILES.kept else repr(float(value) + 0.0)
         for word, value in zip(texts, values, strict=True)
     )
 

@@ -7,20 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pincal.errors import warn
+from pincal.measure.reading_numbers import SAME_POSE
+from pincal.thresholds import Scale
 
-SAME = 1e-5
-"""Joint positions that count as the same [rad or m]: above the resolution of encoders, below the
-repeatability of robots.
-
-1e-5 rad moves the tip of an arm of 2 m by 0.02 mm.
-"""
-# A joint that moved by less may not have crossed the backlash of its gear [rad, m]; no robot has
-# more backlash.
-_LEAST = 1e-3
 # Origin of directions that are given by columns.
 BY_COLUMNS = "the columns approach_<joint>"
 # A joint that moved by less stood still [rad, m]: rounding of the same position.
-_STILL = 1e-9
+_STILL: Scale = 1e-9
 
 
 def moves_by_order(q: np.ndarray) -> np.ndarray:
@@ -39,7 +32,7 @@ def moves_by_order(q: np.ndarray) -> np.ndarray:
         array([ 0.  ,  0.5 ,  0.5 , -0.25])
     """
     move = np.diff(q, axis=0, prepend=q[:1])
-    moved = (np.abs(move) > _STILL) & (np.abs(move).max(axis=1, keepdims=True) > SAME)
+    moved = (np.abs(move) > _STILL) & (np.abs(move).max(axis=1, keepdims=True) > SAME_POSE.same)
     last = np.maximum.accumulate(np.where(moved, np.arange(len(q))[:, None], 0), axis=0)
     return np.take_along_axis(move, last, axis=0)
 
@@ -52,7 +45,7 @@ def sides_of(moves: np.ndarray) -> np.ndarray:
         >>> sides_of(moves_by_order(np.array([[0.0], [0.5], [0.499995], [0.2], [0.2005]]))).ravel()
         array([ 0.,  1.,  1., -1.,  0.])
     """
-    return np.where(np.abs(moves) >= _LEAST, np.sign(moves), 0.0)
+    return np.where(np.abs(moves) >= SAME_POSE.play, np.sign(moves), 0.0)
 
 
 def moves_of_table(

@@ -8,27 +8,31 @@ import re
 import zipfile
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from pincal.errors import MeasurementError, few, needed, warn
 from pincal.measure.heading import TableHead, find_heading, names_joints
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
+from pincal.thresholds import Count
 
 if TYPE_CHECKING:
     import polars as pl
 
+# Number and cells of a line.
+_Line: TypeAlias = tuple[int, tuple[Any, ...]]
+
 ENDINGS = (".xlsx", ".xlsm")
 # Most rows of an Excel worksheet.
-_MOST_LINES = 1_048_576
+_MOST_LINES: Count = 1_048_576
 # Least size of a cell in memory, a reference [bytes], and number of cells between two checks of the
 # total.
-_BYTES = 8
-_CELLS = 100_000
+_BYTES: Count = 8
+_CELLS: Count = 100_000
 # Lines that a note lists, and lines searched for the header.
-_LISTED = 3
-_LOOKED_AT = 200
+_LISTED: Count = 3
+_LOOKED_AT: Count = 200
 _ROW = re.compile(rb"<(?:\w+:)?row\b([^>]*)>")
 _HIDDEN = re.compile(rb"\bhidden\s*=\s*[\"'](?:1|true)[\"']")
 _NUMBER = re.compile(rb"\br\s*=\s*[\"'](\d+)[\"']")
@@ -54,25 +58,13 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
         raise MeasurementError(
             f"{path.name}: is empty; expected a header line and one line per pose"
         )
-    found = find_heading(
-        [["" if cell is None else str(cell) for cell in cells] for _, cells in lines[:_LOOKED_AT]],
-        joints,
-    )
-    found = found or TableHead(
-        0, 1, tuple("" if cell is None else str(cell).strip() for cell in lines[0][1])
-    )
+    found = _heading(lines, joints)
     if found.body > 1:
         warn(f"{path.name}: {found.described([row for row, _ in lines])}")
     body = lines[found.body :]
     count = len(found.labels)
     top = lines[found.header][0]
-    for row, cells in body:
-        if len(cells) > count:
-            raise MeasurementError(
-                f"{path.name}, line {row}: {len(cells)} cells; expected {count} as in the "
-                f"header, line {top}; "
-                "delete the lines above it, or begin them with #"
-            )
+    _check_widths(body, count, top, path.name)
     columns = [
         _series([cells[i] if i < len(cells) else None for _, cells in body], str(i))
         for i in range(count)
@@ -83,9 +75,24 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
     )
 
 
-def _lines(
-    path: Path, named: str | None, joints: Collection[str]
-) -> tuple[str, list[tuple[int, tuple[Any, ...]]]]:
+def _heading(lines: Sequence[_Line], joints: Collection[str]) -> TableHead:
+    """Return where the names of the columns stand: in the first line if no other looks like it."""
+    cells = [["" if cell is None else str(cell) for cell in line] for _, line in lines[:_LOOKED_AT]]
+    return find_heading(cells, joints) or TableHead(0, 1, tuple(cell.strip() for cell in cells[0]))
+
+
+def _check_widths(body: Sequence[_Line], count: int, top: int, name: str) -> None:
+    """Refuse a line with more cells than the header has."""
+    for row, cells in body:
+        if len(cells) > count:
+            raise MeasurementError(
+                f"{name}, line {row}: {len(cells)} cells; expected {count} as in the "
+                f"header, line {top}; "
+                "delete the lines above it, or begin them with #"
+            )
+
+
+def _lines(path: Path, named: str | None, joints: Collection[str]) -> tuple[str, list[_Line]]:
     """Return the name of the worksheet, and number and cells of its non-blank lines; warn of what
     is left out.
     """
@@ -99,42 +106,9 @@ def _lines(
             openpyxl.load_workbook(path, read_only=True, data_only=True)
         ) as book:
             sheets = sorted(book.worksheets, key=lambda sheet: bool(sheet.sheet_state != "visible"))
-            if named is not None and named not in (titles := [sheet.title for sheet in sheets]):
-                raise MeasurementError(
-                    f"{path.name}: no worksheet {named!r}; expected one of {', '.join(titles)}"
-                )
-            others = list[Any]()
-            first: tuple[Any, list[tuple[int, tuple[Any, ...]]]] | None = None
-            for sheet in (
-                sheets if named is None else [sheet for sheet in sheets if sheet.title == named]
-            ):
-                if found := list(_filled(sheet, path)):
-                    first = first or (sheet, found)
-                    others.append(sheet)
-                    texts = (
-                        [str(cell) for cell in cells if cell is not None]
-                        for _, cells in found[:_LOOKED_AT]
-                    )
-                    if named is not None or any(names_joints(cells, joints) for cells in texts):
-                        first = sheet, found
-                        others += sheets[sheets.index(sheet) + 1 :]
-                        break
-            if first is None:
-                return "", []
-            _warn_of_hidden(
-                first[0], {row for row, _ in first[1]}, path.name, is_wanted=named is not None
-            )
-            others.remove(first[0])
-            if named is None and others:
-                listed = ", ".join(
-                    sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others
-                )
-                warn(
-                    f"{path.name}: worksheet {first[0].title} is read; worksheets "
-                    f"{listed} are not read (--sheet NAME reads "
-                    "another one)"
-                )
-            return first[0].title, first[1]
+            if named is None:
+                return _of_joints(sheets, path, joints)
+            return _of_name(sheets, path, named)
     except (OSError, MeasurementError):
         raise
     except Exception as error:  # Broken archives raise all kinds of errors in these libraries.
@@ -143,7 +117,56 @@ def _lines(
         ) from error
 
 
-def _filled(sheet: Any, path: Path) -> Iterator[tuple[int, tuple[Any, ...]]]:
+def _of_name(sheets: Sequence[Any], path: Path, named: str) -> tuple[str, list[_Line]]:
+    """Return the title and lines of the worksheet that the user named."""
+    sheet = next((sheet for sheet in sheets if sheet.title == named), None)
+    if sheet is None:
+        titles = ", ".join(sheet.title for sheet in sheets)
+        raise MeasurementError(f"{path.name}: no worksheet {named!r}; expected one of {titles}")
+    lines = list(_filled(sheet, path))
+    if not lines:
+        return "", []
+    _warn_of_hidden(sheet, {row for row, _ in lines}, path.name, is_wanted=True)
+    return sheet.title, lines
+
+
+def _of_joints(
+    sheets: Sequence[Any], path: Path, joints: Collection[str]
+) -> tuple[str, list[_Line]]:
+    """Return the title and lines of the first worksheet with joint columns, else of the first with
+    any cells.
+    """
+    others = list[Any]()
+    first: tuple[Any, list[_Line]] | None = None
+    for sheet in sheets:
+        if found := list(_filled(sheet, path)):
+            first = first or (sheet, found)
+            others.append(sheet)
+            texts = (
+                [str(cell) for cell in cells if cell is not None] for _, cells in found[:_LOOKED_AT]
+            )
+            if any(names_joints(cells, joints) for cells in texts):
+                first = sheet, found
+                others += sheets[sheets.index(sheet) + 1 :]
+                break
+    if first is None:
+        return "", []
+    chosen, lines = first
+    _warn_of_hidden(chosen, {row for row, _ in lines}, path.name, is_wanted=False)
+    others.remove(chosen)
+    if others:
+        listed = ", ".join(
+            sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others
+        )
+        warn(
+            f"{path.name}: worksheet {chosen.title} is read; worksheets "
+            f"{listed} are not read (--sheet NAME reads "
+            "another one)"
+        )
+    return chosen.title, lines
+
+
+def _filled(sheet: Any, path: Path) -> Iterator[_Line]:
     """Yield number and cells of each non-blank line; refuse more lines than Excel has, or far too
     many blank cells.
     """

@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pincal.thresholds import Count, Scale
+
 # Relative size of singular values below which a linear start does not determine a direction.
-RANK = 1e-6
+RANK: Scale = 1e-6
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ def least_squares(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, bool]:
 
 
 # Fewest rows sampled from each group.
-_EACH = 6
+_EACH: Count = 6
 
 
 def sample_rows(n: int, most: int, groups: np.ndarray | None = None) -> np.ndarray:
@@ -58,7 +60,8 @@ def sample_rows(n: int, most: int, groups: np.ndarray | None = None) -> np.ndarr
             then.
 
     Example:
-        >>> sample_rows(3, 5).tolist(), len(sample_rows(1000, 5)), len(sample_rows(1000, 5, np.arange(1000) % 3))
+        >>> groups = np.arange(1000) % 3
+        >>> sample_rows(3, 5).tolist(), len(sample_rows(1000, 5)), len(sample_rows(1000, 5, groups))
         ([0, 1, 2], 5, 18)
     """
     if n <= most:

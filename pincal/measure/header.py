@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pincal.errors import MeasurementError, nearest_first, warn
@@ -36,14 +36,16 @@ from pincal.measure.orientation import (
     looks_like_orientation,
     looks_like_place,
 )
+from pincal.measure.reading_numbers import LAYOUT
 from pincal.measure.sheet import Sheet, SheetColumn
+from pincal.thresholds import Count
 from pincal.units import SIZES, plain_numbers
 
 # Unknown columns that are examined, and those that a message lists.
-_EXAMINED = 500
-_LISTED = 20
+_EXAMINED: Count = 500
+_LISTED: Count = 20
 # Unread columns of a stream that a note lists.
-_UNREAD = 8
+_UNREAD: Count = 8
 
 
 @dataclass(frozen=True)
@@ -75,67 +77,101 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
     omissions.
     """
     source = sheet.path.name
-    options = schema.options
-    labels = unignored(renamed(sheet.labels, options.columns, source=source), options.ignore)
     quantities = schema.quantities(source=source)
-    labels = with_joints(labels, schema, quantities, sheet=sheet)
-    labels = (
-        _timed_stream(labels, sheet, quantities)
-        if schema.is_stream
-        else _timed(labels, sheet, quantities)
-    )
-    labels = _with_vectors(labels, sheet, quantities, schema)
-    orientation = None
-    if any(part.is_unit for part in schema.fields):
-        orientation = _orientation(labels, schema, quantities, source=source)
-    units = {}
-    if orientation is not None:
-        hidden = (
-            {*rotations(schema.fields).columns} - {*orientation.columns}
-            if options.orientation
-            else set()
-        )
-        quantities = {name: quantity for name, quantity in quantities.items() if name not in hidden}
-        quantities |= dict.fromkeys(orientation.columns, orientation.quantity)
-        units = dict.fromkeys(orientation.columns, orientation.unit)
-    columns, unknown = matched(labels, quantities, units, source=source)
+    labels = _labels(sheet, schema, quantities)
+    meanings = _meanings(labels, schema, quantities, source=source)
+    columns, unknown = matched(labels, meanings.quantities, meanings.units, source=source)
     joints = schema.joint_names
     if schema.may_lack_joints and not columns.keys() & set(joints):
         joints = ()
-    check_joints(
-        [name for name in schema.needed_joints if joints and name not in columns], unknown, sheet
-    )
+    missing = [name for name in schema.needed_joints if joints and name not in columns]
+    check_joints(missing, unknown, sheet)
     readings = [part for part in schema.fields if part.name not in CONDITIONS and part != SIGMA]
-    given = {*columns, *(rotations(schema.fields).columns if orientation else ())}
     flag = next((label for label in unknown if label.name.casefold() in FLAGS), None)
     if schema.is_stream:
         _warn_of_unread(sheet, unknown)
-    elif "*" not in options.ignore and not sheet.takes_unknown:
-        free = {name: quantity for name, quantity in quantities.items() if name not in columns}
-        found = [part for part in readings if given & {*part.columns}]
-        is_whole = bool(found) and all(given >= {*part.columns} for part in found)
+    elif "*" not in schema.options.ignore and not sheet.takes_unknown:
         others = [label for label in unknown if label is not flag]
-        # A robot program is complete without a measured pose, unless other columns may be one.
-        names = [without_unit(label.name) for label in others]
-        is_whole |= (
-            schema.may_lack_joints and bool(joints) and not found and not looks_like_place(names)
-        )
-        is_turned = orientation is None and looks_like_orientation([label.name for label in others])
-        _check_unknown(sheet, others, free, is_complete=is_whole and not is_turned)
-    measured = {name for part in readings for name in part.columns} | {
-        *(orientation.columns if orientation else ())
-    }
-    if schema.is_stream:
-        measured |= {*columns}
+        free = {name: of for name, of in meanings.quantities.items() if name not in columns}
+        whole = _is_complete(others, {*columns}, readings, meanings.orientation, schema)
+        _check_unknown(sheet, others, free, is_complete=whole)
+    measured = {name for part in readings for name in part.columns}
+    measured |= {*(meanings.orientation.columns if meanings.orientation else ())}
+    measured |= {*columns} if schema.is_stream else set()
     return Header(
         tuple(columns.values()),
         joints,
-        orientation,
+        meanings.orientation,
         tuple(name for name in columns if name in measured),
-        None
-        if flag is None or not readings
-        else SheetColumn(flag.index, "\0flag", flag.text, "", "name"),
+        SheetColumn(flag.index, "\0flag", flag.text, "", "name") if flag and readings else None,
     )
+
+
+def _labels(sheet: Sheet, schema: Schema, quantities: dict[str, str]) -> list[Label]:
+    """Return the labels that are not ignored, with their meanings; a stream may add a column of
+    nanoseconds to the quantities.
+    """
+    options = schema.options
+    named = renamed(sheet.labels, options.columns, source=sheet.path.name)
+    labels = with_joints(unignored(named, options.ignore), schema, quantities, sheet=sheet)
+    timed = _timed_stream if schema.is_stream else _timed
+    return _with_vectors(timed(labels, sheet, quantities), sheet, quantities, schema)
+
+
+@dataclass(frozen=True)
+class _Meanings:
+    """What columns may mean.
+
+    Attributes:
+        quantities: of the known columns.
+        units: of columns without one in the label, where it is not SI.
+        orientation: how they give an orientation, if not by a quaternion.
+    """
+
+    quantities: Mapping[str, str]
+    units: Mapping[str, str]
+    orientation: Convention | None
+
+
+def _meanings(
+    labels: list[Label], schema: Schema, quantities: Mapping[str, str], *, source: str
+) -> _Meanings:
+    """Return what columns mean by the convention of the table's orientation, if it has one."""
+    orientation = None
+    if any(part.is_unit for part in schema.fields):
+        orientation = _orientation(labels, schema, quantities, source=source)
+    if orientation is None:
+        return _Meanings(quantities, {}, None)
+    # A declared convention takes the place of the usual columns.
+    hidden = set[str]()
+    if schema.options.orientation:
+        hidden = {*rotations(schema.fields).columns} - {*orientation.columns}
+    shown = {name: quantity for name, quantity in quantities.items() if name not in hidden}
+    return _Meanings(
+        shown | dict.fromkeys(orientation.columns, orientation.quantity),
+        dict.fromkeys(orientation.columns, orientation.unit),
+        orientation,
+    )
+
+
+def _is_complete(
+    others: Sequence[Label],
+    known: set[str],
+    readings: Sequence[Field],
+    orientation: Convention | None,
+    schema: Schema,
+) -> bool:
+    """Return whether a table with the ``known`` columns lacks none, so that ``others`` may mean
+    anything.
+    """
+    given = known | {*(rotations(schema.fields).columns if orientation else ())}
+    found = [part for part in readings if given & {*part.columns}]
+    is_whole = bool(found) and all(given >= {*part.columns} for part in found)
+    if schema.may_lack_joints and known & {*schema.joint_names} and not found:
+        # A robot program is complete without a measured pose, unless other columns may be one.
+        is_whole |= not looks_like_place([without_unit(label.name) for label in others])
+    is_turned = orientation is None and looks_like_orientation([label.name for label in others])
+    return is_whole and not is_turned
 
 
 # Columns that state whether a row's reading is valid.
@@ -168,8 +204,6 @@ _STAMPS = (
 # Names of the columns of a stamp that is split into seconds and nanoseconds.
 _SECONDS = (("sec",), ("secs",), ("seconds",))
 _NANOSECONDS = (("nanosec",), ("nanosecs",), ("nsec",), ("nsecs",), ("nanoseconds",))
-# Times since 1970 that are in this century [s].
-_EPOCH = 9.4e8, 4.2e9
 NANOSECONDS = "\0nanoseconds"
 """Column of nanoseconds to be added to the time."""
 
@@ -218,21 +252,32 @@ def _timed_stream(labels: list[Label], sheet: Sheet, quantities: dict[str, str])
         label: next((pair for pair in splits(label.meant, "time") if pair[1]), (label.name, ""))
         for label in labels
     }
-    ranks = dict[Label, int]()
-    for label, (name, _) in units.items():
-        words = words_of(name)
-        if places := [k for k, end in enumerate(_STAMPS) if words[-len(end) :] == end]:
-            ranks[label] = places[0]
-    found = exact or [label for label in ranks if ranks[label] == min(ranks.values())] or whole
+    found = exact or _stamps({label: name for label, (name, _) in units.items()}) or whole
     if not found:
         return labels
     check_one([[label] for label in found], "time", source=source)
     (stamp,) = found
-    unit = units[stamp][1] or (
+    stated = units[stamp][1]
+    unit = stated or (
         "s" if stamp in whole else _unit_since_1970(sheet.first_cells(stamp.index, 1))
     )
-    if stamp in exact and (units[stamp][1] or not unit):
+    if stamp in exact and (stated or not unit):
         return labels
+    return _with_time(labels, stamp, unit, source=source)
+
+
+def _stamps(names: Mapping[Label, str]) -> list[Label]:
+    """Return the labels with the most telling name of a stamp, by their names without units."""
+    ranks = dict[Label, int]()
+    for label, name in names.items():
+        words = words_of(name)
+        if places := [k for k, end in enumerate(_STAMPS) if words[-len(end) :] == end]:
+            ranks[label] = places[0]
+    return [label for label in ranks if ranks[label] == min(ranks.values())]
+
+
+def _with_time(labels: list[Label], stamp: Label, unit: str, *, source: str) -> list[Label]:
+    """Return the labels with one of them read as the time; warn of it."""
     meaning = f"time [{unit}]" if unit else "time"
     warn(
         f'{source}: "{stamp.text[:40]}" is read as time [{unit or "s"}]; if that is '
@@ -245,8 +290,9 @@ def _unit_since_1970(cells: Sequence[str]) -> str:
     """Return the unit below a second in which a number is a time in this century; empty if there is
     none.
     """
+    first, last = LAYOUT.since_1970
     pairs = ((unit, size) for size in plain_numbers(cells[:1]) for unit in ("ms", "us", "ns"))
-    return next((unit for unit, size in pairs if _EPOCH[0] < size * SIZES[unit] < _EPOCH[1]), "")
+    return next((unit for unit, size in pairs if first < size * SIZES[unit] < last), "")
 
 
 def _with_vectors(
@@ -315,36 +361,7 @@ def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> di
         for family in joint_families(numeric, schema.joint_names)
         if family.keys() >= {*needed}
     ]
-    if not whole:
-        n = len(schema.own_joints)
-        more = list[dict[int, tuple[Label, str]]]()
-        for _, numbered in numbered_families(numeric, is_stream=True):
-            if not numbers_all(numbered, n):
-                more += [numbered] if len(numbered) > n else []
-                continue
-            order = [*schema.own_joints]
-            # A recording of ROS has columns of names in addition to positions.
-            names = [
-                label
-                for label in free
-                if words_of(label.meant)[-2:-1] == ("name",) and label not in numeric
-            ]
-            texts = {
-                int(words_of(label.meant)[-1]): (sheet.first_cells(label.index, 1) or [""])[
-                    0
-                ].strip()
-                for label in names
-            }
-            if {texts.get(k) for k in numbered} == {*order}:
-                order = [texts[k] for k in sorted(numbered)]
-            whole.append(dict(zip(order, (numbered[k] for k in sorted(numbered)), strict=True)))
-        if more and not whole:
-            first, last = (more[0][end(more[0])][0].text for end in (min, max))
-            raise MeasurementError(
-                f'{sheet.path.name}: "{first}" to "{last}" number {len(more[0])} joints; '
-                f"expected {n} for this arm: "
-                f"leave out others, such as a gripper (--ignore {last})"
-            )
+    whole = whole or _numbered_joints(free, numeric, schema, sheet)
     columns = [[label for label, _ in family.values()] for family in whole]
     check_one(
         columns,
@@ -358,6 +375,55 @@ def _joints_of_stream(free: Sequence[Label], schema: Schema, sheet: Sheet) -> di
         label.meant: f"{joint} [{unit}]" if unit else joint
         for joint, (label, unit) in whole[0].items()
     }
+
+
+def _numbered_joints(
+    free: Sequence[Label], numeric: Sequence[Label], schema: Schema, sheet: Sheet
+) -> list[dict[str, tuple[Label, str]]]:
+    """Return the families of columns that number the arm's joints, by joint, with their units;
+    refuse those that only number more.
+    """
+    n = len(schema.own_joints)
+    whole = list[dict[str, tuple[Label, str]]]()
+    more = list[dict[int, tuple[Label, str]]]()
+    for _, numbered in numbered_families(numeric, is_stream=True):
+        if not numbers_all(numbered, n):
+            more += [numbered] if len(numbered) > n else []
+            continue
+        order = _recorded_order(free, numeric, numbered, schema, sheet)
+        whole.append(dict(zip(order, (numbered[k] for k in sorted(numbered)), strict=True)))
+    if more and not whole:
+        first, last = (more[0][end(more[0])][0].text for end in (min, max))
+        raise MeasurementError(
+            f'{sheet.path.name}: "{first}" to "{last}" number {len(more[0])} joints; '
+            f"expected {n} for this arm: "
+            f"leave out others, such as a gripper (--ignore {last})"
+        )
+    return whole
+
+
+def _recorded_order(
+    free: Sequence[Label],
+    numeric: Sequence[Label],
+    numbered: Collection[int],
+    schema: Schema,
+    sheet: Sheet,
+) -> list[str]:
+    """Return the joints in the order of their numbers: that of the arm, or that of the names which
+    a recording of ROS has in addition to positions.
+    """
+    names = [
+        label
+        for label in free
+        if words_of(label.meant)[-2:-1] == ("name",) and label not in numeric
+    ]
+    texts = {
+        int(words_of(label.meant)[-1]): (sheet.first_cells(label.index, 1) or [""])[0].strip()
+        for label in names
+    }
+    if {texts.get(k) for k in numbered} == {*schema.own_joints}:
+        return [texts[k] for k in sorted(numbered)]
+    return [*schema.own_joints]
 
 
 def _orientation(
@@ -468,31 +534,10 @@ def _check_unknown(
             continue
         is_word = sheet.has_words(label.index)
         names = [name for name, quantity in free.items() if not is_word or quantity == "name"]
-        close = difflib.get_close_matches(label.name.casefold(), names, n=1, cutoff=0.75)
-        is_longer = (
-            bool(close)
-            and re.match(rf"{close[0]}..|.*[ _.-]{close[0]}$", label.name.casefold()) is not None
-        )
-        is_slip = bool(close) and not is_longer
-        (wrong if is_slip else words if is_word else others if is_complete else wrong).append(
-            label.text
-        )
+        kind = words if is_word else others if is_complete else wrong
+        (wrong if _is_slip(label.name, names) else kind).append(label.text)
     if wrong or len(unknown) > _EXAMINED:
-        few = wrong[:_LISTED] or [unknown[-1].text]
-        known = ", ".join(nearest_first(few, free)[:_LISTED])
-        hint = (
-            f"; an orientation? --orientation {'|'.join(CONVENTIONS)}"
-            if looks_like_orientation(wrong)
-            else ""
-        )
-        raise MeasurementError(
-            f"{sheet.path.name}: unknown column {', '.join(map(_short, few))}; known and "
-            "not in the table, nearest first: "
-            f"{known or 'none'}{hint}; leave it out (--ignore '{few[0][:30]}'), or state "
-            "what it holds "
-            f"(--columns '{few[0][:30]}=NAME'; a unit is written as x [mm]); "
-            f"{columns_listed(sheet.labels)}"
-        )
+        raise _unknown(wrong, unknown[-1].text, free, sheet)
     for texts, what in ((words, "columns of text"), (others, "columns unknown to pincal")):
         if texts:
             more = f" and {len(texts) - _LISTED} more" if len(texts) > _LISTED else ""
@@ -500,6 +545,36 @@ def _check_unknown(
                 f"{sheet.path.name}: {what} are ignored: "
                 f"{', '.join(map(_short, texts[:_LISTED]))}{more}"
             )
+
+
+def _is_slip(name: str, names: Sequence[str]) -> bool:
+    """Return whether a name is nearly one of ``names``, and not one of them with a word more."""
+    folded = name.casefold()
+    close = difflib.get_close_matches(folded, names, n=1, cutoff=0.75)
+    return bool(close) and re.match(rf"{close[0]}..|.*[ _.-]{close[0]}$", folded) is None
+
+
+def _unknown(
+    wrong: Sequence[str], last: str, free: Mapping[str, str], sheet: Sheet
+) -> MeasurementError:
+    """Return the error for columns that may be misspelled, or for too many of which the ``last``
+    one is named.
+    """
+    few = wrong[:_LISTED] or [last]
+    known = ", ".join(nearest_first(few, free)[:_LISTED])
+    hint = (
+        f"; an orientation? --orientation {'|'.join(CONVENTIONS)}"
+        if looks_like_orientation(wrong)
+        else ""
+    )
+    return MeasurementError(
+        f"{sheet.path.name}: unknown column {', '.join(map(_short, few))}; known and "
+        "not in the table, nearest first: "
+        f"{known or 'none'}{hint}; leave it out (--ignore '{few[0][:30]}'), or state "
+        "what it holds "
+        f"(--columns '{few[0][:30]}=NAME'; a unit is written as x [mm]); "
+        f"{columns_listed(sheet.labels)}"
+    )
 
 
 def _short(text: str) -> str:

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from pincal.measure.reading_numbers import LAYOUT
 from pincal.units import SIZES, plain_numbers
 
 NUMBERED = re.compile(
@@ -88,8 +89,6 @@ _KNOWN = (
     "plane",
     "gauge",
 )
-# A row with a smaller share of its cells filled is a title, not a header.
-_FILLED = 0.6
 
 
 def normal_unit(text: str) -> str:
@@ -144,29 +143,21 @@ def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) ->
         joints: names of joints, by which the row of names is recognised.
 
     Example:
-        >>> rows = [["KR 16, cell 3"], ["A1", "A2", "x", "y"], ["deg", "deg", "mm", "mm"], ["1", "2", "3", "4"]]
-        >>> find_heading(rows).labels
+        >>> names, units = ["A1", "A2", "x", "y"], ["deg", "deg", "mm", "mm"]
+        >>> find_heading([["KR 16, cell 3"], names, units, ["1", "2", "3", "4"]]).labels
         ('A1 [deg]', 'A2 [deg]', 'x [mm]', 'y [mm]')
     """
     widths = [len(row) for row in rows]
     usual = statistics.mode(widths) if rows else 0
     if usual < 2:
         return None
-    wide = [
-        len(row) >= usual and sum(bool(c.strip()) for c in row) >= _FILLED * usual for row in rows
-    ]
-    names = [
-        is_wide and not any(map(is_number, row)) for is_wide, row in zip(wide, rows, strict=True)
-    ]
+    enough = LAYOUT.filled * usual
+    wide = [len(row) >= usual and sum(bool(c.strip()) for c in row) >= enough for row in rows]
+    numeric = [any(map(is_number, row)) for row in rows]
+    names = [is_wide and not has_any for is_wide, has_any in zip(wide, numeric, strict=True)]
     with_units = [is_unit_row(row, usual) for row in rows]
-    body = next(
-        (
-            i
-            for i, row in enumerate(rows)
-            if i and wide[i] and any(map(is_number, row)) and any(names[:i])
-        ),
-        None,
-    )
+    below = (i for i in range(1, len(rows)) if wide[i] and numeric[i] and any(names[:i]))
+    body = next(below, None)
     if body is None:
         return None
     top = body
@@ -174,20 +165,24 @@ def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) ->
         top -= 1
     candidates = [i for i in range(top, body) if names[i] and not with_units[i]]
     # Rows of numbers above the names would be lost.
-    if not candidates or any(sum(map(is_number, row)) >= _FILLED * usual for row in rows[:top]):
+    if not candidates or any(sum(map(is_number, row)) >= enough for row in rows[:top]):
         return None
     header = max(candidates, key=lambda i: (_known(rows[i], joints), -i))
     units = next((i for i in range(header + 1, body) if with_units[i]), None)
     labels = _distinct([cell.strip() for cell in rows[header]], rows[header - 1] if header else ())
     if units is not None:
-        below = [cell.strip().strip("[]()") for cell in rows[units]]
-        below += [""] * (len(labels) - len(below))
-        pairs = zip(labels, map(normal_unit, below), strict=False)
-        labels = [
-            f"{name} [{unit}]" if unit in SIZES and name and not re.search(r"[\[(]", name) else name
-            for name, unit in pairs
-        ]
+        labels = _with_units(labels, rows[units])
     return TableHead(header, body, tuple(labels), units)
+
+
+def _with_units(labels: list[str], row: Sequence[str]) -> list[str]:
+    """Return the labels with the units of a row below them, unless a label states its own."""
+    below = [cell.strip().strip("[]()") for cell in row]
+    below += [""] * (len(labels) - len(below))
+    return [
+        f"{name} [{unit}]" if unit in SIZES and name and not re.search(r"[\[(]", name) else name
+        for name, unit in zip(labels, map(normal_unit, below), strict=False)
+    ]
 
 
 def is_unit_row(row: Sequence[str], usual: int) -> bool:

@@ -15,11 +15,12 @@ import numpy as np
 
 from pincal.errors import BadInputError, MeasurementError
 from pincal.measure.measurements import Measurements
+from pincal.thresholds import Scale
 from pincal.units import unit_sizes
 
 # Standard deviation over maximum permissible error (MPE): "Typical measurement results are half of
 # the relevant MPE values", Leica AT500 User Manual, 2.8.1.
-_OF_MPE = 0.5
+_OF_MPE: Scale = 0.5
 # Units of a constant term [m], and of one proportional to the range [m/m].
 _CONSTANT = unit_sizes("um", "µm", "mm")
 _PER_METRE = (

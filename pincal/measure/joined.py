@@ -15,18 +15,11 @@ import numpy as np
 
 from pincal.errors import MeasurementError, warn
 from pincal.measure.labels import name_of
+from pincal.measure.reading_numbers import LOGS
 from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn
 
 if TYPE_CHECKING:
     import polars as pl
-
-
-# An arm that moves by less than this [rad, m] within this time [s] is held still; encoder noise is
-# smaller.
-_STILL = 3e-4
-_HOLD = 0.3
-# Largest drift of a held pose [rad, m].
-_DRIFT = 2e-3
 
 
 @dataclass(frozen=True)
@@ -81,40 +74,33 @@ def held_poses(time: np.ndarray, q: np.ndarray) -> HeldPoses:
         >>> len(poses), poses.at(time, np.array([0.5, 1.5, 3.0])).tolist()
         (2, [0, -1, 1])
     """
-    ahead = np.minimum(np.searchsorted(time, time + _HOLD), len(time) - 1)
-    alone = time[ahead] - time < 0.9 * _HOLD  # At the end of the recording; times are rounded.
-    is_held = (np.abs(q[ahead] - q).max(axis=1, initial=0.0) <= _STILL) & ~alone
+    ahead = np.minimum(np.searchsorted(time, time + LOGS.hold), len(time) - 1)
+    alone = time[ahead] - time < 0.9 * LOGS.hold  # At the end of the recording; times are rounded.
+    is_held = (np.abs(q[ahead] - q).max(axis=1, initial=0.0) <= LOGS.still) & ~alone
     # All samples of a still window are held.
     change = np.zeros(len(time) + 1, int)
     np.add.at(change, np.flatnonzero(is_held), 1)
     np.add.at(change, ahead[is_held] + 1, -1)
     inside = np.cumsum(change[:-1]) > 0
-    moves = np.append(np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0) > _STILL, True)
+    moves = np.append(np.abs(np.diff(q, axis=0)).max(axis=1, initial=0.0) > LOGS.still, True)
     begin = inside & np.append(True, ~inside[:-1] | moves[:-1])
     end = inside & (np.append(~inside[1:], True) | moves)
     first = np.flatnonzero(begin)
     last = np.flatnonzero(end)
     steady = [
-        float(np.ptp(q[a : b + 1], axis=0).max(initial=0.0)) <= _DRIFT
+        float(np.ptp(q[a : b + 1], axis=0).max(initial=0.0)) <= LOGS.drift
         for a, b in zip(first, last, strict=True)
     ]
     return HeldPoses(first[steady], last[steady])
-
-
-# Fewest rows of a log, its longest time step [s], and the share of rows in motion above which it is
-# cut into held poses.
-_LOG_ROWS = 100
-_LOG_STEP = 0.1
-_IN_MOTION = 0.05
-# Rows per pose above which a log that was joined with its joints is averaged.
-_PER_POSE = 10
 
 
 def is_log(time: np.ndarray) -> bool:
     """Return whether rows are as close in time as in a log, which may consist of several
     recordings.
     """
-    return len(time) >= _LOG_ROWS and 0.0 < float(np.median(np.diff(time))) <= _LOG_STEP
+    return (
+        len(time) >= LOGS.fewest_rows and 0.0 < float(np.median(np.diff(time))) <= LOGS.longest_step
+    )
 
 
 def held_rows(
@@ -145,8 +131,8 @@ def held_rows(
     time = np.append(0.0, np.cumsum(np.where(steps[kept[1:] - 1] < 0.0, 1.0, steps[kept[1:] - 1])))
     poses = held_poses(time, np.column_stack([values[name][kept] for name in joints]))
     held = int((poses.end - poses.begin + 1).sum())
-    is_dense = was_joined and held >= _PER_POSE * len(poses)
-    if len(poses) < 2 or (held > (1.0 - _IN_MOTION) * len(kept) and not is_dense):
+    is_dense = was_joined and held >= LOGS.rows_per_pose * len(poses)
+    if len(poses) < 2 or (held > (1.0 - LOGS.in_motion) * len(kept) and not is_dense):
         return dict(values), rows
     quarter = (poses.end - poses.begin) // 4
     first = kept[poses.begin + quarter]
@@ -171,12 +157,6 @@ def mean_turn(quaternions: np.ndarray) -> np.ndarray:
         axis=0
     )
     return np.asarray(mean / np.linalg.norm(mean))
-
-
-# Largest share of a table's rows between the poses of a log.
-_BETWEEN = 0.5
-# Largest difference of joint positions of one pose in a log [rad, m].
-_SAME = 2e-3
 
 
 @dataclass(frozen=True)
@@ -242,11 +222,7 @@ def join(
 
     columns = [SheetColumn(i, str(i), label, "", "name") for i, label in enumerate(table.labels)]
     frame, lines = table.read(columns)
-    # Common labels without a known meaning, with their index in the log.
-    places = {label.casefold(): i for i, label in enumerate(log.sheet.labels) if label}
-    folded = {name.casefold() for name in known}
-    free = [label for label in table.labels if name_of(label).casefold() not in folded]
-    keys = {label: places[label.casefold()] for label in free if label.casefold() in places}
+    keys = _common(table, log, known)
     pairs = _agreed(
         _by_columns(table, frame, log, lines=lines, keys=keys),
         _by_time(log, time),
@@ -317,6 +293,16 @@ def _by_columns(
     return _Pairs(np.arange(frame.height), samples, f'by the column "{first}"')
 
 
+def _common(table: Sheet, log: Log, known: Collection[str]) -> dict[str, int]:
+    """Return the labels of a table that the log has, too, and that have no known meaning, with
+    their index in the log.
+    """
+    places = {label.casefold(): i for i, label in enumerate(log.sheet.labels) if label}
+    folded = {name.casefold() for name in known}
+    free = [label for label in table.labels if name_of(label).casefold() not in folded]
+    return {label: places[label.casefold()] for label in free if label.casefold() in places}
+
+
 def _agreed(
     by_column: _Pairs | None, by_time: _Pairs | None, *, table: Sheet, log: Log
 ) -> _Pairs | None:
@@ -334,7 +320,9 @@ def _agreed(
         other = np.clip(by_column.samples + np.array([-1, 1]), 0, len(log.q) - 1)
     else:
         return by_column
-    if any(np.abs(_pooled(q, one) - _pooled(q, other)).max(initial=0.0) > _SAME for q in log.q.T):
+    if any(
+        np.abs(_pooled(q, one) - _pooled(q, other)).max(initial=0.0) > LOGS.agree for q in log.q.T
+    ):
         time = (
             "its time"
             if by_time is not None
@@ -367,7 +355,9 @@ def _places(keys: Sequence[str], q: np.ndarray) -> dict[str, tuple[int, int]] | 
         if last != i - 1 or not key:
             return None
         found[key] = first, i
-    if any(np.ptp(q[first : last + 1], axis=0).max() > _SAME for first, last in found.values()):
+    if any(
+        np.ptp(q[first : last + 1], axis=0).max() > LOGS.agree for first, last in found.values()
+    ):
         return None
     return found
 
@@ -385,7 +375,7 @@ def _by_time(log: Log, time: np.ndarray | None) -> _Pairs | None:
         )
     which = log.held.at(theirs, time)
     rows = np.flatnonzero(which >= 0)
-    if len(rows) <= (0.0 if is_log(time) else _BETWEEN) * len(time):
+    if len(rows) <= (0.0 if is_log(time) else LOGS.between) * len(time):
         return None
     return _Pairs(rows, log.held.samples[which[rows]], "by time, while the pose is held still")
 

@@ -12,8 +12,9 @@ from pincal.units import UNITS
 
 # Words next to the letter of an axis in names of a position.
 _PLACES = frozenset(
-    ("p", "pos", "position", "tcp", "point", "target", "meas", "measured", "tracker", "reflector", "smr", "laser", "trans",
-     "translation", "t", "loc", "location", "coord", "coordinate", "actual", "act", "value")
+    ("p", "pos", "position", "tcp", "point", "target", "meas", "measured", "tracker", "reflector",
+     "smr", "laser", "trans", "translation", "t", "loc", "location", "coord", "coordinate",
+     "actual", "act", "value")
 )  # fmt: skip
 _FORCES = frozenset(("a", "acc", "accel", "acceleration", "accelerometer", "specific force"))
 _RATES = frozenset(
@@ -44,9 +45,10 @@ _POSITIONS = frozenset(
 )
 _NUMBERS = _POSITIONS | {"j", "joint", "joints", "a", "axis", "theta", "rax", "achse", "gelenk"}
 _OTHERS = frozenset(
-    ("velocity", "velocities", "vel", "speed", "qd", "dq", "qdd", "effort", "torque", "tau", "current", "error", "command",
-     "commanded", "cmd", "desired", "des", "target", "setpoint", "goal", "reference", "ref", "nominal", "temperature",
-     "temp", "covariance", "std", "bias", "voltage", "load", "magnetic", "mag", "gravity", "angular")
+    ("velocity", "velocities", "vel", "speed", "qd", "dq", "qdd", "effort", "torque", "tau",
+     "current", "error", "command", "commanded", "cmd", "desired", "des", "target", "setpoint",
+     "goal", "reference", "ref", "nominal", "temperature", "temp", "covariance", "std", "bias",
+     "voltage", "load", "magnetic", "mag", "gravity", "angular")
 )  # fmt: skip
 # `x [mm]` is how pincal writes a unit; these are the other spellings: `x (mm)`, `x_mm`, `x mm`,
 # `x/mm`.
@@ -157,7 +159,8 @@ def spelled(label: Label, quantities: Mapping[str, str]) -> tuple[str, str] | No
 
     Example:
         >>> known = {"x": "length", "joint_1": "angle"}
-        >>> [spelled(Label(0, text, text), known) for text in ("X", "x (mm)", "Joint_1_deg", "x_kg")]
+        >>> texts = ("X", "x (mm)", "Joint_1_deg", "x_kg")
+        >>> [spelled(Label(0, text, text), known) for text in texts]
         [('x', ''), ('x', 'mm'), ('joint_1', 'deg'), None]
     """
     folded: dict[str, list[str]] = {}
@@ -276,7 +279,8 @@ def vector_columns(
         MeasurementError: for a stream with several candidates.
 
     Example:
-        >>> labels = [Label(i, text, text) for i, text in enumerate(("TCP_X (mm)", "TCP_Y (mm)", "TCP_Z (mm)", "RMS"))]
+        >>> texts = ("TCP_X (mm)", "TCP_Y (mm)", "TCP_Z (mm)", "RMS")
+        >>> labels = [Label(i, text, text) for i, text in enumerate(texts)]
         >>> vector_columns(labels, dict.fromkeys("xyz", "length"))
         {'TCP_X (mm)': 'x [mm]', 'TCP_Y (mm)': 'y [mm]', 'TCP_Z (mm)': 'z [mm]'}
     """
@@ -288,26 +292,8 @@ def vector_columns(
         letters = {column[-1] for column in columns}
         for label in labels:
             for base, unit in splits(label.meant, quantities[columns[0]]):
-                # ``posx`` is one word.
-                parts = [
-                    part
-                    for word in words_of(base)
-                    for part in (
-                        (word[:-1], word[-1])
-                        if word[:-1] in names and word[-1] in letters
-                        else (word,)
-                    )
-                ]
-                axes = [part for part in parts if part in letters]
-                rest = tuple(part for part in parts if part not in axes)
-                is_named = names.issuperset(rest)
-                if is_stream:
-                    ends = [k for k in (2, 1) if " ".join(rest[-k:]) in names]
-                    # A single letter after the axis is a unit: ``accel_x_g``.
-                    is_name = bool(ends) and (len(rest[-1]) > 1 or parts[-1] in axes)
-                    is_named = is_name and not (_OTHERS - names) & {*rest[: -ends[0]]}
-                if len(axes) == 1 and rest and is_named:
-                    families.setdefault(rest, {}).setdefault(axes[0], (label, unit))
+                if (found := _axis_of(base, letters, names, is_stream=is_stream)) is not None:
+                    families.setdefault(found[0], {}).setdefault(found[1], (label, unit))
         whole = [axes for axes in families.values() if len(axes) == len(columns)]
         if is_stream:
             check_one(
@@ -323,6 +309,31 @@ def vector_columns(
                 for label, column, unit in pairs
             }
     return guessed
+
+
+def _axis_of(
+    base: str, letters: Collection[str], names: frozenset[str], *, is_stream: bool
+) -> tuple[tuple[str, ...], str] | None:
+    """Return the words and the axis of a component of a vector of some names; None for any other
+    label.
+    """
+    # ``posx`` is one word.
+    parts = [
+        part
+        for word in words_of(base)
+        for part in (
+            (word[:-1], word[-1]) if word[:-1] in names and word[-1] in letters else (word,)
+        )
+    ]
+    axes = [part for part in parts if part in letters]
+    rest = tuple(part for part in parts if part not in axes)
+    is_named = names.issuperset(rest)
+    if is_stream:
+        ends = [k for k in (2, 1) if " ".join(rest[-k:]) in names]
+        # A single letter after the axis is a unit: ``accel_x_g``.
+        is_name = bool(ends) and (len(rest[-1]) > 1 or parts[-1] in axes)
+        is_named = is_name and not (_OTHERS - names) & {*rest[: -ends[0]]}
+    return (rest, axes[0]) if len(axes) == 1 and rest and is_named else None
 
 
 def check_one(
@@ -350,7 +361,8 @@ def joint_families(
     velocities and commanded positions are excluded.
 
     Example:
-        >>> texts = ("/joint_states/elbow_joint/position", "/joint_states/elbow_joint/velocity", "elbow.pos")
+        >>> topic = "/joint_states/elbow_joint"
+        >>> texts = (f"{topic}/position", f"{topic}/velocity", "elbow.pos")
         >>> labels = [Label(i, text, text) for i, text in enumerate(texts)]
         >>> [family["elbow_joint"][0].text for family in joint_families(labels, ["elbow_joint"])]
         ['/joint_states/elbow_joint/position', 'elbow.pos']

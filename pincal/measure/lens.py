@@ -26,12 +26,13 @@ from scipy.spatial.transform import Rotation
 
 from pincal.measure.extrinsics import RANK
 from pincal.robot.se3 import transform
+from pincal.thresholds import Count, Scale
 
 PINHOLE = ("fx", "fy", "u0", "v0")
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
 # Least depth of a point [m]: the prediction of points nearer to the lens, or behind it, remains
 # finite.
-NEAREST = 1e-3
+NEAREST: Scale = 1e-3
 
 
 @dataclass(frozen=True)
@@ -112,25 +113,29 @@ def _bent(lens: Lens, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nd
         radial + 2.0 * y * y * change + 6.0 * lens.p1 * y + 2.0 * lens.p2 * x
     )
     by_lens = np.zeros((len(x), 2, 9))
-    by_lens[:, 0, 0], by_lens[:, 1, 1] = bent_x, bent_y
+    by_lens[:, 0, 0] = bent_x
+    by_lens[:, 1, 1] = bent_y
     by_lens[:, 0, 2] = by_lens[:, 1, 3] = 1.0
     for k, power in zip((4, 5, 8), (r2, r2**2, r2**3), strict=True):
-        by_lens[:, 0, k], by_lens[:, 1, k] = lens.fx * x * power, lens.fy * y * power
-    by_lens[:, 0, 6], by_lens[:, 1, 6] = lens.fx * 2.0 * x * y, lens.fy * (r2 + 2.0 * y * y)
-    by_lens[:, 0, 7], by_lens[:, 1, 7] = lens.fx * (r2 + 2.0 * x * x), lens.fy * 2.0 * x * y
+        by_lens[:, 0, k] = lens.fx * x * power
+        by_lens[:, 1, k] = lens.fy * y * power
+    by_lens[:, 0, 6] = lens.fx * 2.0 * x * y
+    by_lens[:, 1, 6] = lens.fy * (r2 + 2.0 * y * y)
+    by_lens[:, 0, 7] = lens.fx * (r2 + 2.0 * x * x)
+    by_lens[:, 1, 7] = lens.fy * 2.0 * x * y
     image = np.stack([lens.fx * bent_x + lens.u0, lens.fy * bent_y + lens.v0], axis=1)
     return image, by_slope, by_lens
 
 
 # Focal lengths tried where none is known, in widths of the used part of the image.
-_FOCAL = (0.5, 0.8, 1.2, 1.8, 2.7, 4.0, 6.0)
+_FOCAL: tuple[Scale, ...] = (0.5, 0.8, 1.2, 1.8, 2.7, 4.0, 6.0)
 # Starts of the search that are refined, and how many of them are kept.
-_GRID_STARTS = 6
-_KEPT = 3
+_GRID_STARTS: Count = 6
+_KEPT: Count = 3
 # Least distance of a point from the camera in the search [m].
-_NEAR = 0.02
+_NEAR: Scale = 0.02
 # Iterations that remove the distortion of a known camera.
-_ROUNDS = 20
+_ROUNDS: Count = 20
 
 
 @dataclass(frozen=True)

@@ -288,7 +288,8 @@ def measurements(
             measurement.
 
     Example:
-        >>> measurements(["shoulder", "elbow"], [[0.1, 0.2], [0.3, 0.4]], position=[[1, 0, 0], [0, 1, 0]])
+        >>> q = [[0.1, 0.2], [0.3, 0.4]]
+        >>> measurements(["shoulder", "elbow"], q, position=[[1, 0, 0], [0, 1, 0]])
         Measurements('arrays': 2 rows, position, joints shoulder elbow)
     """
     if isinstance(joints, Robot):
@@ -308,20 +309,27 @@ def measurements(
         for name, value in given.items()
         if value is not None
     }
-    if arrays["q"].ndim != 2 or arrays["q"].shape[1] != len(names):
+    _check_shapes(arrays, len(names), fields, source=source)
+    return validated(names, arrays, source=source, units=dict(units or {}))
+
+
+def _check_shapes(
+    arrays: Mapping[str, np.ndarray], n_joints: int, fields: Mapping[str, Field], *, source: str
+) -> None:
+    """Refuse arrays that do not fit the joints, or the joint positions ``q``."""
+    q = arrays["q"]
+    if q.ndim != 2 or q.shape[1] != n_joints:
         raise MeasurementError(
-            f"{source}: q has shape {arrays['q'].shape}; expected (N, {len(names)}), one "
-            "column per joint"
+            f"{source}: q has shape {q.shape}; expected (N, {n_joints}), one column per joint"
         )
     for name, array in arrays.items():
         width = len(fields[name].columns) if name in fields else 1
-        one = arrays["q"].shape[:1] if width == 1 else (len(arrays["q"]), width)
-        expected = arrays["q"].shape if name in ("q", *_OF_JOINTS) else one
+        one = q.shape[:1] if width == 1 else (len(q), width)
+        expected = q.shape if name in ("q", *_OF_JOINTS) else one
         if array.shape != expected:
             raise MeasurementError(
                 f'{source}: "{name}" has shape {array.shape}; expected {expected}, as for q'
             )
-    return validated(names, arrays, source=source, units=dict(units or {}))
 
 
 def concatenate(tables: Sequence[Measurements]) -> Measurements:
@@ -346,15 +354,7 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
         ]
     first = tables[0]
     for other in tables[1:]:
-        if other.joint_names != first.joint_names:
-            expected = ", ".join(first.joint_names)
-            got = ", ".join(other.joint_names)
-            raise MeasurementError(f"{other.source}: joints {got}; {first.source} has {expected}")
-        odd = sorted(set(first.columns()) ^ set(other.columns()))
-        if odd:
-            raise MeasurementError(
-                f'"{odd[0]}" is in only one of {first.source} and {other.source}; add or drop it'
-            )
+        _check_alike(first, other)
     parts = [table.columns() for table in tables]
     joined = first._with(
         {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -366,12 +366,23 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
     origins = ", ".join(
         dict.fromkeys(table.approach_from for table in tables if table.approach_from)
     )
-    path = (
-        None
-        if first.moving is None
-        else first.moving.joined([table.moving for table in tables[1:] if table.moving])
-    )
+    path = first.moving
+    if path is not None:
+        path = path.joined([table.moving for table in tables[1:] if table.moving])
     return replace(joined, units=units, source=source, approach_from=origins, moving=path)
+
+
+def _check_alike(first: Measurements, other: Measurements) -> None:
+    """Refuse two tables of different joints or columns."""
+    if other.joint_names != first.joint_names:
+        expected = ", ".join(first.joint_names)
+        got = ", ".join(other.joint_names)
+        raise MeasurementError(f"{other.source}: joints {got}; {first.source} has {expected}")
+    odd = sorted(set(first.columns()) ^ set(other.columns()))
+    if odd:
+        raise MeasurementError(
+            f'"{odd[0]}" is in only one of {first.source} and {other.source}; add or drop it'
+        )
 
 
 def _with_ones(table: Measurements, name: str) -> Measurements:

@@ -22,11 +22,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError, needed, warn
+from pincal.measure.reading_numbers import LAYOUT
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
 from pincal.robot.se3 import transform
+from pincal.thresholds import Count
 
 JOINTS = re.compile(
-    r"(joints?|joint_?(positions?|values?|angles?|states?|pos)|(actual_?)?q|qpos|angles?|state)(_deg|_rad)?",
+    r"(joints?|joint_?(positions?|values?|angles?|states?|pos)|(actual_?)?q|qpos|angles?|state)"
+    r"(_deg|_rad)?",
     re.I,
 )
 """Names of lists of joint positions."""
@@ -131,8 +134,6 @@ def _numbered(path: str, values: np.ndarray) -> tuple[tuple[str, ...], list[np.n
 
 _OF_ROBOT = ("effector_wrt_world", "robot")
 _OF_OBJECT = ("object_wrt_sensor", "tracking", "optical")
-# Ratio of the residuals of the two cases below which the samples distinguish them.
-_CLEAR = 0.3
 
 
 def _tracked_poses(
@@ -154,7 +155,7 @@ def _tracked_poses(
     if is_on_hand is None:
         fixed = _misfit(hand, object_)
         moved = _misfit(hand, np.linalg.inv(object_))
-        if min(fixed, moved) > _CLEAR * max(fixed, moved):
+        if min(fixed, moved) > LAYOUT.clear * max(fixed, moved):
             raise MeasurementError(
                 f"{source}: {len(hand)} samples do not show whether the camera is on the "
                 f"hand ({moved:.3g} rad) or fixed "
@@ -216,8 +217,8 @@ def _misfit(hand: np.ndarray, target: np.ndarray) -> float:
 
 _YAML = (".yaml", ".yml", ".samples")
 # Deepest nesting of measured values, and most values of a record.
-_DEEPEST = 12
-_MOST = 2000
+_DEEPEST: Count = 12
+_MOST: Count = 2000
 
 
 def nested_kind(path: Path) -> str:
@@ -323,23 +324,9 @@ def _mat(path: Path) -> Any:
 
 def _table(data: Any, source: str) -> dict[str, np.ndarray]:
     """Return the columns of a table, shape (N,) each, as numbers or as objects."""
-    columns = _by_path(data, source)
-    on_hand = (
-        v for path, v in _flat(data) if path.split(".")[-1] == "eye_on_hand" and isinstance(v, bool)
-    )
-    if (
-        tracked := _tracked_poses(columns, is_on_hand=next(on_hand, None), source=source)
-    ) is not None:
-        poses, groups = tracked
-        columns = {path: v for path, v in columns.items() if path.split(".")[0] not in groups} | {
-            "pose": poses
-        }
-    names = {
-        path: list(value)
-        for path, value in _flat(data)
-        if re.search(r"names?$", path) and isinstance(value, list)
-    }
-    given = next(iter(names.values()), None)
+    columns = _with_tracked_poses(_by_path(data, source), data, source)
+    lists = ((path, value) for path, value in _flat(data) if isinstance(value, list))
+    given = next((list(value) for path, value in lists if re.search(r"names?$", path)), None)
     found = dict[str, np.ndarray]()
     notes = list[str]()
     for path, values in columns.items():
@@ -365,6 +352,21 @@ def _table(data: Any, source: str) -> dict[str, np.ndarray]:
     return found
 
 
+def _with_tracked_poses(
+    columns: dict[str, np.ndarray], data: Any, source: str
+) -> dict[str, np.ndarray]:
+    """Return the columns with the poses of a hand-eye calibration instead of its groups."""
+    on_hand = (
+        v for path, v in _flat(data) if path.split(".")[-1] == "eye_on_hand" and isinstance(v, bool)
+    )
+    tracked = _tracked_poses(columns, is_on_hand=next(on_hand, None), source=source)
+    if tracked is None:
+        return columns
+    poses, groups = tracked
+    others = {path: v for path, v in columns.items() if path.split(".")[0] not in groups}
+    return others | {"pose": poses}
+
+
 def _scalar_label(path: str) -> str:
     """Return the label of a scalar by its keys: components of an orientation begin with q."""
     *above, leaf = path.split(".")
@@ -376,30 +378,9 @@ def _scalar_label(path: str) -> str:
 
 def _by_path(data: Any, source: str) -> dict[str, np.ndarray]:
     """Return the columns of equal length N, by their keys in the file: shape (N, ...)."""
-    records = data if isinstance(data, list) else None
-    if isinstance(data, Mapping):
-        lists = {
-            path: v
-            for path, v in _flat(data)
-            if isinstance(v, list) and v and all(isinstance(r, Mapping) for r in v)
-        }
-        if len(lists) > 1:
-            raise MeasurementError(
-                f"{source}: several lists of records: {', '.join(lists)}; expected one"
-            )
-        records = next(iter(lists.values()), None)
+    records = data if isinstance(data, list) else _records(data, source)
     if records is not None:
-        if not records or not all(isinstance(record, Mapping) for record in records):
-            raise MeasurementError(
-                f"{source}: a list without records; expected one named record per pose"
-            )
-        rows = [dict(_flat(record)) for record in records]
-        paths = dict.fromkeys(path for row in rows for path in row)
-        if len(paths) > _MOST:
-            raise MeasurementError(
-                f"{source}: {len(paths)} values per record; expected at most {_MOST}"
-            )
-        return {path: _array([row.get(path) for row in rows]) for path in paths}
+        return _of_records(records, source)
     if not isinstance(data, Mapping):
         raise MeasurementError(
             f"{source}: holds one value; expected a list of records, or columns of one length"
@@ -418,6 +399,37 @@ def _by_path(data: Any, source: str) -> dict[str, np.ndarray]:
             f"{', '.join(others[:20])}"
         )
     return {path: v for path, v in found.items() if path not in others}
+
+
+def _records(data: Any, source: str) -> list[Any] | None:
+    """Return the only list of records among nested values; None without any."""
+    if not isinstance(data, Mapping):
+        return None
+    lists = {
+        path: v
+        for path, v in _flat(data)
+        if isinstance(v, list) and v and all(isinstance(r, Mapping) for r in v)
+    }
+    if len(lists) > 1:
+        raise MeasurementError(
+            f"{source}: several lists of records: {', '.join(lists)}; expected one"
+        )
+    return next(iter(lists.values()), None)
+
+
+def _of_records(records: list[Any], source: str) -> dict[str, np.ndarray]:
+    """Return the columns of records, which may lack some of the values."""
+    if not records or not all(isinstance(record, Mapping) for record in records):
+        raise MeasurementError(
+            f"{source}: a list without records; expected one named record per pose"
+        )
+    rows = [dict(_flat(record)) for record in records]
+    paths = dict.fromkeys(path for row in rows for path in row)
+    if len(paths) > _MOST:
+        raise MeasurementError(
+            f"{source}: {len(paths)} values per record; expected at most {_MOST}"
+        )
+    return {path: _array([row.get(path) for row in rows]) for path in paths}
 
 
 def _flat(value: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:

@@ -1,23 +1,22 @@
 """Orientations in the conventions of controllers, converted to unit quaternions x y z w.
 
-=========  =================  =======  ======================================================================
-name       columns            unit     rotation =========  =================  =======
-====================================================================== ``kuka``   A B C
-deg      R_z(A) R_y(B) R_x(C): about z, the new y, the new x [KUKA]_ ``fanuc``  W P R
-deg      R_z(R) R_y(P) R_x(W): about the fixed x, y and z [FANUC]_ ``rpy``    roll pitch yaw     rad
-R_z(yaw) R_y(pitch) R_x(roll): about the fixed x, y and z [URDF]_ ``ur``     rx ry rz           rad
-by the length of the vector about its direction [UR]_ ``abb``    q1 q2 q3 q4        1
-quaternion w x y z [ABB]_; so is ``wxyz`` ``xyzw``   qx qy qz qw        1        quaternion x y z w
-[ROS]_ =========  =================  =======
-======================================================================
+=========  =================  =======  =============================================================
+name       columns            unit     rotation
+=========  =================  =======  =============================================================
+``kuka``   A B C              deg      R_z(A) R_y(B) R_x(C): about z, the new y, the new x [KUKA]_
+``fanuc``  W P R              deg      R_z(R) R_y(P) R_x(W): about the fixed x, y and z [FANUC]_
+``rpy``    roll pitch yaw     rad      R_z(yaw) R_y(pitch) R_x(roll): about the fixed x, y and z [URDF]_
+``ur``     rx ry rz           rad      by the length of the vector about its direction [UR]_
+``abb``    q1 q2 q3 q4        1        quaternion w x y z [ABB]_; so is ``wxyz``
+``xyzw``   qx qy qz qw        1        quaternion x y z w [ROS]_
+=========  =================  =======  =============================================================
 
 A unit in the header overrides the one in this table. Columns named after their axes (rx ry rz, roll
 pitch yaw) may also hold the angles of another convention, and q1 q2 q3 q4 a quaternion in the order
 x y z w, if the user declares it.
 
 .. [KUKA] KUKA System Software 8.3, Operating and Programming Instructions for System Integrators:
-  A, B, C as rotations about
-   the Z, Y and X axis, each about the axes as turned before.
+  A, B, C as rotations about the Z, Y and X axis, each about the axes as turned before.
 .. [FANUC] FANUC R-30iA, KAREL Reference Manual, POSITION data type: W, P, R as rotations about the
   fixed X, Y and Z axes.
 .. [URDF] https://wiki.ros.org/urdf/XML/joint, element origin, attribute rpy.
@@ -37,9 +36,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
-
-# Longest rotation vector, a revolution with rounding [rad].
-_FULL_TURN = 6.3
+from pincal.measure.reading_numbers import PLAUSIBLE
 
 
 @dataclass(frozen=True)
@@ -83,7 +80,7 @@ class Convention:
         size = (
             np.linalg.norm(values, axis=1) if self.kind == "vector" else np.abs(values).max(axis=1)
         )
-        if self.unit == "rad" and len(size) and size.max() > _FULL_TURN:
+        if self.unit == "rad" and len(size) and size.max() > PLAUSIBLE.longest_turn:
             name = CONVENTIONS[self.name].columns[0]
             raise MeasurementError(
                 f"{where}: an orientation of {size.max():.4g} rad as {self.words}, more "

@@ -20,9 +20,10 @@ from pincal.measure.sensor import Constraints, Excluded, Grouped, OwnParameters,
 from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import align, transform
+from pincal.thresholds import Count
 
 # Names that a message lists.
-_LISTED = 8
+_LISTED: Count = 8
 
 
 @dataclass(frozen=True)

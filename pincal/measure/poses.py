@@ -13,29 +13,21 @@ readings of a pose is pure error, against which the means are judged
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
 
-from pincal.measure.approach import SAME
 from pincal.measure.measurements import Measurements
+from pincal.measure.reading_numbers import SAME_POSE
 from pincal.measure.registry import known_fields
 from pincal.thresholds import Count
 
-SCATTER = 1e-4
-"""Joint positions that count as the same although drives settle differently [rad or m].
-
-Drives repeat to 1e-5 to 9e-5 rad (Slamani 2012: an IRB 1600 to 8.7e-5); means of closer rows are
-exact to 1e-9 m.
-"""
 # Bytes of joint positions whose labels are remembered.
 _MOST_REMEMBERED: Count = 1 << 20
-# Payloads that count as the same [kg]: a gram bends no arm. Range of temperatures by ISO 9283, ±2 K
-# [K].
-_SAME_LOAD = 1e-3
-_SAME_CLIMATE = 4.0
+SCATTER = SAME_POSE.settled
+"""Joint positions that count as the same although drives settle differently [rad or m]."""
 
 
 def by_pose(table: Measurements) -> Measurements:
@@ -73,44 +65,72 @@ def mean_rows(table: Measurements, group: np.ndarray) -> Measurements:
         return table
     kept = without_copies(table, group)
     table = table.select(kept)
-    group = group[kept]
-    _, first, number, count = np.unique(
-        group, return_index=True, return_inverse=True, return_counts=True
-    )
-    in_order = np.argsort(first)
-    first = first[in_order]
-    count = count[in_order]
-    number = np.argsort(in_order)[number.ravel()]
-    if len(first) == len(group):
-        return replace(table, readings_per_row=count)
-    weight = np.ones(len(group)) if table.sigma is None else table.sigma**-2.0
-    mass = np.bincount(number, weight)
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        flat = values.reshape(len(values), -1)
-        sums = np.stack([np.bincount(number, weight * column) for column in flat.T], axis=1)
-        return np.asarray((sums / mass[:, None]).reshape(len(first), *values.shape[1:]))
-
+    weight = np.ones(len(kept)) if table.sigma is None else table.sigma**-2.0
+    groups = _Groups.of(group[kept], weight)
+    if len(groups.first) == len(kept):
+        return replace(table, readings_per_row=groups.count)
     fields = known_fields()
-    means = dict[str, np.ndarray]()
-    for name, values in table.columns().items():
-        if values.dtype.kind != "f":
-            continue
-        if name in fields and fields[name].is_unit:
-            # q and -q are the same orientation.
-            is_opposite = np.sum(values * values[first][number], axis=1, keepdims=True) < 0.0
-            means[name] = mean(np.where(is_opposite, -values, values))
-            means[name] /= np.linalg.norm(means[name], axis=1, keepdims=True)
-        else:
-            means[name] = mean(values)
+    units = {name for name, of in fields.items() if of.is_unit}
+    means = {
+        name: groups.mean_direction(values) if name in units else groups.mean(values)
+        for name, values in table.columns().items()
+        if values.dtype.kind == "f"
+    }
     if table.sigma is not None:
-        means["sigma"] = mass**-0.5
-    rows = table.select(first)
+        means["sigma"] = groups.mass**-0.5
+    rows = table.select(groups.first)
     readings: Mapping[str, np.ndarray] = {
         name: means.pop(name, array) for name, array in rows.readings.items()
     }
     others: dict[str, Any] = means
-    return replace(rows, readings=readings, readings_per_row=count, **others)
+    return replace(rows, readings=readings, readings_per_row=groups.count, **others)
+
+
+@dataclass(frozen=True)
+class _Groups:
+    """K groups of N weighted rows, in the order of their first rows.
+
+    Attributes:
+        first: shape (K,), first row of each.
+        count: shape (K,), number of rows.
+        number: shape (N,), group of each row.
+        weight: shape (N,).
+    """
+
+    first: np.ndarray
+    count: np.ndarray
+    number: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, group: np.ndarray, weight: np.ndarray) -> _Groups:
+        """Return the groups of rows with the same number in ``group``, shape (N,)."""
+        _, first, number, count = np.unique(
+            group, return_index=True, return_inverse=True, return_counts=True
+        )
+        in_order = np.argsort(first)
+        return cls(first[in_order], count[in_order], np.argsort(in_order)[number.ravel()], weight)
+
+    @cached_property
+    def mass(self) -> np.ndarray:
+        """Sum of the weights of each, shape (K,)."""
+        return np.bincount(self.number, self.weight)
+
+    def mean(self, values: np.ndarray) -> np.ndarray:
+        """Return the means of values, shape (K, ...) for (N, ...)."""
+        flat = values.reshape(len(values), -1)
+        sums = np.stack(
+            [np.bincount(self.number, self.weight * column) for column in flat.T], axis=1
+        )
+        return np.asarray((sums / self.mass[:, None]).reshape(len(self.first), *values.shape[1:]))
+
+    def mean_direction(self, values: np.ndarray) -> np.ndarray:
+        """Return the means of quaternions, of which q and -q are the same orientation, shape (K, 4)
+        for (N, 4).
+        """
+        is_opposite = np.sum(values * values[self.first][self.number], axis=1, keepdims=True) < 0.0
+        mean = self.mean(np.where(is_opposite, -values, values))
+        return np.asarray(mean / np.linalg.norm(mean, axis=1, keepdims=True))
 
 
 def without_copies(table: Measurements, group: np.ndarray) -> np.ndarray:
@@ -130,7 +150,9 @@ def numbers_of_copies(table: Measurements, group: np.ndarray) -> np.ndarray:
     return np.asarray(np.unique(key, axis=0, return_inverse=True)[1]).ravel()
 
 
-def replicate_groups(tables: Sequence[Measurements], *, within: float = SAME) -> list[np.ndarray]:
+def replicate_groups(
+    tables: Sequence[Measurements], *, within: float = SAME_POSE.same
+) -> list[np.ndarray]:
     """Return the pose and target of each row of some tables as a number.
 
     Each row of an arm in motion is a separate pose.
@@ -178,7 +200,7 @@ def _pose_numbers(
                 for t, columns in zip(tables, named, strict=True)
             ]
             keys.append(np.unique(np.concatenate(names), return_inverse=True)[1])
-    keys.append(np.round(_stacked(tables, "payload") / _SAME_LOAD).astype(int))
+    keys.append(np.round(_stacked(tables, "payload") / SAME_POSE.load).astype(int))
     if any(table.approach is not None for table in tables):
         sides = [np.zeros(t.q.shape, int) if t.approach is None else t.approach for t in tables]
         keys.append(np.unique(np.vstack(sides), axis=0, return_inverse=True)[1].ravel())
@@ -208,7 +230,7 @@ def _numbered(keys: np.ndarray) -> np.ndarray:
     return np.asarray(rank[inverse.ravel()])
 
 
-def same_joints(q: np.ndarray, within: float = SAME) -> np.ndarray:
+def same_joints(q: np.ndarray, within: float = SAME_POSE.same) -> np.ndarray:
     """Return a label for rows with the same joint positions, shape (N,), by connected cells of a
     grid.
     """
@@ -255,7 +277,7 @@ def _same_climate(temperature: np.ndarray, poses: np.ndarray) -> np.ndarray:
             pose = poses[row]
             lowest = temperature[row]
             number = 0
-        elif temperature[row] - lowest > _SAME_CLIMATE:
+        elif temperature[row] - lowest > SAME_POSE.climate:
             lowest = temperature[row]
             number = number + 1
         window[row] = number

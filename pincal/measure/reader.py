@@ -43,9 +43,10 @@ from pincal.measure.orientation import Convention
 from pincal.measure.recordings import is_bag, is_dataset, open_bag, open_dataset, open_parquet
 from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn, read_cells
 from pincal.measure.text_sheet import open_text
+from pincal.thresholds import Scale
 
 # Step by which the direction of dependent joints is determined [rad or m].
-_SMALL = 1e-4
+_SMALL: Scale = 1e-4
 # Formats that other programs can convert to one that is read.
 _OTHERS = (".xls", ".xlsb", ".ods", ".numbers")
 
@@ -167,20 +168,9 @@ def cells_of(
     if NANOSECONDS in values:
         values["time"] = values["time"] + values.pop(NANOSECONDS)
     if header.orientation is not None:
-        found = header.orientation.quaternions(values, where=path.name)
-        values = {
-            name: value for name, value in values.items() if name not in header.orientation.columns
-        }
-        values |= zip(rotations(schema.fields).columns, found.T, strict=True)
+        values = _with_quaternions(values, header.orientation, schema, source=path.name)
     joints = header.joints
-    resting = [name for name in schema.resting if name in joints and name not in values]
-    values |= {name: np.full(len(rows), schema.resting[name]) for name in resting}
-    if resting:
-        at = ", ".join(f"{name} at {schema.resting[name]:g}" for name in resting)
-        warn(
-            f"{path.name}: no column for {len(resting)} joints off the paths of these "
-            f"rows; they are assumed at rest: {at}"
-        )
+    values |= _resting(schema, joints, values, len(rows), source=path.name)
     if joints and (missing := [name for name in joints if name not in values]):
         values |= _followers(schema, values, missing)
     if (
@@ -195,32 +185,78 @@ def cells_of(
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
     if droop is not None:
         arrays["droop"] = droop
+    of_joints, origin = _of_each_joint(schema, joints, values, arrays.get("q"), source=path.name)
+    arrays |= of_joints
+    for of in schema.fields:
+        if any(name in values for name in of.columns):
+            arrays[of.name] = _whole(of, values, source=path.name)
+    units = {column.name: column.unit for column in header.columns if column.unit}
+    return Cells(arrays, rows, units, origin, sheet, header.columns, header.orientation)
+
+
+def _with_quaternions(
+    values: dict[str, np.ndarray], orientation: Convention, schema: Schema, *, source: str
+) -> dict[str, np.ndarray]:
+    """Return the columns with quaternions instead of an orientation in another convention."""
+    found = orientation.quaternions(values, where=source)
+    others = {name: value for name, value in values.items() if name not in orientation.columns}
+    return others | dict(zip(rotations(schema.fields).columns, found.T, strict=True))
+
+
+def _resting(
+    schema: Schema,
+    joints: Sequence[str],
+    values: Mapping[str, np.ndarray],
+    count: int,
+    *,
+    source: str,
+) -> dict[str, np.ndarray]:
+    """Return columns of joints that may be at rest and have none; warn of them."""
+    resting = [name for name in schema.resting if name in joints and name not in values]
+    if resting:
+        at = ", ".join(f"{name} at {schema.resting[name]:g}" for name in resting)
+        warn(
+            f"{source}: no column for {len(resting)} joints off the paths of these "
+            f"rows; they are assumed at rest: {at}"
+        )
+    return {name: np.full(count, schema.resting[name]) for name in resting}
+
+
+def _of_each_joint(
+    schema: Schema,
+    joints: Sequence[str],
+    values: dict[str, np.ndarray],
+    q: np.ndarray | None,
+    *,
+    source: str,
+) -> tuple[dict[str, np.ndarray], str]:
+    """Remove the columns of each joint, such as directions of approach, from the values; return
+    them as arrays, shape (N, n), completed by the order of rows, and the origin of the directions.
+    """
     given = {
         what: {j: values.pop(f"{what}_{j}") for j in joints if f"{what}_{j}" in values}
         for what in OF_EACH_JOINT
     }
     sides = given["approach"]
     origin = BY_COLUMNS if sides else ""
+    if q is None:
+        return {}, origin
+    arrays = dict[str, np.ndarray]()
     time = values.get("time")
     in_order = schema.options.rows_in_order
-    if joints and (in_order or gives_order(time, arrays["q"])):
-        moves = moves_of_table(arrays["q"], time=time, station=values.get("station"))
+    if in_order or gives_order(time, q):
+        moves = moves_of_table(q, time=time, station=values.get("station"))
         arrays["move"] = agreeing(moves, sides, joints)
         if in_order:
             given["approach"], origin = completed(
-                sides, joints, moves, by_time=time is not None, source=path.name
+                sides, joints, moves, by_time=time is not None, source=source
             )
-    unknown = np.zeros(len(rows))
-    arrays |= {
+    unknown = np.zeros(len(q))
+    return arrays | {
         what: np.column_stack([own.get(j, unknown) for j in joints])
         for what, own in given.items()
         if own
-    }
-    for of in schema.fields:
-        if any(name in values for name in of.columns):
-            arrays[of.name] = _whole(of, values, source=path.name)
-    units = {column.name: column.unit for column in header.columns if column.unit}
-    return Cells(arrays, rows, units, origin, sheet, header.columns, header.orientation)
+    }, origin
 
 
 def _followers(
@@ -422,28 +458,36 @@ def links_of_rows(
     return list(dict.fromkeys(zip(*ends, strict=True))) or [(None, None)]
 
 
+def _log(path: Path, schema: Schema, quantities: Mapping[str, str], *, beside: Sheet) -> Log:
+    """Return the log of joints in a file, whose other columns are conditions of the rows beside."""
+    options = schema.options
+    log = open_sheet(path, ignore=options.ignore, only_joints=True, joints=schema.joint_names)
+    labels = unignored(
+        renamed(log.labels, options.columns, source=path.name, others=beside.labels),
+        options.ignore,
+    )
+    labels = with_joints(labels, schema, quantities, sheet=log)
+    readings = {
+        name for part in schema.fields if part.name not in CONDITIONS for name in part.columns
+    }
+    others = {name: quantity for name, quantity in quantities.items() if name not in readings}
+    columns, unknown = matched(labels, others, {}, source=path.name)
+    check_joints([name for name in schema.needed_joints if name not in columns], unknown, log)
+    values, _ = read_cells(log, tuple(columns.values()))
+    return Log(log, values, schema.own_joints, is_shared=options.shares_log)
+
+
 def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
     """Return a table joined with the log named by the user, and the schema for reading it."""
     options = schema.options
     source = sheet.path.name
     path = Path(options.joints or "")
     quantities = schema.quantities(source=path.name)
-    readings = {
-        name for part in schema.fields if part.name not in CONDITIONS for name in part.columns
-    }
-    others = {name: quantity for name, quantity in quantities.items() if name not in readings}
     with typed_errors(path):
-        log = open_sheet(path, ignore=options.ignore, only_joints=True, joints=schema.joint_names)
-        labels = unignored(
-            renamed(log.labels, options.columns, source=path.name, others=sheet.labels),
-            options.ignore,
-        )
-        labels = with_joints(labels, schema, quantities, sheet=log)
-        columns, unknown = matched(labels, others, {}, source=path.name)
-        check_joints([name for name in schema.needed_joints if name not in columns], unknown, log)
-        values, _ = read_cells(log, tuple(columns.values()))
+        log = _log(path, schema, quantities, beside=sheet)
     mine = unignored(
-        renamed(sheet.labels, options.columns, source=source, others=log.labels), options.ignore
+        renamed(sheet.labels, options.columns, source=source, others=log.sheet.labels),
+        options.ignore,
     )
     found, _ = matched(mine, quantities, {}, source=source)
     if twice := [name for name in schema.joint_names if name in found]:
@@ -453,13 +497,7 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
         )
     time = read_cells(sheet, (found["time"],))[0]["time"] if "time" in found else None
     known = {*quantities, *options.ignore}
-    whole = join(
-        sheet,
-        Log(log, values, schema.own_joints, is_shared=options.shares_log),
-        time,
-        known=known,
-        has=found,
-    )
+    whole = join(sheet, log, time, known=known, has=found)
     here = {
         name: meaning
         for name, meaning in options.columns.items()

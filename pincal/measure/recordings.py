@@ -12,7 +12,7 @@ readings are means over the pose.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,12 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import MeasurementError, needed, warn
 from pincal.measure.joined import HeldPoses, held_poses, mean_turn
 from pincal.measure.nested_sheet import vector_labels
+from pincal.measure.reading_numbers import LAYOUT
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
+from pincal.thresholds import Count
 
 # Size of a number in memory [bytes].
-_BYTES = 8
-# Longest list whose numbers are columns: images are longer.
-_MOST = 32
+_BYTES: Count = 8
 
 
 def open_parquet(path: Path) -> FrameSheet:
@@ -90,18 +90,8 @@ def _with_vectors(sheet: FrameSheet) -> FrameSheet:
     ]
     if not lists:
         return sheet
-    place = sheet.path.resolve()
-    names = next((_names(folder) for folder in (place, *place.parents) if is_dataset(folder)), {})
-    count = [pl.col(name).cast(pl.List(pl.Float64)).list.len() for name in lists]
-    low, high = (
-        sheet.frame.select(ends).collect().row(0)
-        for ends in ([n.min() for n in count], [n.max() for n in count])
-    )
-    sizes = {
-        name: b
-        for name, a, b in zip(lists, low, high, strict=True)
-        if a == b and 0 < (b or 0) <= _MOST
-    }
+    names = _names_above(sheet.path.resolve())
+    sizes = _sizes(sheet, lists)
     asked = list[Any]()
     labels = list[str]()
     for name in kinds.names():
@@ -113,18 +103,44 @@ def _with_vectors(sheet: FrameSheet) -> FrameSheet:
             labels = [*labels, name]
             continue
         if is_named:
-            found = tuple(n.removesuffix(".pos") + " [deg]" * n.endswith(".pos") for n in given)
-            if any(n.endswith(".pos") for n in given):
-                warn(
-                    f"{sheet.path.name}: positions in {name} are interpreted as degrees, "
-                    "not as fractions of the range"
-                )
+            found = _with_degrees(name, given, source=sheet.path.name)
         if note:
             warn(f"{sheet.path.name}: {note}")
         values = pl.col(name).cast(pl.List(pl.Float64))
         asked += [values.list.get(i).alias(f"{name} {i}") for i in range(sizes[name])]
         labels += found
     return replace(sheet, labels=tuple(labels), frame=sheet.frame.select(asked))
+
+
+def _names_above(place: Path) -> Mapping[str, Sequence[str]]:
+    """Return the names of the numbers in lists, by column, of the data set that a file is in."""
+    return next((_names(folder) for folder in (place, *place.parents) if is_dataset(folder)), {})
+
+
+def _sizes(sheet: FrameSheet, lists: Sequence[str]) -> dict[str, int]:
+    """Return the lengths of the short lists that are equally long in all rows, by column."""
+    import polars as pl
+
+    count = [pl.col(name).cast(pl.List(pl.Float64)).list.len() for name in lists]
+    low, high = (
+        sheet.frame.select(ends).collect().row(0)
+        for ends in ([n.min() for n in count], [n.max() for n in count])
+    )
+    return {
+        name: b
+        for name, a, b in zip(lists, low, high, strict=True)
+        if a == b and 0 < (b or 0) <= LAYOUT.longest_list
+    }
+
+
+def _with_degrees(name: str, given: Sequence[str], *, source: str) -> tuple[str, ...]:
+    """Return the names of a list's numbers, those of positions with their unit; warn of it."""
+    if any(n.endswith(".pos") for n in given):
+        warn(
+            f"{source}: positions in {name} are interpreted as degrees, "
+            "not as fractions of the range"
+        )
+    return tuple(n.removesuffix(".pos") + " [deg]" * n.endswith(".pos") for n in given)
 
 
 def _names(folder: Path) -> dict[str, list[str]]:
@@ -150,7 +166,7 @@ def _names(folder: Path) -> dict[str, list[str]]:
 
 _ENDINGS = (".mcap", ".db3", ".bag")
 # Topics that a message lists.
-_LISTED = 20
+_LISTED: Count = 20
 _JOINTS = "sensor_msgs/msg/JointState"
 _IMU = "sensor_msgs/msg/Imu"
 _READINGS = tuple(
@@ -158,9 +174,6 @@ _READINGS = tuple(
     for kind in ("Pose", "Point", "Transform", "PoseWithCovariance")
 )
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-# A frame moves if its position or quaternion changes by more, and freely if its position does in
-# two directions [m].
-_MOVES = 1e-3
 _LABELS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _OF_IMU = ("ax", "ay", "az", "wx", "wy", "wz")
 
@@ -193,7 +206,7 @@ class _Topic:
     @property
     def moves(self) -> bool:
         """Whether its values change."""
-        return bool(len(self.time) > 1 and np.ptp(self.values, axis=0).max() > _MOVES)
+        return bool(len(self.time) > 1 and np.ptp(self.values, axis=0).max() > LAYOUT.frame_moves)
 
 
 def is_bag(path: Path) -> bool:
@@ -238,10 +251,15 @@ def open_bag(
         return _sheet(path, {"time": arm.time} | dict(zip(arm.labels, arm.values.T, strict=True)))
     if len(readings) > 1:
         raise _several("readings", readings, path)
-    (reading,) = readings
-    watched = [i for i, name in enumerate(arm.labels) if name in joints] or [
-        *range(len(arm.labels))
-    ]
+    return _held_readings(path, arm, readings[0], joints)
+
+
+def _held_readings(path: Path, arm: _Topic, reading: _Topic, joints: Collection[str]) -> Sheet:
+    """Return a row for each pose that was held still and read, with the means of joints and
+    readings; warn of the others.
+    """
+    watched = [i for i, name in enumerate(arm.labels) if name in joints]
+    watched = watched or [*range(len(arm.labels))]
     poses = held_poses(arm.time, arm.values[:, watched])
     middle = _middle(poses, arm.time, reading.time)
     seen = np.flatnonzero(middle[:, 1] > middle[:, 0])
@@ -257,8 +275,8 @@ def open_bag(
         f"reading: {len(poses) - len(seen)}"
     )
     values = np.array([_mean(reading.values[first:last]) for first, last in middle[seen]])
-    joints = poses.means(arm.values)[seen]
-    columns = {"time": arm.time[poses.begin[seen]]} | dict(zip(arm.labels, joints.T, strict=True))
+    held = poses.means(arm.values)[seen]
+    columns = {"time": arm.time[poses.begin[seen]]} | dict(zip(arm.labels, held.T, strict=True))
     return _sheet(path, columns | dict(zip(reading.labels, values.T, strict=True)))
 
 
@@ -327,7 +345,7 @@ def _free(frames: list[_Topic], path: Path) -> list[_Topic]:
         spread = np.linalg.svd(
             topic.values[:, :3] - topic.values[:, :3].mean(axis=0), compute_uv=False
         )
-        if len(topic.time) < 3 or spread[1] < _MOVES * np.sqrt(len(topic.time)):
+        if len(topic.time) < 3 or spread[1] < LAYOUT.frame_moves * np.sqrt(len(topic.time)):
             continue
         above = by_child.get(topic.frames[0])
         steps = 0
@@ -383,14 +401,11 @@ def _topics(path: Path, ignore: Collection[str], *, imu: bool = False) -> tuple[
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     found: dict[tuple[str, tuple[str, ...], tuple[str, ...]], list[tuple[float, float, Any]]] = {}
+    kinds = (_JOINTS, *_READINGS, *((_IMU,) if imu else _TRANSFORMS))
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            kinds = (_JOINTS, *_READINGS, *((_IMU,) if imu else _TRANSFORMS))
-            wanted = [
-                each
-                for each in reader.connections
-                if each.msgtype in kinds and each.topic not in ignore
-            ]
+            known = (each for each in reader.connections if each.msgtype in kinds)
+            wanted = [each for each in known if each.topic not in ignore]
             listed = ", ".join(
                 f"{each.topic} ({each.msgtype.split('/')[-1]})"
                 for each in reader.connections[:_LISTED]

@@ -135,25 +135,33 @@ def check_fields(fields: Collection[str], *, source: str) -> None:
             f"{source}: two kinds of measurement ({found}); expected one, ignore the others"
         )
     for sensor in sensors:
-        main, *others = sensor.fields
-        given = [
-            f
-            for f in others
-            if f.name in fields and f.name not in CONDITIONS and f.name not in read
-        ]
-        if given and main.name not in fields:
-            raise MeasurementError(
-                f"{source}: {given[0]} without {main}; add what is missing, or ignore {given[0]}"
-            )
-        missing = [field for field in others if field.name not in fields]
-        if main.name in fields and missing and sensor_class(fields) is None:
-            ways = [other.fields[1:] for other in sensors if other.fields[0] == main]
-            needed = " or ".join(
-                dict.fromkeys(" ".join(str(f) for f in way if f.name not in fields) for way in ways)
-            )
-            raise MeasurementError(
-                f"{source}: {main} without {needed}; add what is missing, or ignore {main}"
-            )
+        _check_whole(sensor, fields, read, source=source)
+
+
+def _check_whole(
+    sensor: type[Sensor], fields: Collection[str], read: Collection[str], *, source: str
+) -> None:
+    """Refuse a table with only some of the fields of a sensor, unless they are ``read`` by the
+    table's own one.
+    """
+    main, *others = sensor.fields
+    given = [
+        f for f in others if f.name in fields and f.name not in CONDITIONS and f.name not in read
+    ]
+    if given and main.name not in fields:
+        raise MeasurementError(
+            f"{source}: {given[0]} without {main}; add what is missing, or ignore {given[0]}"
+        )
+    missing = [field for field in others if field.name not in fields]
+    if main.name in fields and missing and sensor_class(fields) is None:
+        sensors = SENSORS.known().values()
+        ways = [other.fields[1:] for other in sensors if other.fields[0] == main]
+        needed = " or ".join(
+            dict.fromkeys(" ".join(str(f) for f in way if f.name not in fields) for way in ways)
+        )
+        raise MeasurementError(
+            f"{source}: {main} without {needed}; add what is missing, or ignore {main}"
+        )
 
 
 def expected_columns() -> str:

@@ -15,14 +15,14 @@ from pincal.errors import MeasurementError
 from pincal.measure.fields import TableRows
 from pincal.measure.lens import DISTORTION, PINHOLE, Lens
 from pincal.measure.reader import read_columns
+from pincal.measure.reading_numbers import PLAUSIBLE
 from pincal.parameters import ANYWHERE, Parameter
+from pincal.thresholds import Scale
 
 PointPlace = tuple[float, float, float]
 
 # Standard deviation of the length of an artefact, unless stated by its manufacturer [m].
-GAP_SIGMA = 1e-5
-# Ratio of width to length below which points are collinear.
-_LINE = 1e-3
+GAP_SIGMA: Scale = 1e-5
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,10 @@ class NamedPoints:
 
     Example:
         >>> points = NamedPoints({"a": (0.0, 0.0, 0.0), "b": None})
-        >>> [p.name for p in points.parameters], points.positions(np.array([1.0, 2.0, 3.0])).tolist()
-        (['b.x', 'b.y', 'b.z'], [[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+        >>> [p.name for p in points.parameters]
+        ['b.x', 'b.y', 'b.z']
+        >>> points.positions(np.array([1.0, 2.0, 3.0])).tolist()
+        [[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]]
     """
 
     places: Mapping[str, PointPlace | None] = field(default_factory=dict)
@@ -116,7 +118,7 @@ class NamedPoints:
             if len(places) > 2
             else np.zeros(2)
         )
-        return bool(spread[1] <= _LINE * max(spread[0], 1e-300))
+        return bool(spread[1] <= PLAUSIBLE.in_line * max(spread[0], 1e-300))
 
 
 # Size of real distortions, used as prior.

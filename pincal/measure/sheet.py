@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from pincal.errors import MeasurementError, few, warn
+from pincal.measure.reading_numbers import LAYOUT
+from pincal.thresholds import Count
 from pincal.units import expected_number, in_si, is_possible, plain_numbers
 
 if TYPE_CHECKING:
@@ -27,9 +29,9 @@ _ZONE = r" ?([+-])(\d{2}):?(\d{2})$"
 _CLOCK = r"^\d{1,2}:\d{2}:\d{2}(\.\d+)?$"
 _DAY = "2000-01-01"
 # Longest name [bytes], as for files on most systems.
-_LONGEST = 255
+_LONGEST: Count = 255
 # Cells by which columns of numbers and of words are distinguished.
-_SHOWN = 50
+_SHOWN: Count = 50
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,7 @@ _INVALID = (
 # Flags whose 0 marks a reading as invalid.
 _ZERO_IS_INVALID = ("valid", "is_valid", "isvalid", "ok", "visible", "tracked")
 # Lines that a note lists.
-_NAMED = 5
+_NAMED: Count = 5
 
 
 def _with_readings(
@@ -210,21 +212,7 @@ def _with_readings(
     sheet: Sheet,
 ) -> tuple[pl.DataFrame, np.ndarray]:
     """Return the rows with valid readings, at least one; warn of the others."""
-    import polars as pl
-
-    lost = dict[str, np.ndarray]()
-    for column in readings:
-        series = frame[column.name]
-        text = series.cast(pl.String).str.strip_chars().str.to_lowercase()
-        is_empty = series.is_nan() if series.dtype.is_float() else text.str.contains(_NOTHING)
-        lost.setdefault("have an empty reading", np.zeros(len(rows), bool))
-        lost["have an empty reading"] |= is_empty.fill_null(True).to_numpy()
-    if flag is not None:
-        pattern = _INVALID + (r"|^0(\.0*)?$" if flag.label.casefold() in _ZERO_IS_INVALID else "")
-        text = frame[flag.name].cast(pl.String).str.strip_chars().str.to_lowercase()
-        lost[f'are flagged in the column "{flag.label}"'] = (
-            text.str.contains(pattern).fill_null(False).to_numpy()
-        )
+    lost = _lost(frame, readings, flag)
     gone = np.zeros(len(rows), bool)
     for reason, which in lost.items():
         if (which & ~gone).any():
@@ -242,6 +230,28 @@ def _with_readings(
             "finite number in each row"
         )
     return (frame.filter(~gone), rows[~gone]) if gone.any() else (frame, rows)
+
+
+def _lost(
+    frame: pl.DataFrame, readings: Sequence[SheetColumn], flag: SheetColumn | None
+) -> dict[str, np.ndarray]:
+    """Return which rows have no valid reading, shape (N,), by the reason in words."""
+    import polars as pl
+
+    lost = dict[str, np.ndarray]()
+    for column in readings:
+        series = frame[column.name]
+        text = series.cast(pl.String).str.strip_chars().str.to_lowercase()
+        is_empty = series.is_nan() if series.dtype.is_float() else text.str.contains(_NOTHING)
+        lost.setdefault("have an empty reading", np.zeros(frame.height, bool))
+        lost["have an empty reading"] |= is_empty.fill_null(True).to_numpy()
+    if flag is not None:
+        pattern = _INVALID + (r"|^0(\.0*)?$" if flag.label.casefold() in _ZERO_IS_INVALID else "")
+        text = frame[flag.name].cast(pl.String).str.strip_chars().str.to_lowercase()
+        lost[f'are flagged in the column "{flag.label}"'] = (
+            text.str.contains(pattern).fill_null(False).to_numpy()
+        )
+    return lost
 
 
 def _check_lengths(
@@ -328,24 +338,20 @@ def _check_cells(
         found = (
             "an empty cell" if value is None or str(value).strip() in ("", '""') else f'"{value}"'
         )
-        expected = "a name" if column.is_name else expected_number(column.quantity)
-        expected += (
-            ", or a date and time such as 2026-01-31T12:00:00.5"
-            if column.quantity == "time"
-            else ""
-        )
         raise MeasurementError(
-            f'{source}, line {rows[row]}, column "{column.label}": {found}; expected {expected}; '
+            f'{source}, line {rows[row]}, column "{column.label}": {found}; expected '
+            f"{_expected(column)}; "
             f"cells affected: {total}; correct them, delete their rows, or leave the "
             f"column out (--ignore '{column.label}')"
         )
 
 
-# Largest ratio of unpacked to packed size. Measured numbers compress to a fifth in Excel, one
-# number in all cells to an eighth; 60 poses with 1000 readings each compress to a ninth in Parquet.
-_MOST_TIMES = 50
-# Unpacked size that any file may have [bytes]: small ones are little but headers.
-_ALWAYS = 1_000_000
+def _expected(column: SheetColumn) -> str:
+    """Return what a cell of a column should hold, in words."""
+    if column.is_name:
+        return "a name"
+    dates = ", or a date and time such as 2026-01-31T12:00:00.5"
+    return expected_number(column.quantity) + dates * (column.quantity == "time")
 
 
 def check_unpacked(path: Path, held: int) -> None:
@@ -353,10 +359,10 @@ def check_unpacked(path: Path, held: int) -> None:
     unpacked.
     """
     size = path.stat().st_size
-    if held > max(_ALWAYS, _MOST_TIMES * size):
+    if held > max(LAYOUT.always_unpacked, LAYOUT.unpacked * size):
         raise MeasurementError(
             f"{path.name}: holds {held / 1e6:.0f} MB in {size / 1e6:.2g} MB, more than "
-            f"{_MOST_TIMES} times its size; "
+            f"{LAYOUT.unpacked} times its size; "
             "measured numbers do not compress like that: look for blank or copied rows "
             "and columns, or save the table as CSV"
         )

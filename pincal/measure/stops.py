@@ -21,14 +21,7 @@ import numpy as np
 
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, mean_rows, pose_groups, replicate_groups, without_copies
-
-# Consecutive rows of one pose are of two stops if the time between them is at least this part of
-# the usual time from one pose to the next: the arm had time to leave and come back.
-_AWAY = 0.5
-# A pause that is this many times the usual time between stops, and at least as many seconds,
-# divides two sessions.
-_PAUSE = 20.0
-_LEAST_PAUSE = 600.0
+from pincal.measure.reading_numbers import DIVISION
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +237,7 @@ def _stops_begin(table: Measurements, pose: np.ndarray, order: np.ndarray) -> np
     if usual <= 0.0 or np.allclose(gaps, usual):
         # Equal steps, as of a counter of the rows, do not tell whether the arm left.
         return moved
-    return np.asarray(moved | np.append(True, gaps >= _AWAY * usual))
+    return np.asarray(moved | np.append(True, gaps >= DIVISION.away * usual))
 
 
 def _passes_of(pose: np.ndarray, begins: np.ndarray) -> np.ndarray:
@@ -269,5 +262,5 @@ def sessions_by_time(time: np.ndarray) -> np.ndarray:
     moved = gaps[gaps > 0.0]
     usual = float(np.median(moved)) if len(moved) else 0.0
     session = np.empty(len(time), int)
-    session[order] = np.cumsum(gaps > max(_PAUSE * usual, _LEAST_PAUSE))
+    session[order] = np.cumsum(gaps > max(DIVISION.pause * usual, DIVISION.least_pause))
     return session

@@ -31,6 +31,7 @@ from pincal.measure.registry import expected_columns, known_fields
 from pincal.measure.sensor import Divided
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Mimic, mimicked
+from pincal.thresholds import Count
 
 __all__ = [
     "Measurements",
@@ -47,7 +48,7 @@ _UNNAMED = "setup"
 LINK_ENDS = ("from", "to")
 # Rows processed at once where not all fit into memory: some hundred MB, including all that a fit
 # derives from them.
-MOST_ROWS = 200_000
+MOST_ROWS: Count = 200_000
 
 
 def read_measurements(
@@ -96,17 +97,7 @@ def read_measurements(
     if isinstance(robot, Robot):
         schema = schema.of_robot(robot)
     else:
-        names = tuple(robot)
-        driven = {mimic.joint for mimic in mimics}
-        own = tuple(name for name in names if name not in driven)
-        following = partial(mimicked, names=names, mimics=mimics)
-        schema = replace(
-            schema,
-            joint_names=names,
-            joint_types=tuple(joint_types or ()),
-            own_joints=own,
-            following=following,
-        )
+        schema = _of_names(schema, tuple(robot), tuple(joint_types or ()), mimics)
     cells = read_table(path, schema, part=part)
     measurements = validated(
         schema.joint_names, cells.arrays | {"rows": cells.rows}, source=source, units=cells.units
@@ -117,6 +108,20 @@ def read_measurements(
             f"{source}: no measurement in the table; expected columns {expected_columns()}"
         )
     return measurements
+
+
+def _of_names(
+    schema: Schema, names: tuple[str, ...], types: tuple[str, ...], mimics: Sequence[Mimic]
+) -> Schema:
+    """Return a schema with named joints, of which those that mimic others need no column."""
+    driven = {mimic.joint for mimic in mimics}
+    return replace(
+        schema,
+        joint_names=names,
+        joint_types=types,
+        own_joints=tuple(name for name in names if name not in driven),
+        following=partial(mimicked, names=names, mimics=mimics),
+    )
 
 
 def row_parts(path: str | os.PathLike[str], most: int = MOST_ROWS) -> Iterator[range]:
@@ -160,14 +165,11 @@ def write_table(
             "end the name in .csv or .parquet"
         )
     arrays = {name: np.asarray(values) for name, values in columns.items()}
-    if (
-        not arrays
-        or len({values.shape for values in arrays.values()}) > 1
-        or next(iter(arrays.values())).ndim != 1
-    ):
-        shapes = ", ".join(f"{name} {np.shape(values)}" for name, values in columns.items())
+    shapes = [values.shape for values in arrays.values()]
+    if len(set(shapes)) != 1 or len(shapes[0]) != 1:
+        listed = ", ".join(f"{name} {shape}" for name, shape in zip(arrays, shapes, strict=True))
         raise OutputError(
-            f"{path}: columns of shape {shapes or 'nothing'}; expected all of one shape (N,)"
+            f"{path}: columns of shape {listed or 'nothing'}; expected all of one shape (N,)"
         )
     frame = pl.DataFrame({name: np.ascontiguousarray(values) for name, values in arrays.items()})
     frame = frame.with_columns(
@@ -201,8 +203,10 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
 
     Example:
         >>> from pincal.measure.measurements import measurements_from_arrays
-        >>> days = measurements_from_arrays(["a"], [[0.0], [1.0], [2.0]], distance=[1.0] * 3, station=["mo", "tu", "mo"])
-        >>> {name: len(rows) for name, rows in stations_of([("days", days), ("later", days.select([0]))]).items()}
+        >>> columns = {"distance": [1.0] * 3, "station": ["mo", "tu", "mo"]}
+        >>> days = measurements_from_arrays(["a"], [[0.0], [1.0], [2.0]], **columns)
+        >>> found = stations_of([("days", days), ("later", days.select([0]))])
+        >>> {name: len(rows) for name, rows in found.items()}
         {'mo': 3, 'tu': 1}
     """
     tables = [pair for name, table in tables for pair in _by_links(name, table)]
@@ -226,8 +230,10 @@ def stations_of(tables: Iterable[tuple[str, Measurements]]) -> dict[str, Measure
     return stations
 
 
-def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurements]]:
-    """Yield the rows of a table between each pair of links, with their names as stations."""
+def _pairs_of_links(table: Measurements) -> list[tuple[list[str], Measurements]]:
+    """Return the rows of a table between each pair of links, marked by the names of the links and
+    the kind of reading.
+    """
     sensor = table.sensor
     parts = (
         list(sensor.parts(table))
@@ -245,6 +251,12 @@ def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurement
             ([*links[:, k], kind], part.select(inverse == k))
             for k in dict.fromkeys(inverse.tolist())
         ]
+    return found
+
+
+def _by_links(name: str, table: Measurements) -> Iterator[tuple[str, Measurements]]:
+    """Yield the rows of a table between each pair of links, with their names as stations."""
+    found = _pairs_of_links(table)
     # Readings from different links are by different instruments.
     starts = [
         "" if rows.from_link is None or not len(rows) else str(rows.from_link[0])

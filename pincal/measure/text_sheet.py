@@ -22,15 +22,16 @@ import numpy as np
 from pincal.errors import MeasurementError, warn
 from pincal.measure.heading import TableHead, find_heading, is_number
 from pincal.measure.sheet import Sheet, SheetColumn
+from pincal.thresholds import Count
 
 if TYPE_CHECKING:
     import polars as pl
 
 # The header stands within the first part of a file, after at most a page of comments.
-_HEAD_BYTES = 1 << 20
-_CHUNK_BYTES = 1 << 22
+_HEAD_BYTES: Count = 1 << 20
+_CHUNK_BYTES: Count = 1 << 22
 # Rows that show what columns hold.
-_FIRST_ROWS = 50
+_FIRST_ROWS: Count = 50
 _BLANKS = re.compile(rb"[ \t]+")
 
 
@@ -96,7 +97,7 @@ def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
 
 
 # Lines searched for the header.
-_LOOKED_AT = 200
+_LOOKED_AT: Count = 200
 
 
 def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]] | None:
@@ -119,22 +120,11 @@ def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]
             )
         except csv.Error:
             continue
+        first = 0
         if texts and texts[0].startswith("#"):
-            # The first column itself may be named #.
-            is_name = len(rows) > 1 and len(rows[0]) == len(rows[1]) and rows[0][0].strip() == "#"
-            named = [
-                cell.strip() for cell in [rows[0][0].lstrip("# "), *rows[0][1:]] if cell.strip(" #")
-            ]
-            named = ["#", *named] if is_name else named
-            numbers_below = sum(map(is_number, rows[1])) if len(rows) > 1 else 0
-            is_header = (
-                len(rows) > 1
-                and len(named) == len(rows[1])
-                and numbers_below > len(named) - 1 - is_name
-            )
-            rows, first = ([named, *rows[1:]], 0) if is_header else (rows[1:], 1)
-        else:
-            first = 0
+            names = _commented_names(rows)
+            first = 1 if names is None else 0
+            rows = [*([] if names is None else [names]), *rows[1:]]
         if len(rows) == len(texts) - first and (found := find_heading(rows, joints)) is not None:
             is_plain = found.header == 0 and found.body == 1 and not texts[first].startswith("#")
             return None if is_plain else (found, numbers[first:])
@@ -275,6 +265,21 @@ def _are_equal(sheet: TextSheet, expected: int) -> bool:
     return bool((body == len(sheet.labels) - 1).all())
 
 
+def _commented_names(rows: Sequence[list[str]]) -> list[str] | None:
+    """Return the names of columns in a comment above the first row; None if it does not fit this
+    row.
+    """
+    if len(rows) < 2:
+        return None
+    # The first column itself may be named #.
+    is_name = len(rows[0]) == len(rows[1]) and rows[0][0].strip() == "#"
+    cells = [rows[0][0].lstrip("# "), *rows[0][1:]]
+    names = [cell.strip() for cell in cells if cell.strip(" #")]
+    names = ["#", *names] if is_name else names
+    numbers = sum(map(is_number, rows[1]))
+    return names if len(names) == len(rows[1]) and numbers > len(names) - 1 - is_name else None
+
+
 def _read_lines(
     sheet: TextSheet, columns: Sequence[SheetColumn]
 ) -> tuple[pl.DataFrame, np.ndarray]:
@@ -283,15 +288,12 @@ def _read_lines(
 
     with sheet.open() as file:
         lines = _utf8(file.read(), sheet.path).splitlines()
-    rows = np.array(
-        [i for i, line in enumerate(lines, start=1) if i > sheet.header_line and _has_cells(line)],
-        int,
-    )
+    below = range(sheet.header_line + 1, len(lines) + 1)
+    rows = np.array([i for i in below if _has_cells(lines[i - 1])], int)
     kept = [lines[row - 1] for row in rows]
     if not kept:
-        return pl.DataFrame(
-            schema=dict.fromkeys((column.name for column in columns), pl.String)
-        ), rows
+        names = (column.name for column in columns)
+        return pl.DataFrame(schema=dict.fromkeys(names, pl.String)), rows
     try:
         frame = pl.read_csv(
             io.BytesIO(b"\n".join(kept) + b"\n"),

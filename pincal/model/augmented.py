@@ -33,6 +33,25 @@ def augmented_model(
     model = pin.Model()
     model.name = f"{chain.robot.name}_augmented"
     model.gravity = pin.Motion(np.asarray(chain.gravity), np.zeros(3))
+    path = chain.path
+    last = _add_links(model, chain)
+    tip = pin.SE3(path.T_joint_tip)
+    model.addFrame(
+        pin.Frame("start", last[path.start_joint], 0, pin.SE3(path.T_joint_start), pin.OP_FRAME)
+    )
+    model.addFrame(pin.Frame("tip", last[path.tip_joint], 0, tip, pin.OP_FRAME))
+    if payload > 0.0 and path.tip_joint >= 0:
+        centre = np.zeros(3) if payload_centre is None else np.asarray(payload_centre, float)
+        model.appendBodyToJoint(last[path.tip_joint], _body(payload, centre), tip)
+    return model
+
+
+def _add_links(model: pin.Model, chain: Chain) -> dict[int, int]:
+    """Add a joint for each coordinate of each of the chain's joints, and its link; return the last
+    one of each, 0 for the base, -1.
+    """
+    import pinocchio as pin
+
     # Indexed by the kind of a coordinate, see pincal.model.kernel_inputs.Layout.
     kinds = (
         pin.JointModelRX,
@@ -43,7 +62,6 @@ def augmented_model(
         pin.JointModelPZ,
     )
     layout = chain.layout
-    path = chain.path
     last = {-1: 0}
     for i, name in enumerate(chain.robot.joint_names):
         placement = pin.SE3(chain.robot.frames.before(i))
@@ -57,15 +75,7 @@ def augmented_model(
         model.appendBodyToJoint(
             parent, _body(chain.robot.masses[i], chain.robot.centres[i]), pin.SE3.Identity()
         )
-    tip = pin.SE3(path.T_joint_tip)
-    model.addFrame(
-        pin.Frame("start", last[path.start_joint], 0, pin.SE3(path.T_joint_start), pin.OP_FRAME)
-    )
-    model.addFrame(pin.Frame("tip", last[path.tip_joint], 0, tip, pin.OP_FRAME))
-    if payload > 0.0 and path.tip_joint >= 0:
-        centre = np.zeros(3) if payload_centre is None else np.asarray(payload_centre, float)
-        model.appendBodyToJoint(last[path.tip_joint], _body(payload, centre), tip)
-    return model
+    return last
 
 
 def _body(mass: float, centre: np.ndarray) -> pin.Inertia:

@@ -8,8 +8,9 @@ import numpy as np
 
 from pincal.model.cubic import Cubic
 from pincal.model.symbols import are_symbols, cubic
+from pincal.thresholds import Count
 
-_DEGREE = 3
+_DEGREE: Count = 3
 FEWEST_SPLINES = _DEGREE + 1
 
 

@@ -49,6 +49,7 @@ from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.closure import Closure
 from pincal.robot.link_path import LinkPath, above
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count, Scale
 
 MomentFrame = Literal["paper", "before", "after"]
 MOMENT_FRAMES: tuple[MomentFrame, ...] = ("paper", "before", "after")
@@ -91,15 +92,42 @@ _SLIDE_MOMENT_AT: dict[MomentFrame, tuple[int, int, int]] = {
     "after": (5, 4, 4),
 }
 _KIND = {
-    "s_x": 0, "s_y": 1, "theta": 2, "gamma_z": 2, "h": 5, "gamma_y": 1, "gamma_x": 0, "d": 5, "a": 3, "alpha": 0,
+    "s_x": 0, "s_y": 1, "theta": 2, "gamma_z": 2, "h": 5,
+    "gamma_y": 1, "gamma_x": 0, "d": 5, "a": 3, "alpha": 0,
     "rx": 0, "ry": 1, "rz": 2, "x": 3, "y": 4, "z": 5,
 }  # fmt: skip
 # Largest number of paths kept of one robot.
-_MOST_PATHS = 64
+_MOST_PATHS: Count = 64
 # A joint closer than this to the origin of its frame is taken to be there [m].
-_AT_ORIGIN = 1e-6
+_AT_ORIGIN: Scale = 1e-6
 # Columns of DhFrames.parameters.
 _DH_COLUMN = {"s_x": 0, "s_y": 1, "theta": 2, "d": 3, "a": 4, "alpha": 5}
+
+
+@dataclass(frozen=True)
+class _Walk:
+    """A walk along a path in the making, and the transforms of it that are fixed."""
+
+    fixed: list[np.ndarray]
+    steps: list[int] = field(default_factory=list)
+    along: list[float] = field(default_factory=list)
+    fixed_before: list[int] = field(default_factory=list)
+
+    def add(self, coordinates: Sequence[int], sign: float, T: np.ndarray | None) -> None:
+        """Walk along some coordinates, or against them, behind a fixed transform if there is
+        one.
+        """
+        self.steps.extend(coordinates)
+        self.along.extend([sign] * len(coordinates))
+        first = -1 if T is None else len(self.fixed)
+        self.fixed_before.extend([first, *[-1] * (len(coordinates) - 1)])
+        if T is not None:
+            self.fixed.append(T)
+
+    @property
+    def route(self) -> Route:
+        """The walk as arrays."""
+        return Route(np.array(self.steps), np.array(self.along), np.array(self.fixed_before))
 
 
 @dataclass(frozen=True, repr=False)
@@ -358,42 +386,32 @@ class Chain:
         """
         starts = self._static["starts"]
         frames = self.robot.frames
-        fixed = [frames.T_base_first, *frames.T_branch_first, path.T_joint_tip]
+        walk = _Walk([frames.T_base_first, *frames.T_branch_first, path.T_joint_tip])
         before = {0: 0} | {joint: i for i, joint in enumerate(frames.branches, 1)}
         in_tree = np.full(self.size, -1)
         in_tree[[starts[joint] for joint in before]] = list(before.values())
-        steps = list(range(FRAME))
-        along = [1.0] * FRAME
-        fixed_before = [-1] * FRAME
+        walk.add(range(FRAME), 1.0, None)
         is_there = np.array_equal(path.T_joint_start, np.eye(4))
         pending = None if is_there else np.linalg.inv(path.T_joint_start)
-
-        def add(coordinates: Sequence[int], sign: float, T: np.ndarray | None) -> None:
-            steps.extend(coordinates)
-            along.extend([sign] * len(coordinates))
-            fixed_before.extend([-1 if T is None else len(fixed), *[-1] * (len(coordinates) - 1)])
-            if T is not None:
-                fixed.append(T)
-
         if start:
-            add(start[::-1], -1.0, None)
+            walk.add(start[::-1], -1.0, None)
         for joint, sign in path.steps(self.robot.parents):
-            T = fixed[before[joint]] if joint in before else None
+            T = walk.fixed[before[joint]] if joint in before else None
             block = range(starts[joint], starts[joint + 1])
             if sign > 0:
-                add(block, 1.0, _product(pending, T))
+                walk.add(block, 1.0, _product(pending, T))
                 pending = None
             else:
-                add(block[::-1], -1.0, pending)
+                walk.add(block[::-1], -1.0, pending)
                 pending = None if T is None else np.linalg.inv(T)
         last = [*end, *range(self.size - FRAME, self.size)]
-        add(last, 1.0, _product(pending, path.T_joint_tip))
+        walk.add(last, 1.0, _product(pending, path.T_joint_tip))
         return {
             "tree": Route(np.arange(self.size), np.ones(self.size), in_tree),
-            "path": Route(np.array(steps), np.array(along), np.array(fixed_before)),
+            "path": walk.route,
             "parents": np.array(self.robot.parents),
             **self._loads(path),
-            "fixed": np.ascontiguousarray(np.array(fixed)[:, :3]),
+            "fixed": np.ascontiguousarray(np.array(walk.fixed)[:, :3]),
             "tip": 1 + len(frames.branches),
             "tip_joint": path.tip_joint,
         }

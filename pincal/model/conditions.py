@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from pincal.errors import BadInputError
 from pincal.model import kernels, walk
 from pincal.model.chain import Chain
+from pincal.model.effect_numbers import SHOWN
 from pincal.model.kernel_inputs import Payload, Values
 from pincal.model.latest import Latest
 from pincal.model.loops import borne_moments
@@ -24,17 +25,9 @@ from pincal.recorded import RECORDABLE, RECORDED, Recorded
 TURN = 2.0 * np.pi
 # The variable of effects that depend on the static moment on a joint.
 MOMENT = "moment"
-# Positions closer than this fraction of their range count as equal, so that encoder readings on a
-# grid remain a grid.
-_CLOSE = 1e-3
-# A joint whose positions range over less than this, and less than this fraction of the range of the
-# joint that moves most, stands still: an encoder reads a resting joint to about 1e-5 rad, and
-# drives settle to 9e-5 (Slamani 2012) [rad, m].
-_STILL = 1e-4
-_STILL_BESIDE = 1e-3
 # A moment below this fraction of the largest on the arm is there only because the base is not quite
 # level.
-UNFELT = 1e-3
+UNFELT = SHOWN.unfelt
 
 
 @dataclass(frozen=True)
@@ -208,7 +201,9 @@ def moves(q: np.ndarray) -> np.ndarray:
     if not len(q):
         return np.zeros(q.shape[1], bool)
     ranges = np.ptp(q, axis=0)
-    return np.asarray(ranges > max(_STILL, _STILL_BESIDE * float(ranges.max(initial=0.0))))
+    return np.asarray(
+        ranges > max(SHOWN.still, SHOWN.still_beside * float(ranges.max(initial=0.0)))
+    )
 
 
 def spread_of_moving(q: np.ndarray) -> np.ndarray:
@@ -230,7 +225,7 @@ def distinct_values(x: np.ndarray) -> int:
         3
     """
     values = np.sort(x)
-    width = _CLOSE * float(values[-1] - values[0])
+    width = SHOWN.close * float(values[-1] - values[0])
     if not width:
         return 1
     # Closely spaced values form an interval, which counts once for each width.
@@ -340,7 +335,9 @@ def inertial_moments(chain: Chain, conditions: Conditions) -> np.ndarray | float
         angle = theta + np.where(slides, 0.0, conditions.q)
         sine = np.sin(angle)
         cosine = np.cos(angle)
-        x, y = cosine * x - sine * y, sine * x + cosine * y
+        turned = cosine * x - sine * y
+        y = sine * x + cosine * y
+        x = turned
     return np.stack([x, y, moment[..., 2]], axis=2).reshape(len(x), -1)
 
 

@@ -16,19 +16,20 @@ from pincal.model.chain import Chain
 from pincal.model.conditions import MOMENT, Conditions, PoseSet
 from pincal.model.effect import Candidate, Discoverable, Effect, Family, Locus, Term
 from pincal.parameters import Parameter
+from pincal.thresholds import Scale
 
 # Typical sizes of effects on their coordinates [rad or m]: some tenths of a milliradian or of a
 # millimetre, ratios of a thousandth. They serve as priors of parameters that the data do not
 # determine, so only the order of magnitude matters.
-PLAY = 2e-4
-WAVE = 3e-4
-TILT = 1e-4
-GROWTH = 3e-4
-RATIO = 1e-3
+PLAY: Scale = 2e-4
+WAVE: Scale = 3e-4
+TILT: Scale = 1e-4
+GROWTH: Scale = 3e-4
+RATIO: Scale = 1e-3
 
 # Direction cosine below which a moment has no component along an axis: rounding of a URDF's
 # rotations.
-_ACROSS = 1e-12
+_ACROSS: Scale = 1e-12
 
 
 def joint_index(chain: Chain, joint: str) -> int:
@@ -97,7 +98,8 @@ def turning(chain: Chain, conditions: Conditions, i: int) -> np.ndarray:
     )
     sine, cosine = waves(chain.nominal[chain.joint(i, "theta")] + turned_by)
     turned[:, 0, 0] = turned[:, 1, 1] = cosine
-    turned[:, 0, 1], turned[:, 1, 0] = -sine, sine
+    turned[:, 0, 1] = -sine
+    turned[:, 1, 0] = sine
     turned[:, 2, 2] = 1.0
     return turned
 

@@ -17,16 +17,17 @@ from pincal.model.conditions import MOMENT, UNFELT, Conditions, PoseSet
 from pincal.model.effect import Candidate, Discoverable, Effect, Family, Locus, Term
 from pincal.model.loops import inert_coordinates
 from pincal.parameters import FRAME_SYMBOLS, Parameter, Scope
+from pincal.thresholds import Scale
 
 # Sizes of real errors [rad, m], used as priors. The paper (IV.C) reports deviations of up to 1 cm
 # at the tip; makers' tolerances are some tenths of a mm and of a mrad, those of cobots several
 # times that.
-ANGLE_SIZE = 3e-3
-LENGTH_SIZE = 3e-3
+ANGLE_SIZE: Scale = 3e-3
+LENGTH_SIZE: Scale = 3e-3
 # Size of real elastic rotations [rad], likewise.
-BENDING_SIZE = 1e-3
+BENDING_SIZE: Scale = 1e-3
 # Deviation of an arm's mount next to another arm from its nominal pose [m, rad].
-_MOUNT_SIZE = 1e-2
+_MOUNT_SIZE: Scale = 1e-2
 LENGTHS = ("d", "a", *MOUNT_SYMBOLS)
 """Symbols of the coordinates of a joint that are lengths."""
 

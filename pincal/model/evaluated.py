@@ -20,16 +20,17 @@ from pincal.model.effect import Body, Effect, Term
 from pincal.model.kernel_inputs import Layout, Values
 from pincal.model.sparse_basis import SparseBasis, dense_rows, sparse_across, sparse_rows
 from pincal.parameters import Parameter
+from pincal.thresholds import Count, Scale
 
 # Least number of parameters with basis functions on one coordinate for which sharing a column pays.
-WORTH_SHARING = 6
+WORTH_SHARING: Count = 6
 # Non-zero fraction of a curve's basis functions below which it is kept sparse.
-_THIN = 0.25
+_THIN: Scale = 0.25
 # Most numbers that are kept (48 MB), and tables that they belong to.
-_MOST_NUMBERS = 6_000_000
-_TABLES = 16
+_MOST_NUMBERS: Count = 6_000_000
+_TABLES: Count = 16
 # Least mass of a link [kg], as its centre is its first moment over its mass.
-_LIGHTEST = 1e-9
+_LIGHTEST: Scale = 1e-9
 
 
 class Thin(NamedTuple):
@@ -118,14 +119,8 @@ def plain_terms(
 
 def _evaluated(effects: Sequence[Effect], chain: Chain, conditions: Conditions) -> list[_OfEffect]:
     tables: tuple[_Table, ...] = chain.kept.tables
-    past = next(
-        (
-            table
-            for table in tables
-            if table.conditions is conditions and table.chain is chain.token
-        ),
-        None,
-    )
+    here = (table for table in tables if table.conditions is conditions)
+    past = next((table for table in here if table.chain is chain.token), None)
     known = {} if past is None else past.of_effect
     keys = [key_of(effect) for effect in effects]
     found = [
@@ -139,15 +134,21 @@ def _evaluated(effects: Sequence[Effect], chain: Chain, conditions: Conditions) 
         of_effect = next(
             (kept for kept in (known | asked, asked) if _numbers(kept) <= _MOST_NUMBERS), {}
         )
-        kept = [_Table(conditions, chain.token, of_effect)]
-        room = _MOST_NUMBERS - _numbers(of_effect)
-        for table in reversed([table for table in tables if table is not past]):
-            room -= _numbers(table.of_effect)
-            if room < 0 or len(kept) == _TABLES:
-                break
-            kept.append(table)
-        chain.kept.tables = tuple(reversed(kept))
+        newest = _Table(conditions, chain.token, of_effect)
+        chain.kept.tables = _kept(newest, [table for table in tables if table is not past])
     return found
+
+
+def _kept(newest: _Table, earlier: Sequence[_Table]) -> tuple[_Table, ...]:
+    """Return the tables for which there is room, the newest of them last."""
+    kept = [newest]
+    room = _MOST_NUMBERS - _numbers(newest.of_effect)
+    for table in reversed(earlier):
+        room -= _numbers(table.of_effect)
+        if room < 0 or len(kept) == _TABLES:
+            break
+        kept.append(table)
+    return tuple(reversed(kept))
 
 
 def key_of(effect: Effect) -> object:
@@ -248,7 +249,15 @@ def moved_by(
         heights = np.array([values[p] for p in places.tolist()])
         if heights.any():
             by_pose.append((k, sparse_across(basis, heights[:, None])[:, 0]))
-    shift = np.array(added)
+    return _shifted(at, np.array(added), by_pose)
+
+
+def _shifted(
+    at: Values, shift: np.ndarray, by_pose: Sequence[tuple[int, float | np.ndarray]]
+) -> Values:
+    """Return coordinates changed by constants, shape (K,), and some of them by values in each
+    pose.
+    """
     slot = at.slot.copy()
     (before, n) = at.varying.shape
     constant = at.constant + shift

@@ -8,10 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pincal.thresholds import Count
+
 # Numbers of coordinates: of a joint, of a frame (base or tool), and of the mount of a branch.
-BLOCK = 10
-FRAME = 6
-MOUNT = 2
+BLOCK: Count = 10
+FRAME: Count = 6
+MOUNT: Count = 2
 
 
 class Route(NamedTuple):

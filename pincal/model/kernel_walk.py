@@ -13,9 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from pincal.thresholds import Count
+
 # Poses processed together: fewer cost more in calls, more exceed a second-level cache of 512 KiB
 # (6R arm).
-LANES = 64
+LANES: Count = 64
 
 COMPILE = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
 # Functions that are never called from C, or from Python, need no wrappers.
@@ -123,7 +125,10 @@ def load_coordinates(kind, values, walked, span, whole, arms):
 
     Constant coordinates, the same in every group, are loaded only if ``whole``.
     """
-    (start, m), x, c, s = span, arms.x, arms.c, arms.s
+    start, m = span
+    x = arms.x
+    c = arms.c
+    s = arms.s
     for k in walked:
         j = values.slot[k]
         if j >= 0:

@@ -208,7 +208,8 @@ def _through_moments(layout, acting, bears, asked, arms, loads, motions):
 @njit(**PART)
 def _pull_back(compliances, span, J, a):
     """a[r, l] += sum over the coordinates k that depend on moment l of J[r, k] d x_k / d n_l."""
-    (start, m), constant = span, compliances.rate.shape[1] == 1
+    start, m = span
+    constant = compliances.rate.shape[1] == 1
     for e in range(len(compliances.coordinate)):
         k = compliances.coordinate[e]
         l = compliances.moment[e]
@@ -276,7 +277,10 @@ def _kinematic_columns(layout, arms, J):
 @njit(**PART)
 def _parameter_columns(wanted, span, motions, out):
     """Add each term's share to its parameter's column; rigid terms also act through the moments."""
-    (start, m), terms, J, V = span, wanted.terms, motions.J, motions.V
+    start, m = span
+    terms = wanted.terms
+    J = motions.J
+    V = motions.V
     for e in range(len(terms.coordinate)):
         k = terms.coordinate[e]
         q = terms.parameter[e]
@@ -307,7 +311,10 @@ def _mass_columns(layout, acting, bears, masses, span, arms, loads, motions, out
     the moments n_l of joint j and of the joints that carry it; weighted with a_l these are sums
     over l of g x w_l, in U, and of o_l . (g x w_l), in S.
     """
-    (start, m), F, a, u = span, loads.F, motions.a, motions.u
+    start, m = span
+    F = loads.F
+    a = motions.a
+    u = motions.u
     for r in range(len(a)):
         for j in acting:
             U = motions.U[3 * j : 3 * j + 3]
@@ -352,11 +359,9 @@ def _note_poses(R, p, span, out):
     start, m = span
     for r in range(3):
         for i in range(m):
-            out[r, 0, start + i], out[r, 1, start + i], out[r, 2, start + i] = (
-                R[r, 0, i],
-                R[r, 1, i],
-                R[r, 2, i],
-            )
+            out[r, 0, start + i] = R[r, 0, i]
+            out[r, 1, start + i] = R[r, 1, i]
+            out[r, 2, start + i] = R[r, 2, i]
             out[r, 3, start + i] = p[r, i]
 
 
@@ -420,8 +425,9 @@ def evaluate(layout, values, rigid, places, payload, wanted):
         room(1, 1)[0, 0],
     )
     motions = _Motions(
-        np.zeros((rows, K, LANES)), np.zeros((rows, K, LANES)), room(rows, 3 * n), room(rows, 3 * n), room(rows, 3 * n),
-        room(rows, 3 * n), room(1, 3)[0], room(1, 3)[0], room(1, 3 * n)[0], room(1, n)[0],
+        np.zeros((rows, K, LANES)), np.zeros((rows, K, LANES)),
+        room(rows, 3 * n), room(rows, 3 * n), room(rows, 3 * n), room(rows, 3 * n),
+        room(1, 3)[0], room(1, 3)[0], room(1, 3 * n)[0], room(1, n)[0],
     )  # fmt: skip
     poses = np.empty((3, 4, N if posed else 0))
     columns = np.zeros((wanted.n_columns, rows, N))
@@ -475,11 +481,13 @@ def static_moments(
         layout = layout._replace(
             acting=np.arange(len(layout.masses)), bears=np.ones(len(layout.masses), bool)
         )
-    return evaluate(layout, values, values, _NOWHERE, payload, NOTHING)[1]  # type: ignore[no-any-return]
+    found = evaluate(layout, values, values, _NOWHERE, payload, NOTHING)
+    return found[1]  # type: ignore[no-any-return]
 
 
 def tip_poses(layout: Layout, values: Values, places: Places) -> np.ndarray:
     """Return the target's pose in the instrument's frame, shape (3, 4, N): rotation and
     translation.
     """
-    return evaluate(layout, values, values, places, NO_LOAD, NOTHING)[0]  # type: ignore[no-any-return]
+    found = evaluate(layout, values, values, places, NO_LOAD, NOTHING)
+    return found[0]  # type: ignore[no-any-return]

@@ -26,19 +26,19 @@ import numpy as np
 
 from pincal.model import kernels
 from pincal.model.chain import Chain
+from pincal.model.effect_numbers import SHOWN
 from pincal.model.kernel_inputs import FRAME, Compliances, Layout, Payload, Places, Terms, Values
 from pincal.robot.closure import CLOSED, Closure, least_step
+from pincal.thresholds import Count, Scale
 
 # Newton steps, and the gap [m, rad] from which one more suffices; from the nominal arm, errors of
 # millimetres need three.
-_STEPS = 12
-_LAST = 1e-8
+_STEPS: Count = 12
+_LAST: Scale = 1e-8
 # Steps are limited while the gap is larger than this [m, rad].
-_NEAR = 0.1
-# A coordinate that moves passive joints by less than this per unit counts as inert.
-_STILL = 1e-3
+_NEAR: Scale = 0.1
 # Poses in which that is tested.
-_SAMPLES = 8
+_SAMPLES: Count = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,9 +193,8 @@ class Loops:
         """
         p = len(self.follow)
         drives = list(self.drives.values())
-        own = self.coordinates.intersection(
-            [*terms.coordinate.tolist(), *compliances.coordinate.tolist()]
-        )
+        moved = [*terms.coordinate.tolist(), *compliances.coordinate.tolist()]
+        own = self.coordinates.intersection(moved)
         ks = [*self.follow.tolist(), *sorted(own.union(drives).difference(self.follow.tolist()))]
         at = {k: m for m, k in enumerate(ks)}
         on_rigid = self._motion(rigid, ks)
@@ -210,10 +209,9 @@ class Loops:
         direct = self._direct(at, on_rigid, D, loads, compliances) if felt else {}
         found: list[tuple[int, int, bool, np.ndarray]] = []
         for e in range(len(terms.coordinate)):
-            k = int(terms.coordinate[e])
-            column = int(terms.parameter[e])
-            if k not in at:
+            if (k := int(terms.coordinate[e])) not in at:
                 continue
+            column = int(terms.parameter[e])
             basis = 1.0 if terms.slot[e] < 0 else terms.basis[terms.slot[e]]
             follows = equilibrium or not terms.elastic[e]
             turned = {c: by[at[k]] for c, by in direct.items()} if follows else {}
@@ -221,10 +219,11 @@ class Loops:
             for c, by in turned.items():
                 found.append((c, column, True, basis * by))
                 elastic = elastic + bent[at[c]] * by if c in at else elastic
+            is_bent = bent is not D or bool(turned) or not follows
             for q, joint in enumerate(self.follow.tolist()):
                 if follows:
                     found.append((joint, column, False, basis * D[at[k], q]))
-                if bent is not D or turned or not follows:
+                if is_bent:
                     found.append((joint, column, True, basis * elastic[q]))
         return _with_terms(terms, found), self._with_compliances(compliances, at, D, bent)
 
@@ -371,7 +370,7 @@ def inert_coordinates(chain: Chain) -> frozenset[int]:
         ks = sorted(loops.coordinates)
         moved = np.abs(loops.rates(values, ks)).max(axis=(1, 2))
         rods = loops.coordinates.difference(chain.layout.path.coordinate.tolist())
-        still = [k for k, move in zip(ks, moved, strict=True) if k in rods and move < _STILL]
+        still = [k for k, move in zip(ks, moved, strict=True) if k in rods and move < SHOWN.inert]
         own = [chain.joint(int(i), "gamma_z") for i in loops.passive]
         known[chain.moment_frame] = frozenset([*still, *loops.follow.tolist(), *own])
     found: frozenset[int] = known[chain.moment_frame]

@@ -41,12 +41,13 @@ from pincal.model.loops import Loops, borne_moments, closed_loops, moves_tip
 from pincal.model.sparse_basis import Basis, joined_rows
 from pincal.parameters import Parameter
 from pincal.robot.link_path import above
+from pincal.thresholds import Count, Scale
 
 # Moments of a deflected arm differ from those of a rigid one by about 1e-3, so each round gains
 # three digits; a soft arm needs more rounds, and its Jacobian more sweeps.
-_EQUILIBRIUM_ROUNDS = 20
-_SWEEPS = 12
-_EQUILIBRIUM_TOLERANCE = 1e-15
+_EQUILIBRIUM_ROUNDS: Count = 20
+_SWEEPS: Count = 12
+_EQUILIBRIUM_TOLERANCE: Scale = 1e-15
 
 
 @dataclass(frozen=True)
@@ -319,6 +320,62 @@ class Model:
         return constant
 
 
+def _places_of(chain: Chain, conditions: Conditions) -> Places:
+    """Return the set-up and the target of each row; refuse targets that the chain lacks."""
+    target = np.require(conditions.target, np.int64, ["C", "W"])
+    if target.max(initial=0) >= len(chain.targets):
+        raise ValueError(f"target {target.max()} of a chain with {len(chain.targets)} targets")
+    if conditions.setup is None:
+        return Places(np.zeros(len(target), np.int64), target)
+    base = np.require(conditions.setup, np.int64, ["C", "W"])
+    return Places(base, target + len(chain.targets) * base)
+
+
+@dataclass(frozen=True)
+class _Load:
+    """What bends an arm in some poses, at values of its parameters by row.
+
+    Attributes:
+        model: the model.
+        conditions: the poses.
+        layout: masses of the links.
+        payload: the load at the tip.
+        by_row: the values.
+    """
+
+    model: Model
+    conditions: Conditions
+    layout: Layout
+    payload: Payload
+    by_row: RowValues
+
+    def bent(
+        self, unloaded: Values, rigid: Values
+    ) -> tuple[list[tuple[int, Term]], Values, np.ndarray]:
+        """Return the elastic terms, the deformed coordinates and the static moments on the joints,
+        shape (3 n, N), in equilibrium if the model asks for it; ``rigid`` ones have closed loops.
+        """
+        model = self.model
+        deformed = rigid
+        inertial = np.transpose(inertial_moments(model.chain, self.conditions))
+        for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
+            before = deformed
+            static = kernels.static_moments(
+                self.layout, deformed, self.payload, bending=not model.equilibrium
+            )
+            moments = borne_moments(model.chain, deformed, static + inertial)
+            elastic = _elastic(model, self.conditions, moments.T)
+            deformed = closed_loops(model.chain, moved_by(unloaded, self.by_row, elastic))
+            change = (
+                np.abs(deformed.varying - before.varying)
+                if deformed.varying.shape == before.varying.shape
+                else 1.0
+            )
+            if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
+                break
+        return elastic, deformed, moments
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """Terms and coordinates of a model at one set of values."""
@@ -340,19 +397,8 @@ class Evaluation:
         poses.
         """
         conditions = _sighted(model, values, conditions)
-        target = np.require(conditions.target, np.int64, ["C", "W"])
-        if target.max(initial=0) >= len(model.chain.targets):
-            raise ValueError(
-                f"target {target.max()} of a chain with {len(model.chain.targets)} targets"
-            )
-        setup = conditions.setup
-        base = (
-            np.zeros(len(target), np.int64)
-            if setup is None
-            else np.require(setup, np.int64, ["C", "W"])
-        )
-        places = Places(base, target if setup is None else target + len(model.chain.targets) * base)
-        by_row = RowValues.of(values, base)
+        places = _places_of(model.chain, conditions)
+        by_row = RowValues.of(values, places.base)
         mass = np.require(conditions.payload, np.float64, ["C", "W"])
         payload = Payload(mass, np.array(conditions.payload_centre, float))
         plain, curves = _plain(model, conditions)
@@ -375,23 +421,8 @@ class Evaluation:
                 places,
                 payload,
             )
-        deformed = rigid
-        inertial = np.transpose(inertial_moments(model.chain, conditions))
-        for _ in range(_EQUILIBRIUM_ROUNDS if model.equilibrium else 1):
-            before = deformed
-            static = kernels.static_moments(
-                layout, deformed, payload, bending=not model.equilibrium
-            )
-            moments = borne_moments(model.chain, deformed, static + inertial)
-            elastic = _elastic(model, conditions, moments.T)
-            deformed = closed_loops(model.chain, moved_by(unloaded, by_row, elastic))
-            change = (
-                np.abs(deformed.varying - before.varying)
-                if deformed.varying.shape == before.varying.shape
-                else 1.0
-            )
-            if np.max(change, initial=0.0) < _EQUILIBRIUM_TOLERANCE:
-                break
+        load = _Load(model, conditions, layout, payload, by_row)
+        elastic, deformed, moments = load.bent(unloaded, rigid)
         loaded = deformed if model.equilibrium else rigid
         return cls(
             model,
@@ -442,26 +473,33 @@ class Evaluation:
             moment=np.array([body.moment for _, body in used], float).reshape(-1, 3),
         )
 
-    def shared(self, free: np.ndarray) -> list[Shared]:
-        """Return the free parameters that have a single basis function on one coordinate, by
-        coordinate.
+    def _loose(self, free: np.ndarray) -> dict[int, list[tuple[int, np.ndarray]]]:
+        """Return free parameters, with their basis functions by coordinate, that have a single one
+        and are not of a curve that is free as a whole.
         """
-        n = len(self.places.tool)
         count = np.bincount([p for p, _ in self.terms], minlength=len(free))
-        loose: dict[int, list[tuple[int, np.ndarray]]] = {}
-        thin: dict[int, list[Thin]] = {}
-        for curve in self.curves:
-            if free[curve.parameters].all():
-                thin.setdefault(curve.coordinate, []).append(curve)
         half_free = (
             term
             for curve in self.curves
             if not free[curve.parameters].all()
             for term in curve.terms()
         )
+        found: dict[int, list[tuple[int, np.ndarray]]] = {}
         for p, term in (*self.terms, *half_free):
             if free[p] and count[p] <= 1 and term.basis is not None and term.moment is None:
-                loose.setdefault(term.coordinate, []).append((p, term.basis))
+                found.setdefault(term.coordinate, []).append((p, term.basis))
+        return found
+
+    def shared(self, free: np.ndarray) -> list[Shared]:
+        """Return the free parameters that have a single basis function on one coordinate, by
+        coordinate.
+        """
+        n = len(self.places.tool)
+        thin: dict[int, list[Thin]] = {}
+        for curve in self.curves:
+            if free[curve.parameters].all():
+                thin.setdefault(curve.coordinate, []).append(curve)
+        loose = self._loose(free)
         found = []
         for k in dict.fromkeys((*loose, *thin)):
             families: list[tuple[np.ndarray, Basis]] = []

@@ -4,6 +4,8 @@ milliradians.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from pincal.model.conditions import UNFELT, Conditions
@@ -56,12 +58,7 @@ def _largest_bases(
     model: Model, conditions: Conditions, starts: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     state = Evaluation.at(model, np.zeros(model.n_parameters), conditions)
-
-    def most(of_rows: np.ndarray) -> np.ndarray:
-        return (
-            np.maximum.reduceat(np.abs(of_rows), starts) if len(of_rows) else np.zeros(len(starts))
-        )
-
+    most = partial(_most, starts=starts)
     moments = np.array([most(moment) for moment in state.moments]).reshape(-1, len(starts))
     heaviest = moments.max(axis=0, initial=0.0)
     largest = np.zeros((len(starts), model.n_parameters))
@@ -71,15 +68,12 @@ def _largest_bases(
         least[span] = effect.least_moment
     for p, term in state.terms:
         size = np.ones(len(starts)) if term.basis is None else most(term.basis)
-        if term.moment is not None:
-            excited[:, p] |= moments[term.moment] > UNFELT * heaviest
-            size = (
-                size
-                if term.slope is not None
-                else np.maximum(size, max(least[p], UNFELT) * heaviest)
-            )
-        else:
+        if term.moment is None:
             excited[:, p] |= size > 0.0
+        else:
+            excited[:, p] |= moments[term.moment] > UNFELT * heaviest
+            if term.slope is None:
+                size = np.maximum(size, max(least[p], UNFELT) * heaviest)
         largest[:, p] = np.maximum(largest[:, p], size)
     for at, _, basis in state.curves:
         for row, p in zip(dense_rows(basis), at.tolist(), strict=True):
@@ -92,3 +86,8 @@ def _largest_bases(
             largest[:, span] = largest[:, span].max(axis=1, keepdims=True)
             excited[:, span] = excited[:, span].any(axis=1, keepdims=True)
     return np.where(largest > 0.0, largest, 1.0), excited
+
+
+def _most(of_rows: np.ndarray, *, starts: np.ndarray) -> np.ndarray:
+    """Return the largest absolute values of rows of each block that begins at a start."""
+    return np.maximum.reduceat(np.abs(of_rows), starts) if len(of_rows) else np.zeros(len(starts))

@@ -8,9 +8,10 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from pincal.compiled import compiled
+from pincal.thresholds import Count
 
 # Poses processed at once, so that their data stay in the CPU's cache.
-_TILE = 128
+_TILE: Count = 128
 
 
 class SparseBasis(NamedTuple):

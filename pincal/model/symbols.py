@@ -20,9 +20,11 @@ from pincal.model.cubic import Cubic
 
 # Functions of one argument by NumPy's names, for numbers.
 FUNCTIONS: dict[str, Callable[[float], float]] = {
-    "sin": math.sin, "cos": math.cos, "tan": math.tan, "arcsin": math.asin, "arccos": math.acos, "arctan": math.atan,
-    "sinh": math.sinh, "cosh": math.cosh, "tanh": math.tanh, "arcsinh": math.asinh, "exp": math.exp, "log": math.log,
-    "sqrt": math.sqrt, "fabs": math.fabs, "rint": round, "floor": math.floor,
+    "sin": math.sin, "cos": math.cos, "tan": math.tan,
+    "arcsin": math.asin, "arccos": math.acos, "arctan": math.atan,
+    "sinh": math.sinh, "cosh": math.cosh, "tanh": math.tanh, "arcsinh": math.asinh,
+    "exp": math.exp, "log": math.log, "sqrt": math.sqrt,
+    "fabs": math.fabs, "rint": round, "floor": math.floor,
 }  # fmt: skip
 
 # The comparisons assumed true or false in this run of an effect's code.
@@ -166,7 +168,8 @@ def _outcome(comparison: Symbol) -> bool | None:
         if settled is comparison:
             return holds
         if holds and settled.operation == comparison.operation == "equal":
-            (x, a), (y, b) = settled.operands, comparison.operands
+            x, a = settled.operands
+            y, b = comparison.operands
             if x is y and not isinstance(a, Symbol) and not isinstance(b, Symbol):
                 return a == b
     return None

@@ -39,10 +39,8 @@ class _Frame:
             c = apply("cos", x)
             s = apply("sin", x)
             R = self.R.copy()
-            R[:, j], R[:, k] = (
-                self.R[:, j] * c + self.R[:, k] * s,
-                self.R[:, k] * c - self.R[:, j] * s,
-            )
+            R[:, j] = self.R[:, j] * c + self.R[:, k] * s
+            R[:, k] = self.R[:, k] * c - self.R[:, j] * s
             self.R = R
 
 
@@ -112,6 +110,22 @@ def tip_pose(
     return np.column_stack([frame.R, frame.p]), np.column_stack(columns)
 
 
+def _gravity(layout: Layout, x: Sequence[Expression]) -> dict[int, np.ndarray]:
+    """Return gravity in the axes of the frame before each coordinate of the tree."""
+    gravity = {}
+    route = layout.tree
+    behind = {-1: layout.gravity.astype(object)}
+    for j in range(len(layout.masses)):
+        g = behind[int(layout.parents[j])]
+        for k in range(layout.starts[j], layout.starts[j + 1]):
+            if route.fixed_before[k] >= 0:
+                g = layout.fixed[route.fixed_before[k]][:, :3].T.astype(object) @ g
+            gravity[k] = g
+            g = _turned(g, int(layout.kind[k]), x[k], back=True) if layout.kind[k] < 3 else g
+        behind[j] = g
+    return gravity
+
+
 def symbolic_moments(
     layout: Layout, x: Sequence[Expression], payload: Expression, payload_centre: np.ndarray
 ) -> list[Any]:
@@ -122,17 +136,8 @@ def symbolic_moments(
     payload [kg] has its centre of mass, shape (3,), in the tip frame [m].
     """
     n = len(layout.masses)
-    gravity = {}
+    gravity = _gravity(layout, x)
     route = layout.tree
-    behind = {-1: layout.gravity.astype(object)}
-    for j in range(n):
-        g = behind[int(layout.parents[j])]
-        for k in range(layout.starts[j], layout.starts[j + 1]):
-            if route.fixed_before[k] >= 0:
-                g = layout.fixed[route.fixed_before[k]][:, :3].T.astype(object) @ g
-            gravity[k] = g
-            g = _turned(g, int(layout.kind[k]), x[k], back=True) if layout.kind[k] < 3 else g
-        behind[j] = g
     flange = layout.fixed[layout.tip].astype(object)
     carried: dict[int, tuple[Any, Any]] = {
         layout.tip_joint: (
@@ -181,7 +186,8 @@ def _turned(
         c = apply("cos", x)
         s = apply("sin", x)
         j, k = (k, j) if back else (j, k)
-        out[j], out[k] = vector[j] * c - vector[k] * s, vector[j] * s + vector[k] * c
+        out[j] = vector[j] * c - vector[k] * s
+        out[k] = vector[j] * s + vector[k] * c
     return out
 
 

@@ -13,37 +13,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from pincal.motion.motion_numbers import CLOCKS
+from pincal.thresholds import Count, Scale
+
 # Sampling rate at which speeds are compared [Hz], and the fraction of the shorter log that has to
 # overlap.
-_RATE = 50.0
-_OVERLAP = 0.3
-# Correlation of speeds below which motions are different; and its least margin over offsets that
-# differ by more than this [s].
-_SAME_MOTION = 0.6
-_CLEAR = 0.03
-_APART = 1.0
+_RATE: Scale = 50.0
+_OVERLAP: Scale = 0.3
 # First interval that is aligned [s], most rows of intervals and of the whole, most steps, and the
 # change that counts as convergence [s].
-_FIRST = 60.0
-_SOME = 1_500
-_ROWS = 6_000
-_STEPS = 20
-_SETTLED = 1e-6
-CLEARLY = 6.0
-"""Significance, in standard deviations, at which an effect is accepted."""
+_FIRST: Scale = 60.0
+_SOME: Count = 1_500
+_ROWS: Count = 6_000
+_STEPS: Count = 20
+_SETTLED: Scale = 1e-6
 # Information of a block on the clock, relative to the best one, from which it is used.
-_MOVES = 0.05
-# Rows per block, most blocks, fewest blocks on either side of a jump, and iterations to find its
-# row.
-_BLOCK = 40
-_BLOCKS = 40
-_EITHER_SIDE = 3
-_TURNS = 5
+_MOVES: Scale = 0.05
+# Rows per block, most blocks, and iterations to find the row of a jump.
+_BLOCK: Count = 40
+_BLOCKS: Count = 40
+_TURNS: Count = 5
 # Step of the numerical differentiation of features [s].
-_STEP = 1e-3
+_STEP: Scale = 1e-3
 
 
 @dataclass(frozen=True)
@@ -93,12 +88,12 @@ class SpeedMatch:
     @property
     def is_same(self) -> bool:
         """Whether both are of the same motion."""
-        return self.likeness >= _SAME_MOTION
+        return self.likeness >= CLOCKS.same_motion
 
     @property
     def is_clear(self) -> bool:
         """Whether no other offset matches as well, as happens in a motion that repeats."""
-        return self.rival < self.likeness - _CLEAR
+        return self.rival < self.likeness - CLOCKS.clear
 
 
 def correlate(
@@ -125,7 +120,7 @@ def correlate(
     like = (fftconvolve(a, b) - sums[0] * sums[1] / count) / np.sqrt(spread[0] * spread[1])
     like[count < _OVERLAP * min(len(a), len(b))] = -1.0
     best = int(np.argmax(like))
-    others = np.abs(np.arange(len(like)) - best) > _APART * _RATE
+    others = np.abs(np.arange(len(like)) - best) > CLOCKS.apart * _RATE
     start = float(time[0] - other_time[0]) + (best - (len(b) - 1)) / _RATE
     return SpeedMatch(start, float(like[best]), float(like[others].max(initial=-1.0)))
 
@@ -165,7 +160,7 @@ class Jump:
 
     def is_sure(self, least: float) -> bool:
         """Return whether the jump is significant and larger than ``least`` [s]."""
-        return abs(self.size) > max(least, CLEARLY * self.sigma)
+        return abs(self.size) > max(least, CLOCKS.significant * self.sigma)
 
 
 @dataclass(frozen=True)
@@ -239,9 +234,59 @@ def _aligned(
 ) -> Alignment:
     for _ in range(_STEPS):
         seen = rows[covers(clock.to_joints(time[rows]))]
-        at = clock.to_joints(time[seen])
-        y = readings[seen]
         since = time[seen] - clock.middle
+        found = _Projected.of(readings[seen], clock.to_joints(time[seen]), since, seen, features)
+        J = found.jacobian
+        H = J.T @ J
+        step = np.linalg.solve(H, J.T @ (found.rest * found.weights).ravel())
+        sigma = np.sqrt(np.diag(np.linalg.inv(H)))
+        clock = replace(clock.moved(*step.tolist()), sigma=(float(sigma[0]), float(sigma[1])))
+        if abs(step[0]) < _SETTLED and abs(step[1]) * np.ptp(since) < _SETTLED:
+            break
+    jump = likeliest_jump(
+        since + clock.middle,
+        found.rest * found.weights,
+        found.rate * found.weights,
+        found.unexplained,
+    )
+    solution = found.solution
+    return Alignment(clock, solution[:-1].T, solution[-1], found.scatter, jump)
+
+
+@dataclass(frozen=True)
+class _Projected:
+    """N readings of m values, with their linear part in k features of the motion projected out.
+
+    Attributes:
+        basis: shape (N, k), orthonormal columns that span the features.
+        solution: shape (k, m), the linear part.
+        rest: shape (N, m), residuals.
+        rate: shape (N, m), derivatives of the linear part by time.
+        scatter: shape (m,), standard deviation of the residuals.
+        weights: shape (m,), their inverse.
+        jacobian: shape (N m, 2), weighted derivatives by offset and drift of the clock.
+    """
+
+    basis: np.ndarray
+    solution: np.ndarray
+    rest: np.ndarray
+    rate: np.ndarray
+    scatter: np.ndarray
+    weights: np.ndarray
+    jacobian: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        y: np.ndarray,
+        at: np.ndarray,
+        since: np.ndarray,
+        seen: np.ndarray,
+        features: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    ) -> _Projected:
+        """Return the readings ``y`` of the rows ``seen`` at times of the joints' clock, and times
+        since the middle by their own, shape (N,) [s].
+        """
         A, ahead, behind = (
             np.column_stack([features(at + s, seen), np.ones(len(at))])
             for s in (0.0, _STEP, -_STEP)
@@ -254,22 +299,22 @@ def _aligned(
         scatter = np.sqrt(np.sum(rest**2, axis=0) / max(len(y) - A.shape[1] - 1, 1))
         weights = 1.0 / np.maximum(scatter, 1e-12 * np.abs(y).max(initial=1e-300))
         J = np.column_stack([(column * weights).ravel() for column in columns])
-        H = J.T @ J
-        step = np.linalg.solve(H, J.T @ (rest * weights).ravel())
-        sigma = np.sqrt(np.diag(np.linalg.inv(H)))
-        clock = replace(clock.moved(*step.tolist()), sigma=(float(sigma[0]), float(sigma[1])))
-        if abs(step[0]) < _SETTLED and abs(step[1]) * np.ptp(since) < _SETTLED:
-            break
-    clocks = np.linalg.qr(J)[0]
+        return cls(Q, solution, rest, rate, scatter, weights, J)
 
-    def unexplained(steps: np.ndarray) -> np.ndarray:
+    @cached_property
+    def _clock_basis(self) -> np.ndarray:
+        return np.linalg.qr(self.jacobian)[0]
+
+    def unexplained(self, steps: np.ndarray) -> np.ndarray:
+        """Return columns, shape (N, m, K), projected onto the complement of the linear part, and of
+        offset and drift.
+        """
+        Q = self.basis
+        clocks = self._clock_basis
         flat = (steps - np.tensordot(Q, np.tensordot(Q.T, steps, axes=1), axes=1)).reshape(
-            J.shape[0], -1
+            self.jacobian.shape[0], -1
         )
         return np.asarray((flat - clocks @ (clocks.T @ flat)).reshape(steps.shape))
-
-    jump = likeliest_jump(since + clock.middle, rest * weights, rate * weights, unexplained)
-    return Alignment(clock, solution[:-1].T, solution[-1], scatter, jump)
 
 
 def likeliest_jump(
@@ -288,20 +333,18 @@ def likeliest_jump(
         unexplained: projects columns, shape (N, m, K), onto the complement of the fitted parameters
             with offset and drift.
     """
-    parts = np.array_split(
-        np.argsort(time, kind="stable"), min(max(len(time) // _BLOCK, 1), _BLOCKS)
-    )
+    blocks = _blocks(time)
     # An arm at rest carries no information on a clock.
-    squares = [float(np.sum(rate[part] ** 2)) for part in parts]
+    squares = [float(np.sum(rate[block] ** 2)) for block in blocks]
     parts = [
-        part for part, size in zip(parts, squares, strict=True) if size > _MOVES * max(squares)
+        block for block, size in zip(blocks, squares, strict=True) if size > _MOVES * max(squares)
     ]
-    if len(parts) < 2 * _EITHER_SIDE:
+    if len(parts) < 2 * CLOCKS.either_side:
         return Jump(0.0, np.inf, float(time.min()))
     residuals = unexplained(residuals[:, :, None])[:, :, 0]
     reach = float(np.ptp(time)) / len(parts)
     tried = np.array(
-        [time[part[0]] for part in parts[_EITHER_SIDE : len(parts) - _EITHER_SIDE + 1]]
+        [time[part[0]] for part in parts[CLOCKS.either_side : len(parts) - CLOCKS.either_side + 1]]
     )
     for _ in range(_TURNS):
         steps = unexplained(rate[:, :, None] * (time[:, None] >= tried)[:, None])
@@ -309,13 +352,8 @@ def likeliest_jump(
         k = int(np.argmax(np.tensordot(residuals, steps, axes=((0, 1), (0, 1))) ** 2 / known))
         size = float(np.sum(residuals * steps[:, :, k]) / known[k])
         rest = residuals - size * steps[:, :, k]
-        # The first of the readings near it that fits better after the jump.
-        near = np.flatnonzero(np.abs(time - tried[k]) <= reach)
-        near = near[np.argsort(time[near], kind="stable")]
-        after = rest[near] - size * rate[near] * (time[near] < tried[k])[:, None]
-        gained = np.cumsum(np.sum((after + size * rate[near]) ** 2 - after**2, axis=1)[::-1])[::-1]
         begins = float(tried[k])
-        tried = time[near[[int(np.argmax(gained))]]]
+        tried = _first_after(time, rest, size * rate, tried[k], reach)
         if tried[0] == begins:
             break
     # Residuals are independent between parts, not between readings.
@@ -323,3 +361,24 @@ def likeliest_jump(
         float(np.sum(rate[part] * rest[part]) ** 2 / np.sum(rate[part] ** 2)) for part in parts
     )
     return Jump(size, float(np.sqrt(scatter / (len(parts) - 3) / known[k])), begins)
+
+
+def _blocks(time: np.ndarray) -> list[np.ndarray]:
+    """Return blocks of consecutive rows, in order of their stamps, shape (N,)."""
+    count = min(max(len(time) // _BLOCK, 1), _BLOCKS)
+    return np.array_split(np.argsort(time, kind="stable"), count)
+
+
+def _first_after(
+    time: np.ndarray, rest: np.ndarray, shift: np.ndarray, at: float, reach: float
+) -> np.ndarray:
+    """Return the stamp, shape (1,), of the first of the readings within a reach of a jump [s] that
+    fits better after it.
+
+    Residuals ``rest`` are those with the jump there; ``shift``, shape (N, m), is what it changes.
+    """
+    near = np.flatnonzero(np.abs(time - at) <= reach)
+    near = near[np.argsort(time[near], kind="stable")]
+    after = rest[near] - shift[near] * (time[near] < at)[:, None]
+    gained = np.cumsum(np.sum((after + shift[near]) ** 2 - after**2, axis=1)[::-1])[::-1]
+    return np.asarray(time[near[[int(np.argmax(gained))]]])

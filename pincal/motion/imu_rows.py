@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from pincal.measure.sensors.imu import Window
+from pincal.motion.motion_numbers import ON_PATH
+from pincal.thresholds import Scale
 
 # Spacing of rows in widths of the window, so that adjacent windows overlap.
-APART = 2.5
-# Half length of a window, and the longest gap in it, in widths.
-_REACH = 4.0
-_GAP = 1.25
+APART: Scale = 2.5
+# Half length of a window, in widths.
+_REACH: Scale = 4.0
 # Time over which the vibration level is averaged [s].
-_LOCAL = 1.0
+_LOCAL: Scale = 1.0
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def _filters(time: np.ndarray, middles: np.ndarray, window: Window) -> tuple[Any
         np.tile([[1.0], [0.0], [1.0]], (len(middles), 1, 1)),
     )
     F.data *= sum(np.repeat(factors[:, k, 0], count) * away**k for k in range(3))
-    gaps = np.diff(time, prepend=time[0]) > _GAP * window.width
+    gaps = np.diff(time, prepend=time[0]) > ON_PATH.window_gap * window.width
     begins = time[:-1][gaps[1:]]
     ends = time[1:][gaps[1:]]
     touched = np.zeros(len(middles), bool)

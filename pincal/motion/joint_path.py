@@ -17,26 +17,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
+from pincal.motion.motion_numbers import ON_PATH
+from pincal.thresholds import Count, Scale
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-DEGREE = 5
+DEGREE: Count = 5
 """Degree of the splines: their jerk is continuous."""
 # Knots per second that are tried: fits of a real arm with IMU and tracker were the same from 4 to
 # 20.
-_TRIED = (4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
-# Fewest readings per knot, and most readings by which knots are chosen.
-_PER_KNOT = 2.0
-_MOST = 6_000
-# Longest gap bridged by a spline, and unreliable length at its ends, in intervals between knots.
-_BRIDGED = 2.0
-_ENDS = 3.0
+_TRIED: tuple[Scale, ...] = (4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
+# Most readings by which knots are chosen.
+_MOST: Count = 6_000
 # Readings processed at once; relative ridge of the normal equations.
-_PIECE = 50_000
-_RIDGE = 1e-14
+_PIECE: Count = 50_000
+_RIDGE: Scale = 1e-14
 # Residuals below this are rounding of the numbers [rad or m].
-_ROUNDING = 1e-12
+_ROUNDING: Scale = 1e-12
 
 
 @dataclass(frozen=True, repr=False)
@@ -92,8 +90,8 @@ class JointPath:
         stretches = list(_stretches(own, 1.0 / rate))
         if not stretches:
             raise MeasurementError(
-                f"the log of the joints has no {2.0 * _ENDS / rate:.2g} s without a gap "
-                f"of {_BRIDGED / rate:.2g} s; "
+                f"the log of the joints has no {2.0 * ON_PATH.ends / rate:.2g} s without a gap "
+                f"of {ON_PATH.bridged / rate:.2g} s; "
                 "expected readings at 20 Hz or more"
             )
         fits = [_spline(own[part], q[part], rate) for part in stretches]
@@ -139,7 +137,7 @@ class JointPath:
         [s], shape (N,).
         """
         inside = np.zeros(np.shape(time), bool)
-        away = margin + _ENDS * self.spacing
+        away = margin + ON_PATH.ends * self.spacing
         for part in self.parts:
             own = time - self.origin
             inside |= (own >= part.t[0] + away) & (own <= part.t[-1] - away)
@@ -198,17 +196,19 @@ def _spline(time: np.ndarray, q: np.ndarray, rate: float) -> BSpline:
 
 def _stretches(time: np.ndarray, spacing: float) -> Iterator[slice]:
     """Yield the stretches of sufficient length between gaps that no spline can bridge."""
-    ends = [0, *(np.flatnonzero(np.diff(time) > _BRIDGED * spacing) + 1).tolist(), len(time)]
+    ends = [0, *(np.flatnonzero(np.diff(time) > ON_PATH.bridged * spacing) + 1).tolist(), len(time)]
     for a, b in pairwise(ends):
-        is_long = b - a > 1 and time[b - 1] - time[a] > 2.0 * _ENDS * spacing
-        if is_long and b - a >= _PER_KNOT * ((time[b - 1] - time[a]) / spacing + DEGREE):
+        is_long = b - a > 1 and time[b - 1] - time[a] > 2.0 * ON_PATH.ends * spacing
+        if is_long and b - a >= ON_PATH.readings_per_knot * (
+            (time[b - 1] - time[a]) / spacing + DEGREE
+        ):
             yield slice(a, b)
 
 
 def _chosen_rate(time: np.ndarray, q: np.ndarray) -> float:
     """Return the knots per second that predict left-out readings best."""
     steps = np.diff(time)
-    most = 1.0 / (_PER_KNOT * float(np.median(steps)))
+    most = 1.0 / (ON_PATH.readings_per_knot * float(np.median(steps)))
     tried = [rate for rate in _TRIED if rate <= most] or [most]
     scores = [_cross_validation(time, q, rate) for rate in tried]
     best = tried[int(np.argmin(scores))]

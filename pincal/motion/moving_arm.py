@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +17,12 @@ from pincal.model.model import Model
 from pincal.motion.joint_path import DEGREE, JointPath
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation, shortest_turn, translation
+from pincal.thresholds import Count
 
 # Interpolation points of inertial loads per knot of the joints.
-_PER_KNOT = 4
+_PER_KNOT: Count = 4
 # Columns of DhFrames.parameters.
-_D = 3
-_A = 4
-_ALPHA = 5
+_D, _A, _ALPHA = range(3, 6)
 
 
 @dataclass(frozen=True, repr=False)
@@ -152,20 +152,7 @@ def inertial_loads(
     mass = np.zeros(len(q)) if payload is None else payload
     centre = np.zeros(3) if payload_centre is None else payload_centre
     for kilograms in np.unique(mass):
-        model = robot.pinocchio_model()
-        model.gravity.setZero()
-        tip = robot.path.tip_joint
-        if kilograms and tip >= 0:
-            place = (
-                np.linalg.inv(robot.T_link_joint[tip])
-                @ robot.path.T_joint_tip
-                @ np.append(centre, 1.0)
-            )[:3]
-            model.appendBodyToJoint(
-                model.getJointId(robot.joint_names[tip]),
-                pin.Inertia(kilograms, place, np.zeros((3, 3))),
-                pin.SE3.Identity(),
-            )
+        model = _weightless(robot, kilograms, centre)
         data = model.createData()
         ids = [model.getJointId(name) for name in robot.joint_names]
         order = np.array([model.joints[i].idx_v for i in ids])
@@ -177,6 +164,27 @@ def inertial_loads(
             for k, i in enumerate(ids):
                 loads[row, k] = data.f[i].vector
     return -_about_frames_before(robot, q, loads)
+
+
+def _weightless(robot: Robot, kilograms: float, centre: np.ndarray) -> Any:
+    """Return a model of an arm without gravity, carrying a mass at a centre in its tip frame, shape
+    (3,) [m].
+    """
+    import pinocchio as pin
+
+    model = robot.pinocchio_model()
+    model.gravity.setZero()
+    tip = robot.path.tip_joint
+    if kilograms and tip >= 0:
+        place = (
+            np.linalg.inv(robot.T_link_joint[tip]) @ robot.path.T_joint_tip @ np.append(centre, 1.0)
+        )[:3]
+        model.appendBodyToJoint(
+            model.getJointId(robot.joint_names[tip]),
+            pin.Inertia(kilograms, place, np.zeros((3, 3))),
+            pin.SE3.Identity(),
+        )
+    return model
 
 
 def _about_frames_before(robot: Robot, q: np.ndarray, wrenches: np.ndarray) -> np.ndarray:
@@ -191,5 +199,6 @@ def _about_frames_before(robot: Robot, q: np.ndarray, wrenches: np.ndarray) -> n
         lever = np.tile(T[:3, 3], (len(q), 1))
         if robot.joint_types[k] == "prismatic":
             lever[:, 2] += q[:, k]
-        out[:, k, :3], out[:, k, 3:] = force, moment + np.cross(lever, force)
+        out[:, k, :3] = force
+        out[:, k, 3:] = moment + np.cross(lever, force)
     return out

@@ -22,26 +22,22 @@ from pincal.errors import MeasurementError, PincalWarning
 from pincal.hypotheses.hypothesis import Hypothesis, explaining
 from pincal.measure.sensor import Sensor
 from pincal.motion.clocks import Alignment, Clock, aligned
+from pincal.motion.motion_numbers import CLOCKS, FOLLOWING
 from pincal.motion.moving_arm import MovingArm
-from pincal.motion.starts import SHORTEST, OtherMotionError, check_clock, start_positions, steady
+from pincal.motion.starts import OtherMotionError, check_clock, start_positions, steady
 from pincal.motion.stream import Stream
+from pincal.thresholds import Count, Scale
 
 # Step of the search over offsets [s], rows of each target or point in it, their number, and the
 # fewest rows of the others relative to the first.
-_SEARCHED = 0.1
-_SAMPLED = 400
-_THINGS = 3
-_MANY = 0.3
+_SEARCHED: Scale = 0.1
+_SAMPLED: Count = 400
+_THINGS: Count = 3
+_MANY: Scale = 0.3
 # Fraction of the shorter log that has to overlap.
-_LEAST = 0.3
-# Largest fraction of unexplained variance at the best offset, usually 1e-5 to 1e-3, and its floor;
-# fraction of the log-likelihood there that offsets farther away than this [s] may have.
-_EXPLAINED = 1e-2
-_FLOOR = 1e-5
-_RIVALS = 0.75
-_APART = 1.0
-# Handedness of axes, 1 or -1 except for errors of the nominal arm, below which they are mirrored.
-_MIRRORED = -0.5
+_LEAST: Scale = 0.3
+# Floor of the fraction of unexplained variance.
+_FLOOR: Scale = 1e-5
 
 
 def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clock:
@@ -55,19 +51,31 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
         return _start_poses(arm, parts[0], sensor.fields[0].name)
     things = [_Thing.of(part, sensor) for part in parts]
     what = f"{sensor.blocks[0].name}s"
+    offset = _searched(things, arm, what, source=tracker.name)
+    alignment = _aligned(things, arm, Clock(offset))
+    if sensor.follows != "squared":
+        _refuse_mirrored(things[0], alignment, sensor, source=tracker.name)
+    check_clock(tracker, alignment)
+    return alignment.clock
+
+
+def _searched(things: list[_Thing], arm: MovingArm, what: str, *, source: str) -> float:
+    """Return the offset of the clocks by which things follow the arm, to the step of a search [s];
+    refuse things of another motion.
+    """
     (begin, end) = arm.path.span
     first = min(thing.time[0] for thing in things)
     last = max(thing.time[-1] for thing in things)
     lasts = min(end - begin, last - first)
-    if lasts < SHORTEST:
+    if lasts < FOLLOWING.shortest:
         raise MeasurementError(
-            f"{tracker.name}: {what} over {lasts:.3g} s of motion do not determine the "
+            f"{source}: {what} over {lasts:.3g} s of motion do not determine the "
             "offset of the clocks; expected "
-            f"{SHORTEST:g} s or more"
+            f"{FOLLOWING.shortest:g} s or more"
         )
     grid = arm.path.grid(_SEARCHED)
     known = _functions(arm.tips(grid))
-    longest = max(_LEAST * lasts, 0.5 * SHORTEST)
+    longest = max(_LEAST * lasts, 0.5 * FOLLOWING.shortest)
     offsets = np.arange(begin + longest - last, end - longest - first, _SEARCHED)
     found = np.array(
         [[thing.unexplained(offset, grid, known) for offset in offsets] for thing in things]
@@ -76,27 +84,31 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
     score = np.mean(found[:, :, 1] * np.log(np.maximum(found[:, :, 0], _FLOOR)), axis=0)
     best = int(np.argmin(score))
     rest = float(np.mean(found[:, best, 0]))
-    others = score[np.abs(offsets - offsets[best]) > _APART]
-    if rest > _EXPLAINED or others.min(initial=0.0) < _RIVALS * score[best]:
+    others = score[np.abs(offsets - offsets[best]) > CLOCKS.readings_apart]
+    if rest > CLOCKS.unexplained or others.min(initial=0.0) < CLOCKS.rivals * score[best]:
         raise OtherMotionError(
-            f"{tracker.name}: its {what} do not follow these joints, or follow them "
+            f"{source}: its {what} do not follow these joints, or follow them "
             "equally well at several offsets of the "
             f"clocks ({100 * np.sqrt(rest):.1f} % unexplained at best); expected a target "
             "on the tool of this arm, or "
             "points seen from it, with times of a clock and not a count of frames, over "
             "some minutes of non-repeating motion"
         )
-    alignment = _aligned(things, arm, Clock(float(offsets[best])))
-    if sensor.follows != "squared" and things[0].handedness(alignment.matrix[0]) < _MIRRORED:
+    return float(offsets[best])
+
+
+def _refuse_mirrored(
+    thing: _Thing, alignment: Alignment, sensor: type[Sensor], *, source: str
+) -> None:
+    """Refuse readings in a left-handed frame."""
+    if thing.handedness(alignment.matrix[0]) < FOLLOWING.mirrored:
         columns = " ".join(sensor.fields[0].columns)
         raise MeasurementError(
-            f"{tracker.name}: {what} are mirrored relative to the arm; expected a "
+            f"{source}: {sensor.blocks[0].name}s are mirrored relative to the arm; expected a "
             "right-handed frame, for images u to the "
             f"right and v down as the camera sees them: swap two of {columns}, or change "
             "the sign of one"
         )
-    check_clock(tracker, alignment)
-    return alignment.clock
 
 
 def _start_poses(arm: MovingArm, tracker: Stream, name: str) -> Clock:
@@ -227,7 +239,9 @@ class _Thing:
         kept = (at > grid[0]) & (at < grid[-1]) & (step < 1.5 * _SEARCHED)
         if not kept.any():
             return 1.0, 0.0
-        rows, near, share = rows[kept], near[kept], ((at - grid[near]) / step)[kept, None]
+        share = ((at - grid[near]) / step)[kept, None]
+        rows = rows[kept]
+        near = near[kept]
         here = known[near] + share * (known[near + 1] - known[near])
         A = self.columns(here, rows, here.mean(axis=0))
         y = self.values[rows]

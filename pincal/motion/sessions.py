@@ -9,7 +9,7 @@ in other units or a mirrored IMU, are found when a stream is aligned with the mo
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -135,32 +135,15 @@ def read_streams(
         for what, path in (("joints", joints), ("imu", imu), ("tracker", tracker))
         if path is not None
     }
-    recorded = {
-        path: open_streams(path, ignore=given.ignore)
-        for path in set(places.values())
-        if is_bag(path)
-    }
-    for what in STREAMS[1:]:
-        if what not in places and what in recorded.get(places["joints"], {}):
-            places[what] = places["joints"]
-    sheets = {
-        what: _sheet(what, path, recorded.get(path), robot, given) for what, path in places.items()
-    }
+    sheets = _sheets(places, robot, given)
     every = [label for sheet in sheets.values() for label in sheet.labels]
     found = {}
     for what, sheet in sheets.items():
-        # The meaning of a name is given once for all files.
-        own = {
-            name: meaning
-            for name, meaning in given.columns.items()
-            if any(is_named(label, name) for label in sheet.labels)
-            or not any(is_named(label, name) for label in every)
-        }
+        own = _own_names(sheet, every, given.columns)
         cells = cells_of(sheet, _schema(robot, what, replace(given, columns=own)), is_part=True)
-        path = places[what]
-        found[what] = _checked(
-            what, f"{name}/{path.name}" if name and path.stem != name else path.name, cells
-        )
+        path = sheet.path
+        source = f"{name}/{path.name}" if name and path.stem != name else path.name
+        found[what] = _checked(what, source, cells)
     found["joints"] = _checked_joints(robot, found["joints"])
     q = found["joints"].readings["q"]
     if robot.couplings:
@@ -168,6 +151,34 @@ def read_streams(
             found["joints"], readings={**found["joints"].readings, "q": robot.from_reported(q)}
         )
     return Session(name, **found)
+
+
+def _sheets(given: Mapping[str, Path], robot: Robot, options: TableOptions) -> dict[str, Sheet]:
+    """Return the sheets of streams by their files; a recording of the joints has others as well."""
+    recorded = {
+        path: open_streams(path, ignore=options.ignore)
+        for path in set(given.values())
+        if is_bag(path)
+    }
+    joints = given["joints"]
+    others = (what for what in STREAMS[1:] if what not in given)
+    places = {**given, **{what: joints for what in others if what in recorded.get(joints, {})}}
+    return {
+        what: _sheet(what, path, recorded.get(path), robot, options)
+        for what, path in places.items()
+    }
+
+
+def _own_names(sheet: Sheet, every: Sequence[str], columns: Mapping[str, str]) -> dict[str, str]:
+    """Return the meanings of the names that a sheet has, or that none has: each is given once for
+    all files.
+    """
+    return {
+        name: meaning
+        for name, meaning in columns.items()
+        if any(is_named(label, name) for label in sheet.labels)
+        or not any(is_named(label, name) for label in every)
+    }
 
 
 def _sheet(
@@ -200,7 +211,6 @@ def _schema(robot: Robot, what: str, options: TableOptions) -> Schema:
 def _checked(what: str, source: str, cells: Cells) -> Stream:
     """Return a valid stream, or raise an error."""
     arrays = dict(cells.arrays)
-    fields = tuple[Field, ...]()
     time = arrays.pop("time", None)
     listed = columns_listed(cells.sheet.labels)
     if time is None:
@@ -210,47 +220,66 @@ def _checked(what: str, source: str, cells: Cells) -> Stream:
             "(--columns 'NAME=time [s]')?"
         )
     if what == "imu":
-        for field in (FORCE, RATE):
-            if field.name not in arrays:
-                raise MeasurementError(
-                    f"{source}: no columns {field}; expected {FORCE} [m/s^2] and {RATE} [rad/s]; "
-                    f"{listed}: name them (--columns 'NAME={field.columns[0]},...')"
-                )
-    elif what == "joints":
+        _check_imu_columns(arrays, listed, source=source)
+        return checked_imu(in_order(Stream(source, time, arrays, cells.units, cells.rows)))
+    if what == "joints":
         arrays = {name: arrays[name] for name in ("q", "payload") if name in arrays}
-        load = arrays.get("payload", np.zeros(1))
-        if np.ptp(load) > 0.0:
+        _check_one_load(arrays.get("payload", np.zeros(1)), source=source)
+        return in_order(Stream(source, time, arrays, cells.units, cells.rows))
+    fields = _fields_read(arrays, listed, source=source)
+    kept = [*(field.name for field in fields), "target"]
+    arrays = {name: arrays[name] for name in kept if name in arrays}
+    return _seen(in_order(Stream(source, time, arrays, cells.units, cells.rows)), fields[0])
+
+
+def _check_imu_columns(arrays: Mapping[str, np.ndarray], listed: str, *, source: str) -> None:
+    for field in (FORCE, RATE):
+        if field.name not in arrays:
             raise MeasurementError(
-                f"{source}: payload from {load.min():g} to {load.max():g} kg; expected "
-                "one load carried along a path: give "
-                "the parts as separate sessions"
+                f"{source}: no columns {field}; expected {FORCE} [m/s^2] and {RATE} [rad/s]; "
+                f"{listed}: name them (--columns 'NAME={field.columns[0]},...')"
             )
-    else:
-        check_fields(arrays, source=source)
-        sensor = sensor_class(arrays)
-        if sensor is None:
-            raise MeasurementError(
-                f"{source}: no readings; expected columns such as x y z, or x y z qx qy "
-                f"qz qw; {listed}: name them "
-                "(--columns 'NAME=x,...')"
-            )
-        fields = sensor.fields
-        kept = [*(field.name for field in fields), "target"]
-        arrays = {name: arrays[name] for name in kept if name in arrays}
-    stream = in_order(Stream(source, time, arrays, cells.units, cells.rows))
-    if what == "tracker" and not fields[0].is_name:
-        values = stream.readings[fields[0].name].reshape(len(stream), -1)
-        stream = stream.without(
-            np.all(values == 0.0, axis=1), f"read exactly 0 in {fields[0]}: the target was lost"
+
+
+def _check_one_load(load: np.ndarray, *, source: str) -> None:
+    if np.ptp(load) > 0.0:
+        raise MeasurementError(
+            f"{source}: payload from {load.min():g} to {load.max():g} kg; expected "
+            "one load carried along a path: give "
+            "the parts as separate sessions"
         )
-        if not stream.things.any():
-            lost = interpolated(stream.readings[fields[0].name].reshape(len(stream), -1))
-            stream = stream.without(
-                lost,
-                "are evenly spaced on straight lines: the target was lost, and they are "
-                "interpolated",
-            )
-    return checked_imu(stream) if what == "imu" else stream
+
+
+def _fields_read(
+    arrays: Mapping[str, np.ndarray], listed: str, *, source: str
+) -> tuple[Field, ...]:
+    """Return the fields of the sensor of an instrument's columns; refuse those of none."""
+    check_fields(arrays, source=source)
+    sensor = sensor_class(arrays)
+    if sensor is None:
+        raise MeasurementError(
+            f"{source}: no readings; expected columns such as x y z, or x y z qx qy "
+            f"qz qw; {listed}: name them "
+            "(--columns 'NAME=x,...')"
+        )
+    return sensor.fields
+
+
+def _seen(stream: Stream, main: Field) -> Stream:
+    """Return the readings of a target that was seen, by the main field of its sensor."""
+    if main.is_name:
+        return stream
+    values = stream.readings[main.name].reshape(len(stream), -1)
+    stream = stream.without(
+        np.all(values == 0.0, axis=1), f"read exactly 0 in {main}: the target was lost"
+    )
+    if not stream.things.any():
+        lost = interpolated(stream.readings[main.name].reshape(len(stream), -1))
+        stream = stream.without(
+            lost,
+            "are evenly spaced on straight lines: the target was lost, and they are interpolated",
+        )
+    return stream
 
 
 def _checked_joints(robot: Robot, joints: Stream) -> Stream:

@@ -17,44 +17,33 @@ import numpy as np
 from pincal.errors import MeasurementError, warn
 from pincal.hypotheses.hypothesis import Hypothesis, explaining
 from pincal.measure.sensors.imu import FORCE, RATE, Window
-from pincal.motion.clocks import CLEARLY, Alignment, Clock, SpeedMatch, aligned, correlate
+from pincal.motion.clocks import Alignment, Clock, SpeedMatch, aligned, correlate
 from pincal.motion.imu_rows import ImuRows
+from pincal.motion.motion_numbers import CLOCKS, FOLLOWING
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.stream import Stream
 from pincal.robot.se3 import nearest_rotation, rotation_vectors
+from pincal.thresholds import Count, Scale
 from pincal.units import size_of
 
 # Sampling interval of the arm's speeds, and the window of the rates compared with them [s].
-_GRID = 0.02
-_WIDTH = 0.03
-# Largest scale error of lengths and rates in the right unit, tolerance for recognising another
-# unit, and the drift above which a warning is given [1].
-_SCALE = 0.2
-_UNIT = 0.05
-_DRIFT = 2e-4
-# Angle between the frames of accelerometer and gyroscope above which columns are mixed up [rad],
-# and of a mount that slipped; rows per block for finding a mount; blocks on one side for which the
-# limit doubles, as errors of the nominal arm rotate the mount as well, differently in each move;
-# least speed of a row relative to the usual one, and least rotation of a block across its main axis
-# relative to the largest.
-_TURNED = 0.2
-_SLIPPED = 0.01
-_BLOCK = 40
-_FEW = 3
-_LEAST = 0.1
+_GRID: Scale = 0.02
+_WIDTH: Scale = 0.03
+# Rows per block for finding a mount, and the least information of a row and a block on it, relative
+# to the usual and the largest: the speed, and the rotation across the main axis.
+_BLOCK: Count = 40
+_LEAST: Scale = 0.1
 # Poses whose orientations are compared.
-_SAMPLED = 400
-# Length of the median filter, and the deviation from it, relative to the standard deviation, that
-# is an outlier.
-_NEIGHBOURS = 5
-_JUMP = 0.2
-# Largest rms deviation of positions after alignment, relative to their motion, for the same arm.
-_OFF = 0.1
-# Jump of a clock that exceeds the effect of errors of a nominal arm [s]; smaller ones are detected
-# in the calibration.
-_JUMPS = 0.05
-# Readings over a shorter time can hardly be located in the motion [s].
-SHORTEST = 20.0
+_SAMPLED: Count = 400
+# Length of the median filter.
+_NEIGHBOURS: Count = 5
+# The numbers of the checks below, under short names.
+_SCALE = FOLLOWING.scale
+_UNIT = FOLLOWING.unit
+_TURNED = FOLLOWING.turned
+_SLIPPED = FOLLOWING.slipped
+_FEW = FOLLOWING.few_blocks
+CLEARLY = CLOCKS.significant
 
 
 @dataclass(frozen=True)
@@ -283,14 +272,18 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
     if not (kept := steady(position)).all():
         tracker = tracker.select(kept)
         position = position[kept]
-    smooth = max(round(0.02 * tracker.rate), 1)
-    lasts = tracker.time[smooth:] - tracker.time[:-smooth]
-    # Stamps with jitter may nearly coincide.
-    moved = (position[smooth:] - position[:-smooth]) / np.maximum(lasts, 0.5 * np.median(lasts))[
-        :, None
-    ]
-    middles = 0.5 * (tracker.time[smooth:] + tracker.time[:-smooth])
-    match = _match(arm, tracker, middles, np.linalg.norm(moved, axis=1), by_rate=False)
+    found = _placed(arm, tracker, position)
+    check_clock(tracker, found)
+    if "quaternion" in tracker.readings:
+        _check_turns(arm, tracker, found)
+    return found.clock
+
+
+def _placed(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Alignment:
+    """Return the alignment of positions with the arm's; refuse those that do not follow it, in
+    another unit, or in a left-handed frame.
+    """
+    match = _match(arm, tracker, *_speeds(tracker, position), by_rate=False)
     if not match.is_same:
         raise OtherMotionError(
             f"{tracker.name}: its positions do not move as these joints do at any offset "
@@ -306,20 +299,8 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
         Clock(match.offset),
     )
     sizes = np.linalg.svd(found.matrix[:, :3], compute_uv=False)
-    if np.any(np.abs(sizes - 1.0) > _SCALE):
-        unit = _unit(sizes, _SCALE, "mm", "cm", "in")
-        cure = (
-            f"looks like [{unit}]: write `x [{unit}]` in the header"
-            if unit
-            else "check its unit and the robot's size"
-        )
-        text = f"{tracker.name}: positions move {sizes.mean():.3g} times as far as the arm; {cure}"
-        if not unit and np.ptp(tracker.time) < SHORTEST:
-            text += (
-                f"; or are {np.ptp(tracker.time):.3g} s of it too short to be found in the "
-                f"motion? Log {SHORTEST:g} s"
-            )
-        raise MeasurementError(text) if unit else OtherMotionError(text)
+    if np.any(np.abs(sizes - 1.0) > FOLLOWING.scale):
+        raise _out_of_scale(tracker, sizes)
     if np.linalg.det(found.matrix[:, :3]) < 0.0:
         raise MeasurementError(
             f"{tracker.name}: positions are mirrored relative to the arm; expected a "
@@ -327,16 +308,45 @@ def start_positions(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Cl
             "z, or change the sign of one"
         )
     rms = float(np.linalg.norm(found.scatter))
-    if rms > _OFF * float(np.linalg.norm(position.std(axis=0))):
+    if rms > FOLLOWING.off * float(np.linalg.norm(position.std(axis=0))):
         raise OtherMotionError(
             f"{tracker.name}: after the best placement positions are off by "
             f"{1e3 * rms:.3g} mm rms; expected a few mm: "
             "is it this arm, and is the target fixed to the tool?"
         )
-    check_clock(tracker, found)
-    if "quaternion" in tracker.readings:
-        _check_turns(arm, tracker, found)
-    return found.clock
+    return found
+
+
+def _speeds(tracker: Stream, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return stamps and the speeds of a target there by its positions, shape (T, 3) [m], some
+    hundredths of a second apart, shape (M,) each [s, m/s].
+    """
+    smooth = max(round(0.02 * tracker.rate), 1)
+    lasts = tracker.time[smooth:] - tracker.time[:-smooth]
+    # Stamps with jitter may nearly coincide.
+    lasts = np.maximum(lasts, 0.5 * np.median(lasts))
+    moved = (position[smooth:] - position[:-smooth]) / lasts[:, None]
+    middles = 0.5 * (tracker.time[smooth:] + tracker.time[:-smooth])
+    return middles, np.linalg.norm(moved, axis=1)
+
+
+def _out_of_scale(tracker: Stream, sizes: np.ndarray) -> MeasurementError:
+    """Return the error for positions that move ``sizes`` times as far as the arm, shape (3,)."""
+    unit = _unit(sizes, FOLLOWING.scale, "mm", "cm", "in")
+    cure = (
+        f"looks like [{unit}]: write `x [{unit}]` in the header"
+        if unit
+        else "check its unit and the robot's size"
+    )
+    text = f"{tracker.name}: positions move {sizes.mean():.3g} times as far as the arm; {cure}"
+    if unit:
+        return MeasurementError(text)
+    if np.ptp(tracker.time) < FOLLOWING.shortest:
+        text += (
+            f"; or are {np.ptp(tracker.time):.3g} s of it too short to be found in the "
+            f"motion? Log {FOLLOWING.shortest:g} s"
+        )
+    return OtherMotionError(text)
 
 
 def _check_turns(arm: MovingArm, tracker: Stream, found: Alignment) -> None:
@@ -396,7 +406,7 @@ def steady(values: np.ndarray) -> np.ndarray:
     jump = np.abs(values - medfilt(values, (_NEIGHBOURS, 1))) / np.maximum(
         values.std(axis=0), 1e-300
     )
-    kept = np.asarray(np.all(jump < _JUMP, axis=1))
+    kept = np.asarray(np.all(jump < FOLLOWING.outlier, axis=1))
     return np.asarray(kept | (2 * kept.sum() < len(kept)))
 
 
@@ -411,10 +421,10 @@ def check_clock(stream: Stream, found: Alignment) -> None:
     """Refuse a clock that jumps, and warn of one with a drift larger than that of crystals."""
     clock = found.clock
     jump = found.jump
-    if jump.is_sure(_JUMPS):
+    if jump.is_sure(CLOCKS.nominal_jump):
         line = stream.lines[np.searchsorted(stream.time, jump.time)]
         raise MeasurementError(f"{stream.name}, about line {line}: {jump}")
-    if abs(clock.drift) > max(_DRIFT, 5.0 * clock.sigma[1]):
+    if abs(clock.drift) > max(CLOCKS.drift, 5.0 * clock.sigma[1]):
         runs = "slowly" if clock.drift > 0.0 else "fast"
         warn(
             f"{stream.name}: its clock runs {1e6 * abs(clock.drift):.0f} ppm too {runs} "

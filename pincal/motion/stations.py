@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from pincal.measure.sensors.imu import FORCE, RATE, Window
 from pincal.motion.clocks import Clock
 from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
+from pincal.motion.motion_numbers import FOLLOWING
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.reading_starts import start_readings
 from pincal.motion.sessions import Session
@@ -30,19 +31,11 @@ from pincal.motion.starts import OtherMotionError, aligned_forces, start_imu, st
 from pincal.motion.stream import Stream
 from pincal.recorded import Moving
 from pincal.robot.robot import Robot
+from pincal.thresholds import Scale
 
 # Standard deviation of the windows of an IMU's rows [s]; 1 to 12 Hz made no difference on a real
 # arm.
-WIDTH = 0.03
-# Range of a joint at rest [rad, m], that over a whole log, and the number of moving joints that is
-# too small.
-_RESTS = 3e-4
-_MOVED = 1e-2
-_TOO_FEW = 2
-# Sampling rate above which the motion within two samples is never an outlier [Hz].
-_FAST = 20.0
-# Largest change of a reading of few digits, in its smallest steps.
-_STEPS = 2.5
+WIDTH: Scale = 0.03
 
 
 def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measurements]:
@@ -60,46 +53,47 @@ def session_tables(robot: Robot, sessions: Sequence[Session]) -> dict[str, Measu
     }
     found = dict[str, Measurements]()
     for session in sessions:
-        arm, others = (
-            arms[session.name],
-            [(name, arm) for name, arm in arms.items() if name != session.name],
-        )
-        parts = {"imu": session.imu, "tracker": session.tracker}
-        there = [what for what, stream in parts.items() if stream is not None]
-        wrong = list[MeasurementError]()
-        for what in there:
-            name = (
-                session.name
-                if session.name and len(there) == 1
-                else "/".join(filter(None, (session.name, what)))
-            )
-            stream = parts[what]
-            assert stream is not None
-            try:
-                found[name] = (
-                    _imu_table(arm, stream, others)
-                    if what == "imu"
-                    else _tracker_table(arm, stream)
-                )
-            except OtherMotionError as error:
-                wrong.append(error)
-        moved = np.ptp(session.joints.readings["q"], axis=0) > _MOVED
-        if wrong and moved.sum() <= min(_TOO_FEW, robot.n_joints - 1):
-            names = (
-                ", ".join(
-                    name for name, moves in zip(robot.joint_names, moved, strict=True) if moves
-                )
-                or "none"
-            )
-            raise MeasurementError(
-                f"{session.joints.name}: joints that moved: {names}; expected a path on "
-                "which all do, to distinguish "
-                f"readings from those of another motion ({wrong[0]})"
-            )
-        if wrong:
-            # Joints are right if one instrument follows them.
-            raise _at_fault(arm, session, wrong) if len(wrong) == len(there) else wrong[0]
+        found |= _tables_of(robot, session, arms)
     return found
+
+
+def _tables_of(
+    robot: Robot, session: Session, arms: Mapping[str, MovingArm]
+) -> dict[str, Measurements]:
+    """Return the tables of one session by the names of its stations; ``arms`` are those of all."""
+    arm = arms[session.name]
+    others = [(name, other) for name, other in arms.items() if name != session.name]
+    streams = {"imu": session.imu, "tracker": session.tracker}
+    there = {what: stream for what, stream in streams.items() if stream is not None}
+    found = dict[str, Measurements]()
+    wrong = list[MeasurementError]()
+    for what, stream in there.items():
+        is_alone = session.name and len(there) == 1
+        name = session.name if is_alone else "/".join(filter(None, (session.name, what)))
+        is_imu = what == "imu"
+        try:
+            found[name] = _imu_table(arm, stream, others) if is_imu else _tracker_table(arm, stream)
+        except OtherMotionError as error:
+            wrong.append(error)
+    if wrong:
+        _refuse_short_path(robot, session, wrong[0])
+        # Joints are right if one instrument follows them.
+        raise _at_fault(arm, session, wrong) if len(wrong) == len(there) else wrong[0]
+    return found
+
+
+def _refuse_short_path(robot: Robot, session: Session, wrong: MeasurementError) -> None:
+    """Refuse a path on which too few joints moved to tell a motion from another, where readings
+    are wrong.
+    """
+    moved = np.ptp(session.joints.readings["q"], axis=0) > FOLLOWING.moved
+    if moved.sum() <= min(FOLLOWING.too_few, robot.n_joints - 1):
+        names = (name for name, moves in zip(robot.joint_names, moved, strict=True) if moves)
+        raise MeasurementError(
+            f"{session.joints.name}: joints that moved: {', '.join(names) or 'none'}; expected a "
+            "path on which all do, to distinguish "
+            f"readings from those of another motion ({wrong})"
+        )
 
 
 def _at_fault(
@@ -249,7 +243,7 @@ def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
     if again.any():
         tracker = _without_stale(arm, tracker, clock, again, tracker.readings[name])
     values = tracker.readings[name]
-    if tracker.rate > _FAST and not tracker.things.any():
+    if tracker.rate > FOLLOWING.fast and not tracker.things.any():
         tracker = tracker.without(
             ~steady(values.reshape(len(values), -1)), "are outliers: readings of something else"
         )
@@ -279,7 +273,7 @@ def _without_stale(
     # At its limit of resolution a reading changes by the smallest step.
     steps = np.abs(np.diff(values[starts], axis=0, append=np.inf))
     finest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
-    is_stale = (moved > _RESTS) & np.any(steps > _STEPS * finest, axis=1)
+    is_stale = (moved > FOLLOWING.rests) & np.any(steps > FOLLOWING.coarse * finest, axis=1)
     # A lost target may be reported at another position; else the first row is the last real
     # reading.
     seen = np.append(starts[1:], len(q)) - starts == 1

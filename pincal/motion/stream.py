@@ -10,41 +10,15 @@ import numpy as np
 
 from pincal.errors import MeasurementError, warn
 from pincal.measure.sensors.imu import FORCE, RATE
+from pincal.motion.motion_numbers import STREAM
+from pincal.thresholds import Count, Scale
 from pincal.units import STANDARD_GRAVITY
 
-# Length of a gap in samples.
-_GAP = 3.0
-LONG_GAP = 0.2
-"""Length of a gap that is reported [s]."""
-# Largest fraction of rows lost by repetition or clipping, and by a target out of sight.
-_FEW = 0.05
-_MOST = 0.5
-# Gravity in units of logs, and the factor by which it may deviate.
+# Gravity in units of logs.
 _GRAVITIES = {"g": 1.0, "mg": 1e3, "mm/s^2": 1e3 * STANDARD_GRAVITY}
-_NEAR = 1.5
-# Consecutive samples at the same extreme value that are clipped, occurrences needed, and samples of
-# which one occurrence is enough.
-_FLAT = 3
-_OFTEN = 3
-_LONG = 20
-# Consecutive rows on a straight line that are interpolated; largest rounding relative to usual
-# deviations; most decimals; and rounding of single precision.
-_STRAIGHT = 8
-_EVEN = 0.1
-_DECIMALS = 12
-_SINGLE = 2e-7
-# Largest deviation of a jump from a revolution [rad]; speed that no arm reaches, relative to the
-# usual one and in rad/s or m/s; fraction of repeated rows above which a log is faster than its
-# controller.
-_TURN = 0.3
-_SUDDEN = 5.0
-_OFTEN_SAME = 0.3
-# Longest time for which an axis may be constant [s], while others move by this multiple of their
-# standard deviation.
-_FROZEN = 1.0
-_MOVES = 0.5
-# Change between samples after standing still, in smallest steps of a sensor, that is a jump.
-_JUMPS = 8.0
+# Most decimals of a log, and rounding of single precision.
+_DECIMALS: Count = 12
+_SINGLE: Scale = 2e-7
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -132,7 +106,7 @@ class Stream:
             f"{self.lines[lost][0]}, {why}"
         )
         kept = self.select(~lost)
-        if kept.covered < (1.0 - _MOST) * self.covered:
+        if kept.covered < (1.0 - STREAM.most) * self.covered:
             raise MeasurementError(f"{text}; expected readings for most of the time: log again")
         warn(f"{text}; they are left out")
         return kept
@@ -140,7 +114,7 @@ class Stream:
     @property
     def gap(self) -> float:
         """Longest step that is not a gap [s]."""
-        return max(_GAP / self.rate, LONG_GAP)
+        return max(STREAM.gap / self.rate, STREAM.long_gap)
 
     @property
     def covered(self) -> float:
@@ -161,45 +135,56 @@ def checked_joints(stream: Stream, names: Sequence[str], turning: np.ndarray) ->
     stream = _unwrapped(_at_own_rate(stream), names, turning)
     q = stream.readings["q"]
     usual = np.maximum(np.diff(stream.time), float(np.median(stream.steps)))[:, None]
-    steps = np.abs(np.diff(q, axis=0))
-    lost = np.zeros(len(q), bool)
-    speed = steps / usual
+    speed = np.abs(np.diff(q, axis=0)) / usual
     jumps = np.flatnonzero(
-        np.any(speed > _SUDDEN * np.maximum(np.quantile(speed, 0.99, axis=0), 1.0), axis=1)
+        np.any(speed > STREAM.sudden * np.maximum(np.quantile(speed, 0.99, axis=0), 1.0), axis=1)
     )
+    lost = _interrupted(q)
     starts, ends, run = _still(q)
-    # A real motion starts with its smallest steps, not with one that is larger than those that
-    # follow.
-    finest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
-    for begin, end in zip(starts[ends - starts > _FLAT], ends[ends - starts > _FLAT], strict=True):
-        after = steps[end : end + _FLAT].max(axis=0, initial=0.0)
-        if end < len(q) and np.any(steps[end - 1] > _SUDDEN * after + _JUMPS * finest):
-            lost[begin + 1 : end] = True
     for k in jumps:
         # Repetitions before the jump, from the second row, and after it, from the first.
         lost[starts[run[k]] + 1 : k + 1] = True
         if ends[run[k + 1]] > k + 2:
             lost[k + 1 : ends[run[k + 1]]] = True
     for first, last in pairwise(jumps):
-        if stream.time[last] - stream.time[first + 1] < LONG_GAP:
+        if stream.time[last] - stream.time[first + 1] < STREAM.long_gap:
             lost[first + 1 : last + 1] = True
-    if stays := [
-        k for k in jumps if not lost[max(k - 1, 0) : k + 3].any() and usual[k, 0] < LONG_GAP
-    ]:
-        k = stays[0]
-        j = int(np.argmax(speed[stays[0]]))
-        raise MeasurementError(
-            f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by "
-            f"{q[k + 1, j] - q[k, j]:.3g} within "
-            f"{usual[k, 0]:.2g} s and stays there; expected one motion: give logs that "
-            "were appended to each other as "
-            "separate sessions"
-        )
+    for row in jumps.tolist():
+        if usual[row, 0] < STREAM.long_gap and not lost[max(row - 1, 0) : row + 3].any():
+            raise _stays(stream, row, names, int(np.argmax(speed[row])), usual[row, 0])
     return stream.without(
         lost,
         "repeat the previous one, or are off the motion, and end in a jump: the log was "
         "interrupted",
     )
+
+
+def _stays(stream: Stream, k: int, names: Sequence[str], j: int, lasts: float) -> MeasurementError:
+    """Return the error for a joint that jumps behind a row within a time [s], and stays there."""
+    q = stream.readings["q"]
+    return MeasurementError(
+        f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by "
+        f"{q[k + 1, j] - q[k, j]:.3g} within "
+        f"{lasts:.2g} s and stays there; expected one motion: give logs that "
+        "were appended to each other as "
+        "separate sessions"
+    )
+
+
+def _interrupted(q: np.ndarray) -> np.ndarray:
+    """Return which rows, shape (T,), repeat the one before until the joints jump on."""
+    steps = np.abs(np.diff(q, axis=0))
+    lost = np.zeros(len(q), bool)
+    starts, ends, _ = _still(q)
+    # A real motion starts with its smallest steps, not with one that is larger than those that
+    # follow.
+    finest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
+    is_long = ends - starts > STREAM.flat
+    for begin, end in zip(starts[is_long], ends[is_long], strict=True):
+        after = steps[end : end + STREAM.flat].max(axis=0, initial=0.0)
+        if end < len(q) and np.any(steps[end - 1] > STREAM.sudden * after + STREAM.jumps * finest):
+            lost[begin + 1 : end] = True
+    return lost
 
 
 def interpolated(values: np.ndarray) -> np.ndarray:
@@ -218,11 +203,11 @@ def interpolated(values: np.ndarray) -> np.ndarray:
         _DECIMALS,
     )
     rounding = np.maximum(_SINGLE * np.abs(values).max(axis=0), 1.5 * 10.0**-decimals)
-    if not moves.any() or np.any(rounding > _EVEN * np.median(off[moves], axis=0)):
+    if not moves.any() or np.any(rounding > STREAM.even * np.median(off[moves], axis=0)):
         return np.zeros(len(values), bool)
     is_even = moves & np.all(off < rounding, axis=1)
     starts, ends, run = _still(is_even[:, None])
-    return np.asarray(is_even & (ends - starts >= _STRAIGHT)[run])
+    return np.asarray(is_even & (ends - starts >= STREAM.straight)[run])
 
 
 def _still(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -240,9 +225,9 @@ def _at_own_rate(stream: Stream) -> Stream:
     """
     starts, ends, run = _still(stream.readings["q"])
     again = (np.arange(len(stream)) > starts[run]) & (
-        stream.time[ends - 1] - stream.time[starts] < 0.5 * LONG_GAP
+        stream.time[ends - 1] - stream.time[starts] < 0.5 * STREAM.long_gap
     )[run]
-    if again.mean() < _OFTEN_SAME:
+    if again.mean() < STREAM.often_same:
         return stream
     share = f"{100 * again.mean():.0f} %"
     warn(
@@ -256,7 +241,7 @@ def _unwrapped(stream: Stream, names: Sequence[str], turning: np.ndarray) -> Str
     """Return joints that continue where a log wraps to the interval of a revolution."""
     steps = np.diff(stream.readings["q"], axis=0)
     turns = np.round(steps / (2.0 * np.pi))
-    turns[(np.abs(steps - 2.0 * np.pi * turns) > _TURN) | ~turning] = 0.0
+    turns[(np.abs(steps - 2.0 * np.pi * turns) > STREAM.turn) | ~turning] = 0.0
     if not turns.any():
         return stream
     k, j = np.argwhere(turns)[0].tolist()
@@ -284,32 +269,14 @@ def checked_imu(stream: Stream) -> Stream:
         zip((*FORCE.columns, *RATE.columns), np.column_stack([force, rate]).T, strict=True)
     )
     repeats = stream.repeats
-    held = _held(force) | _held(rate) if repeats.mean() < _MOST else np.zeros(len(stream), bool)
-    if (repeats & ~held).mean() > _FEW:
-        share = f"{100 * repeats.mean():.0f} %"
-        warn(
-            f"{stream.name}: {share} of the rows repeat the previous one and are left "
-            "out; log the IMU at its own rate"
-        )
-    elif again := int((repeats & ~held).sum()):
-        warn(
-            f"{stream.name}: {again} rows, the first in line "
-            f"{stream.lines[repeats & ~held][0]}, repeat the previous one "
-            "and are left out: was it polled at nearly its own rate? Then stamps are up "
-            "to a sample late, which adds noise; "
-            "log its own stamps"
-        )
-    cut = np.zeros(len(stream), bool)
-    ends = {column: _cut_off(values) for column, values in columns.items()}
-    for column, values in columns.items():
-        flat = ends[column]
-        if flat.mean() > _FEW:
-            raise MeasurementError(
-                f"{stream.name}: column {column!r} is clipped at "
-                f"{np.abs(values).max():.4g} in {100 * flat.mean():.0f} "
-                "% of the rows; choose a larger range of the IMU, or drive more slowly"
-            )
-        cut |= flat
+    held = (
+        _held(force) | _held(rate) if repeats.mean() < STREAM.most else np.zeros(len(stream), bool)
+    )
+    _warn_of_repeats(stream, repeats, held)
+    ends = {
+        column: _clipped(values, column, source=stream.name) for column, values in columns.items()
+    }
+    cut = np.any([*ends.values()], axis=0)
     for k, (column, values) in enumerate(columns.items()):
         others = np.delete(force if k < 3 else rate, k % 3, axis=1)
         if stuck := _longest_stuck(stream.time, np.where(ends[column], np.nan, values), others):
@@ -329,24 +296,54 @@ def checked_imu(stream: Stream) -> Stream:
     return kept.select(~(cut | repeats)[~held]) if np.any(cut | repeats) else kept
 
 
+def _warn_of_repeats(stream: Stream, repeats: np.ndarray, held: np.ndarray) -> None:
+    """Warn of rows of an IMU that repeat the one before, other than those that were not updated."""
+    if (repeats & ~held).mean() > STREAM.few:
+        share = f"{100 * repeats.mean():.0f} %"
+        warn(
+            f"{stream.name}: {share} of the rows repeat the previous one and are left "
+            "out; log the IMU at its own rate"
+        )
+    elif again := int((repeats & ~held).sum()):
+        warn(
+            f"{stream.name}: {again} rows, the first in line "
+            f"{stream.lines[repeats & ~held][0]}, repeat the previous one "
+            "and are left out: was it polled at nearly its own rate? Then stamps are up "
+            "to a sample late, which adds noise; "
+            "log its own stamps"
+        )
+
+
+def _clipped(values: np.ndarray, column: str, *, source: str) -> np.ndarray:
+    """Return which samples of a column are clipped, shape (T,); refuse one that often is."""
+    flat = _cut_off(values)
+    if flat.mean() > STREAM.few:
+        raise MeasurementError(
+            f"{source}: column {column!r} is clipped at "
+            f"{np.abs(values).max():.4g} in {100 * flat.mean():.0f} "
+            "% of the rows; choose a larger range of the IMU, or drive more slowly"
+        )
+    return flat
+
+
 def _held(values: np.ndarray) -> np.ndarray:
     """Return which rows, shape (T,), are constant over several samples, with a jump of many steps
     before or after.
     """
     steps = np.abs(np.diff(values, axis=0))
     smallest = np.min(np.where(steps > 0.0, steps, np.inf), axis=0)
-    far = np.append(np.any(steps > _JUMPS * smallest, axis=1), False)
+    far = np.append(np.any(steps > STREAM.jumps * smallest, axis=1), False)
     starts, ends, run = _still(values)
-    return np.asarray(((ends - starts > _FLAT) & (far[ends - 1] | far[starts - 1]))[run])
+    return np.asarray(((ends - starts > STREAM.flat) & (far[ends - 1] | far[starts - 1]))[run])
 
 
 def _check_gravity(stream: Stream, size: float) -> None:
     """Refuse specific forces whose median can't be gravity."""
-    if STANDARD_GRAVITY / _NEAR < size < _NEAR * STANDARD_GRAVITY:
+    if STANDARD_GRAVITY / STREAM.gravity < size < STREAM.gravity * STANDARD_GRAVITY:
         return
     text = f"{stream.name}: median specific force of {size:.4g} m/s^2; expected about 9.8"
     for unit, gravity in _GRAVITIES.items():
-        if gravity / _NEAR < size < _NEAR * gravity and "ax" not in stream.units:
+        if gravity / STREAM.gravity < size < STREAM.gravity * gravity and "ax" not in stream.units:
             raise MeasurementError(
                 f"{text}; looks like [{unit}]: write `ax [{unit}]`, `ay [{unit}]`, `az "
                 f"[{unit}]` in the header"
@@ -369,7 +366,7 @@ def _longest_stuck(time: np.ndarray, values: np.ndarray, others: np.ndarray) -> 
     spread = others.std(axis=0)
     longest = 0.0
     steps = np.abs(np.diff(values))
-    most = _JUMPS * float(np.min(steps[steps > 0.0], initial=np.inf))
+    most = STREAM.jumps * float(np.min(steps[steps > 0.0], initial=np.inf))
     for begin, end in zip(starts[ends - starts > 1], ends[ends - starts > 1], strict=True):
         if (
             steps[max(begin - 1, 0)] <= most
@@ -377,7 +374,9 @@ def _longest_stuck(time: np.ndarray, values: np.ndarray, others: np.ndarray) -> 
         ):
             continue  # A sensor of few digits.
         lasts = float(time[end - 1] - time[begin])
-        if lasts > _FROZEN and np.any(np.ptp(others[begin:end], axis=0) > _MOVES * spread):
+        if lasts > STREAM.frozen and np.any(
+            np.ptp(others[begin:end], axis=0) > STREAM.moves * spread
+        ):
             longest = max(longest, lasts)
     return longest
 
@@ -393,7 +392,9 @@ def _cut_off(values: np.ndarray) -> np.ndarray:
         starts = np.flatnonzero(at & ~np.append(False, at[:-1]))
         ends = np.flatnonzero(at & ~np.append(at[1:], False))
         lasts = ends - starts + 1
-        is_often = np.sum(lasts >= _FLAT) >= _OFTEN or (near > 0.0 and lasts.max() >= _LONG)
+        is_often = np.sum(lasts >= STREAM.flat) >= STREAM.often_flat or (
+            near > 0.0 and lasts.max() >= STREAM.long_flat
+        )
         if is_often and at.sum() > np.sum(~at & (np.abs(values - end) < near)):
             found |= at
     return found

@@ -4,41 +4,39 @@ from its shape.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pincal.errors import BadInputError, RobotFileError, nearest_first, warn
-from pincal.robot.dh import dh_frames
+from pincal.robot.closure import Closure
+from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
+from pincal.robot.robot_numbers import OF_ROBOT
 from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree
 from pincal.robot.tree_loops import Choice, Pins, linkage_notes, linkage_of
 from pincal.robot.urdf_file import arm_text
+from pincal.thresholds import Count, Scale
 from pincal.units import LARGEST
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
-# A joint range beyond this [rad or m] is how URDFs express "no limit".
-_NO_LIMIT = 1e3
-# Least mass of a robot [kg].
-_LIGHTEST = 1e-3
 # Most moving joints of a robot; memory and time grow with their cube.
-_MOST_JOINTS = 150
+_MOST_JOINTS: Count = 150
 # Moving mass of an industrial arm, per length of its links along the joints to the power below
 # [kg/m^2.5]; from data sheets of arms from 0.6 m to 3.2 m. Cobots have a fifth of it. It is an
 # initial value only.
-_PER_LENGTH = 36.0
-_GROWTH = 2.5
+_PER_LENGTH: Scale = 36.0
+_GROWTH: Scale = 2.5
 # Moving fraction of a data sheet's mass; the rest is the base.
-_MOVING = 0.7
+_MOVING: Scale = 0.7
 # Least length of a link relative to the arm, as flanges are short but have mass.
-_SHORTEST = 0.02
-# Number of links from which equal masses are not a coincidence.
-_FEWEST_ALIKE = 3
+_SHORTEST: Scale = 0.02
 
 
 @dataclass(frozen=True)
@@ -76,9 +74,9 @@ def arm_of_tree(tree: UrdfTree, request: TreeRequest, *, mass: float | None) -> 
     passed = {
         joint.name for pair in ends for way in _checked_path(tree, base, *pair) for joint in way
     }
-    if mass is not None and not _LIGHTEST <= mass <= LARGEST:
+    if mass is not None and not OF_ROBOT.lightest <= mass <= LARGEST:
         raise BadInputError(
-            f"mass of the robot is {mass} kg; expected {_LIGHTEST:g} to {LARGEST:g} kg"
+            f"mass of the robot is {mass} kg; expected {OF_ROBOT.lightest:g} to {LARGEST:g} kg"
         )
     unmeasured = tuple(joint.name for joint in joints if joint.name not in tree.with_loops(passed))
     found = _attributes(tree, joints, base, ends, mass=mass, recorded=request.joints)
@@ -99,6 +97,29 @@ def _stand(tree: UrdfTree, tip: str, request: TreeRequest) -> tuple[str, str]:
     return (start if is_above and not request.paths and not request.others else tree.root), start
 
 
+def _check_moving(tree: UrdfTree, name: str) -> None:
+    """Refuse the name of a joint that is not there, or does not move."""
+    known = {joint.name: joint for joint in tree.joints}
+    if name not in known or known[name].kind not in MOVING_TYPES:
+        raise RobotFileError(
+            f"{tree.source}: no moving joint {name!r}; its joints: "
+            f"{', '.join(nearest_first([name], list(known))[:12])}"
+        )
+
+
+def _sources(known: Mapping[str, UrdfJoint], name: str, taken: Collection[str]) -> list[str]:
+    """Return the joint that a joint mimics, the one that this mimics, and so on, up to one that is
+    taken.
+    """
+    found = list[str]()
+    while (mimic := known[name].mimic) is not None and mimic.source in known:
+        name = mimic.source
+        if name in taken or name in found:
+            break
+        found.append(name)
+    return found
+
+
 def _moving_joints(
     tree: UrdfTree, base: str, ends: Sequence[tuple[str, str]], others: Sequence[str]
 ) -> tuple[UrdfJoint, ...]:
@@ -114,11 +135,7 @@ def _moving_joints(
     )
     known = {joint.name: joint for joint in tree.joints}
     for name in others:
-        if name not in known or known[name].kind not in MOVING_TYPES:
-            raise RobotFileError(
-                f"{tree.source}: no moving joint {name!r}; its joints: "
-                f"{', '.join(nearest_first([name], list(known))[:12])}"
-            )
+        _check_moving(tree, name)
         if _is_above(tree, base, known[name]):
             order.setdefault(name)
     order |= dict.fromkeys(
@@ -135,13 +152,7 @@ def _moving_joints(
         )
     for name in list(order):
         # A mimic joint moves with its source, which may be on another branch.
-        while (
-            (mimic := known[name].mimic) is not None
-            and mimic.source in known
-            and mimic.source not in order
-        ):
-            name = mimic.source
-            order[name] = None
+        order |= dict.fromkeys(_sources(known, name, order))
     chosen = [known[name] for name in order if known[name].kind in MOVING_TYPES]
     if len(chosen) > _MOST_JOINTS:
         raise RobotFileError(
@@ -218,6 +229,94 @@ def path_between(
     return LinkPath(start, tip, *carriers, *relative)
 
 
+@dataclass(frozen=True)
+class _Neutral:
+    """The n moving joints of an arm, and all links, at q = 0 in the base frame.
+
+    Attributes:
+        model: Pinocchio's, with all other joints locked.
+        ids: the joints in it.
+        T_base_world: the frame of the URDF's root.
+        joints: shape (n, 4, 4), frames of the joints.
+        axes: shape (n, 3), their unit directions.
+        links: shape (4, 4), frame of each link by its name.
+    """
+
+    model: pin.Model
+    ids: list[int]
+    T_base_world: pin.SE3
+    joints: np.ndarray
+    axes: np.ndarray
+    links: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, tree: UrdfTree, names: tuple[str, ...], base: str) -> _Neutral:
+        import pinocchio as pin
+
+        model = arm_model(tree.text, names, tree.source)
+        data = model.createData()
+        ids = [model.getJointId(name) for name in names]
+        pin.framesForwardKinematics(model, data, pin.neutral(model))
+        T_base_world = data.oMf[model.getFrameId(base, pin.BODY)].inverse()
+        joints = np.array([(T_base_world * data.oMi[i]).homogeneous for i in ids])
+        axes = np.einsum("nij,nj->ni", joints[:, :3, :3], _local_axes(model, data, ids))
+        links = {
+            link: (T_base_world * data.oMf[model.getFrameId(link, pin.BODY)]).homogeneous
+            for link in tree.links
+        }
+        return cls(model, ids, T_base_world, joints, axes, links)
+
+    def pins(self, tree: UrdfTree, path: tuple[UrdfJoint, ...]) -> Sequence[Pins]:
+        """Return the pins of the loops that the joints close."""
+        lines = np.stack([self.joints[:, :3, 3], self.axes], axis=1)
+        return Pins.of_tree(tree, path, self.links, lines)
+
+    def limits(self, path: tuple[UrdfJoint, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the joints' own limits, shape (n,) each, infinite where they have none."""
+        places = [self.model.joints[i].idx_q for i in self.ids]
+        lower = self.model.lowerPositionLimit[places]
+        upper = self.model.upperPositionLimit[places]
+        turns = np.array([joint.kind == "continuous" for joint in path])
+        bounded = ~turns & (upper > lower) & (upper - lower < OF_ROBOT.unlimited)
+        return np.where(bounded, lower, -np.inf), np.where(bounded, upper, np.inf)
+
+
+@dataclass(frozen=True)
+class _Masses:
+    """Masses of the n links [kg], shape (n,), centres of mass in the frames of the links [m], shape
+    (n, 3), and which of them are guessed.
+    """
+
+    masses: np.ndarray
+    centres: np.ndarray
+    guessed: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        neutral: _Neutral,
+        frames: DhFrames,
+        parents: tuple[int, ...],
+        tips: np.ndarray,
+        total: float | None,
+    ) -> _Masses:
+        """Return those of the URDF, or guesses where it has none or the user states the total."""
+        inertias = [neutral.model.inertias[i] for i in neutral.ids]
+        masses = np.array([inertia.mass for inertia in inertias])
+        levers = np.array([inertia.lever for inertia in inertias])
+        T_link_joint = np.linalg.inv(frames.T_base_link) @ neutral.joints
+        centres = np.einsum("nij,nj->ni", T_link_joint[:, :3, :3], levers) + T_link_joint[:, :3, 3]
+        unknown = (masses <= 0.0) | are_placeholders(masses.tolist()) | (total is not None)
+        if unknown.any():
+            spans = _link_ends(parents, neutral.joints, tips)
+            masses, middles = guessed_masses(masses, spans, unknown, total=total, parents=parents)
+            middles = np.einsum(
+                "nji,nj->ni", frames.T_base_link[:, :3, :3], middles - frames.T_base_link[:, :3, 3]
+            )
+            centres = np.where(unknown[:, None], middles, centres)
+        return cls(masses, centres, unknown)
+
+
 def _attributes(
     tree: UrdfTree,
     path: tuple[UrdfJoint, ...],
@@ -227,63 +326,26 @@ def _attributes(
     mass: float | None,
     recorded: Sequence[str] | None,
 ) -> dict[str, Any]:
-    import pinocchio as pin
-
     mimics = tree.mimics(path)
     names = tuple(joint.name for joint in path)
-    model = arm_model(tree.text, names, tree.source)
-    data = model.createData()
-    ids = [model.getJointId(name) for name in names]
-    pin.framesForwardKinematics(model, data, pin.neutral(model))
-    T_base_world = data.oMf[model.getFrameId(base, pin.BODY)].inverse()
-    joints = np.array([(T_base_world * data.oMi[i]).homogeneous for i in ids])
-    axes = np.einsum("nij,nj->ni", joints[:, :3, :3], _local_axes(model, data, ids))
+    types = tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path)
+    neutral = _Neutral.of(tree, names, base)
     parents = _parents(tree, path)
     aims = {tree.carrier(path, link): link for pair in reversed(ends) for link in pair}
-    tips = [aims.get(i, joint.child) for i, joint in enumerate(path)]
-    T_base_links = {
-        link: (T_base_world * data.oMf[model.getFrameId(link, pin.BODY)]).homogeneous
-        for link in tree.links
-    }
-    T_base_tips = [T_base_links[tip] for tip in tips]
-    pins = Pins.of_tree(tree, path, T_base_links, np.stack([joints[:, :3, 3], axes], axis=1))
-    rods = {
-        i: T for pin in pins for i, T in zip(pin.carriers, pin.T_base, strict=True) if i not in aims
-    }
-    frames = dh_frames(joints[:, :3, 3], axes, np.array(T_base_tips), parents, rods)
-    T_link_joint = np.linalg.inv(frames.T_base_link) @ joints
+    tips = np.array([neutral.links[aims.get(i, joint.child)] for i, joint in enumerate(path)])
+    pins = neutral.pins(tree, path)
+    frames = dh_frames(neutral.joints[:, :3, 3], neutral.axes, tips, parents, _rods_of(pins, aims))
+    T_link_joint = np.linalg.inv(frames.T_base_link) @ neutral.joints
     way = path_between(tree, names, base, *ends[0]).on_links(T_link_joint)
     frames = replace(frames, T_last_tip=way.T_joint_tip)
-    levers = np.array([model.inertias[i].lever for i in ids])
-    centres = np.einsum("nij,nj->ni", T_link_joint[:, :3, :3], levers) + T_link_joint[:, :3, 3]
-    masses = np.array([model.inertias[i].mass for i in ids])
-    unknown = (masses <= 0.0) | are_placeholders(masses.tolist()) | (mass is not None)
-    if unknown.any():
-        spans = _link_ends(parents, joints, np.array(T_base_tips))
-        masses, middles = guessed_masses(masses, spans, unknown, total=mass, parents=parents)
-        middles = np.einsum(
-            "nji,nj->ni", frames.T_base_link[:, :3, :3], middles - frames.T_base_link[:, :3, 3]
-        )
-        centres = np.where(unknown[:, None], middles, centres)
-    places = [model.joints[i].idx_q for i in ids]
-    lower = model.lowerPositionLimit[places]
-    upper = model.upperPositionLimit[places]
-    turns = np.array([joint.kind == "continuous" for joint in path])
-    bounded = ~turns & (upper > lower) & (upper - lower < _NO_LIMIT)
-    limits = np.where(bounded, lower, -np.inf), np.where(bounded, upper, np.inf)
-    limits = _with_mimics(*limits, names=names, mimics=mimics)
-    types = tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path)
-    linkage = None
-    notes = tree.notes
-    if pins:
-        closures = [pin.placed(frames.T_base_link) for pin in pins]
-        kinematics = Kinematics.of(frames, types, parents)
-        on_path = [names[i] for i, _ in way.steps(parents)]
-        mimicked = [mimic.source for mimic in mimics]
-        choice = Choice(tree.source, names, recorded, on_path, mimicked)
-        linkage = linkage_of(kinematics, closures, limits, choice)
-        notes = (*notes, *linkage_notes(linkage, choice))
-    return {
+    links = _Masses.of(neutral, frames, parents, tips, mass)
+    limits = _with_mimics(*neutral.limits(path), names=names, mimics=mimics)
+    on_path = [names[i] for i, _ in way.steps(parents)]
+    choice = Choice(tree.source, names, recorded, on_path, [mimic.source for mimic in mimics])
+    kinematics = Kinematics.of(frames, types, parents)
+    closures = [each.placed(frames.T_base_link) for each in pins]
+    closed, notes = _closed(tree, kinematics, closures, limits, choice)
+    return closed | {
         "name": tree.name,
         "joint_names": names,
         "joint_types": types,
@@ -293,21 +355,41 @@ def _attributes(
         "tip": way.tip,
         "frames": frames,
         "T_link_joint": T_link_joint,
-        "masses": masses,
-        "centres": centres,
-        "massless": tuple(
-            joint.child for joint, is_unknown in zip(path, unknown, strict=True) if is_unknown
-        ),
-        "gravity": T_base_world.rotation @ model.gravity.linear,
+        "masses": links.masses,
+        "centres": links.centres,
+        "massless": tuple(compress((joint.child for joint in path), links.guessed)),
+        "gravity": neutral.T_base_world.rotation @ neutral.model.gravity.linear,
         "notes": _notes(tree, names, ends, notes),
         "urdf": tree.text,
         "source": tree.source,
         "mimics": mimics,
         "parents": parents,
         "ends": None if way.is_whole(len(path)) and way.start == base else way,
-        "closures": linkage.closures if linkage else (),
-        "passive": tuple(names[i] for i in linkage.passive) if linkage else (),
     }
+
+
+def _rods_of(pins: Sequence[Pins], aims: Collection[int]) -> dict[int, np.ndarray]:
+    """Return the frame of the pin of each joint that is a rod, other than one at whose link a path
+    ends.
+    """
+    pairs = (pair for each in pins for pair in zip(each.carriers, each.T_base, strict=True))
+    return {i: T for i, T in pairs if i not in aims}
+
+
+def _closed(
+    tree: UrdfTree,
+    kinematics: Kinematics,
+    closures: Sequence[Closure],
+    limits: tuple[np.ndarray, np.ndarray],
+    choice: Choice,
+) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return the closures and passive joints of an arm with loops, and all notes on its tree."""
+    if not closures:
+        return {"closures": (), "passive": ()}, tree.notes
+    linkage = linkage_of(kinematics, closures, limits, choice)
+    notes = (*tree.notes, *linkage_notes(linkage, choice))
+    passive = tuple(choice.names[i] for i in linkage.passive)
+    return {"closures": linkage.closures, "passive": passive}, notes
 
 
 def _link_ends(parents: Sequence[int], joints: np.ndarray, aims: np.ndarray) -> np.ndarray:
@@ -350,7 +432,8 @@ def _with_mimics(
         if mimic.multiplier:
             ends = np.sort((np.array([lower[i], upper[i]]) - mimic.offset) / mimic.multiplier)
             if max(low[k], ends[0]) < min(high[k], ends[1]):
-                low[k], high[k] = max(low[k], ends[0]), min(high[k], ends[1])
+                low[k] = max(low[k], ends[0])
+                high[k] = min(high[k], ends[1])
     for mimic in mimics:
         i = names.index(mimic.joint)
         k = names.index(mimic.source)
@@ -428,11 +511,13 @@ def are_placeholders(masses: Sequence[float]) -> bool:
     include a flange.
 
     Example:
-        >>> are_placeholders([2.0] * 6), are_placeholders([2.0, 2.0, 2.0, 4.0]), are_placeholders([7.8, 12.9, 12.9, 3.9])
-        (True, True, False)
+        >>> are_placeholders([2.0] * 6), are_placeholders([2.0, 2.0, 2.0, 4.0])
+        (True, True)
+        >>> are_placeholders([7.8, 12.9, 12.9, 3.9])
+        False
     """
-    arm = np.asarray(masses if len(masses) == _FEWEST_ALIKE else masses[:-1], float)
-    return len(arm) >= _FEWEST_ALIKE and bool(
+    arm = np.asarray(masses if len(masses) == OF_ROBOT.alike else masses[:-1], float)
+    return len(arm) >= OF_ROBOT.alike and bool(
         arm[0] > 0.0 and np.allclose(arm, arm[0], rtol=1e-9, atol=0.0)
     )
 

@@ -16,11 +16,13 @@ from pincal.errors import RobotFileError
 from pincal.robot.packages import find_mesh
 from pincal.robot.tree import UrdfTree
 from pincal.robot.urdf_file import find_file, parse_urdf, parse_xml, read_urdf
+from pincal.thresholds import Scale
 
 # Elements with unique names, and attributes that define or reference a name.
 _NAMED = ("link", "joint", "constraint")
 _NAMING = ("name", "link", "joint", "reference")
-NOWHERE = (0.0,) * 6
+# The placement at the origin.
+NOWHERE: tuple[Scale, ...] = (0.0,) * 6
 """Provisional placement of a robot, until readings determine it: at the first robot's."""
 
 
@@ -80,35 +82,9 @@ def read_cell(
     notes = first.notes
     for of in others:
         tree = read_urdf(find_file(of.source))
-        prefix = f"{of.name}_"
-        if of.place is None:
-            raise RobotFileError(
-                f"{tree.source}: its placement relative to {first.name} is unknown; "
-                "expected contacts of the two, one "
-                "station that sees both, or the placement, as in --beside "
-                f"{of.name}={of.source}@1.5,0,0,0,0,3.14159"
-            )
-        if of.is_found:
-            at = ", ".join(f"{number:.4f}" for number in of.place)
-            notes += (
-                f"{of.name} is at {at} (x y z roll pitch yaw) in the frame of "
-                f"{first.root}, found from the readings",
-            )
+        place, found = _place_of(of, tree, first)
         its = parse_xml(tree.text, tree.source)
-        taken = _names(root)
-        notes += tree.notes
-        if twice := sorted(_names(its) & taken):
-            _prefix(its, prefix, _names(its))
-            notes += (
-                f"two robots have a {twice[0]}: names of {of.source} get a prefix, as in "
-                f"{prefix}{twice[0]}",
-            )
-        _prefix(its, prefix, _names(its, "material") & _names(root, "material"))
-        if twice := sorted((_names(its) | {of.joint}) & taken):
-            raise RobotFileError(
-                f"{tree.source}: {twice[0]!r} is already a name of another robot; "
-                f"expected a name other than {of.name}"
-            )
+        notes += (*found, *tree.notes, *_renamed(of, its, root, source=tree.source))
         for mesh in its.iter("mesh"):
             here, there = (
                 find_mesh(mesh.get("filename", ""), source)
@@ -116,10 +92,53 @@ def read_cell(
             )
             if here is not None and here != there:
                 mesh.set("filename", os.path.relpath(here, Path(first.source).resolve().parent))
-        root.extend([*its, _placement(of.joint, first.root, _root_of(its, tree), of.place)])
+        root.extend([*its, _placement(of.joint, first.root, _root_of(its, tree), place)])
         root.set("name", f"{root.get('name')}_{of.name}")
     cell = parse_urdf(etree.tostring(root), source=first.source)
     return replace(cell, notes=(*notes, *cell.notes))
+
+
+def _place_of(
+    of: Beside, tree: UrdfTree, first: UrdfTree
+) -> tuple[tuple[float, ...], tuple[str, ...]]:
+    """Return the place of a further robot beside the first, and a note if it was found; refuse one
+    that is unknown.
+    """
+    if of.place is None:
+        raise RobotFileError(
+            f"{tree.source}: its placement relative to {first.name} is unknown; "
+            "expected contacts of the two, one "
+            "station that sees both, or the placement, as in --beside "
+            f"{of.name}={of.source}@1.5,0,0,0,0,3.14159"
+        )
+    at = ", ".join(f"{number:.4f}" for number in of.place)
+    note = (
+        f"{of.name} is at {at} (x y z roll pitch yaw) in the frame of "
+        f"{first.root}, found from the readings"
+    )
+    return of.place, (note,) if of.is_found else ()
+
+
+def _renamed(of: Beside, its: Any, root: Any, *, source: str) -> tuple[str, ...]:
+    """Give the names of a further robot a prefix where the others have them, too; return a note if
+    some do.
+    """
+    prefix = f"{of.name}_"
+    taken = _names(root)
+    notes = tuple[str, ...]()
+    if twice := sorted(_names(its) & taken):
+        _prefix(its, prefix, _names(its))
+        notes += (
+            f"two robots have a {twice[0]}: names of {of.source} get a prefix, as in "
+            f"{prefix}{twice[0]}",
+        )
+    _prefix(its, prefix, _names(its, "material") & _names(root, "material"))
+    if twice := sorted((_names(its) | {of.joint}) & taken):
+        raise RobotFileError(
+            f"{source}: {twice[0]!r} is already a name of another robot; "
+            f"expected a name other than {of.name}"
+        )
+    return notes
 
 
 def robot_files(source: str | os.PathLike[str], others: Sequence[Beside]) -> list[Path]:

@@ -18,28 +18,26 @@ import numpy as np
 
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath
+from pincal.robot.robot_numbers import OF_LOOP
 from pincal.robot.se3 import rotation_vectors
 from pincal.robot.urdf_loops import ClosureKind
+from pincal.thresholds import Count, Scale
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-# Gaps [m, rad] of a loop that is closed to rounding, and above which it counts as open.
-CLOSED = 1e-13
-_OPEN = 1e-9
+# Gap [m, rad] of a loop that is closed to rounding.
+CLOSED: Scale = 1e-13
 # A pin closer than this to the end of a rod is taken to be there [m].
-_AT_END = 1e-9
-# Fraction of the largest motion below which joints do not move a loop: axes of a calibrated one are
-# tilted by milliradians.
-STILL = 1e-2
+_AT_END: Scale = 1e-9
 # Number of known positions from which others are reached, the longest step [rad or m], and the most
 # steps.
-_KNOWN = 512
-_STEP = 0.25
-_MOST_STEPS = 100
-NEWTON = 30
-_LONGEST = 0.5
-_DAMPING = 1e-14
+_KNOWN: Count = 512
+_STEP: Scale = 0.25
+_MOST_STEPS: Count = 100
+NEWTON: Count = 30
+_LONGEST: Scale = 0.5
+_DAMPING: Scale = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +165,8 @@ class Linkage:
             if kinematics.types[joint] == "prismatic":
                 J[:, :3, joint] = w
             else:
-                J[:, :3, joint], J[:, 3:, joint] = np.cross(w, end[:, :3, 3] - axis[:, :3, 3]), w
+                J[:, :3, joint] = np.cross(w, end[:, :3, 3] - axis[:, :3, 3])
+                J[:, 3:, joint] = w
         T = np.linalg.inv(start) @ end
         J = np.concatenate([to_start @ J[:, :3], to_start @ J[:, 3:]], axis=1)
         return closure.residuals(T), closure.derivatives(T, J)
@@ -217,7 +216,7 @@ class Linkage:
             found[:, self.drivers] = drivers + part * way
             open_by = self._newton(found)
         C = self.equations(found)[1][:, self.rows][..., self.passive]
-        return found, open_by < _OPEN, np.linalg.slogdet(C)[0]
+        return found, open_by < OF_LOOP.open, np.linalg.slogdet(C)[0]
 
     def _newton(self, q: np.ndarray) -> np.ndarray:
         """Close the loops by Newton's method, in place; return the remaining gaps, shape (N,)."""
@@ -232,7 +231,7 @@ class Linkage:
             open_by[left] = np.abs(missing).max(axis=1, initial=0.0)
             # Near the solution, a step without improvement has reached rounding.
             is_left = (open_by[left] > CLOSED) & (
-                (open_by[left] > _OPEN) | (open_by[left] < 0.5 * before[left])
+                (open_by[left] > OF_LOOP.open) | (open_by[left] < 0.5 * before[left])
             )
             left = left[is_left]
             C = C[is_left]
@@ -274,7 +273,7 @@ class Linkage:
         the nearest ones.
         """
         q = np.zeros((1, len(self.lower)))
-        if len(self.passive) and self._newton(q)[0] < _OPEN and np.abs(q).max() < np.pi:
+        if len(self.passive) and self._newton(q)[0] < OF_LOOP.open and np.abs(q).max() < np.pi:
             return np.asarray(q[0])
         moving = np.append(self.drivers, self.passive)
         q = np.zeros((1, len(self.lower)))
@@ -286,7 +285,7 @@ class Linkage:
 
 def loose_step(C: np.ndarray, missing: np.ndarray) -> np.ndarray:
     """Return the steps of least length, shape (N, k), that close the gaps as far as joints can."""
-    step = (np.linalg.pinv(C, rcond=STILL) @ missing[..., None])[..., 0]
+    step = (np.linalg.pinv(C, rcond=OF_LOOP.still) @ missing[..., None])[..., 0]
     return np.asarray(
         step
         * np.minimum(1.0, _LONGEST / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-300))

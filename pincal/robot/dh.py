@@ -20,16 +20,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pincal.robot.robot_numbers import OF_ROBOT
 from pincal.robot.se3 import rotation, transform, translation
+from pincal.thresholds import Scale
 
-# Sine of the angle below which two axes count as parallel: URDFs round their angles, the worst of
-# them pi to 3.14.
-PARALLEL = 5e-3
 # Distance [m] below which two axes count as intersecting: the common normal then has no direction
 # of its own.
-INTERSECTING = 1e-7
+INTERSECTING: Scale = 1e-7
 # Distance [m] below which two parallel axes count as one line.
-COAXIAL = 1e-12
+COAXIAL: Scale = 1e-12
 
 
 @dataclass(frozen=True)
@@ -109,11 +108,10 @@ def dh_frames(
     branches = dict[int, np.ndarray]()
     first = _first_frame(origins[0], axes[0])
     for i, parent in enumerate(parents):
+        carried = first if parent < 0 else frames[parent]
+        start = carried if following[parent] == i else _first_frame(origins[i], axes[i])
         if following[parent] != i:
-            start = _first_frame(origins[i], axes[i])
-            branches[i] = start if parent < 0 else np.linalg.inv(frames[parent]) @ start
-        else:
-            start = first if parent < 0 else frames[parent]
+            branches[i] = start if parent < 0 else np.linalg.inv(carried) @ start
         tilt = _tilt(start, axes[i])
         frame = start @ rotation("x", tilt[0]) @ rotation("y", tilt[1])
         k = following.get(i)
@@ -167,7 +165,7 @@ def _step(
     p = R.T @ (origin - frame[:3, 3])
     z = R.T @ axis
     sine = float(np.hypot(z[0], z[1]))
-    if sine < PARALLEL:
+    if sine < OF_ROBOT.parallel:
         a = float(np.hypot(p[0], p[1]))
         theta = float(np.arctan2(p[1], p[0])) if a > COAXIAL else 0.0
         return theta, float(p[2]), a, 0.0 if z[2] > 0 else np.pi

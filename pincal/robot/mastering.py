@@ -55,25 +55,9 @@ def remastered(
     for joint in root.iterfind("joint"):
         axis = np.array(_numbers(joint.find("axis"), "xyz", "1 0 0"))
         if joint.get("name") in given:
-            origin = (
-                joint.find("origin")
-                if joint.find("origin") is not None
-                else etree.SubElement(joint, "origin")
-            )
-            turn = Rotation.from_rotvec(given[joint.get("name")] * axis / np.linalg.norm(axis))
-            now = Rotation.from_euler("xyz", _numbers(origin, "rpy", "0 0 0")) * turn
-            origin.set("rpy", _text(now.as_euler("xyz")))
+            _shift(joint, axis, given[joint.get("name")])
         if joint.get("name") in turned:
-            element = (
-                joint.find("axis")
-                if joint.find("axis") is not None
-                else etree.SubElement(joint, "axis")
-            )
-            element.set("xyz", _text(-axis))
-            if (limit := joint.find("limit")) is not None:
-                lower, upper = (np.array(_numbers(limit, end, "0")) for end in ("lower", "upper"))
-                limit.set("lower", _text(-upper))
-                limit.set("upper", _text(-lower))
+            _reverse(joint, axis)
     with warnings.catch_warnings(action="ignore", category=PincalWarning):
         # The same warnings were issued when the robot was read.
         tree = parse_urdf(etree.tostring(root), source=robot.source)
@@ -92,6 +76,29 @@ def remastered(
         notes=robot.notes,
         couplings=robot.couplings,
     )
+
+
+def _shift(joint: Any, axis: np.ndarray, zero: float) -> None:
+    """Turn the origin of a joint of a URDF to a position that becomes its zero [rad]."""
+    origin = _part(joint, "origin")
+    turn = Rotation.from_rotvec(zero * axis / np.linalg.norm(axis))
+    now = Rotation.from_euler("xyz", _numbers(origin, "rpy", "0 0 0")) * turn
+    origin.set("rpy", _text(now.as_euler("xyz")))
+
+
+def _reverse(joint: Any, axis: np.ndarray) -> None:
+    """Reverse the axis of a joint of a URDF, and its limits."""
+    _part(joint, "axis").set("xyz", _text(-axis))
+    if (limit := joint.find("limit")) is not None:
+        lower, upper = (np.array(_numbers(limit, end, "0")) for end in ("lower", "upper"))
+        limit.set("lower", _text(-upper))
+        limit.set("upper", _text(-lower))
+
+
+def _part(joint: Any, tag: str) -> Any:
+    """Return a part of a joint, which is added where it is missing."""
+    found = joint.find(tag)
+    return etree.SubElement(joint, tag) if found is None else found
 
 
 def _numbers(element: Any, key: str, default: str) -> list[float]:

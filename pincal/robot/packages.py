@@ -9,12 +9,14 @@ from urllib.parse import unquote, urlparse
 
 from lxml import etree
 
+from pincal.thresholds import Count
+
 # The file that marks the folder of a ROS package.
 _MARK = "package.xml"
 # Largest mesh file and largest sum of a robot's mesh files that are read [bytes]: the largest in
 # example-robot-data are 29 MB and 90 MB, and reading takes twelve times their size in memory.
-_LARGEST_MESH = 40_000_000
-_LARGEST_ROBOT = 200_000_000
+_LARGEST_MESH: Count = 40_000_000
+_LARGEST_ROBOT: Count = 200_000_000
 
 
 def neighbouring_packages(file: str | os.PathLike[str]) -> dict[str, Path]:

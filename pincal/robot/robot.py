@@ -18,14 +18,12 @@ from pincal.robot.closure import Closure, Linkage
 from pincal.robot.dh import DhFrames
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
+from pincal.robot.robot_numbers import OF_ROBOT
 from pincal.robot.tree import Coupling, Mimic, UrdfTree, mimicked, numbered
 from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
 
 if TYPE_CHECKING:
     import pinocchio as pin
-
-# Least determinant of couplings that are invertible.
-_LEAST_DETERMINANT = 1e-3
 
 
 @dataclass(frozen=True, repr=False)
@@ -340,7 +338,7 @@ class Robot:
                 f"{', '.join(nearest_first([name], own))}"
             )
         found = replace(self, couplings=(*self.couplings, *given))
-        if abs(np.linalg.det(found.combination)) < _LEAST_DETERMINANT:
+        if abs(np.linalg.det(found.combination)) < OF_ROBOT.coupled:
             raise BadInputError(
                 "the couplings do not determine the positions of the joints; expected "
                 "other couplings"

@@ -15,7 +15,9 @@ def transform(R: np.ndarray, t: np.ndarray) -> np.ndarray:
     shape (..., 3) [m].
     """
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t.shape[:-1]), 4, 4))
-    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
+    T[..., :3, :3] = R
+    T[..., :3, 3] = t
+    T[..., 3, 3] = 1.0
     return T
 
 
@@ -25,7 +27,9 @@ def rotation(axis: str, angle: float) -> np.ndarray:
     s = np.sin(angle)
     i, j = {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
     T = np.eye(4)
-    T[i, i], T[i, j], T[j, i], T[j, j] = c, -s, s, c
+    T[i, i] = T[j, j] = c
+    T[i, j] = -s
+    T[j, i] = s
     return T
 
 
@@ -62,7 +66,8 @@ def rotation_of_rpy(rpy: np.ndarray) -> np.ndarray:
     """Return the rotation matrix R_z R_y R_x, shape (3, 3), of roll, pitch and yaw, shape (3,)
     [rad]: a URDF's ``rpy``.
     """
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    cr, cp, cy = np.cos(rpy)
+    sr, sp, sy = np.sin(rpy)
     return np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],

@@ -10,24 +10,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.errors import RobotFileError
-from pincal.robot.closure import NEWTON, STILL, Closure, Linkage, loose_step
+from pincal.robot.closure import NEWTON, Closure, Linkage, loose_step
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
+from pincal.robot.robot_numbers import OF_LOOP
 from pincal.robot.tree import UrdfClosure, UrdfJoint, UrdfTree
 from pincal.robot.urdf_loops import KINDS, ClosureKind
+from pincal.thresholds import Count, Scale
 
-# Admissible gap of a loop in directions that its joints can't close [m, rad]: of a calibrated one,
-# three standard deviations of what ten joints add whose two angles readings leave at priors of 3
-# mrad.
-_LOOSE = 4e-2
-# Fraction of the poses in which joints have to move a loop independently.
-_MOSTLY = 0.5
 # Poses in which the joints that move a loop are determined, and the range of joint positions there
 # [rad or m].
-_SAMPLES = 12
-_SAMPLE_STEP = 0.4
+_SAMPLES: Count = 12
+_SAMPLE_STEP: Scale = 0.4
 # A pin closer than this to the axis of the joint that carries it has no direction from there [m].
-_ON_AXIS = 1e-6
+_ON_AXIS: Scale = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +166,7 @@ def linkage_of(
     free = Linkage(kinematics, tuple(closures), np.empty(0, int), *limits)
     loop = free.drivers.tolist()
     where = f"in the loop closed by {', '.join(closure.name for closure in closures)}"
-    if (gap := float(np.abs(free.equations(free.assembled()[None])[0]).max())) > _LOOSE:
+    if (gap := float(np.abs(free.equations(free.assembled()[None])[0]).max())) > OF_LOOP.loose:
         raise RobotFileError(
             f"{choice.source}: {where} ends stay {1e3 * gap:.3g} mm or mrad apart at all "
             "joint positions; expected frames "
@@ -186,32 +182,10 @@ def linkage_of(
             f"{choice.source}: {where} no joint can move; expected joints that can"
         )
     passive = _followers(C, loop, rank, kinematics, choice)
-    for joint in passive:
-        name = choice.names[joint]
-        if kinematics.types[joint] == "prismatic" or name in choice.mimicked:
-            what = "slides" if kinematics.types[joint] == "prismatic" else "is mimicked"
-            raise RobotFileError(
-                f"{choice.source}: joint {name!r} {what} and has no reading {where}; expected one"
-            )
     drivers = [joint for joint in loop if joint not in passive]
-    recorded = choice.names if choice.recorded is None else choice.recorded
-    if unknown := [choice.names[i] for i in drivers if choice.names[i] not in recorded]:
-        raise RobotFileError(
-            f"{choice.source}: {where} {len(drivers)} joints move independently, "
-            f"{len(unknown)} without a reading; expected "
-            f"a column of {' and '.join(unknown)}"
-        )
+    _check_readings(passive, drivers, kinematics, choice, where)
     rows = _equations_of(C[..., passive])
-    moves = np.abs(np.linalg.pinv(C[:, rows][..., passive]) @ C[:, rows][..., drivers]).max(
-        axis=(0, 2)
-    )
-    still = [
-        choice.names[joint] for joint, move in zip(passive, moves, strict=True) if move < STILL
-    ]
-    if stuck := [name for name in still if name in choice.on_path]:
-        raise RobotFileError(
-            f"{choice.source}: {where} {' and '.join(stuck)} can't move; expected joints that can"
-        )
+    _check_moving(passive, C[:, rows][..., passive], C[:, rows][..., drivers], choice, where)
     starts = np.cumsum([0, *(closure.size for closure in closures)])
     used = [
         replace(closure, rows=tuple(int(row - a) for row in rows if a <= row < a + closure.size))
@@ -219,6 +193,49 @@ def linkage_of(
     ]
     used = [closure for closure in used if closure.rows]
     return Linkage(kinematics, tuple(used), np.array(passive), *limits)
+
+
+def _check_readings(
+    passive: Sequence[int],
+    drivers: Sequence[int],
+    kinematics: Kinematics,
+    choice: Choice,
+    where: str,
+) -> None:
+    """Refuse passive joints that can't follow, and drivers without a reading."""
+    for joint in passive:
+        name = choice.names[joint]
+        if kinematics.types[joint] == "prismatic" or name in choice.mimicked:
+            what = "slides" if kinematics.types[joint] == "prismatic" else "is mimicked"
+            raise RobotFileError(
+                f"{choice.source}: joint {name!r} {what} and has no reading {where}; expected one"
+            )
+    recorded = choice.names if choice.recorded is None else choice.recorded
+    if unknown := [choice.names[i] for i in drivers if choice.names[i] not in recorded]:
+        raise RobotFileError(
+            f"{choice.source}: {where} {len(drivers)} joints move independently, "
+            f"{len(unknown)} without a reading; expected "
+            f"a column of {' and '.join(unknown)}"
+        )
+
+
+def _check_moving(
+    passive: Sequence[int],
+    by_passive: np.ndarray,
+    by_drivers: np.ndarray,
+    choice: Choice,
+    where: str,
+) -> None:
+    """Refuse passive joints on the path that no driver moves, by the derivatives of the equations,
+    shape (N, m, p) and (N, m, d).
+    """
+    moves = np.abs(np.linalg.pinv(by_passive) @ by_drivers).max(axis=(0, 2))
+    pairs = zip(passive, moves, strict=True)
+    still = [choice.names[joint] for joint, move in pairs if move < OF_LOOP.still]
+    if stuck := [name for name in still if name in choice.on_path]:
+        raise RobotFileError(
+            f"{choice.source}: {where} {' and '.join(stuck)} can't move; expected joints that can"
+        )
 
 
 def linkage_notes(linkage: Linkage, choice: Choice) -> tuple[str, ...]:
@@ -248,19 +265,21 @@ def _samples(free: Linkage) -> np.ndarray:
     q = np.tile(free.assembled(), (_SAMPLES, 1))
     C = free.equations(q)[1][..., free.drivers]
     step = rng.uniform(-_SAMPLE_STEP, _SAMPLE_STEP, (_SAMPLES, len(free.drivers)))
-    step -= (np.linalg.pinv(C, rcond=STILL) @ (C @ step[..., None]))[..., 0]
+    step -= (np.linalg.pinv(C, rcond=OF_LOOP.still) @ (C @ step[..., None]))[..., 0]
     q[:, free.drivers] += step
     for _ in range(NEWTON):
         residuals, C = free.equations(q)
         q[:, free.drivers] -= loose_step(C[..., free.drivers], residuals)
-    is_closed = np.abs(free.equations(q)[0]).max(axis=1) < _LOOSE
+    is_closed = np.abs(free.equations(q)[0]).max(axis=1) < OF_LOOP.loose
     return q[is_closed] if is_closed.any() else free.assembled()[None]
 
 
 def _ranks(C: np.ndarray) -> np.ndarray:
     """Return the number of joints that move a loop independently in each sample, shape (S,)."""
     singular = np.linalg.svd(C, compute_uv=False)
-    return np.asarray((singular > STILL * np.maximum(singular[:, :1], np.abs(C).max())).sum(axis=1))
+    return np.asarray(
+        (singular > OF_LOOP.still * np.maximum(singular[:, :1], np.abs(C).max())).sum(axis=1)
+    )
 
 
 def _followers(
@@ -282,7 +301,10 @@ def _followers(
 
     found: list[int] = []
     for joint in sorted(loop, key=preference):
-        if len(found) < rank and np.mean(_ranks(C[..., [*found, joint]]) > len(found)) > _MOSTLY:
+        if (
+            len(found) < rank
+            and np.mean(_ranks(C[..., [*found, joint]]) > len(found)) > OF_LOOP.mostly
+        ):
             found.append(joint)
     return sorted(found)
 

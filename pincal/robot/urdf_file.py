@@ -17,19 +17,19 @@ from lxml import etree
 
 from pincal.errors import RobotFileError, nearest_first, needed, warn
 from pincal.robot.packages import neighbouring_packages
+from pincal.robot.robot_numbers import OF_ROBOT
 from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree, in_tree_order, known_links
 from pincal.robot.urdf_loops import cut_loops, take_loops
+from pincal.thresholds import Count
 from pincal.units import LARGEST, plain_numbers
 
 _UNSUPPORTED_TYPES = ("planar", "floating")
-# Plausible lengths of an axis; others lose all digits when normalised.
-_AXIS_LENGTHS = (1e-6, 1e6)
 # Pinocchio's name of the world.
 _RESERVED = "universe"
 # The namespace in files that xacro has to expand.
 _NAMESPACE = "xacro"
 # Longest part of xacro's error message that is passed on, as it lists every macro involved.
-_LONGEST = 600
+_LONGEST: Count = 600
 
 
 def parse_xml(text: bytes, source: str) -> Any:
@@ -128,17 +128,8 @@ def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
     root = parse_xml(text, source)
     links = tuple(_attribute(link, "name", source) for link in root.iterfind("link"))
     joints = tuple(_read_joint(element, source) for element in root.iterfind("joint"))
-    for what, names in (("link", links), ("joint", tuple(joint.name for joint in joints))):
-        twice = [name for name, count in Counter(names).items() if count > 1]
-        if twice:
-            raise RobotFileError(
-                f"{source}: {what} {twice[0]!r} is defined more than once; rename or remove one"
-            )
-        if _RESERVED in names:
-            raise RobotFileError(
-                f"{source}: {_RESERVED!r} names a {what}, but means the world to "
-                "Pinocchio; rename it"
-            )
+    _check_names(links, "link", source)
+    _check_names([joint.name for joint in joints], "joint", source)
     if not root.get("name"):
         raise _fault(root, source, '<robot> has no name; expected <robot name="...">')
     for element in [*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")]:
@@ -201,7 +192,8 @@ def _read_joint(element: Any, source: str) -> UrdfJoint:
     if kind in MOVING_TYPES and axis is not None:
         with np.errstate(over="ignore"):
             length = float(np.linalg.norm(_numbers(axis, "xyz", source)))
-        if not _AXIS_LENGTHS[0] < length < _AXIS_LENGTHS[1]:
+        shortest, longest = OF_ROBOT.axis_lengths
+        if not shortest < length < longest:
             what = "a zero axis" if length == 0.0 else f"an axis of length {length:.1e}"
             raise _fault(
                 axis, source, f"joint {name!r} has {what}; expected a direction of length 1"
@@ -257,6 +249,19 @@ def _numbers(element: Any, key: str, source: str) -> np.ndarray:
             element, source, f"<{element.tag} {key}={text!r}>; expected three finite numbers"
         )
     return values
+
+
+def _check_names(names: Sequence[str], what: str, source: str) -> None:
+    """Refuse names of links or joints that occur twice, or mean something else."""
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise RobotFileError(
+            f"{source}: {what} {twice[0]!r} is defined more than once; rename or remove one"
+        )
+    if _RESERVED in names:
+        raise RobotFileError(
+            f"{source}: {_RESERVED!r} names a {what}, but means the world to Pinocchio; rename it"
+        )
 
 
 def _check_masses(root: Any, source: str) -> None:

@@ -23,8 +23,12 @@ from pincal.units import plain_numbers
 
 ClosureKind = Literal["point", "axis", "pose"]
 KINDS: dict[str, ClosureKind] = {
-    "revolute": "axis", "continuous": "axis", "spherical": "point", "ball": "point", "fixed": "pose",
-}  # fmt: skip
+    "revolute": "axis",
+    "continuous": "axis",
+    "spherical": "point",
+    "ball": "point",
+    "fixed": "pose",
+}
 """The constraint of each type of closing joint: on the origin of its frame, also on its axis, or on
 the whole frame.
 """

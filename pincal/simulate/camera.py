@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -270,10 +270,9 @@ class EyeInHand(SensorSetup):
         """Draw poses with one whole image field after the other in view."""
         owner = np.arange(n) * self.target.n_fields // n
         shares = np.bincount(owner, minlength=self.target.n_fields)
-        return np.vstack([
-            plan_views(arm, int(share), rng=rng, view=self._view(i), min_height=min_height, rounds=_PATIENCE)
-            for i, share in enumerate(shares)
-        ])  # fmt: skip
+        draw = partial(plan_views, rng=rng, min_height=min_height, rounds=_PATIENCE)
+        views = [draw(arm, int(share), view=self._view(i)) for i, share in enumerate(shares)]
+        return np.vstack(views)
 
     def has_views(self, arm: Arm, rng: np.random.Generator, *, min_height: float | None) -> bool:
         """Return whether the arm easily finds views of all fields."""

@@ -36,7 +36,8 @@ class Lens:
         p1, p2: Tangential distortion [-].
 
     Example:
-        >>> Lens(focal=1000.0, centre=(320.0, 240.0), k1=0.5).project(np.array([[0.2, 0.0, 1.0]])).round(9)
+        >>> lens = Lens(focal=1000.0, centre=(320.0, 240.0), k1=0.5)
+        >>> lens.project(np.array([[0.2, 0.0, 1.0]])).round(9)
         array([[524., 240.]])
     """
 

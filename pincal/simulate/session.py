@@ -15,7 +15,14 @@ from pincal.simulate.arm import Arm, transform
 from pincal.simulate.camera import EyeInHand
 from pincal.simulate.instrument import CellCamera
 from pincal.simulate.machine import TrueMachine
-from pincal.simulate.moving import Motion, ViaPath, conditions_along, draw_path, tip_motion
+from pincal.simulate.moving import (
+    FourierPath,
+    Motion,
+    ViaPath,
+    conditions_along,
+    draw_path,
+    tip_motion,
+)
 from pincal.simulate.setup import SensorSetup, Table
 
 # Largest random offset [s] and drift [1] of a clock.
@@ -205,6 +212,20 @@ class SessionOptions:
     min_height: float | None = 0.0
 
 
+def _drawn_path(
+    arm: Arm, options: SessionOptions, tracker: SensorSetup | None, rng: np.random.Generator
+) -> FourierPath | ViaPath:
+    """Draw a path, through views of the object for a camera on the tool."""
+    duration = options.duration
+    if not isinstance(tracker, EyeInHand):
+        return draw_path(arm, duration, rng, min_height=options.min_height)
+    # A random path would hardly ever look at the object.
+    views = max(int(duration / _VIEW), 2)
+    return ViaPath.through(
+        tracker.plan(arm, views, rng=rng, min_height=options.min_height), duration
+    )
+
+
 def draw_session(
     arm: Arm,
     options: SessionOptions,
@@ -226,21 +247,10 @@ def draw_session(
     payload = (
         {"payload": options.payload, "payload_com": options.payload_com} if options.payload else {}
     )
-    if isinstance(path, np.random.Generator) and isinstance(tracker, EyeInHand):
-        # A random path would hardly ever look at the object.
-        views = max(int(options.duration / _VIEW), 2)
-        path = ViaPath.through(
-            tracker.plan(arm, views, rng=path, min_height=options.min_height), options.duration
-        )
-    rates = options.rates or (
-        150.0,
-        100.0,
-        30.0 if isinstance(tracker, (EyeInHand, CellCamera)) else 250.0,
-    )
+    is_camera = isinstance(tracker, (EyeInHand, CellCamera))
+    rates = options.rates or (150.0, 100.0, 30.0 if is_camera else 250.0)
     return MovingSession(
-        path=path
-        if isinstance(path, ViaPath)
-        else draw_path(arm, options.duration, path, min_height=options.min_height),
+        path=path if isinstance(path, ViaPath) else _drawn_path(arm, options, tracker, path),
         duration=options.duration,
         tracker=tracker,
         imu=imu if options.imu else None,
@@ -280,6 +290,20 @@ class MovingSession:
     dropped: float = 0.0
     conditions: Mapping[str, Any] = field(default_factory=dict)
 
+    def _tracked(
+        self, tracker: SensorSetup, machine: TrueMachine, rng: np.random.Generator
+    ) -> Table:
+        """Return the readings of the instrument with its stamps."""
+        stamps = self._stamps("tracker")
+        at = self._clock("tracker").to_joints(stamps)
+        along = conditions_along(self.path, at, **self.conditions)
+        read = tracker.measure(machine, self.path.at(at), rng=rng, **along)
+        approaches = (f"approach_{name}" for name in machine.names)
+        recorded = {*machine.names, *approaches, "time", "payload"}
+        # A pose may be read as several rows, or none.
+        seen = {"time": stamps[np.searchsorted(at, read["time"])]}
+        return seen | {name: value for name, value in read.items() if name not in recorded}
+
     def measure(self, machine: TrueMachine, rng: np.random.Generator) -> dict[str, Table]:
         """Return the tables of "joints" and, if present, of "imu" and "tracker".
 
@@ -308,21 +332,7 @@ class MovingSession:
             )
             tables["imu"] = {"time": stamps} | read
         if self.tracker is not None:
-            stamps = self._stamps("tracker")
-            at = self._clock("tracker").to_joints(stamps)
-            along = conditions_along(self.path, at, **self.conditions)
-            read = self.tracker.measure(machine, self.path.at(at), rng=noises["tracker"], **along)
-            recorded = {
-                *machine.names,
-                *(f"approach_{name}" for name in machine.names),
-                "time",
-                "payload",
-            }
-            # A pose may be read as several rows, or none.
-            seen = {"time": stamps[np.searchsorted(at, read["time"])]}
-            tables["tracker"] = seen | {
-                name: value for name, value in read.items() if name not in recorded
-            }
+            tables["tracker"] = self._tracked(self.tracker, machine, noises["tracker"])
         return {name: self._logged(table, noises["lost"]) for name, table in tables.items()}
 
     def _clock(self, name: str) -> Clock:

@@ -326,6 +326,15 @@ def joints_and_links(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return places[:, _JOINT:last:3], links
 
 
+def _centres(arm: Arm, after: np.ndarray, tip: np.ndarray, payload_com: np.ndarray) -> np.ndarray:
+    """Return the centres of mass of links and payload, shape (N, n + 1, 3), by the frames after the
+    joints, shape (N, n, 4, 4), and the tip, shape (N, 4, 4).
+    """
+    links = np.einsum("njab,jb->nja", after[..., :3, :3], arm.centres) + after[..., :3, 3]
+    load = np.einsum("nab,nb->na", tip[:, :3, :3], payload_com) + tip[:, :3, 3]
+    return np.concatenate((links, load[:, None]), axis=1)
+
+
 def gravity_loads(
     arm: Arm,
     places: np.ndarray,
@@ -344,10 +353,8 @@ def gravity_loads(
     last = places.shape[1] - 1
     before, joint, after = (places[:, first:last:3] for first in (_BEFORE, _JOINT, _AFTER))
     tip = places[:, -1]
-    links = np.einsum("njab,jb->nja", after[..., :3, :3], arm.centres) + after[..., :3, 3]
-    load = np.einsum("nab,nb->na", tip[:, :3, :3], payload_com) + tip[:, :3, 3]
-    centres = np.concatenate((links, load[:, None]), axis=1)
-    masses = np.column_stack((np.broadcast_to(arm.masses, links.shape[:2]), payload))
+    centres = _centres(arm, after, tip, payload_com)
+    masses = np.column_stack((np.broadcast_to(arm.masses, after.shape[:2]), payload))
     weights = masses[..., None] * gravity
     couples = np.zeros((*masses.shape, 3))
     if inertia is not None:

@@ -75,6 +75,15 @@ class Half(NamedTuple):
     axis: np.ndarray
 
 
+def _half(element: ElementTree.Element, role: str) -> Half:
+    """Return the half of a constraint on its parent or child link."""
+    return Half(
+        _link(element, role),
+        _origin(element.find(f"{role}_origin")),
+        _axis(element.find(f"{role}_axis")),
+    )
+
+
 def take_pins(root: ElementTree.Element) -> list[tuple[str, bool, Half, Half]]:
     """Return name, whether it is a hinge, and halves of each pin of a URDF; remove second joints of
     a link from it.
@@ -82,20 +91,11 @@ def take_pins(root: ElementTree.Element) -> list[tuple[str, bool, Half, Half]]:
     found = []
 
     def add(element: ElementTree.Element, one: Half, other: Half) -> None:
-        found.append(
-            (element.get("name", ""), element.get("type") in ("revolute", "continuous"), one, other)
-        )
+        is_hinge = element.get("type") in ("revolute", "continuous")
+        found.append((element.get("name", ""), is_hinge, one, other))
 
     for element in root.iterfind("constraint"):
-        one, other = (
-            Half(
-                _link(element, role),
-                _origin(element.find(f"{role}_origin")),
-                _axis(element.find(f"{role}_axis")),
-            )
-            for role in ("parent", "child")
-        )
-        add(element, one, other)
+        add(element, _half(element, "parent"), _half(element, "child"))
     for element in root.iterfind("gazebo/joint"):
         parent, child = ((element.findtext(role) or "").strip() for role in ("parent", "child"))
         axis = np.array((element.findtext("axis/xyz") or _X).split(), float)
@@ -105,11 +105,8 @@ def take_pins(root: ElementTree.Element) -> list[tuple[str, bool, Half, Half]]:
         child = _link(joint, "child")
         axis = _axis(joint.find("axis"))
         if child in seen:
-            add(
-                joint,
-                Half(_link(joint, "parent"), _origin(joint.find("origin")), axis),
-                Half(child, np.eye(4), axis),
-            )
+            first = Half(_link(joint, "parent"), _origin(joint.find("origin")), axis)
+            add(joint, first, Half(child, np.eye(4), axis))
             root.remove(joint)
         seen.add(child)
     return found
@@ -261,22 +258,16 @@ def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Se
     placements = [np.linalg.solve(working[model.parents[i]], working[i]) for i in joints]
     placements.append(np.linalg.solve(working[end], data.oMf[_frame_id(model, tip)].homogeneous))
     lower, upper = _limits(model, prismatic, joints)
+    bodies = [(model.inertias[i], axis) for i, axis in zip(joints, axes, strict=True)]
     carrier = model.frames[_frame_id(model, start)].parentJoint if start else 0
     seen_from = data.oMf[_frame_id(model, start)] if start else pin.SE3.Identity()
     return Arm(
         names=tuple(order),
         prismatic=prismatic,
         placements=np.array(placements),
-        masses=np.array([model.inertias[i].mass for i in joints]),
-        centres=np.array(
-            [axis.T @ model.inertias[i].lever for i, axis in zip(joints, axes, strict=True)]
-        ),
-        inertias=np.array(
-            [
-                axis.T @ model.inertias[i].inertia @ axis
-                for i, axis in zip(joints, axes, strict=True)
-            ]
-        ),
+        masses=np.array([body.mass for body, _ in bodies]),
+        centres=np.array([axis.T @ body.lever for body, axis in bodies]),
+        inertias=np.array([axis.T @ body.inertia @ axis for body, axis in bodies]),
         axes=axes,
         lower=lower,
         upper=upper,

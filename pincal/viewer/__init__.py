@@ -12,7 +12,8 @@ Example:
     >>> from pincal.calibration.covered import Covered
     >>> from pincal.robot.robot import Robot
     >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), GEOMETRIC)
-    >>> values, covered = np.full(model.n_parameters, 1e-4), Covered(np.tile([-1.0, 1.0], (6, 1)), np.zeros(2))
+    >>> values = np.full(model.n_parameters, 1e-4)
+    >>> covered = Covered(np.tile([-1.0, 1.0], (6, 1)), np.zeros(2))
     >>> estimate = estimate_of(model.parameters, values, np.zeros((len(values), len(values))))
     >>> kuka = FittedRobot.given(model, estimate, covered)
     >>> [layer.name for layer in deviation_fields(kuka, grid=50).layers]  # doctest: +ELLIPSIS

@@ -24,16 +24,17 @@ from pincal.model.effect import Effect, Family
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.report.words import effect_words
+from pincal.thresholds import Count
 
 # Number of poses over which nominal base and tool are fitted to the calibrated robot if there are
 # no measurements.
-_ENOUGH = 400
+_ENOUGH: Count = 400
 # Random poses per cell of the grid, enough that hardly any cell is missed.
-_DRAWS = 40
-_MOST_DRAWS = 400_000
-_PIECE = 20_000
+_DRAWS: Count = 40
+_MOST_DRAWS: Count = 400_000
+_PIECE: Count = 20_000
 # Bisections in the search for the size of a cell.
-_HALVINGS = 16
+_HALVINGS: Count = 16
 
 
 @dataclass(frozen=True)
@@ -111,6 +112,20 @@ class Fields:
         return replace(self, layers=tuple(layers), poses=tuple(poses))
 
 
+def _workspace_layers(
+    part: FittedRobot, over: Conditions, nominal: np.ndarray
+) -> Iterator[Layer]:
+    """Yield the deviations over a workspace: from the prediction at nominal values to the
+    calibrated one, and of each effect.
+    """
+    after = part.model_values
+    tails = _positions(part.model, part.model.own(nominal), over)
+    heads = _positions(part.model, after, over)
+    words = "from nominal, base and tool fitted, to calibrated prediction"
+    yield Layer("workspace/nominal to calibrated", "workspace", tails, heads - tails, words)
+    yield from _explained("workspace", "workspace", part.model, after, over, heads)
+
+
 def deviation_fields(
     calibrated: FittedRobot,
     measurements: Measurements | None = None,
@@ -162,15 +177,7 @@ def deviation_fields(
         if position is None:
             nominal = _nominal_from_predictions(part, over)
         notes += note
-        before = part.model.own(nominal)
-        after = part.model_values
-        tails = _positions(part.model, before, over)
-        heads = _positions(part.model, after, over)
-        words = "from nominal, base and tool fitted, to calibrated prediction"
-        layers.append(
-            Layer("workspace/nominal to calibrated", "workspace", tails, heads - tails, words)
-        )
-        layers += _explained("workspace", "workspace", part.model, after, over, heads)
+        layers += _workspace_layers(part, over, nominal)
         poses.append(FieldPoses("workspace", over.q, over.target))
     if not layers:
         raise BadInputError(

@@ -32,6 +32,7 @@ from pincal.errors import BadInputError, OutputError, nearest_first, needed
 from pincal.io.strict_json import in_script
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
+from pincal.thresholds import Scale
 from pincal.viewer.field import Layer, deviation_fields
 from pincal.viewer.scene import Scene, base_of, visible_scale
 
@@ -115,7 +116,7 @@ def _viewer() -> str:
 
 _HOST = "127.0.0.1"
 # Interval of messages that detect closed connections [s].
-_PULSE = 5.0
+_PULSE: Scale = 5.0
 
 
 class LiveView:
@@ -282,7 +283,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 # Length of the strokes of an arrow's head, over its length.
-_HEAD = 0.25
+_HEAD: Scale = 0.25
 
 
 def draw_field(

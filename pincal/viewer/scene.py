@@ -18,14 +18,15 @@ from pincal.model.chain import Chain
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.se3 import placed, rotation, shortest_turn, translation
+from pincal.thresholds import Scale
 from pincal.viewer.field import FieldPoses, Fields, Layer, deviation_fields
 from pincal.viewer.shapes import DrawnShape, shapes_of
 
 # Largest drawn tilt of an axis [rad], and largest drawn offset as a fraction of the reach.
-_DRAWN_TILT = 0.25
-_DRAWN_OFFSET = 0.06
+_DRAWN_TILT: Scale = 0.25
+_DRAWN_OFFSET: Scale = 0.06
 # Tilts and offsets below which an axis counts as undistorted [rad, m].
-_NO_TILT = 1e-12
+_NO_TILT: Scale = 1e-12
 
 
 @dataclass(frozen=True)
@@ -132,8 +133,8 @@ def _line(
 
 # Largest length of nearly all arrows, as a fraction of the robot's reach and of the distance
 # between arrows.
-_DRAWN = 0.12
-_CROWDED = 0.8
+_DRAWN: Scale = 0.12
+_CROWDED: Scale = 0.8
 
 
 @dataclass(frozen=True)
@@ -341,6 +342,21 @@ def _frames(
     return tuple(found)
 
 
+def _fitted_lines(residuals: Path, station: str, *, is_first: bool) -> np.ndarray | None:
+    """Return the lines of a table that were fitted, shape (n,); None for a table other than the
+    first that is no station.
+    """
+    import polars as pl
+
+    table = pl.read_csv(residuals)
+    if "station" in table.columns:
+        # With several stations, each table is one, named after its file.
+        table = table.filter(pl.col("station") == station)
+    if not is_first and not ("station" in table.columns and len(table)):
+        return None
+    return table.filter(pl.col("rows") == "fitted")["line"].cast(pl.Int64).to_numpy()
+
+
 def held_out_rows(
     provenance: dict[str, Any], residuals: Path, data: Path, measurements: Measurements
 ) -> tuple[np.ndarray | None, str]:
@@ -374,19 +390,15 @@ def held_out_rows(
             f"{data.name} is not one of the model's input files: all rows count as held out",
         )
     try:
-        table = pl.read_csv(residuals)
-        if "station" in table.columns:
-            # With several stations, each table is one, named after its file.
-            table = table.filter(pl.col("station") == data.stem)
-        if digest != known[0] and not ("station" in table.columns and len(table)):
-            return unseen, f"{data.name} was held out of the fit as a whole"
-        fitted = table.filter(pl.col("rows") == "fitted")["line"].cast(pl.Int64).to_numpy()
+        fitted = _fitted_lines(residuals, data.stem, is_first=digest == known[0])
     except (OSError, pl.exceptions.PolarsError):
         return (
             None,
             f"{residuals.name}, which lists the held-out rows, is not in the model's "
             "folder: no row is marked",
         )
+    if fitted is None:
+        return unseen, f"{data.name} was held out of the fit as a whole"
     held = ~np.isin(measurements.rows, fitted)
     words = (
         f"{held.sum()} of {len(held)} rows were held out of the fit"

@@ -15,17 +15,18 @@ from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_of_rpy
 from pincal.robot.urdf_file import parse_xml
+from pincal.thresholds import Count, Scale
 from pincal.units import plain_numbers
 
 # Most faces of all meshes of a robot; finer ones are decimated to keep the page small and fast.
-_FACES = 60_000
+_FACES: Count = 60_000
 _SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
 # Most faces of a file that is shown: as many as the largest file that is read can contain, 50 bytes
 # a face in a binary STL; scene files may contain a mesh any number of times.
-_MOST_FACES = 800_000
-_GREY = (0.72, 0.75, 0.79)
+_MOST_FACES: Count = 800_000
+_GREY: tuple[Scale, Scale, Scale] = (0.72, 0.75, 0.79)
 # Sides of a drawn cylinder.
-_SIDES = 20
+_SIDES: Count = 20
 
 
 @dataclass(frozen=True)
@@ -147,6 +148,30 @@ def _link_places(robot: Robot) -> dict[str, tuple[int, np.ndarray]]:
 _Mesh = tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None]
 
 
+def _solid(shape: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices and faces of a box, cylinder or sphere, shape (V, 3) and (F, 3).
+
+    Raises:
+        _NotShown: for any other shape.
+    """
+    if shape.tag == "box":
+        corners = np.array(
+            [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+        )
+        return _hull(corners * _numbers(shape, "size", 3))
+    if shape.tag in ("cylinder", "capsule"):
+        radius = _numbers(shape, "radius", 1)[0]
+        half = np.array([0.0, 0.0, _numbers(shape, "length", 1)[0] / 2])
+        return _cylinder(-half, half, radius)
+    if shape.tag == "sphere":
+        up, around = np.meshgrid(np.linspace(0, np.pi, 13), 2 * np.pi * np.arange(_SIDES) / _SIDES)
+        points = np.stack(
+            [np.sin(up) * np.cos(around), np.sin(up) * np.sin(around), np.cos(up)], axis=-1
+        )
+        return _hull(_numbers(shape, "radius", 1)[0] * points.reshape(-1, 3))
+    raise _NotShown(f"a visual of kind {shape.tag} is not shown")
+
+
 def _geometry(visual: Any, files: Meshes) -> list[_Mesh]:
     """Return the meshes of a visual, shape (V, 3) and (F, 3) with a colour of their own.
 
@@ -159,23 +184,8 @@ def _geometry(visual: Any, files: Meshes) -> list[_Mesh]:
     )
     if shape is None:
         raise _NotShown("a visual without geometry is not shown")
-    if shape.tag == "box":
-        corners = np.array(
-            [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
-        )
-        return [(*_hull(corners * _numbers(shape, "size", 3)), None)]
-    if shape.tag in ("cylinder", "capsule"):
-        radius = _numbers(shape, "radius", 1)[0]
-        half = np.array([0.0, 0.0, _numbers(shape, "length", 1)[0] / 2])
-        return [(*_cylinder(-half, half, radius), None)]
-    if shape.tag == "sphere":
-        up, around = np.meshgrid(np.linspace(0, np.pi, 13), 2 * np.pi * np.arange(_SIDES) / _SIDES)
-        points = np.stack(
-            [np.sin(up) * np.cos(around), np.sin(up) * np.sin(around), np.cos(up)], axis=-1
-        )
-        return [(*_hull(_numbers(shape, "radius", 1)[0] * points.reshape(-1, 3)), None)]
     if shape.tag != "mesh":
-        raise _NotShown(f"a visual of kind {shape.tag} is not shown")
+        return [(*_solid(shape), None)]
     name = shape.get("filename", "")
     known = Path(name).suffix.lower() in _SUFFIXES
     path, why = files.find(name) if known else (None, "was not found")

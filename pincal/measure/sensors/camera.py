@@ -35,10 +35,11 @@ from pincal.measure.sensors.pose import check_spread
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import nearest_rotation, transform
+from pincal.thresholds import Count
 
 PIXEL = Field("pixel", ("u", "v"), "pixel")
 # Rows in the search for a start, per target for a fixed camera.
-_SAMPLE = 300
+_SAMPLE: Count = 300
 
 
 @dataclass(frozen=True)

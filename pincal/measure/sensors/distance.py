@@ -19,6 +19,7 @@ from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
 from pincal.measure.fields import POSITIVE, Field, TableRows
 from pincal.measure.point_sensor import PointSensor
+from pincal.measure.reading_numbers import PLAUSIBLE
 from pincal.measure.sensor import Additive, Block, Plausible, Simulatable
 from pincal.measure.sensors.pose import check_spread
 from pincal.measure.setup import Setup
@@ -27,11 +28,6 @@ from pincal.robot.se3 import transform
 
 DISTANCE = Field("distance", ("distance",), "length", POSITIVE)
 _NO_BASE = "distances do not determine the pose of the base, only the arm relative to its anchors"
-
-# Range of laser trackers [m].
-_MOST_DISTANCE_M = 100.0
-# Distances below this fraction of the reach are deviations, or in another unit.
-_LEAST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -87,14 +83,14 @@ class Distances(Additive, Plausible):
         middle = float(np.median(distance))
         longest = float(distance.max())
         unit = table.units.get("distance", "m")
-        if middle > _MOST_DISTANCE_M:
+        if middle > PLAUSIBLE.farthest:
             raise MeasurementError(
                 f"{table.source}: distance of {middle:.4g} m under the unit [{unit}]; "
                 "expected at most "
-                f"{_MOST_DISTANCE_M:g} m; looks like millimetres: write `distance [mm]`, "
+                f"{PLAUSIBLE.farthest:g} m; looks like millimetres: write `distance [mm]`, "
                 "or their unit"
             )
-        if longest < _LEAST * reach_m:
+        if longest < PLAUSIBLE.nearest * reach_m:
             raise MeasurementError(
                 f"{table.source}: distance of at most {longest * 1000:.3g} mm; expected the whole "
                 f"distance, not a deviation; values in metres under [{unit}]? Then write "

@@ -36,21 +36,22 @@ from pincal.measure.sensor import Block, OwnParameters, Sensor
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import nearest_rotation, shortest_turn, transform
+from pincal.thresholds import Count, Scale
 from pincal.units import STANDARD_GRAVITY
 
 FORCE = Field("specific_force", ("ax", "ay", "az"), "acceleration")
 RATE = Field("angular_rate", ("wx", "wy", "wz"), "angular rate")
 # Step of the differences [s]: accurate to 5e-6 for motions of 5 Hz, with rounding errors of 1e-8
 # m/s^2.
-_STEP = 2.5e-4
+_STEP: Scale = 2.5e-4
 # Quadrature nodes of a window: exact for polynomials of degree 5 in time.
-_MOMENTS = 3
+_MOMENTS: Count = 3
 # Errors of low-cost IMUs: scale and misalignment [1], biases [m/s^2, rad/s], delay of the gyroscope
 # [s].
-_SCALE = 0.02
-_FORCE_BIAS = 0.5
-_RATE_BIAS = 0.02
-_DELAY = 0.02
+_SCALE: Scale = 0.02
+_FORCE_BIAS: Scale = 0.5
+_RATE_BIAS: Scale = 0.02
+_DELAY: Scale = 0.02
 # Rotation of the accelerometer is part of the mount, so its matrix is triangular.
 _OF_FORCE = [(i, j) for i in range(3) for j in range(i + 1)]
 _OF_RATE = [(i, j) for i in range(3) for j in range(3)]

@@ -22,18 +22,19 @@ from pincal.errors import MeasurementError
 from pincal.measure.extrinsics import Extrinsics, by_target
 from pincal.measure.fields import Field, TableRows
 from pincal.measure.point_sensor import index_of, poor_groups, rows_of_new
+from pincal.measure.reading_numbers import PLAUSIBLE
 from pincal.measure.sensor import Block, Constraints, Excluded, Grouped, OwnParameters, Sensor
 from pincal.measure.setup import Setup
 from pincal.parameters import ANYWHERE, FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import transform
+from pincal.thresholds import Count, Scale
 
 PLANE = Field("plane", ("plane",), "name")
 _SYMBOLS = ("nx", "ny", "nz", "d")
 # Tolerance of the length of a normal: tighter than measurements, and loose enough to let it rotate.
-_LENGTH = 1e-5
-# Three readings determine a plane; more are redundant.
-_FEWEST = 4
-_ROUNDS = 20  # Alternations between planes and tips in the search for a start with few rows.
+_LENGTH: Scale = 1e-5
+# Alternations between planes and tips in the search for a start with few rows.
+_ROUNDS: Count = 20
 
 
 @dataclass(frozen=True)
@@ -111,12 +112,13 @@ class PlaneSensor(Sensor, OwnParameters, Grouped):
     @final
     def unusable_rows(self) -> Iterator[Excluded]:
         """Yield planes with too few readings to do more than locate them."""
-        rows, listed = poor_groups(np.array(self.planes)[self.index], _FEWEST)
+        fewest = PLAUSIBLE.per_plane
+        rows, listed = poor_groups(np.array(self.planes)[self.index], fewest)
         reason = (
-            f"are of a plane with fewer than {_FEWEST} readings, which only determine its "
+            f"are of a plane with fewer than {fewest} readings, which only determine its "
             f"pose ({listed})"
         )
-        yield Excluded(rows, reason, f"{_FEWEST} readings and more of a plane, in other poses")
+        yield Excluded(rows, reason, f"{fewest} readings and more of a plane, in other poses")
 
     @classmethod
     @final

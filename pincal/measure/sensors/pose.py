@@ -17,20 +17,17 @@ from pincal.compiled import compiled
 from pincal.errors import MeasurementError, warn
 from pincal.measure.extrinsics import RANK, Extrinsics, by_target, least_squares
 from pincal.measure.fields import Field, Rule, TableRows
+from pincal.measure.reading_numbers import PLAUSIBLE
 from pincal.measure.sensor import Additive, Block, Plausible, Sensor, Simulatable
 from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import align, exponentials, nearest_rotation, rotation_matrices, transform
-
-# Share of rows beyond the limits above which the column, not the row, is at fault.
-_MANY = 0.2
-# Farthest distance of a target from the flange [m].
-_TOOL_REACH_M = 2.0
+from pincal.thresholds import Count, Scale
 
 
 def span_m(reach_m: float) -> float:
     """Return the largest distance of two targets [m], for the reach of the flange from the base."""
-    return 2 * (reach_m + _TOOL_REACH_M)
+    return 2 * (reach_m + PLAUSIBLE.tool_reach)
 
 
 def check_spread(table: TableRows, points: np.ndarray, *, label: str, reach_m: float) -> float:
@@ -49,16 +46,12 @@ def check_spread(table: TableRows, points: np.ndarray, *, label: str, reach_m: f
     text = (
         f"{table.source}: values of {label} lie {spread:.4g} m apart; expected at most {most:.3g} m"
     )
-    is_unit = np.mean(from_centre > most) > _MANY and spread / 1000 <= most
+    is_unit = np.mean(from_centre > most) > PLAUSIBLE.column_at_fault and spread / 1000 <= most
     if is_unit and label not in table.units:
         raise MeasurementError(
             f"{text}; looks like millimetres: write `{label} [mm]` in the header, or their unit"
         )
     raise MeasurementError(f"{text}; check line {table.rows[worst]}, the unit and the robot's size")
-
-
-# Pairs of axes.
-_PAIRS = ((0, 1), (1, 2), (0, 2))
 
 
 def _mirrored(positions: np.ndarray, *, axes: tuple[int, ...]) -> np.ndarray:
@@ -72,7 +65,7 @@ def _mirrored(positions: np.ndarray, *, axes: tuple[int, ...]) -> np.ndarray:
 _OR = "or the frame is left-handed"
 _SWAPS = (
     (f"the columns {'xyz'[i]!r} and {'xyz'[j]!r} appear to be swapped, {_OR}", (i, j))
-    for i, j in _PAIRS
+    for i, j in ((0, 1), (1, 2), (0, 2))
 )
 _TURNS = (
     (f"the column {axis!r} appears to have the wrong sign, {_OR}", (i,))
@@ -86,11 +79,6 @@ POSITION = Field(
     mirror=partial(_mirrored, axes=(1,)),
 )
 
-# Median range of the joints [rad, m] above which the target moves visibly.
-_MOVED = 0.5
-# A target that moves by less than this fraction of the reach does not follow the arm.
-_LEAST_SPREAD = 1e-3
-
 
 class PlausiblePositions(Plausible):
     """Readings with positions, which exceed the span of the arm, or hardly move, in a
@@ -101,18 +89,18 @@ class PlausiblePositions(Plausible):
     @final
     def check_plausible(cls, table: TableRows, reach_m: float) -> None:
         spread = check_spread(table, table.array("position"), label="x", reach_m=reach_m)
-        if np.median(np.ptp(table.q, axis=0)) < _MOVED:
+        if np.median(np.ptp(table.q, axis=0)) < PLAUSIBLE.moved:
             return
         text = (
             f"{table.source}: the joints move, but the positions stay within {spread * 1000:.3g} mm"
         )
         unit = next((table.units[name] for name in POSITION.columns if name in table.units), "m")
         # Metres under [mm] shrink the whole workspace by a factor of 1000.
-        if unit != "m" and spread <= _LEAST_SPREAD * span_m(reach_m):
+        if unit != "m" and spread <= PLAUSIBLE.least_spread * span_m(reach_m):
             raise MeasurementError(
                 f"{text}; values in metres under `x [{unit}]`? Then write `x [m]` in the header"
             )
-        if spread < _LEAST_SPREAD * reach_m:
+        if spread < PLAUSIBLE.least_spread * reach_m:
             warn(f"{text}; is the target held in place, or has the instrument frozen?")
 
 
@@ -173,15 +161,13 @@ class PositionSensor(PlausiblePositions, Additive, Simulatable):
         yield from ()
 
 
-# Tolerance of the norm, above the rounding of four decimals and below the effect of a wrong column.
-_TOLERANCE = 0.01
 QUATERNION = Field(
     "quaternion",
     ("qx", "qy", "qz", "qw"),
     "number",
     Rule(
-        f"norm 1 within {_TOLERANCE:.0%}",
-        lambda value: np.abs(np.linalg.norm(value, axis=1) - 1) <= _TOLERANCE,
+        f"norm 1 within {PLAUSIBLE.norm:.0%}",
+        lambda value: np.abs(np.linalg.norm(value, axis=1) - 1) <= PLAUSIBLE.norm,
     ),
     is_unit=True,
     mistakes=(
@@ -295,9 +281,9 @@ def _rotation_equations(tips: np.ndarray, measured: np.ndarray) -> np.ndarray:
 
 
 # Angle below which series are exact to rounding [rad].
-_SMALL = 1e-3
+_SMALL: Scale = 1e-3
 # Poses processed at once, so that their data fit into the cache.
-_TILE = 512
+_TILE: Count = 512
 
 
 @compiled(nogil=True)
@@ -330,15 +316,15 @@ def turns(measured: np.ndarray, poses: np.ndarray) -> np.ndarray:
         b = (a + 1) % 3
         c = (a + 2) % 3
         if trace >= R[a, a]:
-            q[0], q[1], q[2], q[3] = (
-                R[2, 1] - R[1, 2],
-                R[0, 2] - R[2, 0],
-                R[1, 0] - R[0, 1],
-                1.0 + trace,
-            )
+            q[0] = R[2, 1] - R[1, 2]
+            q[1] = R[0, 2] - R[2, 0]
+            q[2] = R[1, 0] - R[0, 1]
+            q[3] = 1.0 + trace
         else:
-            q[a], q[3] = 1.0 - trace + 2.0 * R[a, a], R[c, b] - R[b, c]
-            q[b], q[c] = R[b, a] + R[a, b], R[c, a] + R[a, c]
+            q[a] = 1.0 - trace + 2.0 * R[a, a]
+            q[b] = R[b, a] + R[a, b]
+            q[c] = R[c, a] + R[a, c]
+            q[3] = R[c, b] - R[b, c]
         if q[3] < 0.0:
             for i in range(4):
                 q[i] = -q[i]
@@ -382,9 +368,12 @@ def turned(turn: np.ndarray, motion: np.ndarray) -> np.ndarray:
             rows[0, 0, i] = 1.0 - factor * (y * y + z * z)
             rows[1, 1, i] = 1.0 - factor * (x * x + z * z)
             rows[2, 2, i] = 1.0 - factor * (x * x + y * y)
-            rows[0, 1, i], rows[1, 0, i] = factor * x * y - 0.5 * z, factor * x * y + 0.5 * z
-            rows[0, 2, i], rows[2, 0, i] = factor * x * z + 0.5 * y, factor * x * z - 0.5 * y
-            rows[1, 2, i], rows[2, 1, i] = factor * y * z - 0.5 * x, factor * y * z + 0.5 * x
+            rows[0, 1, i] = factor * x * y - 0.5 * z
+            rows[1, 0, i] = factor * x * y + 0.5 * z
+            rows[0, 2, i] = factor * x * z + 0.5 * y
+            rows[2, 0, i] = factor * x * z - 0.5 * y
+            rows[1, 2, i] = factor * y * z - 0.5 * x
+            rows[2, 1, i] = factor * y * z + 0.5 * x
         for d in range(n_columns):
             out[d, :3, first:end] = motion[d, :3, first:end]
             # Loops over slices are vectorised.

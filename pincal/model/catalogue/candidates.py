@@ -4,7 +4,7 @@ name.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from pincal.errors import BadInputError, nearest_first
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Candidate, Discoverable, Effect, Family, Harmonic
+from pincal.model.effect_numbers import SHOWN
 from pincal.model.effect_registry import EFFECTS
 from pincal.model.effects import Compliance
 from pincal.model.evaluated import key_of
@@ -21,8 +22,6 @@ from pincal.model.sizes import largest_basis
 from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
 
-# A basis that varies by less than this fraction of its size is constant.
-_CONSTANT = 1e-9
 _CONSTANT_AT = "{} does not move in any pose, so the effect is constant"
 # Why a recorded variable contains no information on a joint, if not because its column is missing
 # or constant.
@@ -156,7 +155,7 @@ def _standing_still(effect: Effect, situation: PoseSet) -> str:
         if t.basis is not None
     ]
     bases = [basis for basis in bases if basis.any()]
-    if any(np.ptp(basis) > _CONSTANT * np.abs(basis).max() for basis in bases):
+    if any(np.ptp(basis) > SHOWN.constant * np.abs(basis).max() for basis in bases):
         return ""
     if not bases:
         return "it has no effect in these poses or on this arm"
@@ -187,6 +186,13 @@ def effect_parts(text: str) -> tuple[str, list[tuple[str, str]]]:
     return name, found
 
 
+def _single_compliances(situation: PoseSet) -> Iterator[tuple[Effect, str]]:
+    """Yield the compliances of single joints, all of which poses show."""
+    kinds = [type(effect) for effect in elasticity(situation) if isinstance(effect, Compliance)]
+    for joint in situation.revolute:
+        yield from ((kind(joints=(joint,)), "") for kind in kinds)
+
+
 def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
     """Return the effect of a name.
 
@@ -212,12 +218,7 @@ def find_effect(text: str, chain: Chain, conditions: Conditions) -> Effect:
     joint = dict(reversed(pairs)).get("joint")
     keys = {key: value for key, value in pairs if key != "joint"}
     situation = PoseSet(chain, conditions)
-    kinds = [type(effect) for effect in elasticity(situation) if isinstance(effect, Compliance)]
-    # Compliances of single joints, too.
-    judged = [
-        *((kind(joints=(joint,)), "") for joint in situation.revolute for kind in kinds),
-        *_judged(situation),
-    ]
+    judged = [*_single_compliances(situation), *_judged(situation)]
     if "order" in keys:
         judged = [_tuned(text, pair, keys["order"], situation) for pair in judged]
     # Those that can be shown first.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from pincal.parameters import Parameter
 
 Order = Literal[1, 2]
 WobbleFrame = Literal["before", "after"]
-ORDERS: tuple[Order, ...] = (1, 2)
+ORDERS: tuple[Order, ...] = get_args(Order)
 WOBBLE_FRAMES: tuple[WobbleFrame, ...] = ("before", "after")
 
 

@@ -30,24 +30,22 @@ from pincal.model.effect_bases import (
     moment_terms,
     parameters_of,
 )
+from pincal.model.effect_numbers import SHOWN
 from pincal.model.effects import BENDING_SIZE
 from pincal.parameters import Parameter
+from pincal.thresholds import Scale
 
 # Fraction of the largest moment on an axis that friction holds before the backlash closes to one
 # side.
-_TRANSITION = 0.02
+_TRANSITION: Scale = 0.02
 # Transitions that a discovery tries, relative to the usual one.
-_WIDTHS = (0.3, 1.0, 3.0)
+_WIDTHS: tuple[Scale, ...] = (0.3, 1.0, 3.0)
 # Stiffening torques that a discovery tries, relative to the largest torque in the poses.
-_STIFFENING = (0.1, 0.3)
-# Fraction of the largest moment on the arm below which a compensator would not be built.
-_WORTH_A_SPRING = 0.1
-# Fraction of the payload's largest moment on the arm below which an axis is unaffected by it.
-_UNFELT = 1e-3
+_STIFFENING: tuple[Scale, ...] = (0.1, 0.3)
 # Moment over which friction is smoothed as the load changes sign [N m]: negligible on any arm.
-_SMOOTH = 1e-3
+_SMOOTH: Scale = 1e-3
 # Preloads that a discovery tries, relative to the largest moment in the poses.
-_PRELOADS = (0.0, 0.3)
+_PRELOADS: tuple[Scale, ...] = (0.0, 0.3)
 
 
 @dataclass(frozen=True)
@@ -199,7 +197,7 @@ class GravityCompensator(DriveWaves):
         for joint in situation.revolute:
             is_loaded = (
                 np.abs(situation.moment(joint)).max()
-                > _WORTH_A_SPRING * np.abs(situation.moments).max()
+                > SHOWN.spring * np.abs(situation.moments).max()
             )
             unloaded = (
                 f"gravity exerts no moment about the axis of {joint} that could be compensated"
@@ -245,7 +243,7 @@ class PayloadError(Discoverable, Reducible):
             axis=0, initial=0.0
         )
         names = zip(chain.robot.joint_names, chain.robot.joint_types, felt[2::3], strict=True)
-        threshold = _UNFELT * felt.max()
+        threshold = SHOWN.unfelt_payload * felt.max()
         return cls(
             tuple(
                 name for name, kind, moment in names if kind != "prismatic" and moment > threshold

@@ -18,7 +18,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -29,13 +29,14 @@ from pincal.model.effect import Candidate, Discoverable, Locus, Term
 from pincal.model.effect_bases import RATIO, TILT, parameters_of, waves
 from pincal.model.model import Model
 from pincal.parameters import Parameter, Scope
+from pincal.thresholds import Scale
 
 Orders = Literal[1, 2]
-_ORDERS: tuple[Orders, ...] = (1, 2)
+_ORDERS: tuple[Orders, ...] = get_args(Orders)
 _STRETCHED = ("x", "y", "xy", "xz", "yz")
 # Distance to the standing axis, or to the tracker, below which directions across it are undefined
 # [m].
-_AT_AXIS = 1e-9
+_AT_AXIS: Scale = 1e-9
 
 
 class Sight(NamedTuple):

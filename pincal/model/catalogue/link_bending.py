@@ -13,18 +13,17 @@ from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, PoseSet, nominal_moments
 from pincal.model.effect import Candidate, Discoverable, Family, Locus, Term
 from pincal.model.effect_bases import joint_index, moment_axes, parameters_of
+from pincal.model.effect_numbers import SHOWN
 from pincal.model.effects import BENDING_SIZE
 from pincal.parameters import Parameter
 from pincal.robot.link_path import above
+from pincal.thresholds import Scale
 
 # Sine of the twist between two axes from which a shift along the first axis moves the second across
 # the link.
-_TWISTED = 0.5
+_TWISTED: Scale = 0.5
 # Sine below which a shift along the first axis would have to be fifty times its effect.
-_HARDLY_TWISTED = 0.02
-# A link shorter than this does not bend, and is no lever: the rotation that shifts its end by
-# hundredths of a millimetre would not be small [m].
-_SHORT = 1e-3
+_HARDLY_TWISTED: Scale = 0.02
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ class LinkBending(Discoverable):
         assert k is not None
         span = _link_span(chain, i, k)
         length = float(np.linalg.norm(span))
-        if length < _SHORT:
+        if length < SHOWN.short:
             return ()
         u = span / length
         force, moment = (
@@ -175,10 +174,8 @@ def _turned_back(vectors: np.ndarray, axis: int, angle: float | np.ndarray) -> n
     y = (axis + 1) % 3
     z = (axis + 2) % 3
     out = np.array(vectors, np.result_type(vectors, c))
-    out[:, y], out[:, z] = (
-        c * vectors[:, y] + s * vectors[:, z],
-        c * vectors[:, z] - s * vectors[:, y],
-    )
+    out[:, y] = c * vectors[:, y] + s * vectors[:, z]
+    out[:, z] = c * vectors[:, z] - s * vectors[:, y]
     return out
 
 
@@ -200,10 +197,10 @@ def _end_terms(
     cosine = np.cos(alpha)
     x, y, z = shift.T
     bases = {("a", i): x}
-    if abs(sine) > _TWISTED or (abs(a) <= _SHORT and abs(sine) > _HARDLY_TWISTED):
+    if abs(sine) > _TWISTED or (abs(a) <= SHOWN.short and abs(sine) > _HARDLY_TWISTED):
         bases[("d", i)] = y / sine
         bases[("d", following)] = z - y * cosine / sine
-    elif abs(a) > _SHORT:
+    elif abs(a) > SHOWN.short:
         back = y / (a * cosine)
         bases[("theta", i)] = back
         bases[("d", following)] = z + y * sine / cosine

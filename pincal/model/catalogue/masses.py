@@ -13,14 +13,19 @@ from pincal.model.conditions import MOMENT, Conditions
 from pincal.model.effect import Body, Effect, Family, Locus, Term
 from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
+from pincal.thresholds import Scale
 
 # Uncertainty of masses and centres of mass guessed from an arm's shape: fractions of the link's own
 # mass, and of its size.
-_MASS_SIZE = 0.5
-_CENTRE_SIZE = 0.3
-_AXES: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_MASS_SIZE: Scale = 0.5
+_CENTRE_SIZE: Scale = 0.3
+_AXES: tuple[tuple[Scale, Scale, Scale], ...] = (
+    (1.0, 0.0, 0.0),
+    (0.0, 1.0, 0.0),
+    (0.0, 0.0, 1.0),
+)
 # Least size of a link, as a fraction of the arm's.
-_SHORTEST = 0.1
+_SHORTEST: Scale = 0.1
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,10 @@ from pincal.model.effect_bases import PLAY, DriveInMotion, recorded
 from pincal.model.effects import JointElasticity
 from pincal.parameters import ANYWHERE, Parameter, Scope
 from pincal.robot.robot import Robot
+from pincal.thresholds import Scale
 
 # Typical size of a servo's delay [s].
-_LAG = 1e-3
+_LAG: Scale = 1e-3
 
 
 @dataclass(frozen=True)

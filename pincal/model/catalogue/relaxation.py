@@ -28,22 +28,23 @@ from pincal.model.effect import Candidate, ExponentialDrift, Locus, Term
 from pincal.model.effect_bases import GROWTH, DriveEffect, drive_unit, recorded
 from pincal.model.symbols import held
 from pincal.parameters import Parameter
+from pincal.thresholds import Scale
 
 # Time constants that a discovery tries, relative to the duration of the table: the longest is
 # nearly a steady drift.
-_CONSTANTS = (0.07, 0.2, 0.6, 2.0)
+_CONSTANTS: tuple[Scale, ...] = (0.07, 0.2, 0.6, 2.0)
 # Time constants distinguishable from a jump, and from a steady drift, relative to the duration of
 # the table.
-_SHORTEST = 0.01
-_LONGEST = 5.0
+_SHORTEST: Scale = 0.01
+_LONGEST: Scale = 5.0
 # Largest step of a time constant, as a factor.
-_FAR = 2.0
+_FAR: Scale = 2.0
 # Convergence: relative change of the time constant, and of the amplitude about which it is
 # linearised.
-_SAME = 1e-3
-_SAME_AMPLITUDE = 0.02
+_SAME: Scale = 1e-3
+_SAME_AMPLITUDE: Scale = 0.02
 # Number of time constants after which the relaxation is over.
-_OVER = 50.0
+_OVER: Scale = 50.0
 
 
 class _Relaxing(ABC):

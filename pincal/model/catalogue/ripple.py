@@ -19,24 +19,16 @@ from pincal.errors import BadInputError
 from pincal.model.conditions import TURN, PoseSet
 from pincal.model.effect import Candidate, Harmonic
 from pincal.model.effect_bases import WAVE, DriveHarmonic
+from pincal.model.effect_numbers import ORIGIN
+from pincal.thresholds import Scale
 
-# Orders (cycles per revolution) in which a discovery searches for gear ripple: lower ones are
-# curves of the drive, higher ones need ever more poses. The two lobes of a strain wave gear of
-# 1:101 make 202 cycles per revolution, and twice as many.
-_BAND = (20.0, 450.0)
 # Placeholders of an unknown order: the ratio of a usual strain wave gear, and the lines of an
 # encoder.
-_USUAL = 101.0
-_LINES = 1024.0
-# Approximate gain in log-likelihood required of a wave selected in the whole band (see
-# ``independent_orders``).
-_GAIN = 18.0
+_USUAL: Scale = 101.0
+_LINES: Scale = 1024.0
 # Lines per revolution of encoders with binary subdivision, from the lowest that is not a curve of
 # the drive.
 _BINARY = tuple(2.0**n for n in range(5, 17))
-# Probability of a chance match of an order above which no origin is suggested: as a hint, one in
-# ten is good enough.
-_BY_CHANCE = 0.1
 
 
 @dataclass(frozen=True)
@@ -78,7 +70,7 @@ class GearRipple(_FineWaves):
     name: ClassVar[str] = "gear_ripple"
     meaning: ClassVar[str] = "a motor or gear stage causes a ripple of many cycles per revolution"
     pattern: ClassVar[str] = "ripple_{wave}_{order}"
-    band: ClassVar[tuple[float, float] | None] = _BAND
+    band: ClassVar[tuple[float, float] | None] = ORIGIN.band
 
     @property
     def trials(self) -> float:
@@ -89,7 +81,9 @@ class GearRipple(_FineWaves):
     def candidates(cls, situation: PoseSet) -> Iterator[Candidate]:
         """Yield it on every revolute joint; its order has to be searched for, or given."""
         for joint in situation.revolute:
-            among = len(situation.revolute) * independent_orders(situation.positions(joint), _BAND)
+            among = len(situation.revolute) * independent_orders(
+                situation.positions(joint), ORIGIN.band
+            )
             yield Candidate(cls(joint, _USUAL, among), variants=())
 
     def tuned(self, order: float, chosen_among: float = 1.0) -> GearRipple:
@@ -130,7 +124,7 @@ class GearRipple(_FineWaves):
         off, _, words = min(near, default=(np.inf, 0, ""))
         return (
             f"{words}{_as_near(1.0 - chance)}"
-            if off <= resolution and 1.0 - chance <= _BY_CHANCE
+            if off <= resolution and 1.0 - chance <= ORIGIN.by_chance
             else ""
         )
 
@@ -194,7 +188,7 @@ def independent_orders(q: np.ndarray, band: tuple[float, float]) -> float:
     revolution].
     """
     spread = float(np.std(q)) / TURN
-    return 1.0 + (band[1] - band[0]) * spread * float(np.sqrt(4.0 * np.pi * _GAIN))
+    return 1.0 + (band[1] - band[0]) * spread * float(np.sqrt(4.0 * np.pi * ORIGIN.gain))
 
 
 def resolution_of(q: np.ndarray) -> float:
@@ -212,11 +206,11 @@ def _binary(order: float, resolution: float) -> tuple[int, float]:
     """Return the exponent of the power of two that an order is, 0 if none, and the probability of a
     chance match.
     """
-    powers = [lines for lines in _BINARY if lines < _BAND[1]]
-    chance = 2.0 * resolution * len(powers) / (_BAND[1] - _BAND[0])
+    powers = [lines for lines in _BINARY if lines < ORIGIN.band[1]]
+    chance = 2.0 * resolution * len(powers) / (ORIGIN.band[1] - ORIGIN.band[0])
     power = round(np.log2(order))
     is_near = 2.0**power in _BINARY and abs(order - 2.0**power) <= resolution
-    return (power if is_near and chance <= _BY_CHANCE else 0), chance
+    return (power if is_near and chance <= ORIGIN.by_chance else 0), chance
 
 
 def _as_near(chance: float) -> str:

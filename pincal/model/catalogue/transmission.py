@@ -14,25 +14,22 @@ from pincal.model.chain import Chain
 from pincal.model.conditions import TURN, Conditions, PoseSet, distinct_values, recorded_variable
 from pincal.model.effect import Candidate, Curve, Locus
 from pincal.model.effect_bases import WAVE, DriveEffect, drive_unit, parameters_of
+from pincal.model.effect_numbers import SHOWN
 from pincal.model.symbols import held
 from pincal.parameters import Parameter
+from pincal.thresholds import Count, Scale
 
-# Fraction of a turn from which the curve is taken as periodic: the gap is too small for a Fourier
-# series to oscillate in.
-_NEARLY_A_TURN = 0.9
 # Default number of basis functions; the numbers that a discovery tries first, from coarse to fine.
-_SIZE = 24
-_SIZES = (8, 12, 18, 26, 44, 80)
+_SIZE: Count = 24
+_SIZES: tuple[Count, ...] = (8, 12, 18, 26, 44, 80)
 # Width of the pieces of a curve with a smoothness prior [rad]: the teeth of a strain wave gear of
 # 100 : 1 are 1.8 deg wide. Number of pieces along a rail. Factor by which they may become finer if
 # the data require it.
 _PIECE = np.radians(1.0)
-_MOST_PIECES = 180
-_FINEST = 1.5
+_MOST_PIECES: Count = 180
+_FINEST: Scale = 1.5
 # Typical size of the curve as a whole [rad or m], if a smoothness prior couples its pieces.
-_HEIGHT = 1e-3
-# Least number of poses per basis function: six positions show the size of a bump and its scatter.
-POSES_PER_PIECE = 6
+_HEIGHT: Scale = 1e-3
 
 
 def most_pieces(x: np.ndarray) -> int:
@@ -42,7 +39,7 @@ def most_pieces(x: np.ndarray) -> int:
     With more functions than distinct values the curve between the values is undetermined: it
     aliases.
     """
-    return min(len(x) // POSES_PER_PIECE, distinct_values(x))
+    return min(len(x) // SHOWN.poses_per_piece, distinct_values(x))
 
 
 @dataclass(frozen=True)
@@ -133,7 +130,7 @@ class TransmissionError(DriveEffect, Curve):
             most = most_pieces(q if does else np.arange(len(q)))
             curves = tuple(cls.over(joint, moving, size) for size in _SIZES if size <= most)
             values = distinct_values(q) if does else 1
-            is_few = 1 < values < min(_SIZES[0], len(q) // POSES_PER_PIECE)
+            is_few = 1 < values < min(_SIZES[0], len(q) // SHOWN.poses_per_piece)
             few = (
                 f"{joint} takes {values} distinct positions, and the coarsest curve that is "
                 f"tried has {_SIZES[0]} pieces"
@@ -207,4 +204,4 @@ def _covers_a_turn(q: np.ndarray) -> bool:
     end of the turn.
     """
     seen = np.unique(np.mod(q, TURN))
-    return bool(np.max(np.diff(seen, append=seen[0] + TURN)) <= (1.0 - _NEARLY_A_TURN) * TURN)
+    return bool(np.max(np.diff(seen, append=seen[0] + TURN)) <= (1.0 - SHOWN.nearly_a_turn) * TURN)

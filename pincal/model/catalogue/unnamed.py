@@ -10,32 +10,29 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
-from pincal.model.catalogue.transmission import POSES_PER_PIECE
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, PoseSet, distinct_values, moves, recorded_variable
 from pincal.model.effect import Family, Locus, Resolvable, Term
 from pincal.model.effect_bases import joint_index, tilt_terms, waves
+from pincal.model.effect_numbers import ORIGIN, SHOWN
 from pincal.parameters import Parameter
+from pincal.thresholds import Count, Scale
 
 FormName = Literal["curve", "waves", "product", "map", "step", "kink"]
 ActsOn = Literal["drive", "gamma_x", "gamma_y", "s_x", "s_y"]
 
-# Pairs of neighbouring joints among which a discovery selects the likeliest maps.
-_PAIRS = 15.0
 # Typical size of an unnamed term [rad].
-_SIZE = 3e-4
+_SIZE: Scale = 3e-4
 # Pieces of a curve; of a map, along each joint, from coarse to fine.
-_PIECES = 8
-_MAP_PIECES = (4, 5, 6, 8, 10, 12)
+_PIECES: Count = 8
+_MAP_PIECES: tuple[Count, ...] = (4, 5, 6, 8, 10, 12)
 # Orders (cycles per revolution) that are tried.
-_ORDERS = (1, 2, 3)
+_ORDERS: tuple[Count, ...] = (1, 2, 3)
 # Breakpoints that are tried, as quantiles of the rows.
 _PLACES = np.linspace(0.08, 0.92, 22)
 _ACROSS: tuple[ActsOn, ...] = ("gamma_x", "gamma_y")
 _BEFORE: tuple[ActsOn, ...] = ("s_x", "s_y")
 _DRIVE: tuple[ActsOn, ...] = ("drive",)
-# A variable that varies by less than this is constant.
-_CONSTANT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -104,7 +101,7 @@ class Unnamed(Resolvable):
     @property
     def trials(self) -> float:
         """Number of maps among which it was selected."""
-        return _PAIRS if self.shape == "map" else 1.0
+        return ORIGIN.pairs if self.shape == "map" else 1.0
 
     @property
     def n_functions(self) -> int:
@@ -126,7 +123,8 @@ class Unnamed(Resolvable):
             return ()
         pairs = (situation.positions(joint) for joint in (self.joint, self.depends_on))
         most = min(
-            int((len(situation.conditions) // POSES_PER_PIECE) ** 0.5), *map(distinct_values, pairs)
+            int((len(situation.conditions) // SHOWN.poses_per_piece) ** 0.5),
+            *map(distinct_values, pairs),
         )
         return tuple(replace(self, size=size) for size in _MAP_PIECES if size <= most)
 
@@ -197,7 +195,7 @@ def nameless_candidates(
             {} if conditions.move is None else {"move": conditions.move[:, names.index(joint)]}
         )
         for source, column in (columns | own_move).items():
-            if np.ptp(column) <= _CONSTANT:
+            if np.ptp(column) <= SHOWN.constant_column:
                 continue
             lower = float(column.min())
             upper = float(column.max())
