@@ -16,11 +16,12 @@ from pincal.measure.measurements import Measurements
 from pincal.model.catalogue.candidates import needs_column
 from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count
 
 Criterion = Literal["task", "determinant"]
 
 # Default number of random poses to choose from.
-_CANDIDATES = 1500
+_CANDIDATES: Count = 1500
 
 
 @dataclass(frozen=True, kw_only=True)
