@@ -12,6 +12,7 @@ from house import House
 import pincal
 from pincal.design import design_numbers
 from pincal.discover import policy
+from pincal.fleet import fleet_numbers
 from pincal.identify import criteria
 from pincal.identify.problem import Problem
 
@@ -19,7 +20,7 @@ TESTS = Path(__file__).parent
 HOUSE = House.at(Path(pincal.__file__).parent)
 NUMBERS = [
     thing
-    for module in (design_numbers, policy, criteria)
+    for module in (design_numbers, policy, fleet_numbers, criteria)
     for thing in vars(module).values()
     if hasattr(thing, "__dataclass_fields__") and not isinstance(thing, type)
 ]
@@ -93,7 +94,7 @@ def test_numbers_that_decide_stand_in_a_policy(numbers: object) -> None:
 
 def test_no_other_number_decides() -> None:
     """None at the top of discover's other files, and elsewhere only those that bound a computation."""
-    rooms = {"design", "discover", "diagnosis", "identify", "io"}
+    rooms = {"design", "discover", "diagnosis", "fleet", "identify", "io"}
     found = {of.name: " ".join(of.numbers) for of in HOUSE.files if of.numbers and (of.room in rooms or of.name in BOUNDS)}
 
     assert found == BOUNDS
