@@ -167,7 +167,8 @@ def run_discovery(
         >>> q = robot.random_configurations(60, rng)
         >>> bent = q + np.array([0.0, 0.0, 0.0, 1e-3, 0.0, 0.0]) * np.sin(q)
         >>> tips = robot.forward_kinematics(bent)
-        >>> position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((60, 3))
+        >>> position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2]
+        >>> position += 5e-5 * rng.standard_normal((60, 3))
         >>> table = measurements_from_arrays(robot.joint_names, q, position=position)
         >>> found = run_discovery(robot, table, Options(effects=GEOMETRIC, sigma=5e-5))
         >>> [(entry.effect, entry.joint) for entry in found.findings.effects]
