@@ -14,6 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from pincal.calibration.calibrated import CalibratedModel
+from pincal.compensate.compensate_numbers import COMPENSATION
 from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.robot_frames import (
     PoseFrame,
@@ -26,14 +27,13 @@ from pincal.errors import BadInputError
 from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose
+from pincal.thresholds import Count
 
 log = logging.getLogger(__name__)
 
 KeptOrientation = Literal["keep", "free"]
 # Rows processed at once: some 100 MB, and enough to amortise the few rows that need more steps.
-_PIECE = 32768
-# Deviation of a rotation matrix from orthonormality: rounding to six decimals.
-ORTHONORMAL = 1e-5
+_PIECE: Count = 32768
 
 
 @dataclass(frozen=True, repr=False)
@@ -211,7 +211,7 @@ def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
     off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(
         np.linalg.det(turns) - 1.0
     )
-    if off.max(initial=0.0) > ORTHONORMAL:
+    if off.max(initial=0.0) > COMPENSATION.orthonormal:
         raise BadInputError(
             f"desired pose {int(off.argmax())}: its first three columns are not a rotation matrix"
         )

@@ -15,6 +15,7 @@ import numpy as np
 from pincal.calibration.calibrated import CalibratedModel
 from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import base_in_instrument, nominal_robot
+from pincal.export.export_numbers import EXPORT
 from pincal.export.exported import (
     FORMATS,
     Exported,
@@ -58,11 +59,6 @@ _OWN = frozenset((
     "ControllerLanguage._by_axis", "Jbi.joint_units", "LANGUAGES", "language_of", "files_of", "read_sources",
     "_nearest_angles", "Point.values",
 ))  # fmt: skip
-
-
-# A base is fixed if it varies less than this over all checked times and temperatures [m, elements
-# of the rotation matrix].
-_STILL = 1e-12
 
 
 @FORMATS.register
@@ -175,8 +171,8 @@ def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[
     robot = chain.robot
     days = calibrated.covered.days
     bases = base_in_instrument(calibrated, at)
-    stands = bool(np.ptp(bases, axis=0).max() <= _STILL) and not np.allclose(
-        bases[0], np.eye(4)[:3], rtol=0.0, atol=_STILL
+    stands = bool(np.ptp(bases, axis=0).max() <= EXPORT.still) and not np.allclose(
+        bases[0], np.eye(4)[:3], rtol=0.0, atol=EXPORT.still
     )
     shown = robot.kinematics
     combination = robot.combination[np.ix_(own, own)]

@@ -34,16 +34,17 @@ from pincal.robot.se3 import (
     transform,
     translation,
 )
+from pincal.thresholds import Count, Scale
 
 # MuJoCo requires a mass and an inertia of each body [kg, kg m^2].
-_LEAST_MASS = 1e-6
-_LEAST_INERTIA = 1e-9
+_LEAST_MASS: Scale = 1e-6
+_LEAST_INERTIA: Scale = 1e-9
 # MuJoCo's default [s]: a spring with a faster oscillation needs armature and damping to be stable.
-_TIME_STEP = 2e-3
-_CHECKED_POSES = 100
+_TIME_STEP: Scale = 2e-3
+_CHECKED_POSES: Count = 100
 # Number of equations of a closure on position; position of a second point on its axis [m].
-_PLACES = 3
-_ON_AXIS = 0.1
+_PLACES: Count = 3
+_ON_AXIS: Scale = 0.1
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,9 @@ from pincal.model.conditions import Conditions
 from pincal.programs.arms import ArmSearch, ProgramAxes
 from pincal.programs.language import ControllerLanguage
 from pincal.programs.program import Edit, Frame, Point, PointKey, Posture, Program, Skipped
+from pincal.programs.program_numbers import PROGRAM_NUMBERS
 from pincal.robot.se3 import compose, inverse, rotation_vectors, transform
 
-# The nearest of several solutions is used if it is nearer than this fraction of the distance to the
-# next.
-_CLEARLY = 0.5
-# Corrections below this do not change the program [m and rad].
-_NOTHING = 1e-8
 _REASONS = {
     "singular": "the arm is singular there: a small correction would need large joint motions",
     "joint_limit": "an axis would leave its limits",
@@ -262,7 +258,7 @@ class Corrector:
             )
         if not is_determined and len(reached) > 1:
             first, second = (float(np.abs(q - near).max()) for q in reached[:2])
-            if first > _CLEARLY * second:
+            if first > PROGRAM_NUMBERS.clearly * second:
                 return (
                     "several arm configurations reach it, and the motion before it does not "
                     "determine one (--seed-joints)"
@@ -367,7 +363,7 @@ class Corrector:
         """Return the edits of one point."""
         if (
             max(change.shift, change.turn, float(np.abs(change.commanded - change.q).max()))
-            < _NOTHING
+            < PROGRAM_NUMBERS.nothing
         ):
             return []
         texts = self.language.point_numbers(change.point, change.values)

@@ -13,13 +13,14 @@ from pincal.compensate.robot_frames import in_base_frame
 from pincal.programs.correct import Change, Corrector
 from pincal.programs.program import Edit, Motion, PointKey, Program, Skipped
 from pincal.robot.se3 import compose, exponentials, inverse, rotation_vectors, transform
+from pincal.thresholds import Count, Scale
 
 # Number of places along a motion, without its ends, at which the deviation is evaluated.
-_SAMPLES = 15
+_SAMPLES: Count = 15
 # Largest number of parts into which a motion is divided.
-_MOST_PARTS = 64
-# Three points of a circle count as collinear within this [m].
-_STRAIGHT = 1e-6
+_MOST_PARTS: Count = 64
+# Root of twice the area of three points of a circle, below which they count as collinear [m].
+_STRAIGHT: Scale = 1e-6
 
 
 @dataclass(frozen=True)

@@ -28,17 +28,17 @@ from pincal.report.plots.style import (
     log_axis,
     panel,
 )
+from pincal.report.report_numbers import REPORT
+from pincal.thresholds import Count, Scale
 from pincal.units import readable_unit
 
-# Most parameters and robots drawn, height of a row and width of a letter [in], and least determined
-# share of a parameter.
-_MOST = 14
-_PER_ROW = 0.27
-_LETTER = 0.085
-_TOLD = 0.3
+# Most parameters and robots drawn, height of a row and width of a letter [in].
+_MOST: Count = 14
+_PER_ROW: Scale = 0.27
+_LETTER: Scale = 0.085
 # Most machines drawn as points, and evidence at which the axis ends [log10].
-_POINTS = 300
-_SURE = 10.0
+_POINTS: Count = 300
+_SURE: Scale = 10.0
 
 
 def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> str:
@@ -103,7 +103,7 @@ def _order(learned: Learned, at: summary.AtTool | None, unit: str) -> np.ndarray
         if at is None
         else np.nan_to_num(at.by_parameter)
     )
-    places = [k for k, p in enumerate(of.parameters) if p.unit == unit and share[k] > _TOLD]
+    places = [k for k, p in enumerate(of.parameters) if p.unit == unit and share[k] > REPORT.told]
     return np.array(sorted(places, key=lambda k: -size[k])[:_MOST][::-1], int)
 
 

@@ -36,10 +36,11 @@ from pincal.report.words import (
     line_words,
     subsample_only_words,
 )
+from pincal.thresholds import Count
 from pincal.units import format_digits, small_unit
 
 # An effect with more parameters than this is a curve; its numbers are in discovery.json.
-_FEW = 4
+_FEW: Count = 4
 
 
 def missing(subject: Subject) -> Section | None:

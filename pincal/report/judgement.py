@@ -20,18 +20,14 @@ from pincal.io.discovery_file import Findings
 from pincal.model.catalogue import untestable
 from pincal.notes import Note, doubts_of
 from pincal.recorded import RECORDABLE
+from pincal.report.report_numbers import REPORT
 from pincal.report.words import effect_words
+from pincal.thresholds import Count
 from pincal.validate.accuracy import leading_unit
 from pincal.validate.misfit import Verdict, is_informative
 
-# Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters
-# make it about sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are
-# go into parameters.
-_OVERFITTED = 1.3
-# Errors beyond the noise that are mentioned are at least this large [mm].
-_SHOWN_MM = 5e-4
 # Number of outliers whose lines are listed.
-_LISTED = 3
+_LISTED: Count = 3
 
 
 @dataclass(frozen=True)
@@ -126,7 +122,7 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
         if n
         else "Nothing was added"
     )
-    beyond = f"{left:.3f} mm rms beyond the noise" if left >= _SHOWN_MM else ""
+    beyond = f"{left:.3f} mm rms beyond the noise" if left >= REPORT.beyond_noise else ""
     if found.verdict is Verdict.ADEQUATE:
         chance = f": {beyond} may be chance" if beyond else ""
         return Judged(
@@ -231,7 +227,7 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
                 "Held-out poses are predicted no better than by the URDF: measure more "
                 "poses, or with less noise."
             )
-        elif np.sqrt(np.mean(np.square(ways))) > _OVERFITTED * error["train"][rms]:
+        elif np.sqrt(np.mean(np.square(ways))) > REPORT.overfitted * error["train"][rms]:
             steps.append(
                 "Held-out errors exceed fitted ones: measure more poses, spread over the "
                 "whole range of use."
@@ -368,10 +364,6 @@ _ADVICE = (
     ),
     Advice((Cause.GIVEN, Cause.NOT_NEEDED), "Given", "Fixed at your request, or by default."),
 )
-# Share of its range below which a joint hardly shows what depends on its position: with a turn as
-# the range, a wave of one period per turn is hard to distinguish from a slope there. A judgement,
-# not a measurement; it only words a recommendation.
-_NARROW = 0.3
 
 
 class UnidentifiedGroup(NamedTuple):
@@ -415,6 +407,6 @@ def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:
         if robot.joint_types[i] != "prismatic":
             width = min(width, 2.0 * np.pi)
         share = float(np.ptp(q[:, i])) / width if np.isfinite(width) and width > 0.0 else 1.0
-        if share < _NARROW:
+        if share < REPORT.narrow:
             found.append((str(name), share))
     return tuple(found)

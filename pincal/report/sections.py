@@ -52,9 +52,11 @@ from pincal.report.illustrations import (
     workspace_drawings,
 )
 from pincal.report.judgement import judged, next_steps, unidentified_groups
+from pincal.report.report_numbers import REPORT
 from pincal.report.subject import Subject
 from pincal.report.words import TERMS, effect_meaning, elsewhere_words, noise_words
 from pincal.result_table import Column, Kind, RowTone, Table
+from pincal.thresholds import Count
 from pincal.units import fixed
 from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.misfit import Verdict
@@ -71,9 +73,7 @@ REPEATED = Markup(
 
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 # Number of rejected rows whose lines are listed.
-_LISTED = 12
-# Smallest ratio of errors before and after that is mentioned; a smaller one rounds to 1.0.
-_IMPROVED = 1.05
+_LISTED: Count = 12
 _TONES: dict[str, RowTone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "care"}
 
 
@@ -115,7 +115,7 @@ def _headline(subject: Subject) -> Markup:
         "poses: over all poses"
     )
     ratio = before / after if after > 0.0 else 1.0
-    times = f" ({ratio:.1f} times as large)" if ratio >= _IMPROVED else ""
+    times = f" ({ratio:.1f} times as large)" if ratio >= REPORT.improved else ""
     noise = (
         "The declared noise of the instrument is"
         if result.noise["source"] == "declared"

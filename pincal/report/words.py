@@ -11,6 +11,7 @@ from typing import Any
 from pincal.identify.explain import Status
 from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
 from pincal.model.effect_registry import meaning_of
+from pincal.report.report_numbers import REPORT
 from pincal.units import readable_unit
 from pincal.validate.outcome import Elsewhere
 
@@ -22,9 +23,6 @@ _NOT_IDENTIFIED = {
     Status.AT_BOUND: "stopped at a bound",
     Status.FIXED: "held",
 }
-# Ratio of the error that the model expects elsewhere to that at poses like the measured ones, above
-# which more poses are advised. The latter includes the noise of the instrument; a judgement.
-_MUCH = 1.5
 # Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}
 # Effects other than those of the robot, with their meanings.
@@ -237,7 +235,7 @@ def is_worse_elsewhere(found: Elsewhere, error: Mapping[str, float]) -> bool:
     """Return whether the expected error elsewhere is much larger than the error at poses like the
     measured ones.
     """
-    return "mean_mm" in error and found.mean_mm > _MUCH * error["mean_mm"]
+    return "mean_mm" in error and found.mean_mm > REPORT.much * error["mean_mm"]
 
 
 def elsewhere_words(found: Elsewhere, error: Mapping[str, float]) -> str:
