@@ -49,14 +49,6 @@ class CompensationNumbers:
         "allows it",
         "chosen",
     )
-    lost: float = number(
-        2e-3,
-        "ratio",
-        "test_compensate.py::test_a_row_that_is_right_already_stays_even_where_the_arm_is_singular",
-        "singular value of the Jacobian, in units of the lever arm of a rotation, below which an "
-        "arm is singular",
-        "regular poses have 0.1",
-    )
     hopeless: float = number(
         0.3,
         "ratio",

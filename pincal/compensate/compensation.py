@@ -117,7 +117,8 @@ def compensate_poses(
         >>> from pincal.calibration.covered import Covered
         >>> from pincal.robot.robot import Robot
         >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), (JointOffset(),))
-        >>> offset, covered = np.array([0.0, 0.0, 2e-3, 0.0, 0.0, 0.0]), Covered(np.zeros((6, 2)), np.zeros(2))
+        >>> offset = np.array([0.0, 0.0, 2e-3, 0.0, 0.0, 0.0])
+        >>> covered = Covered(np.zeros((6, 2)), np.zeros(2))
         >>> estimate = estimate_of(model.parameters, offset, np.zeros((6, 6)))
         >>> known = CalibratedModel(model, estimate, "pose", np.zeros(3), covered, np.zeros(1), {})
         >>> program = Conditions.at(np.array([[0.3, 1.2, -1.1, 0.4, 0.7, -0.5]]))

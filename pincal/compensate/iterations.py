@@ -129,8 +129,13 @@ def bounded_search(
         if not len(rows):
             break
         limits = bounds.select(rows)
-        step = _bounded_step(J[rows] * weight[:, None], residuals[rows] * weight, damping=damping[rows], q=q[rows],
-                             bounds=limits)  # fmt: skip
+        step = _bounded_step(
+            J[rows] * weight[:, None],
+            residuals[rows] * weight,
+            damping=damping[rows],
+            q=q[rows],
+            bounds=limits,
+        )
         trial = np.clip(q[rows] + _shortened(step), limits.lower, limits.upper)
         tried, slope = problem.select(rows).linearise(trial)
         before, after = (

@@ -24,6 +24,9 @@ STATUSES: tuple[IkStatus, ...] = get_args(IkStatus)
 # Small displacement [rad or m] of arms that start exactly at a singular pose, where the first step
 # is zero.
 _ASIDE: Scale = 0.05
+# Singular value of the Jacobian, lengths over IkProblem.length, below which a start is so displaced;
+# regular poses have 0.1.
+_LOST: Scale = 2e-3
 # Weight of position relative to orientation where both can't be reached.
 _POSITION_FIRST: Scale = 1e3
 # Random poses among which starts for distant targets are chosen; number of starts tried, and number
@@ -61,15 +64,10 @@ def solve_ik(
         q[rows], done[rows] = _within_bounds(
             problem.select(rows), seed[rows], bounds=corridor.select(rows)
         )
-    rows = np.flatnonzero(~near)
-    if len(rows):
-        q[rows] = _unwind(
-            problem.select(rows), q[rows], reached=done[rows], seed=seed[rows], limits=limits
-        )
-    rows = rows[~done[rows]]
-    if len(rows):
-        q[rows], done[rows] = _from_random_starts(
-            problem.select(rows), q[rows], seed=seed[rows], limits=limits
+    far = np.flatnonzero(~near)
+    if len(far):
+        q[far], done[far] = _from_afar(
+            problem.select(far), q[far], done=done[far], seed=seed[far], limits=limits
         )
     has_position = done.copy()
     rows = np.flatnonzero(~done)
@@ -86,6 +84,22 @@ def solve_ik(
         np.where(beyond, "joint_limit", np.where(near & has_position, "singular", "unreachable")),
     )
     return q, status
+
+
+def _from_afar(
+    problem: IkProblem, q: np.ndarray, *, done: np.ndarray, seed: np.ndarray, limits: Bounds
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return joint positions for rows with distant seeds, and whether they reach their poses; rows
+    that are not ``done`` are searched for from random starts.
+    """
+    q = _unwind(problem, q, reached=done, seed=seed, limits=limits)
+    done = done.copy()
+    rows = np.flatnonzero(~done)
+    if len(rows):
+        q[rows], done[rows] = _from_random_starts(
+            problem.select(rows), q[rows], seed=seed[rows], limits=limits
+        )
+    return q, done
 
 
 def _solve_with_few_joints(
@@ -132,7 +146,7 @@ def _within_bounds(
     rows = np.flatnonzero(~reached)
     if len(rows):
         _, J = problem.select(rows).linearise(seed[rows])
-        rows = rows[np.linalg.svd(J, compute_uv=False)[:, -1] < COMPENSATION.lost]
+        rows = rows[np.linalg.svd(J, compute_uv=False)[:, -1] < _LOST]
     if len(rows):
         aside = seed[rows] + _ASIDE * np.where(np.arange(seed.shape[1]) % 2, -1.0, 1.0)
         found, ended = bounded_search(problem.select(rows), aside, bounds=bounds.select(rows))

@@ -163,75 +163,15 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
 def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> list[str]:
     """Return what to do next after a calibration or a discovery, the most pressing first."""
     result = calibration.result
-    steps = list[str]()
-    judgement = judged(result, discovery).judgement
-    if not result.converged:
-        steps.append(
-            "Check units, joint order, and rows that do not belong to this robot; pincal "
-            "check helps."
-        )
-    if result.shift:
-        steps.append(
-            "Make the rows before and after the shift two stations (column station), and "
-            "calibrate again."
-        )
     if result.doubt:
         return [f"First find out what is wrong: {result.doubt}."]
-    if result.is_kept:
-        steps.append(
-            "Measure more poses, or with less noise: pincal design predicts how many "
-            "poses reach an accuracy."
-        )
-    if is_few := not is_informative(result.degrees):
-        steps.append(
-            "Measure more poses: these are too few to distinguish a good model from a bad one."
-        )
-    if discovery is not None:
-        steps += _after_discovery(discovery)
-    elif not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
-        steps.append(
-            "Measure six to ten poses with an instrument, or in sockets, and calibrate "
-            "with both: an IMU gives no lengths."
-        )
-    elif not (is_few or result.is_kept) and judgement is not Verdict.ADEQUATE and result.converged:
-        steps.append(
-            "Run pincal discover on the same data: it identifies the effects that the model lacks."
-        )
-    if lines := result.outliers:
-        steps.append(
-            f"Inspect the rejected outliers, line {few(lines, _LISTED)}: a loose target, "
-            "or a slipping joint?"
-        )
-    if improved := result.improvement or ():
-        worst = max(improved, key=lambda region: region.after_mm)
-        steps.append(
-            f"No instrument measured the robot: {worst.link} is known to "
-            f"{worst.after_mm:.2g} mm at worst ({worst.region}). "
-            "If that is not enough, measure a few poses with one as well."
-        )
-    error = result.error["calibrated"]
-    no_better = False
-    if "test" not in error:
-        steps.append(
-            "Hold rows out (--test-fraction) or measure more (--holdout): otherwise the "
-            "accuracy is not validated."
-        )
-    else:
-        # Both kinds of held-out rows together.
-        rms = f"rms_{leading_unit(error['test'])}"
-        ways = [error[way][rms] for way in error if way not in ("train", "test")] or [
-            error["test"][rms]
-        ]
-        if error["test"][rms] > result.error["nominal"]["test"][rms]:
-            steps.append(
-                "Held-out poses are predicted no better than by the URDF: measure more "
-                "poses, or with less noise."
-            )
-        elif np.sqrt(np.mean(np.square(ways))) > REPORT.overfitted * error["train"][rms]:
-            steps.append(
-                "Held-out errors exceed fitted ones: measure more poses, spread over the "
-                "whole range of use."
-            )
+    judgement = judged(result, discovery).judgement
+    steps = [
+        *_of_the_fit(result),
+        *_of_the_model(calibration, discovery, judgement),
+        *_of_the_rows(result),
+        *_of_held_out_rows(result),
+    ]
     if narrow := ", ".join(
         f"{name} ({100 * share:.0f} %)" for name, share in narrow_joints(calibration)
     ):
@@ -239,13 +179,95 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
             f"These joints moved through little of their range: {narrow}. Outside it the "
             "model is not validated."
         )
-    if (judgement is not Verdict.NOT_ADEQUATE and not no_better) or not steps:
+    if judgement is not Verdict.NOT_ADEQUATE or not steps:
         steps.append(
             "Use it: model.json predicts poses (pincal predict), calibrated.urdf "
             "transfers the geometry to other programs, "
             "and pincal validate checks the model against new measurements in a few months."
         )
     return steps
+
+
+def _of_the_fit(result: Result) -> Iterator[str]:
+    """Yield what to do about a fit that can't be used yet."""
+    if not result.converged:
+        yield (
+            "Check units, joint order, and rows that do not belong to this robot; pincal "
+            "check helps."
+        )
+    if result.shift:
+        yield (
+            "Make the rows before and after the shift two stations (column station), and "
+            "calibrate again."
+        )
+    if result.is_kept:
+        yield (
+            "Measure more poses, or with less noise: pincal design predicts how many "
+            "poses reach an accuracy."
+        )
+    if not is_informative(result.degrees):
+        yield "Measure more poses: these are too few to distinguish a good model from a bad one."
+
+
+def _of_the_model(
+    calibration: Calibration, discovery: Discovery | None, judgement: Verdict
+) -> Iterator[str]:
+    """Yield what to do about effects that the model lacks."""
+    result = calibration.result
+    is_open = result.converged and not result.is_kept and is_informative(result.degrees)
+    if discovery is not None:
+        yield from _after_discovery(discovery)
+    elif not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
+        yield (
+            "Measure six to ten poses with an instrument, or in sockets, and calibrate "
+            "with both: an IMU gives no lengths."
+        )
+    elif is_open and judgement is not Verdict.ADEQUATE:
+        yield (
+            "Run pincal discover on the same data: it identifies the effects that the model lacks."
+        )
+
+
+def _of_the_rows(result: Result) -> Iterator[str]:
+    """Yield what to do about rows that were rejected, and where no instrument measured."""
+    if lines := result.outliers:
+        yield (
+            f"Inspect the rejected outliers, line {few(lines, _LISTED)}: a loose target, "
+            "or a slipping joint?"
+        )
+    if improved := result.improvement or ():
+        worst = max(improved, key=lambda region: region.after_mm)
+        yield (
+            f"No instrument measured the robot: {worst.link} is known to "
+            f"{worst.after_mm:.2g} mm at worst ({worst.region}). "
+            "If that is not enough, measure a few poses with one as well."
+        )
+
+
+def _of_held_out_rows(result: Result) -> Iterator[str]:
+    """Yield what to do by the errors at rows that were held out, if any were."""
+    error = result.error["calibrated"]
+    if "test" not in error:
+        yield (
+            "Hold rows out (--test-fraction) or measure more (--holdout): otherwise the "
+            "accuracy is not validated."
+        )
+        return
+    # Both kinds of held-out rows together.
+    rms = f"rms_{leading_unit(error['test'])}"
+    ways = [error[way][rms] for way in error if way not in ("train", "test")] or [
+        error["test"][rms]
+    ]
+    if error["test"][rms] > result.error["nominal"]["test"][rms]:
+        yield (
+            "Held-out poses are predicted no better than by the URDF: measure more "
+            "poses, or with less noise."
+        )
+    elif np.sqrt(np.mean(np.square(ways))) > REPORT.overfitted * error["train"][rms]:
+        yield (
+            "Held-out errors exceed fitted ones: measure more poses, spread over the "
+            "whole range of use."
+        )
 
 
 def _after_discovery(discovery: Discovery) -> Iterator[str]:
