@@ -24,7 +24,7 @@ STATUSES: tuple[IkStatus, ...] = get_args(IkStatus)
 # Small displacement [rad or m] of arms that start exactly at a singular pose, where the first step
 # is zero.
 _ASIDE: Scale = 0.05
-# Singular value of the Jacobian, lengths over IkProblem.length, below which a start is so displaced;
+# Singular value of the Jacobian, lengths over IkProblem.length, below which a start is displaced;
 # regular poses have 0.1.
 _LOST: Scale = 2e-3
 # Weight of position relative to orientation where both can't be reached.

@@ -40,25 +40,65 @@ from pincal.units import UNITS, size_of
 
 _JS = Language(
     statement="  const {} = {};",
-    functions={"rint": "rint"} | {name: f"Math.{spelled}" for name, spelled in (
-        *((name, name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "log", "sqrt", "floor", "hypot")),
-        ("arcsin", "asin"), ("arccos", "acos"), ("arctan", "atan"), ("arcsinh", "asinh"), ("arctan2", "atan2"),
-        ("fabs", "abs"),
-    )},
+    functions={"rint": "rint"}
+    | {
+        name: f"Math.{spelled}"
+        for name, spelled in (
+            *(
+                (name, name)
+                for name in (
+                    "sin",
+                    "cos",
+                    "tan",
+                    "sinh",
+                    "cosh",
+                    "tanh",
+                    "exp",
+                    "log",
+                    "sqrt",
+                    "floor",
+                    "hypot",
+                )
+            ),
+            ("arcsin", "asin"),
+            ("arccos", "acos"),
+            ("arctan", "atan"),
+            ("arcsinh", "asinh"),
+            ("arctan2", "atan2"),
+            ("fabs", "abs"),
+        )
+    },
     select="{} ? {} : {}",
     is_select_atom=False,
     input=lambda name: name if name.startswith("moments") else f"state.{name}",
     curve=lambda i, curve, x: f"cubic({x}, {curve.lower!r}, {curve.upper!r}, CURVES[{i}])",
-)  # fmt: skip
+)
 # Modules in the order of their dependencies; the languages come after them.
 _MODULES = ("syntax", "flow", "program", "draft", "statement_reader", "language", "rapid_blocks")
 # What the page implements itself: files, lark, arrays of numbers, and what only the command needs.
-_OWN = frozenset((
-    "Source", "parser_of", "TYPE_CHECKING", "spliced", "Frame.__eq__", "Frame.__hash__", "ControllerLanguage.pose",
-    "ControllerLanguage.is_pose", "ControllerLanguage.numbers", "ControllerLanguage.frame", "ControllerLanguage.joint_units",
-    "ControllerLanguage._by_axis", "Jbi.joint_units", "LANGUAGES", "language_of", "files_of", "read_sources",
-    "_nearest_angles", "Point.values",
-))  # fmt: skip
+_OWN = frozenset(
+    (
+        "Source",
+        "parser_of",
+        "TYPE_CHECKING",
+        "spliced",
+        "Frame.__eq__",
+        "Frame.__hash__",
+        "ControllerLanguage.pose",
+        "ControllerLanguage.is_pose",
+        "ControllerLanguage.numbers",
+        "ControllerLanguage.frame",
+        "ControllerLanguage.joint_units",
+        "ControllerLanguage._by_axis",
+        "Jbi.joint_units",
+        "LANGUAGES",
+        "language_of",
+        "files_of",
+        "read_sources",
+        "_nearest_angles",
+        "Point.values",
+    )
+)
 
 
 @FORMATS.register
@@ -191,14 +231,21 @@ def _about(calibrated: CalibratedModel, formulas: Formulas, frame: str) -> dict[
         "combination": combination.tolist(),
         "reported": np.linalg.inv(combination).tolist(),
         **{name: _place(robot, name) for name in ("world", "flange")},
-        "units": {quantity: {unit: size_of(unit, quantity) for unit in units} for quantity, units in UNITS.items()},
+        "units": {
+            quantity: {unit: size_of(unit, quantity) for unit in units}
+            for quantity, units in UNITS.items()
+        },
         "follows": _follows(calibrated),
-        "arm": {"first": shown.first[:3].ravel().tolist(), "before": shown.before[:, :3].reshape(-1, 12).tolist(),
-                "after": shown.after[:, :3].reshape(-1, 12).tolist(), "tip": robot.frames.T_last_tip[:3].ravel().tolist()},
+        "arm": {
+            "first": shown.first[:3].ravel().tolist(),
+            "before": shown.before[:, :3].reshape(-1, 12).tolist(),
+            "after": shown.after[:, :3].reshape(-1, 12).tolist(),
+            "tip": robot.frames.T_last_tip[:3].ravel().tolist(),
+        },
         "nodes": [T[:3, 3].tolist() for T in robot.T_link_joint],
         "types_of_all": robot.joint_types,
         "up": (-chain.gravity / max(float(np.linalg.norm(chain.gravity)), 1e-300)).tolist(),
-    }  # fmt: skip
+    }
 
 
 def _limit(value: float) -> float | None:

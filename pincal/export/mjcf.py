@@ -186,7 +186,8 @@ def _entry(term: Term, places: Mapping[int, tuple[int, int]]) -> tuple[int, int,
     """
     if term.coordinate not in places or term.moment is None or term.slope is not None:
         return None
-    (i, row), (joint, column) = places[term.coordinate], divmod(term.moment, 3)
+    i, row = places[term.coordinate]
+    joint, column = divmod(term.moment, 3)
     return (i, row, column) if joint == i and (row == 2) == (column == 2) else None
 
 

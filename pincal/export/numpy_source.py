@@ -38,15 +38,34 @@ def _input(name: str) -> str:
 
 _NUMPY = Language(
     statement="    {} = {}",
-    functions={name: f"np.{name}" for name in (
-        "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh", "arcsinh", "exp", "log", "sqrt", "fabs",
-        "rint", "floor", "hypot", "arctan2",
-    )},
+    functions={
+        name: f"np.{name}"
+        for name in (
+            "sin",
+            "cos",
+            "tan",
+            "arcsin",
+            "arccos",
+            "arctan",
+            "sinh",
+            "cosh",
+            "tanh",
+            "arcsinh",
+            "exp",
+            "log",
+            "sqrt",
+            "fabs",
+            "rint",
+            "floor",
+            "hypot",
+            "arctan2",
+        )
+    },
     select="np.where({}, {}, {})",
     is_select_atom=True,
     input=_input,
     curve=lambda i, curve, x: f"_cubic({x}, {curve.lower!r}, {curve.upper!r}, _CURVE_{i})",
-)  # fmt: skip
+)
 
 
 @FORMATS.register
@@ -144,7 +163,8 @@ def refuse_wrong(calibrated: CalibratedModel, *, text: str) -> float:
                 f"{EXPORT.formulas:g} m; it can't be exported"
             )
     raise BadInputError(
-        f"formulas differ from the model by up to {worst:.2g} m; expected at most {EXPORT.formulas:g} m"
+        f"formulas differ from the model by up to {worst:.2g} m; expected at most "
+        f"{EXPORT.formulas:g} m"
     )
 
 

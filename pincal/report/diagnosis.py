@@ -280,10 +280,16 @@ def _answer(found: DiagnosisFile) -> Section:
             (f"{words} error", f"{before[key]:.4f} mm") for key, words in _STATISTICS.items()
         )
         return Section("answer", "Has it changed?", (columns, errors), style="panel")
-    shown = glance([
-        (f"{words} error", (before[key], after[key]), (f"{before[key]:.4f}", f"{after[key]:.4f} mm"))
-        for key, words in _STATISTICS.items()
-    ])  # fmt: skip
+    shown = glance(
+        [
+            (
+                f"{words} error",
+                (before[key], after[key]),
+                (f"{before[key]:.4f}", f"{after[key]:.4f} mm"),
+            )
+            for key, words in _STATISTICS.items()
+        ]
+    )
     return Section(
         "answer", "Has it changed?", (columns, arranged("glance", *shown)), style="panel"
     )

@@ -74,11 +74,22 @@ def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> s
 
 
 def _use() -> Markup:
-    return bullets((
-        rich("Calibrate another machine from a few poses: {}", code("pincal calibrate ROBOT.urdf FEW.csv --type TYPE.json")),
-        rich("Choose its poses: {}", code("pincal design ROBOT.urdf --type TYPE.json --accuracy 0.1mm --out poses.csv")),
-        rich("Monitor all machines: {}", code("pincal fleet check TYPE.json STORE --report fleet.html")),
-    ))  # fmt: skip
+    return bullets(
+        (
+            rich(
+                "Calibrate another machine from a few poses: {}",
+                code("pincal calibrate ROBOT.urdf FEW.csv --type TYPE.json"),
+            ),
+            rich(
+                "Choose its poses: {}",
+                code("pincal design ROBOT.urdf --type TYPE.json --accuracy 0.1mm --out poses.csv"),
+            ),
+            rich(
+                "Monitor all machines: {}",
+                code("pincal fleet check TYPE.json STORE --report fleet.html"),
+            ),
+        )
+    )
 
 
 def _populations(learned: Learned, at: summary.AtTool | None) -> Iterator[Drawing]:
@@ -226,15 +237,20 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
 
 
 def _reading(alpha: float) -> Markup:
-    return bullets((
-        f"In the long run at most {100 * alpha:g} % of all alarms are false, however many "
-                "robots there are and however long "
-        "they are monitored.",
-        rich("A robot that changed stays on the list until it is calibrated again; see {}.", code("pincal diagnose")),
-        "A change that robots of one supplier, batch or hall share is reported as a drift "
-                "of that group, not as an alarm.",
-        "watch: no alarm yet, but unusual among the checks of its round; check it again soon.",
-    ))  # fmt: skip
+    return bullets(
+        (
+            f"In the long run at most {100 * alpha:g} % of all alarms are false, however many "
+            "robots there are and however long "
+            "they are monitored.",
+            rich(
+                "A robot that changed stays on the list until it is calibrated again; see {}.",
+                code("pincal diagnose"),
+            ),
+            "A change that robots of one supplier, batch or hall share is reported as a drift "
+            "of that group, not as an alarm.",
+            "watch: no alarm yet, but unusual among the checks of its round; check it again soon.",
+        )
+    )
 
 
 def _evidence(found: FleetHistory, alpha: float) -> Drawing:

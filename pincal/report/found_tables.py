@@ -121,7 +121,8 @@ def by_reason(entries: Iterable[tuple[str, str | None, str]], n_joints: int) -> 
         n_joints: number of joints of the arm.
 
     Example:
-        >>> by_reason([("backlash", "a", "a is idle"), ("backlash", "b", "b is idle"), ("drift", None, "no time")], 3)
+        >>> idle = [("backlash", "a", "a is idle"), ("backlash", "b", "b is idle")]
+        >>> by_reason([*idle, ("drift", None, "no time")], 3)
         {'this joint is idle': 'backlash of a, b', 'no time': 'drift'}
     """
     found: dict[str, dict[str, list[str]]] = {}

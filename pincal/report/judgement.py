@@ -95,8 +95,10 @@ def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
     Example:
         >>> relative_to_noise(1.004, "the noise", is_misfit=True)
         'slightly larger than the noise, but in too many rows to be chance'
-        >>> relative_to_noise(1.2, "the noise", is_misfit=False), relative_to_noise(1.2, "the noise", is_misfit=True)
-        ('1.20 times the noise, which may be chance', '1.20 times the noise')
+        >>> relative_to_noise(1.2, "the noise", is_misfit=False)
+        '1.20 times the noise, which may be chance'
+        >>> relative_to_noise(1.2, "the noise", is_misfit=True)
+        '1.20 times the noise'
     """
     shown = f"{ratio:.2f} times {noise}"
     if float(f"{ratio:.2f}") <= 1.0:

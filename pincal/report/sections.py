@@ -176,10 +176,16 @@ def _glance(subject: Subject) -> Iterator[Markup]:
             for name, words in _STATISTICS
             if f"{name}_{unit}" in after
         }
-        yield from glance([
-            (title, (before[key], after[key]), (_size(before[key], "").rstrip(), _size(after[key], unit)))
-            for title, key in keys.items()
-        ])  # fmt: skip
+        yield from glance(
+            [
+                (
+                    title,
+                    (before[key], after[key]),
+                    (_size(before[key], "").rstrip(), _size(after[key], unit)),
+                )
+                for title, key in keys.items()
+            ]
+        )
 
 
 def setup(subject: Subject) -> Section:

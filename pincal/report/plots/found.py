@@ -69,7 +69,8 @@ def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
         ValueError: if there is no series, or one has no poses.
 
     Example:
-        >>> figure = deviation_figure({"standard DH": np.array([1e-3, 3e-3]), "DH,s,e": np.array([1e-9, 2e-9])})
+        >>> sizes = {"standard DH": np.array([1e-3, 3e-3]), "DH,s,e": np.array([1e-9, 2e-9])}
+        >>> figure = deviation_figure(sizes)
         >>> [axes.get_title() for axes in figure.axes]
         ['standard DH\nmean 2.00 mm, max 3.00 mm', 'DH,s,e\nmean 1.50e-09 m, max 2.00e-09 m']
         >>> deviation_figure({})
@@ -289,8 +290,18 @@ def effect_figure(trace: PartialResidual, title: str) -> Figure:
         drawable(title), fontsize=TEXT, color=INK, x=0.02, y=0.985, ha="left", fontweight="bold"
     )
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=SMALL, frameon=False, labelcolor=INK, ncols=3, loc="upper left",
-                  bbox_to_anchor=(0.0, 0.955), columnspacing=1.0, handletextpad=0.3)  # fmt: skip
+    figure.legend(
+        handles,
+        labels,
+        fontsize=SMALL,
+        frameon=False,
+        labelcolor=INK,
+        ncols=3,
+        loc="upper left",
+        bbox_to_anchor=(0.0, 0.955),
+        columnspacing=1.0,
+        handletextpad=0.3,
+    )
     return figure
 
 
