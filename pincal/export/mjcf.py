@@ -139,23 +139,8 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
     """Return the compliances that are equivalent to springs between two links."""
     chain = model.chain
     n = model.chain.robot.n_joints
-    at = Conditions.at(np.zeros((1, n)))
-    moments = np.ones((1, 3 * n))
-    matrices = np.zeros((n, 3, 3))
-    carried = []
+    matrices, carried = _compliance_matrices(model, values)
     refused = []
-    own = "z" if chain.moment_frame == "paper" else "xyz"
-    places = {
-        chain.joint(i, f"gamma_{axis}"): (i, "xyz".index(axis)) for i in range(n) for axis in own
-    }
-    for span, effect in zip(model.spans, model.effects, strict=True):
-        terms = effect.terms(chain, at, moments) if effect.uses_moments else ()
-        entries = [_entry(term, places) for term in terms]
-        if None in entries or not (terms or effect.family is Family.ELASTICITY):
-            continue
-        carried.append(effect)
-        for term, entry in zip(terms, entries, strict=True):
-            matrices[entry] += float(values[span][term.parameter])
     compliances = np.zeros((n, 3))
     axes = np.tile(np.eye(3), (n, 1, 1))
     loops = {
@@ -175,9 +160,32 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
         refused += [
             f"{chain.robot.joint_names[i]}.{names[c]}" for c in np.flatnonzero(compliances[i] < 0.0)
         ]
-    return _Springs(
-        np.maximum(compliances, 0.0), axes, tuple(carried), tuple(refused), tuple(rigid)
-    )
+    return _Springs(np.maximum(compliances, 0.0), axes, carried, tuple(refused), tuple(rigid))
+
+
+def _compliance_matrices(model: Model, values: np.ndarray) -> tuple[np.ndarray, tuple[Effect, ...]]:
+    """Return the compliance matrix of each joint, shape (n, 3, 3), and the effects that are wholly
+    in them.
+    """
+    chain = model.chain
+    n = chain.robot.n_joints
+    at = Conditions.at(np.zeros((1, n)))
+    moments = np.ones((1, 3 * n))
+    matrices = np.zeros((n, 3, 3))
+    carried = []
+    own = "z" if chain.moment_frame == "paper" else "xyz"
+    places = {
+        chain.joint(i, f"gamma_{axis}"): (i, "xyz".index(axis)) for i in range(n) for axis in own
+    }
+    for span, effect in zip(model.spans, model.effects, strict=True):
+        terms = effect.terms(chain, at, moments) if effect.uses_moments else ()
+        entries = [_entry(term, places) for term in terms]
+        if None in entries or not (terms or effect.family is Family.ELASTICITY):
+            continue
+        carried.append(effect)
+        for term, entry in zip(terms, entries, strict=True):
+            matrices[entry] += float(values[span][term.parameter])
+    return matrices, tuple(carried)
 
 
 def _entry(term: Term, places: Mapping[int, tuple[int, int]]) -> tuple[int, int, int] | None:
@@ -283,7 +291,21 @@ def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
         *(effect for effect in model.effects if effect.bodies(model.chain)),
     )
     left = model.with_effects([effect for effect in model.effects if effect not in carried])
-    notes = rigid_notes(left, what="MuJoCo model")
+    notes = rigid_notes(left, what="MuJoCo model") + _notes_on_masses_and_springs(
+        calibrated, springs
+    )
+    if robot.massless:
+        notes += (
+            "inertia of links without one in the URDF is a placeholder: statics are "
+            "correct, dynamics are not",
+        )
+    return notes
+
+
+def _notes_on_masses_and_springs(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
+    model = calibrated.model
+    robot = model.chain.robot
+    notes: tuple[str, ...] = ()
     masses = model.layout(calibrated.model_values).masses
     below = [
         f"{name} ({mass:.3g} kg)"
@@ -310,11 +332,6 @@ def _notes(calibrated: CalibratedModel, springs: _Springs) -> tuple[str, ...]:
             "armature and damping keep MuJoCo "
             "stable at a step of 2 ms and are not measured",
             *([] if model.equilibrium else [_bent(calibrated)]),
-        )
-    if robot.massless:
-        notes += (
-            "inertia of links without one in the URDF is a placeholder: statics are "
-            "correct, dynamics are not",
         )
     return notes
 
