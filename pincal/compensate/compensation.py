@@ -132,11 +132,7 @@ def compensate_poses(
     ):
         if value not in get_args(known):
             raise BadInputError(f"{name} {value!r}; expected one of {', '.join(get_args(known))}")
-    n = calibrated.model.chain.robot.n_joints
-    if conditions.q.ndim != 2 or conditions.q.shape[1] != n or not np.isfinite(conditions.q).all():
-        raise BadInputError(
-            f"seeds have shape {conditions.q.shape}; expected (N, {n}), all of them numbers"
-        )
+    _require_seeds(conditions.q, calibrated.model.chain.robot.n_joints)
     conditions = calibrated.of_its_day(conditions)
     poses = _as_poses(wanted, len(conditions))
     if np.ndim(wanted) == 2 and orientation == "keep":
@@ -156,19 +152,32 @@ def compensate_poses(
     own = robot.own_joints
     seeds = np.asarray(conditions.q[:, own], float)
     bounds = Bounds(robot.lower[own], robot.upper[own]) if limits else Bounds.none(len(own))
+    q, status = _solved(problem, seeds, bounds)
+    error, turn = problem.distances(problem.residuals(q))
+    seed_error, _ = problem.distances(problem.residuals(seeds))
+    return Compensation(
+        robot.as_reported(robot.spread(q)), status, error, turn, seed_error, poses, frame
+    )
+
+
+def _require_seeds(q: np.ndarray, n_joints: int) -> None:
+    if q.ndim != 2 or q.shape[1] != n_joints or not np.isfinite(q).all():
+        raise BadInputError(
+            f"seeds have shape {q.shape}; expected (N, {n_joints}), all of them numbers"
+        )
+
+
+def _solved(problem: IkProblem, seeds: np.ndarray, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
+    """Return the joint positions, shape (N, n), and the status of each row, some rows at a time."""
     q = np.empty_like(seeds)
-    status = np.empty(len(conditions), dtype="<U12")
+    status = np.empty(len(seeds), dtype="<U12")
     for start in range(0, len(problem), _PIECE):
         rows = slice(start, start + _PIECE)
         log.info(
             "finding the joints of %d rows", len(problem), extra={"done": start, "of": len(problem)}
         )
         q[rows], status[rows] = solve_ik(problem.select(rows), seeds[rows], limits=bounds)
-    error, turn = problem.distances(problem.residuals(q))
-    seed_error, _ = problem.distances(problem.residuals(seeds))
-    return Compensation(
-        robot.as_reported(robot.spread(q)), status, error, turn, seed_error, poses, frame
-    )
+    return q, status
 
 
 def compensate_program(

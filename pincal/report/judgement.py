@@ -116,7 +116,6 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
     """
     n = len(found.effects)
     left = found.unexplained_mm
-    doubts = doubts_of(found.warnings)
     added = (
         f"{n} effects were found and added"
         if n > 1
@@ -131,24 +130,33 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
             found.verdict, f"{added}; the remaining residuals are consistent with noise{chance}."
         )
     if found.verdict is Verdict.NOT_JUDGED:
-        why = (
-            "nothing more is detected, but the noise was estimated from the residuals, so "
-            "they cannot show whether the "
-            "model is complete: declare the noise (--noise), or measure some poses again"
-        )
-        if is_of_arrivals:
-            why = (
-                "what exceeds the declared noise of the instrument is as of drives that "
-                "all stop unevenly, and hides "
-                "smaller errors of the model: measure ten poses three times each"
-            )
-        why = (
-            "there are too few poses to judge whether that is all; see the doubt stated first"
-            if doubts
-            else why
-        )
+        why = _why_not_judged(found, is_of_arrivals=is_of_arrivals)
         return Judged(found.verdict, f"{added}; {why}.")
+    return Judged(found.verdict, f"{added}; {', and '.join(_what_is_wrong(found, beyond))}.")
+
+
+def _why_not_judged(found: Findings, *, is_of_arrivals: bool) -> str:
+    if doubts_of(found.warnings):
+        return "there are too few poses to judge whether that is all; see the doubt stated first"
+    if is_of_arrivals:
+        return (
+            "what exceeds the declared noise of the instrument is as of drives that "
+            "all stop unevenly, and hides "
+            "smaller errors of the model: measure ten poses three times each"
+        )
+    return (
+        "nothing more is detected, but the noise was estimated from the residuals, so "
+        "they cannot show whether the "
+        "model is complete: declare the noise (--noise), or measure some poses again"
+    )
+
+
+def _what_is_wrong(found: Findings, beyond: str) -> list[str]:
+    """Return what a search has not explained; ``beyond`` are the errors beyond the noise, "" for
+    none.
+    """
     wrong = [f"{scatter.joint} scatters from reading to reading" for scatter in found.scatter]
+    doubts = doubts_of(found.warnings)
     if beyond:
         wrong.append(f"{beyond} remain unexplained")
     elif not wrong and doubts:
@@ -159,7 +167,7 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
             "neighbouring poses, allow, though "
             "not on average over all rows"
         )
-    return Judged(found.verdict, f"{added}; {', and '.join(wrong)}.")
+    return wrong
 
 
 def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> list[str]:
