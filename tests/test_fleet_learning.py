@@ -34,6 +34,7 @@ from pincal.fleet.machines import Machine, load_machines, save_machines
 from pincal.fleet.robot_type import EVERYTHING, Learned, Membership, RobotType, calibrate_of_type, learn_type, load_type
 from pincal.fleet.summary import AtTool, parameter_summary, strangers, type_lines
 from pincal.model.conditions import Conditions
+from pincal.report.fleet_pages import _order
 from pincal.schemas import schema_of
 
 
@@ -298,6 +299,19 @@ def test_numbers_stand_only_beside_what_readings_tell(share: float, is_shown: bo
     first = parameter_summary(of).rows[0]
 
     assert first[-1] == pytest.approx(share) and (first[2] is not None) == is_shown
+
+
+@pytest.mark.parametrize(("share", "is_drawn"), [(0.29, False), (0.31, True)])
+def test_parameters_are_drawn_of_which_readings_tell_a_third(share: float, is_drawn: bool) -> None:
+    """Of two lengths that are told apart in one direction only."""
+    found, _, _ = learned(Family.drawn(np.random.default_rng(2), parameters=4), 20)
+    of = found.type
+    lengths = [k for k, parameter in enumerate(of.parameters) if parameter.unit == "m"]
+    direction = np.zeros(4)
+    direction[lengths] = np.sqrt(share), np.sqrt(1.0 - share)
+    of = msgspec.structs.replace(of, seen=np.outer(direction, direction))
+
+    assert sorted(_order(replace(found, type=of), None, "m").tolist()) == (lengths if is_drawn else lengths[1:])
 
 
 def test_p_values_of_machines_of_the_type_are_uniform_or_larger() -> None:

@@ -51,7 +51,7 @@ class ReportNumbers:
     told: float = number(
         0.3,
         "ratio",
-        "test_fleet_command.py::test_a_type_is_learned_from_models",
+        "test_fleet_learning.py::test_parameters_are_drawn_of_which_readings_tell_a_third",
         "of a parameter that readings determine, above which it is drawn",
         "chosen: the rest of it is a matter of convention",
     )
