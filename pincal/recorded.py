@@ -30,6 +30,8 @@ class Variable:
         label: description in words, with the joint as ``{}``; default: its name.
         shown: unit in plots, if different.
         typical: value at poses that are not measured yet, as of a plan.
+        is_of_pose: whether it belongs to each pose; otherwise it describes the day, and rows that
+            lack it may be taken at its mean over other rows.
     """
 
     quantity: str
@@ -42,6 +44,7 @@ class Variable:
     label: str = ""
     shown: str = ""
     typical: float = 0.0
+    is_of_pose: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +61,7 @@ class Recorded:
             _IN_ORDER,
             unknown=0.0,
             label="direction of approach of {}",
+            is_of_pose=True,
         ),
     ] = None
     """Direction from which each joint arrived: -1, 0 (unknown) or 1, shape (N, n)."""
@@ -78,6 +82,7 @@ class Recorded:
             True,
             label="commanded minus read back of {}",
             shown="mrad",
+            is_of_pose=True,
         ),
     ] = None
     """Commanded minus read-back position of each joint [rad], prismatic [m], shape (N, n)."""
@@ -108,6 +113,7 @@ class Recorded:
             unknown=0.0,
             label="speed of {}",
             shown="deg/s",
+            is_of_pose=True,
         ),
     ] = None
     """Velocity of each joint [rad/s], prismatic [m/s], shape (N, n); None where poses were held."""
@@ -190,6 +196,10 @@ RECORDABLE = {
 """All variables on which an effect may depend in addition to joint positions and moments, including
 a payload of 0.
 """
+OF_THE_DAY = tuple(name for name, variable in RECORDED.items() if not variable.is_of_pose)
+"""Names of those that describe the day, not the pose."""
+SURROUNDINGS = tuple(name for name in OF_THE_DAY if not RECORDED[name].of_joints)
+"""Names of those on which the whole arm may depend without any change of it."""
 
 
 def typical_columns(names: Iterable[str], q: np.ndarray) -> dict[str, np.ndarray]:

@@ -123,6 +123,20 @@ def test_an_effect_in_a_file_of_its_own_passes_the_tests_of_the_house(tmp_path: 
     assert passed is not None and int(passed[1]) > 30
 
 
+def test_a_column_is_one_field(tmp_path: Path) -> None:
+    """Tables, fits, models, checks of a robot by ``pincal design --check`` and diagnoses know it, and no other file does."""
+    done = subprocess.run(
+        [sys.executable, str(Path(__file__).with_name("column_case.py")), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert (tmp_path / "check.csv").exists()
+
+
 def _edit(file: Path, *insertions: tuple[str, str]) -> None:
     """Insert texts before others."""
     text = file.read_text(encoding="utf-8")

@@ -476,11 +476,14 @@ def test_arguments_that_make_no_sense_are_refused(kuka: Robot, rng: np.random.Ge
         (np.zeros((2, 3)), {}, r"shape \(2, 3\); expected \(3, 3, 4\) or \(3, 3\)"),
         (np.full((3, 3), np.nan), {}, "desired pose 0 is not finite"),
         (np.tile(np.eye(4)[:3] * [1.0, 1.0, -1.0, 1.0], (3, 1, 1)), {}, "desired pose 0: .* are not a rotation matrix"),
+        (np.tile(1.000003 * np.eye(4)[:3], (3, 1, 1)), {}, "desired pose 0: .* are not a rotation matrix"),
         (good, {"frame": "world"}, "frame 'world'; expected one of instrument, base"),
         (good, {"orientation": "up"}, "orientation 'up'; expected one of keep, free"),
     ):
         with pytest.raises(BadInputError, match=message):
             compensate_poses(calibrated, wanted, seeds, **given)
+    # Six decimals are a rotation.
+    assert len(compensate_poses(calibrated, np.tile(1.000001 * np.eye(4)[:3], (3, 1, 1)), seeds).q) == 3
     for q in (np.zeros((3, 5)), np.full((3, 6), np.inf)):
         with pytest.raises(BadInputError, match=r"seeds have shape .* expected \(N, 6\), all of them numbers"):
             compensate_poses(calibrated, good, replace(seeds, q=q))

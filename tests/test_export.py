@@ -23,7 +23,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.calibration.covered import Covered
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
-from pincal.export import FORMATS, Exported, Format, export_model
+from pincal.export import FORMATS, Exported, Format, export_model, numpy_source
 from pincal.model.at_station import AtStation
 from pincal.model.catalogue.bearing_features import ObliqueBearing
 from pincal.model.catalogue.drives import AxisWobble
@@ -203,6 +203,16 @@ def test_every_registered_effect_is_among_them(kuka: Robot) -> None:
     ours = {name for name, cls in KNOWN.known().items() if cls.__module__.startswith("pincal.")}
 
     assert ours - tried - beside == {"at_station"}
+
+
+def test_formulas_that_differ_from_the_model_are_refused(kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By more than a thousand times the rounding of a metre."""
+    found = drawn(ALL_EFFECTS["gear_ratio"](kuka.joint_names), kuka)
+    monkeypatch.setattr(numpy_source, "_error", lambda *_: 0.9e-12)
+    assert numpy_source.refuse_wrong(found, text="") == 0.9e-12
+    monkeypatch.setattr(numpy_source, "_error", lambda *_: 1.1e-12)
+    with pytest.raises(BadInputError, match="expected at most 1e-12 m"):
+        numpy_source.refuse_wrong(found, text="")
 
 
 def test_what_is_known_only_afterwards_is_not_exported(kuka: Robot) -> None:

@@ -22,7 +22,7 @@ from test_export import GANTRY, calibrated_of
 
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
-from pincal.export import export_model
+from pincal.export import export_model, geometry_files
 from pincal.io.urdf_export import calibrated_urdf, rigid_tips
 from pincal.model.catalogue.masses import LinkMass
 from pincal.model.chain import Chain, MomentFrame
@@ -366,6 +366,19 @@ def test_dh_tables_are_the_calibrated_arm(arm: Robot, convention: str, rng: np.r
     assert error < GEOMETRY and exported.max_error_m < GEOMETRY
     assert any(note.startswith("beta (Hayati)") for note in exported.notes) == (arm.name in ("ur10", "kuka_kr125_2"))
     assert any("j3 follows j2: -0.5 times" in note for note in exported.notes) == (arm.name == "gantry 2/b")
+
+
+@pytest.mark.parametrize(("off", "is_refused"), [(0.9e-9, False), (1.1e-9, True)])
+def test_a_table_that_is_not_the_arm_is_refused(off: float, is_refused: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A nanometre, as its decimal places resolve."""
+    robot, tips_of = Robot.from_urdf("ur10"), geometry_files._tips
+    monkeypatch.setattr(geometry_files, "_tips", lambda *given, **more: np.add(tips_of(*given, **more), [off, 0.0, 0.0]))
+    found = calibrated_of(Model(Chain.of(robot), ()), np.zeros(0))
+    if not is_refused:
+        assert export_model(found, "dh").max_error_m == pytest.approx(off, rel=0.01)
+        return
+    with pytest.raises(BadInputError, match=r"its parameters would be off by up to 1\.1e-09 m"):
+        export_model(found, "dh")
 
 
 def test_a_dh_table_of_a_drawing_has_no_beta() -> None:

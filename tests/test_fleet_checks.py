@@ -10,8 +10,8 @@ import pytest
 from fleet_cases import PRIOR, Family, Year
 
 from pincal import BadInputError
-from pincal.fleet.checks import FleetWatch, fleet_changes
-from pincal.fleet.history import DIAGNOSED, Visit, benjamini_hochberg
+from pincal.fleet.checks import FleetWatch, _Step, fleet_changes
+from pincal.fleet.history import DIAGNOSED, FleetHistory, LastCheck, Visit, benjamini_hochberg, e_value
 from pincal.fleet.robot_type import RobotType, learn_type
 from pincal.fleet.summary import look_first
 
@@ -119,6 +119,81 @@ def test_diagnoses_count_by_their_p_values(family: Family, of: RobotType) -> Non
     assert [(change.subject, change.what) for change in found.changes] == [("r5", DIAGNOSED)]
     assert found.robots == 40 and found.checks == 40
     assert {one.machine: one.p_value for one in found.last} == {visit.machine: visit.p_value for visit in usual}
+
+
+def calibrated(family: Family, of: RobotType, count: int) -> FleetWatch:
+    """Return the watch of some robots that were calibrated."""
+    rng, watch = np.random.default_rng(12), FleetWatch(of)
+    for k, x in enumerate(family.draw(count, rng)):
+        watch.take(0, [Visit(f"r{k}", "2026-01-01", family.measured(x, rng, name=f"r{k}"), is_calibration=True)])
+    return watch
+
+
+def diagnosed(watch: FleetWatch, p_value: float) -> None:
+    """Add a round in which one robot is diagnosed, with a p-value."""
+    watch.take(1, [Visit("r0", "2026-01-12", p_value=p_value)])
+
+
+def test_one_diagnosis_weighs_as_its_e_value(family: Family, of: RobotType) -> None:
+    """A change before the only round has a probability of 0.005, and the first calibration a weight of 6 / pi^2."""
+    watch = calibrated(family, of, 50)
+    diagnosed(watch, 1e-6)
+
+    expected = 6.0 / np.pi**2 * (0.005 * e_value(1e-6) + 0.995)
+    assert watch.history().last[0].log_e == pytest.approx(np.log(expected))
+
+
+def test_one_alarm_needs_as_much_evidence_as_there_are_robots(family: Family, of: RobotType) -> None:
+    """The first of 50 robots an e-value of 50 / 0.05: by a p-value of 8.5e-9 it has 1036, by one of 9e-9 only 985."""
+    for p_value, alarms in ((8.5e-9, 1), (9e-9, 0)):
+        watch = calibrated(family, of, 50)
+        diagnosed(watch, p_value)
+        assert (6.0 / np.pi**2 * (0.005 * e_value(p_value) + 0.995) > 1000.0) == bool(alarms)
+        assert len(watch.history().changes) == alarms
+
+
+def test_what_is_believed_of_a_change_beforehand(of: RobotType) -> None:
+    """Six of ten changes are of one parameter, three of one joint, one of everything; each kind is as likely as its like."""
+    watch = FleetWatch(of)
+    chances = dict(zip(watch._names, np.exp(watch._log_chances), strict=True))
+    joints = {name.split(".")[0] for name in of.names}
+
+    assert [chances[name] for name in of.names] == pytest.approx([0.6 / len(of.names)] * len(of.names))
+    assert [chances[joint] for joint in joints] == pytest.approx([0.3 / len(joints)] * len(joints))
+    assert chances["all"] == pytest.approx(0.1) and sum(chances.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("count", [4, 5])
+def test_five_robots_are_a_group_that_drifts(family: Family, of: RobotType, count: int) -> None:
+    """Four of a supplier that are off by the same are four robots that changed."""
+    labels = {True: "b", False: "a"}
+    year = Year(family, of, robots=20, seed=4, labels=lambda k: {"supplier": labels[k < count]})
+    for week in range(1, 5):
+        if week == 2:
+            year.drift("supplier", "b", place=12, by=5e-4 / PRIOR)
+        year.check(week)
+
+    found = [change.subject for change in year.changes]
+    assert found == ["supplier=b"] if count == 5 else sorted(found) == [f"r{k}" for k in range(count)]
+
+
+def test_explanations_within_odds_of_a_hundred_are_named(of: RobotType) -> None:
+    """Beside the likeliest, those that are less than a hundred times less likely, the likeliest first."""
+    watch, P = FleetWatch(of), len(of.names)
+    logs = np.full(len(watch._names), -50.0)
+    logs[[3, 1, 5, 2]] = 0.0, -np.log(50.0), -np.log(99.0), -np.log(101.0)
+    step = _Step(1, "2026-01-08", np.eye(P), np.zeros(P), q=np.zeros(P), Q=np.eye(P), logs=logs, total=0.1)
+    found = watch._described("r1", step, "2026-01-08", 9.0, is_group=False)
+
+    assert (found.what, found.equals) == (of.names[3], (of.names[1], of.names[5]))
+
+
+def test_adjusted_p_values_below_a_twentieth_are_to_be_watched() -> None:
+    """Robots that are not reported, in front of those that are unchanged."""
+    last = tuple(LastCheck(f"r{k}", "2026-01-08", q, q, 0.0) for k, q in enumerate((0.051, 0.049)))
+    rows = look_first(FleetHistory((), last, 2, 2, frozenset(), frozenset())).rows
+
+    assert [row[:2] for row in rows] == [("r1", "watch"), ("r0", "unchanged")]
 
 
 def test_the_latest_round_has_adjusted_p_values(family: Family, of: RobotType) -> None:

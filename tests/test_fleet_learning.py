@@ -23,6 +23,7 @@ from fleet_cases import (
     siblings,
     table_of,
 )
+from scipy.stats import multivariate_normal as normal
 
 from pincal import BadInputError, Robot, calibrate
 from pincal import simulate as sim
@@ -31,7 +32,9 @@ from pincal.calibration.information import RobotInformation
 from pincal.errors import ModelFileError
 from pincal.fleet.machines import Machine, load_machines, save_machines
 from pincal.fleet.robot_type import EVERYTHING, Learned, Membership, RobotType, calibrate_of_type, learn_type, load_type
+from pincal.fleet.summary import AtTool, parameter_summary, strangers, type_lines
 from pincal.model.conditions import Conditions
+from pincal.report.fleet_pages import _order
 from pincal.schemas import schema_of
 
 
@@ -184,6 +187,133 @@ def test_a_machine_that_was_hit_hard_is_named_among_few(count: int) -> None:
     assert np.sqrt(found.type.covariance[k, k]) / PRIOR < 3.0 * family.root[k, k]
 
 
+def test_machines_without_correlations_hardly_show_any() -> None:
+    """Of twenty families without any, twenty machines each show some in at most four, by chance."""
+    count = 0
+    for seed in range(20):
+        family = Family.drawn(np.random.default_rng(seed), parameters=12)
+        covariance = learned(family, 20, seed, least=1e4, most=1e5)[0].type.covariance
+        count += np.count_nonzero(covariance) > 12
+
+    assert count <= 4
+
+
+@pytest.mark.parametrize(("information", "rank"), [(0.9, 0), (1.2, 1)])
+def test_a_direction_counts_if_a_machine_knows_it_better_than_the_prior(information: float, rank: int) -> None:
+    """Information 1 in units of the prior is as much as it tells itself."""
+    family = Family.drawn(np.random.default_rng(2), parameters=12)
+    row = np.eye(12)[:1] * np.sqrt(information) / PRIOR
+    of = learn_type([machine_of(family.parameters, row, np.zeros(1))]).type
+
+    assert np.trace(of.seen) == pytest.approx(rank)
+
+
+def test_one_machine_in_fifty_may_always_be_unusual() -> None:
+    """So a machine of which nothing is known is like the others with a probability of 0.98, if hardly any was hit."""
+    family = Family.drawn(np.random.default_rng(2), parameters=12)
+    of = learned(family, 60)[0].type
+    nothing = machine_of(family.parameters, np.eye(12)[:1] * 1e-9 / PRIOR, np.zeros(1))
+
+    assert of.hit < 0.02
+    assert of.judge(nothing).probability == pytest.approx(0.98)
+
+
+@pytest.mark.parametrize("spread_variance", [0.0, 10.0])
+def test_a_machine_is_unusual_if_both_its_odds_and_its_p_value_say_so(spread_variance: float) -> None:
+    """Likelier unlike the others than like them, and below a p-value of 0.05: that is large if their spread is uncertain."""
+    family = Family.drawn(np.random.default_rng(18), parameters=18)
+    of = msgspec.structs.replace(learned(family, 30)[0].type, spread_variance=np.full(18, spread_variance))
+    x = family.draw(1, np.random.default_rng(19))[0]
+    members = []
+    for size in np.linspace(0.0, 1.0, 150):
+        y = x.copy()
+        y[6:12] += size
+        members.append(of.judge(family.measured(y, np.random.default_rng(20))))
+
+    assert [bool(one.off) for one in members] == [one.probability < 0.5 and one.p_value < 0.05 for one in members]
+    assert any(one.off for one in members)
+    assert any(one.probability < 0.5 and not one.off for one in members) == (spread_variance > 0.0)
+
+
+def test_elements_of_a_tenth_of_the_odds_are_named() -> None:
+    """By the densities of what readings say, where a joint, or everything, deviates by as much as priors allow."""
+    family = Family.drawn(np.random.default_rng(18), parameters=18)
+    of = learned(family, 30)[0].type
+    prior, x = of.prior(), family.draw(1, np.random.default_rng(19))[0]
+    elements = np.arange(18) // 6
+    kinds = {f"joint_{joint + 1}": elements == joint for joint in range(3)} | {EVERYTHING: elements >= 0}
+    several = 0
+    for size in np.linspace(0.0, 0.3, 60):
+        y = x + np.array([0.4, size, 0.0])[elements]
+        machine = family.measured(y, np.random.default_rng(20))
+        form = machine.information.form
+        C = np.linalg.inv(form.H)
+        density = {
+            name: normal(prior.values, prior.dense_covariance() + C + PRIOR**2 * np.diag(at * 1.0)).logpdf(C @ form.g)
+            for name, at in kinds.items()
+        }
+        odds = np.exp(np.array(list(density.values())) - max(density.values()))
+        expected = tuple(np.array(list(density))[odds > 0.1 * odds.sum()].tolist())
+        several += len(expected) > 1
+        assert of.judge(machine).off == expected
+
+    assert several > 3
+
+
+def test_a_prior_is_widened_by_a_quarter_or_not_at_all() -> None:
+    """The variances of a machine are those of its type, or more than 1.25 times as large."""
+    family = Family.drawn(np.random.default_rng(11), parameters=18, unseen=6)
+    of, rng = learned(family, 100)[0].type, np.random.default_rng(12)
+    times = np.array([of.judge(family.measured(x, rng)).times for x in family.draw(150, rng)])
+
+    assert np.all((times == 1.0) | (times > 1.25)) and np.any((times > 1.25) & (times < 1.35))
+
+
+def test_strangers_are_counted_over_all_machines() -> None:
+    """A single machine at p = 0.049 is one; among two the first has to be below 0.025 (Holm)."""
+
+    def named(*p_values: float) -> list[str]:
+        members = [Membership(f"m{k}", p, 0.1, ("joint_1",)) for k, p in enumerate(p_values)]
+        return [member.machine for member, _ in strangers(members)]
+
+    assert named(0.049) == ["m0"] and not named(0.051)
+    assert named(0.049, 0.024) == ["m1", "m0"] and not named(0.049, 0.026)
+
+
+@pytest.mark.parametrize(("sigmas", "count"), [(1.95, 0), (1.97, 1)])
+def test_errors_of_a_data_sheet_are_significant_beyond_two_sigma(sigmas: float, count: int) -> None:
+    """One parameter that is off by 1.96 standard deviations is one in twenty."""
+    found, _, _ = learned(Family.drawn(np.random.default_rng(2), parameters=1), 20)
+    of = msgspec.structs.replace(found.type, mean=sigmas * np.sqrt(np.diag(found.type.mean_covariance)))
+    lines = list(type_lines(replace(found, type=of), AtTool(0.0, {}, np.zeros(1), 0.0, 0.0, {})))
+
+    assert any(f"significantly in {count} of 1 parameters" in line for line in lines)
+
+
+@pytest.mark.parametrize(("share", "is_shown"), [(0.04, False), (0.06, True)])
+def test_numbers_stand_only_beside_what_readings_tell(share: float, is_shown: bool) -> None:
+    """A parameter of which readings tell less than a twentieth is a matter of convention."""
+    of = learned(Family.drawn(np.random.default_rng(2), parameters=2), 20)[0].type
+    direction = np.array([np.sqrt(share), np.sqrt(1.0 - share)])
+    of = msgspec.structs.replace(of, seen=np.outer(direction, direction))
+    first = parameter_summary(of).rows[0]
+
+    assert first[-1] == pytest.approx(share) and (first[2] is not None) == is_shown
+
+
+@pytest.mark.parametrize(("share", "is_drawn"), [(0.29, False), (0.31, True)])
+def test_parameters_are_drawn_of_which_readings_tell_a_third(share: float, is_drawn: bool) -> None:
+    """Of two lengths that are told apart in one direction only."""
+    found, _, _ = learned(Family.drawn(np.random.default_rng(2), parameters=4), 20)
+    of = found.type
+    lengths = [k for k, parameter in enumerate(of.parameters) if parameter.unit == "m"]
+    direction = np.zeros(4)
+    direction[lengths] = np.sqrt(share), np.sqrt(1.0 - share)
+    of = msgspec.structs.replace(of, seen=np.outer(direction, direction))
+
+    assert sorted(_order(replace(found, type=of), None, "m").tolist()) == (lengths if is_drawn else lengths[1:])
+
+
 def test_p_values_of_machines_of_the_type_are_uniform_or_larger() -> None:
     """Of 250 further machines."""
     family = Family.drawn(np.random.default_rng(11), parameters=18, unseen=6)
@@ -234,6 +364,7 @@ def test_a_file_holds_a_type_to_the_last_digit(tmp_path: Path) -> None:
         ("mean_covariance", ([0], [0]), 1e6, "is not a covariance"),
         ("seen", ([0], [0]), 2.0, "is not a projection matrix"),
         ("mean", ([2],), 1e300, "invalid numbers"),
+        ("mean", ([2],), 1010.0 * PRIOR, "invalid numbers"),
         ("mean", ([2],), np.nan, "finite"),
         ("spread_variance", ([2],), -0.1, "invalid numbers"),
         ("priors", ([2],), 1e-30, "invalid numbers"),

@@ -112,6 +112,45 @@ def test_what_new_frames_take_up_is_not_promised() -> None:
     assert found.is_met and found.columns().keys() == set(found.robot.joint_names)
 
 
+def test_a_change_of_up_to_ten_typical_sizes_counts(watched: tuple[ChangeHypotheses, DetectionDesign]) -> None:
+    """Whatever has to be larger to move the target by the distance is none that a check promises to detect."""
+    lineup, _ = watched
+    places = Conditions.at(lineup.station.conditions.q)
+    (k,) = [k for k, change in enumerate(lineup.changes) if change.parameters == ("joint_3.theta",)]
+    ((at,),) = lineup.places[k : k + 1]
+
+    def size(notice: float) -> list[float]:
+        found, _ = detectable_changes(lineup, places, notice, rng=np.random.default_rng(0))
+        return [abs(one.step[at]) / lineup.sizes[at] for one in found if one.change == k]
+
+    (small,) = size(1e-4)
+    assert size(1e-4 * 9.9 / small) == pytest.approx([9.9])
+    assert not size(1e-4 * 10.1 / small)
+
+
+def test_each_test_has_as_many_directions_as_its_change_moves_the_target(
+    watched: tuple[ChangeHypotheses, DetectionDesign],
+) -> None:
+    """A displaced link is a rigid body with six directions; new frames take up two of one next to the base or target."""
+    lineup, _ = watched
+    places = Conditions.at(lineup.station.conditions.q)
+    found, _ = detectable_changes(lineup, places, 2e-4, rng=np.random.default_rng(0))
+    links = {
+        k: {name.split(".")[0] for name in change.parameters}
+        for k, change in enumerate(lineup.changes)
+        if len(change.parameters) == 8
+    }
+    ranks = {tuple(sorted(links[one.change])): one.rank for one in found if one.change in links}
+
+    assert ranks == {
+        ("joint_1", "joint_2"): 4,
+        ("joint_2", "joint_3"): 6,
+        ("joint_3", "joint_4"): 6,
+        ("joint_4", "joint_5"): 6,
+        ("joint_5", "joint_6"): 4,
+    }
+
+
 def test_a_distance_takes_more_poses_than_a_position() -> None:
     """One number tells less than three."""
     request = CheckRequest(notice=2e-3, candidates=80, draws=2, max_poses=80)
@@ -162,6 +201,7 @@ def test_a_check_that_makes_no_sense_is_refused(wrong: dict[str, float], named: 
     """The message names what is wrong."""
     with pytest.raises(BadInputError, match=named):
         CheckRequest(**wrong)  # type: ignore[arg-type]
+    assert CheckRequest(max_poses=4).max_poses == 4
 
 
 def test_what_is_printed_says_what_is_noticed_and_what_is_not() -> None:

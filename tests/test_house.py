@@ -68,7 +68,8 @@ BOUNDS = {
 }
 # Rooms, and files of other rooms, in which no number at the top decides anything.
 GUARDED = {
-    *("discover", "diagnosis", "hypotheses", "identify", "io", "measure", "model", "motion", "robot", "viewer"),
+    *("compensate", "design", "discover", "diagnosis", "export", "fleet", "hypotheses", "identify", "io", "measure"),
+    *("model", "motion", "programs", "report", "robot", "viewer"),
     *("calibration.agreed", "calibration.moves", "calibration.unmodelled"),
     *("validate.agreement", "validate.causes", "validate.clock_jumps", "validate.cures", "validate.gathered"),
     *("validate.midway", "validate.rough_fit", "validate.trials", "validate.visit_scan", "validate.visits"),

@@ -30,7 +30,8 @@ from pincal.export import export_model
 from pincal.programs.arms import ArmSearch, ProgramAxes
 from pincal.programs.language import LANGUAGES as KNOWN
 from pincal.programs.language import read_sources
-from pincal.programs.program import Number, number_text
+from pincal.programs.program import Number, Posture, Turn, number_text
+from pincal.programs.rapid import Rapid
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
@@ -269,6 +270,24 @@ def test_an_arm_is_found_in_its_posture() -> None:
     assert [len(rows) for rows in found] == [1] * 50
     assert all(np.allclose(np.sin(0.5 * (rows[0] - row)), 0.0, atol=1e-6) for rows, row in zip(found, q, strict=True))
     assert np.array_equal(sides, ARMS.sides(np.concatenate(found)))
+
+
+@pytest.mark.parametrize(("off", "count"), [(0.9e-4, {0, 1}), (1.1e-4, {0})])
+def test_a_joint_at_the_edge_of_a_turn_may_have_either_number(off: float, count: set[int]) -> None:
+    """Within a tenth of a milliradian of half a turn a controller may round either way."""
+    q = np.zeros(6)
+    q[3] = np.pi - off
+    number = Number(0.0, 0, 1, "0")
+    arms = ArmSearch(KUKA, ProgramAxes.parse("q1,q2,q3,q4,q5,q6", KUKA))
+    held = {n for n in (0, 1) if arms.has_turns(q, Posture(turns=(Turn(3, "half", n, number),)))}
+
+    assert held == count
+
+
+@pytest.mark.parametrize(("length", "is_pose"), [(1.0019, True), (1.0021, False)])
+def test_four_numbers_of_length_one_are_an_orientation(length: float, is_pose: bool) -> None:
+    """Rounded to four digits; a longer list is of something else."""
+    assert Rapid().is_pose(np.array([0.0, 0.0, 0.0, length, 0.0, 0.0, 0.0])) == is_pose
 
 
 def test_numbers_keep_their_spelling() -> None:

@@ -7,8 +7,10 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec import UNSET
+from msgspec.structs import replace as changed
 from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run, page_of, panda_run
 
 from pincal import Robot
@@ -17,11 +19,14 @@ from pincal.discover.run import Discovery
 from pincal.identify.explain import Cause, Reason
 from pincal.report.blocks import Section, paragraph
 from pincal.report.html import SECTIONS, report_page
-from pincal.report.judgement import judged, narrow_joints, next_steps, unidentified_groups
+from pincal.report.judgement import judged, narrow_joints, next_steps, unidentified_groups, verdict_of_search
+from pincal.report.sections import _headline
 from pincal.report.subject import Subject
-from pincal.report.words import effect_meaning
+from pincal.report.words import effect_meaning, is_worse_elsewhere
 from pincal.result_table import Column, Kind, Table
 from pincal.units import fixed
+from pincal.validate.misfit import Verdict
+from pincal.validate.outcome import Elsewhere
 
 
 class Page(HTMLParser):
@@ -211,6 +216,46 @@ def test_next_steps_follow_from_what_is_wrong(run: Calibration) -> None:
     assert "Use it" in " ".join(map(str, next_steps(run)))
 
 
+@pytest.mark.parametrize(("ratio", "is_advised"), [(1.28, False), (1.32, True)])
+def test_more_poses_are_advised_where_held_out_errors_are_larger(run: Calibration, ratio: float, is_advised: bool) -> None:
+    """By 1.3 and more: a quarter of the readings has gone into parameters."""
+    parts = dict(run.result.error["calibrated"])
+    rms = parts["train"]["rms_mm"]
+    parts |= {way: {**errors, "rms_mm": ratio * rms} for way, errors in parts.items() if way != "train"}
+    error = {**run.result.error, "calibrated": parts, "nominal": {"test": {**parts["test"], "rms_mm": 99.0}}}
+    steps = " ".join(map(str, next_steps(replace(run, result=replace(run.result, error=error)))))
+
+    assert ("Held-out errors exceed fitted ones" in steps) == is_advised
+
+
+def test_more_poses_are_advised_where_the_model_expects_larger_errors() -> None:
+    """Half as large again as at poses like the measured ones."""
+    for mean, is_worse in ((1.49, False), (1.51, True)):
+        assert is_worse_elsewhere(Elsewhere(mean, 2.0, "", 10, ""), {"mean_mm": 1.0}) == is_worse
+
+
+@pytest.mark.parametrize(("ratio", "times"), [(1.04, ""), (1.06, "(1.1 times as large)")])
+def test_a_ratio_that_rounds_to_one_is_left_out(run: Calibration, ratio: float, times: str) -> None:
+    """An error before the calibration that is as large as after it is not said to be 1.0 times as large."""
+    part = "test" if "test" in run.result.error["calibrated"] else "train"
+    after = run.result.error["calibrated"][part]
+    nominal = {**run.result.error["nominal"], part: {**after, "mean_mm": ratio * after["mean_mm"]}}
+    subject = Subject(
+        replace(run, result=replace(run.result, error={**run.result.error, "nominal": nominal})), {"inputs": {}}
+    )
+    words = str(_headline(subject))
+
+    assert ("times as large" in words) == bool(times) and times in words
+
+
+@pytest.mark.parametrize(("left", "is_mentioned"), [(4.9e-4, False), (5.1e-4, True)])
+def test_errors_below_what_is_printed_are_not_mentioned(found: Discovery, left: float, is_mentioned: bool) -> None:
+    """Less than half a micrometre would be 0.000 mm."""
+    findings = changed(found.findings, unexplained_mm=left, verdict=Verdict.ADEQUATE, warnings=())
+
+    assert ("mm rms beyond the noise" in str(verdict_of_search(findings).reason)) == is_mentioned
+
+
 def test_causes_cover_every_reason(run: Calibration) -> None:
     """Each parameter that is not identified has a cause with advice, and so has every cause that there is."""
     groups = unidentified_groups(run.result.parameters)
@@ -225,6 +270,7 @@ def test_a_joint_that_hardly_moved_is_named(run: Calibration) -> None:
     """A joint that covers little of its range is named with the part that it does."""
     q = run.train.q.copy()
     q[:, 2] *= 0.05
+    q[:, 3] *= 0.32 * (run.robot.upper[3] - run.robot.lower[3]) / np.ptp(q[:, 3])
     moved = (replace(run.station, train=replace_q(run.train, q)),)
     assert [name for name, _ in narrow_joints(replace(run, stations=moved))] == ["joint_3"]
     assert narrow_joints(run) == ()

@@ -22,6 +22,7 @@ from pincal.model.conditions import Conditions, into_range, recorded_variable
 from pincal.model.effect import Curve, Effect
 from pincal.model.model import Model
 from pincal.parameters import Estimate
+from pincal.recorded import OF_THE_DAY, RECORDED
 from pincal.robot.robot import Robot
 
 # Margin beyond the training rows that counts as covered: a fraction of their range, and a constant
@@ -30,8 +31,6 @@ _MARGIN_PART = 0.02
 _MARGIN = 1e-3
 # Points per piece of a curve at which its uncertainty is evaluated.
 _POINTS = 4
-# Columns that describe the day, not the pose.
-OF_THE_DAY = ("temperature", "time", "move")
 
 
 class Outside(NamedTuple):
@@ -111,10 +110,10 @@ class Covered(Record, frozen=True):
         for name in OF_THE_DAY:
             if (x := conditions.column(name)) is not None:
                 # Moves of all joints have mean zero.
-                is_move = name == "move"
+                of_joints = RECORDED[name].of_joints
                 days[name] = (
-                    0.0 if is_move else float(np.mean(x)),
-                    _rms(x) if is_move else float(np.std(x)),
+                    0.0 if of_joints else float(np.mean(x)),
+                    _rms(x) if of_joints else float(np.std(x)),
                 )
         return cls(
             np.column_stack([q.min(axis=0), q.max(axis=0)]),

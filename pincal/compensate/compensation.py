@@ -14,6 +14,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.compensate.compensate_numbers import COMPENSATION
 from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.robot_frames import (
     PoseFrame,
@@ -26,14 +27,13 @@ from pincal.errors import BadInputError
 from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose
+from pincal.thresholds import Count
 
 log = logging.getLogger(__name__)
 
 KeptOrientation = Literal["keep", "free"]
 # Rows processed at once: some 100 MB, and enough to amortise the few rows that need more steps.
-_PIECE = 32768
-# Deviation of a rotation matrix from orthonormality: rounding to six decimals.
-ORTHONORMAL = 1e-5
+_PIECE: Count = 32768
 
 
 @dataclass(frozen=True, repr=False)
@@ -117,7 +117,8 @@ def compensate_poses(
         >>> from pincal.calibration.covered import Covered
         >>> from pincal.robot.robot import Robot
         >>> model = Model(Chain.of(Robot.from_urdf(kuka_urdf_path())), (JointOffset(),))
-        >>> offset, covered = np.array([0.0, 0.0, 2e-3, 0.0, 0.0, 0.0]), Covered(np.zeros((6, 2)), np.zeros(2))
+        >>> offset = np.array([0.0, 0.0, 2e-3, 0.0, 0.0, 0.0])
+        >>> covered = Covered(np.zeros((6, 2)), np.zeros(2))
         >>> estimate = estimate_of(model.parameters, offset, np.zeros((6, 6)))
         >>> known = FittedRobot.given(model, estimate, covered, sensor_kind="pose", sigma=[0.0])
         >>> program = Conditions.at(np.array([[0.3, 1.2, -1.1, 0.4, 0.7, -0.5]]))
@@ -131,11 +132,7 @@ def compensate_poses(
     ):
         if value not in get_args(known):
             raise BadInputError(f"{name} {value!r}; expected one of {', '.join(get_args(known))}")
-    n = calibrated.model.chain.robot.n_joints
-    if conditions.q.ndim != 2 or conditions.q.shape[1] != n or not np.isfinite(conditions.q).all():
-        raise BadInputError(
-            f"seeds have shape {conditions.q.shape}; expected (N, {n}), all of them numbers"
-        )
+    _require_seeds(conditions.q, calibrated.model.chain.robot.n_joints)
     conditions = calibrated.of_its_day(conditions)
     poses = _as_poses(wanted, len(conditions))
     if np.ndim(wanted) == 2 and orientation == "keep":
@@ -155,19 +152,32 @@ def compensate_poses(
     own = robot.own_joints
     seeds = np.asarray(conditions.q[:, own], float)
     bounds = Bounds(robot.lower[own], robot.upper[own]) if limits else Bounds.none(len(own))
+    q, status = _solved(problem, seeds, bounds)
+    error, turn = problem.distances(problem.residuals(q))
+    seed_error, _ = problem.distances(problem.residuals(seeds))
+    return Compensation(
+        robot.as_reported(robot.spread(q)), status, error, turn, seed_error, poses, frame
+    )
+
+
+def _require_seeds(q: np.ndarray, n_joints: int) -> None:
+    if q.ndim != 2 or q.shape[1] != n_joints or not np.isfinite(q).all():
+        raise BadInputError(
+            f"seeds have shape {q.shape}; expected (N, {n_joints}), all of them numbers"
+        )
+
+
+def _solved(problem: IkProblem, seeds: np.ndarray, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
+    """Return the joint positions, shape (N, n), and the status of each row, some rows at a time."""
     q = np.empty_like(seeds)
-    status = np.empty(len(conditions), dtype="<U12")
+    status = np.empty(len(seeds), dtype="<U12")
     for start in range(0, len(problem), _PIECE):
         rows = slice(start, start + _PIECE)
         log.info(
             "finding the joints of %d rows", len(problem), extra={"done": start, "of": len(problem)}
         )
         q[rows], status[rows] = solve_ik(problem.select(rows), seeds[rows], limits=bounds)
-    error, turn = problem.distances(problem.residuals(q))
-    seed_error, _ = problem.distances(problem.residuals(seeds))
-    return Compensation(
-        robot.as_reported(robot.spread(q)), status, error, turn, seed_error, poses, frame
-    )
+    return q, status
 
 
 def compensate_program(
@@ -211,7 +221,7 @@ def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
     off = np.abs(turns @ turns.swapaxes(1, 2) - np.eye(3)).max(axis=(1, 2)) + np.abs(
         np.linalg.det(turns) - 1.0
     )
-    if off.max(initial=0.0) > ORTHONORMAL:
+    if off.max(initial=0.0) > COMPENSATION.orthonormal:
         raise BadInputError(
             f"desired pose {int(off.argmax())}: its first three columns are not a rotation matrix"
         )

@@ -9,20 +9,19 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.compensate.compensate_numbers import COMPENSATION
 from pincal.model.conditions import Conditions
 from pincal.model.effects import JointOffset
 from pincal.model.model import Model
 from pincal.robot.se3 import rotation_vectors
+from pincal.thresholds import Scale
 
-# A pose counts as reached within this [m and rad]: a tenth of the documented accuracy, a thousand
-# times its rounding.
-REACHED = 1e-10
 # Typical lever arm of a rotation, as a fraction of the robot's reach.
-_LEVER = 1.0 / 3.0
+_LEVER: Scale = 1.0 / 3.0
 # Rotations smaller than this, relative to the others, count as none.
-_LOST_TURN = 1e-6
+_LOST_TURN: Scale = 1e-6
 # Rounding error of a joint limit [rad or m].
-_ON_LIMIT = 1e-12
+_ON_LIMIT: Scale = 1e-12
 
 
 @dataclass(frozen=True)
@@ -201,4 +200,4 @@ class IkProblem:
     def is_reached(self, residuals: np.ndarray) -> np.ndarray:
         """Return which rows are reached, shape (N,)."""
         distance, angle = self.distances(residuals)
-        return (distance <= REACHED) & (angle <= REACHED)
+        return (distance <= COMPENSATION.reached) & (angle <= COMPENSATION.reached)

@@ -19,30 +19,31 @@ from __future__ import annotations
 import numpy as np
 
 from pincal.compensate.ik_problem import Bounds, IkProblem
+from pincal.thresholds import Count, Scale
 
 # From an error of 10 mm three steps converge to rounding; the others are for distant seeds.
-_NEWTON_STEPS = 12
+_NEWTON_STEPS: Count = 12
 # The longest step of a joint [rad or m], within which an arm's poses are nearly linear.
-_LONGEST = 0.3
+_LONGEST: Scale = 0.3
 # A smaller step [rad or m] adds no error of its own; a redundant arm continues towards the solution
 # closest to its seed until its steps are as small.
-_SETTLED = 1e-8
+_SETTLED: Scale = 1e-8
 # Avoid a division by zero at exactly singular poses: relative to the square of the Jacobian, and
 # absolute for joints that do not move the target at all.
-_FLOOR = 1e-14
-_NOTHING = 1e-30
-_SEARCH_STEPS = 60
-_DAMPING = 1e-4
-_LEAST_DAMPING = 1e-14
-_MOST_DAMPING = 1e6
-_SHRINK = 0.3
-_GROW = 4.0
+_FLOOR: Scale = 1e-14
+_NOTHING: Scale = 1e-30
+_SEARCH_STEPS: Count = 60
+_DAMPING: Scale = 1e-4
+_LEAST_DAMPING: Scale = 1e-14
+_MOST_DAMPING: Scale = 1e6
+_SHRINK: Scale = 0.3
+_GROW: Scale = 4.0
 # A search has converged after several steps in a row with less relative decrease of the squares
 # than this.
-_ARRIVED = 1e-2
-_PATIENCE = 3
+_ARRIVED: Scale = 1e-2
+_PATIENCE: Count = 3
 # Steps shorter than this do not count as motion [rad or m].
-_STILL = 1e-13
+_STILL: Scale = 1e-13
 
 
 def newton(
@@ -68,7 +69,7 @@ def newton(
         step = _step_near(seed[rows] - q[rows] if is_redundant else None, residuals, J=J)
         is_short = np.abs(step).max(axis=1) < _SETTLED
         arrived = part.is_reached(residuals) & (is_short | (not is_redundant))
-        # Two further steps lead from REACHED to rounding, so that the result does not depend on the
+        # Two further steps lead from reached to rounding, so that the result does not depend on the
         # order of operations.
         done = arrived & reached[rows]
         reached[rows[arrived]] = True
@@ -128,8 +129,13 @@ def bounded_search(
         if not len(rows):
             break
         limits = bounds.select(rows)
-        step = _bounded_step(J[rows] * weight[:, None], residuals[rows] * weight, damping=damping[rows], q=q[rows],
-                             bounds=limits)  # fmt: skip
+        step = _bounded_step(
+            J[rows] * weight[:, None],
+            residuals[rows] * weight,
+            damping=damping[rows],
+            q=q[rows],
+            bounds=limits,
+        )
         trial = np.clip(q[rows] + _shortened(step), limits.lower, limits.upper)
         tried, slope = problem.select(rows).linearise(trial)
         before, after = (

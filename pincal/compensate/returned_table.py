@@ -115,20 +115,16 @@ def _text(
                     + body[stop:]
                 )
             new = [_plain(values[k]) for values in more.values()]
-            lines[number - 1] = (
-                _extended(
-                    body, separator, [text.replace(".", ",") for text in new] if commas else new
-                )
-                + end
-            )
+            if commas:
+                new = [text.replace(".", ",") for text in new]
+            lines[number - 1] = _extended(body, separator, new) + end
         elif (
             number > sheet.header_line
             and len(spans) == len(sheet.labels)
             and not body.lstrip().startswith("#")
         ):
-            lines[number - 1] = (
-                _extended(body, separator, ["" if separator != " " else "-"] * len(more)) + end
-            )
+            nothing = "" if separator != " " else "-"
+            lines[number - 1] = _extended(body, separator, [nothing] * len(more)) + end
     return "".join(lines).encode(encoding)
 
 

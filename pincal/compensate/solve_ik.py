@@ -13,36 +13,28 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from pincal.compensate.compensate_numbers import COMPENSATION
 from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.iterations import bounded_search, newton
+from pincal.thresholds import Count, Scale
 
 IkStatus = Literal["ok", "singular", "joint_limit", "unreachable"]
 STATUSES: tuple[IkStatus, ...] = get_args(IkStatus)
 
-# A seed this close to the wanted pose [m, rad] needs a correction, not a motion; errors of real
-# arms are a fifth of it.
-_NEAR = 0.05
-_NEAR_ANGLE = 0.1
-# Largest motion of a joint by a correction [rad or m]; more would be an unintended motion. If a
-# correction needs more, the joints are kept this close to the seed if the position allows it.
-_CORRECTION = 0.35
-_GENTLE = 0.1
 # Small displacement [rad or m] of arms that start exactly at a singular pose, where the first step
 # is zero.
-_ASIDE = 0.05
-# Singular value of the Jacobian, lengths over IkProblem.length, below which a direction is lost;
+_ASIDE: Scale = 0.05
+# Singular value of the Jacobian, lengths over IkProblem.length, below which a start is displaced;
 # regular poses have 0.1.
-_LOST = 2e-3
+_LOST: Scale = 2e-3
 # Weight of position relative to orientation where both can't be reached.
-_POSITION_FIRST = 1e3
+_POSITION_FIRST: Scale = 1e3
 # Random poses among which starts for distant targets are chosen; number of starts tried, and number
 # if these fail.
-_POOL = 4000
-_STARTS = 8
-_MOST_STARTS = 32
-# A target farther than this fraction of the reach from all random poses is out of reach.
-_HOPELESS = 0.3
-_TURN = 2.0 * np.pi
+_POOL: Count = 4000
+_STARTS: Count = 8
+_MOST_STARTS: Count = 32
+_TURN: Scale = 2.0 * np.pi
 
 
 def solve_ik(
@@ -61,8 +53,8 @@ def solve_ik(
     if problem.with_orientation and problem.n_spare < 0:
         return _solve_with_few_joints(problem, seed, limits=limits)
     distance, angle = problem.distances(problem.residuals(seed))
-    near = (distance <= _NEAR) & (angle <= _NEAR_ANGLE)
-    corridor = limits.around(seed, near, distance=_CORRECTION)
+    near = (distance <= COMPENSATION.near) & (angle <= COMPENSATION.near_angle)
+    corridor = limits.around(seed, near, distance=COMPENSATION.correction)
     q, exact = newton(problem, seed, seed=seed)
     q = _unwind(problem, q, reached=exact, seed=seed, limits=limits)
     beyond = exact & ~limits.contain(q)
@@ -72,15 +64,10 @@ def solve_ik(
         q[rows], done[rows] = _within_bounds(
             problem.select(rows), seed[rows], bounds=corridor.select(rows)
         )
-    rows = np.flatnonzero(~near)
-    if len(rows):
-        q[rows] = _unwind(
-            problem.select(rows), q[rows], reached=done[rows], seed=seed[rows], limits=limits
-        )
-    rows = rows[~done[rows]]
-    if len(rows):
-        q[rows], done[rows] = _from_random_starts(
-            problem.select(rows), q[rows], seed=seed[rows], limits=limits
+    far = np.flatnonzero(~near)
+    if len(far):
+        q[far], done[far] = _from_afar(
+            problem.select(far), q[far], done=done[far], seed=seed[far], limits=limits
         )
     has_position = done.copy()
     rows = np.flatnonzero(~done)
@@ -97,6 +84,22 @@ def solve_ik(
         np.where(beyond, "joint_limit", np.where(near & has_position, "singular", "unreachable")),
     )
     return q, status
+
+
+def _from_afar(
+    problem: IkProblem, q: np.ndarray, *, done: np.ndarray, seed: np.ndarray, limits: Bounds
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return joint positions for rows with distant seeds, and whether they reach their poses; rows
+    that are not ``done`` are searched for from random starts.
+    """
+    q = _unwind(problem, q, reached=done, seed=seed, limits=limits)
+    done = done.copy()
+    rows = np.flatnonzero(~done)
+    if len(rows):
+        q[rows], done[rows] = _from_random_starts(
+            problem.select(rows), q[rows], seed=seed[rows], limits=limits
+        )
+    return q, done
 
 
 def _solve_with_few_joints(
@@ -177,7 +180,7 @@ def _best_effort(
     the position is out of reach, sacrificing the orientation to get a little closer gains nothing.
     """
     start = np.where(near[:, None], seed, q)
-    bounds = limits.around(start, near, distance=_GENTLE)
+    bounds = limits.around(start, near, distance=COMPENSATION.gentle)
     best, _ = bounded_search(problem, start, bounds=bounds, position_weight=_POSITION_FIRST)
     best, has_position = bounded_search(problem.without_orientation(), best, bounds=bounds)
     rows = np.flatnonzero(~has_position)
@@ -238,7 +241,7 @@ def _starts(problem: IkProblem) -> tuple[np.ndarray, np.ndarray]:
         )
         out[:, rows] = own[nearest.T]
         distance, _ = cKDTree(poses[:, :, 3]).query(wanted[:, :, 3])
-        hopeful[rows] = distance < _HOPELESS * robot.reach
+        hopeful[rows] = distance < COMPENSATION.hopeless * robot.reach
     return out, hopeful
 
 

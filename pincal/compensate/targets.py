@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.compensate.compensate_numbers import COMPENSATION
 from pincal.compensate.compensation import (
     Compensation,
     KeptOrientation,
@@ -40,10 +41,6 @@ _WRITTEN = ("status", "error_mm", "error_mrad", "sigma_mm", "change_max", "large
 _FIELDS = tuple(
     known_fields()[name] for name in ("position", "quaternion", *CONDITIONS) if name != "point"
 )
-# Share of a free rotation below which the target can't rotate about an axis.
-_HARDLY = 0.1
-# Wanted positions farther from the base than this multiple of the reach are in another unit.
-_OTHER_UNIT = 50.0
 
 
 @dataclass(frozen=True)
@@ -198,7 +195,7 @@ def unreached_turns(calibrated: FittedRobot, done: CompensatedTable) -> str:
     )
     free = problem.turns_in_place(done.found.q[:, robot.own_joints]).mean(axis=0)
     lost = 3 - round(float(free.sum()))
-    axes = [axis for axis, part in zip("xyz", free, strict=True) if part < _HARDLY]
+    axes = [axis for axis, part in zip("xyz", free, strict=True) if part < COMPENSATION.hardly]
     if len(axes) == lost:
         return f"about {' and '.join(axes)} of its base frame" if axes else ""
     return f"about {lost} of three axes, which differ from pose to pose"
@@ -226,7 +223,7 @@ def _check_unit(
         to_base = inverse(base_in_instrument(calibrated, seeds))
         places = np.einsum("nij,nj->ni", to_base[:, :, :3], places) + to_base[:, :, 3]
     away = float(np.median(np.linalg.norm(places, axis=1)))
-    if away > _OTHER_UNIT * reach and "x" not in targets.rows.units:
+    if away > COMPENSATION.other_unit * reach and "x" not in targets.rows.units:
         raise MeasurementError(
             f"{targets.rows.source}: desired positions lie {away:.4g} m from the robot's "
             "base, whose reach is "

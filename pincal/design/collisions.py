@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pincal.design.design_numbers import DESIGN_NUMBERS
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import transform, translation
 from pincal.robot.urdf_file import arm_text, parse_xml
+from pincal.thresholds import Count, Scale
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
-# Number of poses, and the fraction of them in which a pair must touch to be considered touching by
-# construction.
-_PROBES = 100
-_ALWAYS = 0.95
+# Number of poses by which pairs that touch by construction are found.
+_PROBES: Count = 100
 # Number of such pairs that are named.
-_NAMED = 4
+_NAMED: Count = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ def without_touching(collisions: Collisions) -> tuple[Collisions | None, list[st
 
     geometry = collisions.geometry
     probes = collisions.robot.random_configurations(_PROBES, np.random.default_rng(0))
-    always = np.flatnonzero(collisions.often(probes) > _ALWAYS)
+    always = np.flatnonzero(collisions.often(probes) > DESIGN_NUMBERS.always)
     named = []
     for k in always[::-1]:
         pair = geometry.collisionPairs[int(k)]
@@ -160,8 +160,8 @@ def without_touching(collisions: Collisions) -> tuple[Collisions | None, list[st
 
 # Half the width of a link without geometry at the base, in reaches of the arm, and its relative
 # decrease towards the tip.
-_WIDTH = 1.0 / 22.0
-_SLIMMER = 0.6
+_WIDTH: Scale = 1.0 / 22.0
+_SLIMMER: Scale = 0.6
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.design.design_numbers import DESIGN_NUMBERS
 from pincal.design.exchange import covariance, total
 from pincal.design.reach import SensorSetup
 from pincal.errors import BadInputError
@@ -34,13 +35,12 @@ from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.robot.robot import Robot
+from pincal.thresholds import Scale
 
-# Least noise for which the numerics of a design are accurate [m, rad].
-_LEAST_NOISE = 1e-7
 # Width of an uninformative prior, in units of the noise: 1 m for 0.05 mm.
-_WIDE = 2e4
+_WIDE: Scale = 2e4
 # Width of the prior of an effect that is to be distinguished from another, in typical sizes.
-RIVAL = 10.0
+RIVAL: Scale = 10.0
 
 
 @dataclass(frozen=True)
@@ -99,15 +99,9 @@ class DesignModel:
         chain = Chain.of(
             robot, moment_frame=options.first_frame, gravity=options.gravity, targets=targets
         )
-        model = Model(
-            chain,
-            (*frame_effects(chain, rig, conditions), *options.effects),
-            equilibrium=options.equilibrium,
-        )
-        n_core = model.n_parameters
-        for rival in rivals:
-            if any(parameter.name not in model.names for parameter in rival.parameters(chain)):
-                model = model.with_effects([*model.effects, rival])
+        effects = (*frame_effects(chain, rig, conditions), *options.effects)
+        fitted = Model(chain, effects, equilibrium=options.equilibrium)
+        model = _with_rivals(fitted, rivals)
         values = nominal_values(model, rig, rig.target(robot))
         problem = predicted_station(model, values, rig, conditions)
         free = np.append(largest_basis(model, conditions)[1], ~problem.sensor.fixed)
@@ -119,22 +113,15 @@ class DesignModel:
         places = _places(model, free, rivals)
         for columns in places:
             sizes[columns] *= RIVAL
-        core = ((place := np.flatnonzero(free)) < n_core) | (place >= model.n_parameters)
-        found = cls(
-            model,
-            values,
-            free,
-            sizes,
-            _sigma(problem, options),
-            rig,
-            places,
-            core,
-            np.eye(len(sizes)),
-        )
+        index = np.flatnonzero(free)
+        core = (index < fitted.n_parameters) | (index >= model.n_parameters)
+        sigma = _sigma(problem, options)
+        known = np.eye(len(sizes))
+        found = cls(model, values, free, sizes, sigma, rig, places, core, known)
         if options.earlier is None:
             return found
-        beyond = whole.beliefs.beyond_priors(np.flatnonzero(free), np.zeros(len(free)), whole_sizes)
-        return replace(found, known=found.known + beyond.H * np.outer(found.units, found.units))
+        beyond = whole.beliefs.beyond_priors(index, np.zeros(len(free)), whole_sizes)
+        return replace(found, known=known + beyond.H * np.outer(found.units, found.units))
 
     @cached_property
     def units(self) -> np.ndarray:
@@ -210,6 +197,14 @@ class DesignModel:
         return np.concatenate(parts, axis=2).transpose(2, 1, 0)
 
 
+def _with_rivals(model: Model, rivals: Sequence[Effect]) -> Model:
+    """Return a model with those of the rivals that it has not yet."""
+    for rival in rivals:
+        if any(parameter.name not in model.names for parameter in rival.parameters(model.chain)):
+            model = model.with_effects([*model.effects, rival])
+    return model
+
+
 def predicted_station(
     model: Model, values: np.ndarray, rig: SensorSetup, conditions: Conditions
 ) -> Station:
@@ -263,10 +258,10 @@ def _sigma(problem: Station, options: Options) -> np.ndarray:
     sigma = np.array(
         [block.noise if s is None else s for block, s in zip(blocks, declared, strict=True)]
     )
-    if np.any(sigma < _LEAST_NOISE):
+    least = DESIGN_NUMBERS.least_noise
+    if np.any(sigma < least):
         raise BadInputError(
-            f"noise {sigma.min():g} m (or rad); expected {_LEAST_NOISE:g} or more, as "
-            "instruments have"
+            f"noise {sigma.min():g} m (or rad); expected {least:g} or more, as instruments have"
         )
     return sigma
 

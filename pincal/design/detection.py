@@ -6,7 +6,8 @@ Each change of a robot is scaled to a given motion of the target. The test of
 of the calibration, masses, the new station's frames) and columns g_j of a change, in units of the
 noise, has the non-centrality
 
-.. math:: \lambda = \sum_j g_j^T g_j - z^T K z, \qquad K = H + \sum_j N_j^T N_j, \qquad z = K^{-1} \sum_j N_j^T g_j,
+.. math:: \lambda = \sum_j g_j^T g_j - z^T K z, \qquad
+    K = H + \sum_j N_j^T N_j, \qquad z = K^{-1} \sum_j N_j^T g_j,
 
 with prior information H. With :math:`u = g_j - N_j z`, one more pose adds
 :math:`u^T (1 + N_j K^{-1} N_j^T)^{-1} u`.
@@ -22,6 +23,7 @@ import numpy as np
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.row_noise import noise_of_rows
 from pincal.design.design_model import check_rig, frame_effects, nominal_values, predicted_station
+from pincal.design.design_numbers import DESIGN_NUMBERS
 from pincal.design.exchange import covariance
 from pincal.design.reach import SensorSetup
 from pincal.diagnosis.change_search import limit_for
@@ -33,21 +35,18 @@ from pincal.model.conditions import Conditions
 from pincal.model.effect import Curve
 from pincal.model.model import Model
 from pincal.parameters import estimate_of
+from pincal.thresholds import Count, Scale
 
 # Number of random directions in which a change of several parameters is to be detected.
-_WAYS = 10
-# Fraction of the motion of a change's best direction below which another does not count.
-_SEEN = 1e-3
-# Largest size of a change, in typical sizes of its parameters.
-_LARGEST = 10.0
+_WAYS: Count = 10
 # Rows for which changes are enumerated: as many as a check has.
-_ROWS = 16
+_ROWS: Count = 16
 # Prior information on frames, relative to the average information of a row: practically none.
-_NOTHING = 1e-6
+_NOTHING: Scale = 1e-6
 # Passes over a design in which poses are exchanged.
-_PASSES = 3
+_PASSES: Count = 3
 # The larger, the more the hardest change dominates the choice of a pose.
-_SHARPNESS = 4.0
+_SHARPNESS: Scale = 4.0
 
 
 @dataclass(frozen=True)
@@ -107,11 +106,11 @@ def detectable_changes(
             continue
         ways = np.ones((1, 1)) if len(at) == 1 else rng.standard_normal((_WAYS, len(at)))
         farthest = np.linalg.norm(motion[:, :, at] @ ways.T, axis=1).max(axis=0)
-        seen = farthest * _LARGEST >= notice * np.linalg.norm(ways, axis=1)
+        seen = farthest * DESIGN_NUMBERS.largest >= notice * np.linalg.norm(ways, axis=1)
         if not seen.any():
             absorbed.append(change)
         strengths = np.linalg.svd(motion[:, :, at].reshape(-1, len(at)), compute_uv=False)
-        rank = int(np.sum(strengths > _SEEN * strengths[0]))
+        rank = int(np.sum(strengths > DESIGN_NUMBERS.seen * strengths[0]))
         for way, far in zip(ways[seen], farthest[seen], strict=True):
             step = np.zeros(len(lineup.start))
             step[at] = sizes[at] * way * notice / far

@@ -25,15 +25,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from pincal.thresholds import Count, Scale
+
 # Most passes of an exchange over a design.
-_PASSES = 10
+_PASSES: Count = 10
 # Factor by which updates may reduce the covariance before the state is recomputed from scratch: K,
 # and L quadratically, would be differences of numbers larger by this factor.
-_ALONE = 1e-5
+_ALONE: Scale = 1e-5
 # Relative gain below which an exchange is rounding.
-_WORTH = 1e-9
+_WORTH: Scale = 1e-9
 # Iterations of the algorithm for the lower bound.
-ROUNDS = 100
+ROUNDS: Count = 100
 
 
 def covariance(H: np.ndarray) -> np.ndarray:
@@ -254,7 +256,7 @@ def lower_bound(
 
 
 # Most rounds of improvement of an order, each of which removes every crossing that it finds.
-_ROUNDS = 50
+_ROUNDS: Count = 50
 
 
 def travel(q: np.ndarray, spans: np.ndarray) -> np.ndarray:

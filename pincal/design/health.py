@@ -15,6 +15,7 @@ import numpy as np
 from pincal.calibration.covered import Covered
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.design.design_model import DesignModel, held_columns
+from pincal.design.design_numbers import DESIGN_NUMBERS
 from pincal.design.detection import (
     DetectableChange,
     DetectionDesign,
@@ -35,18 +36,17 @@ from pincal.model.conditions import Conditions
 from pincal.parameters import FRAME_SYMBOLS, estimate_of
 from pincal.recorded import RECORDED, typical_columns
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count, Scale
 
 log = logging.getLogger(__name__)
 
 # Random poses to choose from, points of the working volume, and poses of the assumed calibration of
 # a robot without a model.
-_CANDIDATES = 300
-_PLACES = 100
-_CALIBRATED_FROM = 100
-# Fewest poses that determine instrument and target.
-_FEWEST = 4
+_CANDIDATES: Count = 300
+_PLACES: Count = 100
+_CALIBRATED_FROM: Count = 100
 # Time from one measured pose to the next [s].
-_SECONDS_PER_POSE = 20.0
+_SECONDS_PER_POSE: Scale = 20.0
 
 
 @dataclass(frozen=True)
@@ -223,10 +223,11 @@ class CheckRequest:
             raise BadInputError(
                 f"power is {self.power:g}; expected a probability between alpha and 1, such as 0.95"
             )
-        if not _FEWEST <= self.max_poses <= self.n_candidates:
+        fewest = DESIGN_NUMBERS.fewest
+        if not fewest <= self.max_poses <= self.n_candidates:
             raise BadInputError(
                 f"at most {self.max_poses} poses of {self.n_candidates} candidates; "
-                f"expected {_FEWEST} to that many poses"
+                f"expected {fewest} to that many poses"
             )
         if not all(0.0 <= load < np.inf for load in self.payloads):
             raise BadInputError(
@@ -264,66 +265,159 @@ def design_check(
     Example:
         >>> from pincal.model.effects import GEOMETRIC
         >>> request = CheckRequest(notice=5e-4, candidates=60, draws=20)
-        >>> found = design_check(Robot.from_urdf("ur10"), request, options=Options(effects=GEOMETRIC))
+        >>> options = Options(effects=GEOMETRIC)
+        >>> found = design_check(Robot.from_urdf("ur10"), request, options=options)
         >>> found.is_met, 5 < len(found.conditions) < 30
         (True, True)
     """
     begun = time.perf_counter()
     request = request or CheckRequest()
     rig = rig or SensorSetup()
-    rng = np.random.default_rng([request.seed, 41])
-    if isinstance(known, Robot):
-        reach = Reach(known, rig, limits or Limits())
-        model = _as_if_calibrated(reach, options or Options(), request, rng=rng)
-    else:
-        model = known.robot_model()
-        rig = _rig_of(rig, model)
-        reach = Reach(model.model.chain.robot, rig, limits or Limits())
-    drawn = reach.draw(request.n_candidates, rng)
-    if len(drawn.q) < request.max_poses:
-        raise BadInputError(
-            f"the constraints leave too few poses for {request.max_poses}: {drawn.in_words()}"
-        )
-    conditions = _conditions(model, drawn.q, request, rng=rng)
-    lineup = lineup_over(model, rig, conditions)
-    places = _conditions(model, reach.draw(_PLACES, rng, measured=False).q, request, rng=rng)
-    detectable, absorbed = detectable_changes(lineup, places, request.notice, rng=rng)
-    degrees = known_degrees(model, lineup.station)
-    design = detection_design(
-        lineup, detectable, alpha=request.alpha, power=request.power, degrees=degrees
-    )
-    log.info("choosing among %d poses", len(conditions))
-    groups = lineup.station.sensor.groups
-    chosen = design.fewest_of(
-        request.max_poses, np.zeros(len(conditions)) if groups is None else groups
-    )
-    order, _, _ = order_by_load(drawn.q[chosen], conditions.payload[chosen], reach.range)
-    rows = np.array(chosen)[order]
-    final = replace(lineup, station=lineup.station.select(rows))
-    changes = _noticed(design, final, detectable, chosen)
+    planning = _Planning.of(known, request, options or Options(), rig, limits or Limits())
+    reach = planning.reach
+    choice = planning.choose()
     log.info("simulating %d checks", 2 * request.draws)
-    rates = [
-        _alarms(final, degrees, request, step=step, rng=rng)
-        for step in (np.zeros(len(final.start)), changes[0].step)
-    ]
+    unchanged = np.zeros(len(choice.hypotheses.start))
+    alarms = planning.alarms(choice, unchanged)
+    noticed = planning.alarms(choice, choice.changes[0].step)
     return HealthCheck(
         robot=reach.robot,
-        conditions=conditions.select(rows),
+        conditions=choice.conditions,
         has_payloads=bool(request.payloads),
-        sensor=rig.sensor,
-        held_at=held_columns(final.station),
+        sensor=reach.rig.sensor,
+        held_at=held_columns(choice.hypotheses.station),
         notice=request.notice,
         power=request.power,
         alpha=request.alpha,
-        changes=changes,
-        absorbed=tuple(absorbed),
-        alarms=rates[0],
-        noticed=rates[1],
+        changes=choice.changes,
+        absorbed=choice.absorbed,
+        alarms=alarms,
+        noticed=noticed,
         draws=request.draws,
-        drawn=drawn,
+        drawn=choice.drawn,
         notes=(*reach.robot.notes, *reach.bodies.notes),
         seconds=time.perf_counter() - begun,
     )
+
+
+@dataclass(frozen=True)
+class _Choice:
+    """The poses of a check, and what a diagnosis detects at them.
+
+    Attributes:
+        drawn: the candidates, and the number removed by each constraint.
+        conditions: the N chosen poses, in an order with a short path.
+        hypotheses: all possible changes, for these poses.
+        degrees: degrees of freedom of the noise from other data.
+        changes: every change to be detected, the hardest first.
+        absorbed: changes that no check detects.
+    """
+
+    drawn: Draw
+    conditions: Conditions
+    hypotheses: ChangeHypotheses
+    degrees: float
+    changes: tuple[NoticedChange, ...]
+    absorbed: tuple[PossibleChange, ...]
+
+
+@dataclass(frozen=True)
+class _Planning:
+    """The calibrated robot of a check, its admissible poses, and the requirements.
+
+    Attributes:
+        reach: admissible poses, with the sensor set-up.
+        model: the calibrated robot.
+        request: the requirements.
+        rng: source of all random numbers.
+    """
+
+    reach: Reach
+    model: FittedRobot
+    request: CheckRequest
+    rng: np.random.Generator
+
+    @classmethod
+    def of(
+        cls,
+        known: Robot | FittedRobot,
+        request: CheckRequest,
+        options: Options,
+        rig: SensorSetup,
+        limits: Limits,
+    ) -> _Planning:
+        """Return the planning for a robot, or for a calibrated one."""
+        rng = np.random.default_rng([request.seed, 41])
+        if isinstance(known, Robot):
+            reach = Reach(known, rig, limits)
+            return cls(reach, _as_if_calibrated(reach, options, request, rng=rng), request, rng)
+        model = known.robot_model()
+        return cls(Reach(model.model.chain.robot, _rig_of(rig, model), limits), model, request, rng)
+
+    def choose(self) -> _Choice:
+        """Choose the fewest poses that detect every change.
+
+        Raises:
+            BadInputError: for constraints that leave too few poses.
+        """
+        drawn = self._candidates()
+        conditions = self._at(drawn.q)
+        lineup = lineup_over(self.model, self.reach.rig, conditions)
+        places = self._at(self.reach.draw(_PLACES, self.rng, measured=False).q)
+        request = self.request
+        detectable, absorbed = detectable_changes(lineup, places, request.notice, rng=self.rng)
+        degrees = known_degrees(self.model, lineup.station)
+        design = detection_design(
+            lineup, detectable, alpha=request.alpha, power=request.power, degrees=degrees
+        )
+        log.info("choosing among %d poses", len(conditions))
+        groups = lineup.station.sensor.groups
+        chosen = design.fewest_of(
+            request.max_poses, np.zeros(len(conditions)) if groups is None else groups
+        )
+        order, _, _ = order_by_load(drawn.q[chosen], conditions.payload[chosen], self.reach.range)
+        rows = np.array(chosen)[order]
+        final = replace(lineup, station=lineup.station.select(rows))
+        changes = _noticed(design, final, detectable, chosen)
+        return _Choice(drawn, conditions.select(rows), final, degrees, changes, tuple(absorbed))
+
+    def alarms(self, choice: _Choice, step: np.ndarray) -> float:
+        """Return the fraction of simulated checks with an alarm, with random noise and random
+        errors of the calibration, of a robot that has changed by a step, shape (P,).
+        """
+        lineup = choice.hypotheses
+        station = lineup.station
+        root = prior_root(station, lineup.known, lineup.surroundings)
+        noise = np.repeat(lineup.robot.sigma, station.block_sizes)[:, None] / station.weights
+        alarms = 0
+        for _ in range(self.request.draws):
+            truth = lineup.start + step + root.T @ self.rng.standard_normal(len(root))
+            change = noise * self.rng.standard_normal(noise.shape) - station.residuals(truth)
+            rows = replace(station, sensor=station.sensor.shifted(change))
+            alarms += raises_alarm(
+                replace(lineup, station=rows), alpha=self.request.alpha, degrees=choice.degrees
+            )
+        return alarms / self.request.draws
+
+    def _candidates(self) -> Draw:
+        drawn = self.reach.draw(self.request.n_candidates, self.rng)
+        most = self.request.max_poses
+        if len(drawn.q) < most:
+            raise BadInputError(
+                f"the constraints leave too few poses for {most}: {drawn.in_words()}"
+            )
+        return drawn
+
+    def _at(self, q: np.ndarray) -> Conditions:
+        """Return poses with the loads in turn and all columns that the effects of a model need."""
+        n = len(q)
+        needs = {column for effect in self.model.model.effects for column in effect.needs}
+        columns = typical_columns(needs & RECORDED.keys(), q)
+        if "approach" in needs:
+            columns["approach"] = self.rng.choice([-1.0, 1.0], q.shape)
+        loads = np.resize(np.array(self.request.payloads or (0.0,), float), n)
+        centre = np.array(self.model.payload_centre, float)
+        return Conditions(q, np.zeros(n, int), loads, centre, **columns)
 
 
 def _as_if_calibrated(
@@ -334,7 +428,7 @@ def _as_if_calibrated(
     """
     drawn = reach.draw(_CALIBRATED_FROM, rng)
     q = drawn.q
-    if len(q) < _FEWEST:
+    if len(q) < DESIGN_NUMBERS.fewest:
         raise BadInputError(
             f"the constraints leave too few poses for a calibration: {drawn.in_words()}"
         )
@@ -354,24 +448,6 @@ def _as_if_calibrated(
         sensor_kind=reach.rig.sensor,
         payload_centre=centre,
         sigma=design.sigma,
-    )
-
-
-def _conditions(
-    model: FittedRobot, q: np.ndarray, request: CheckRequest, *, rng: np.random.Generator
-) -> Conditions:
-    """Return poses with the loads in turn and all columns that the effects of a model need."""
-    n = len(q)
-    needs = {column for effect in model.model.effects for column in effect.needs}
-    columns = typical_columns(needs & RECORDED.keys(), q)
-    if "approach" in needs:
-        columns["approach"] = rng.choice([-1.0, 1.0], q.shape)
-    return Conditions(
-        q,
-        np.zeros(n, int),
-        np.resize(np.array(request.payloads or (0.0,), float), n),
-        np.array(model.payload_centre, float),
-        **columns,
     )
 
 
@@ -403,27 +479,3 @@ def _noticed(
             NoticedChange(final.changes[i], float(found[k]), float(needed[k]), detectable[k].step),
         )
     return tuple(hardest.values())
-
-
-def _alarms(
-    lineup: ChangeHypotheses,
-    degrees: float,
-    request: CheckRequest,
-    *,
-    step: np.ndarray,
-    rng: np.random.Generator,
-) -> float:
-    """Return the fraction of simulated checks with an alarm, with random noise and random errors of
-    the calibration.
-    """
-    station = lineup.station
-    start = lineup.start
-    root = prior_root(station, lineup.known, lineup.surroundings)
-    noise = np.repeat(lineup.robot.sigma, station.block_sizes)[:, None] / station.weights
-    alarms = 0
-    for _ in range(request.draws):
-        truth = start + step + root.T @ rng.standard_normal(len(root))
-        change = noise * rng.standard_normal(noise.shape) - station.residuals(truth)
-        rows = replace(station, sensor=station.sensor.shifted(change))
-        alarms += raises_alarm(replace(lineup, station=rows), alpha=request.alpha, degrees=degrees)
-    return alarms / request.draws

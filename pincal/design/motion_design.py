@@ -35,26 +35,27 @@ from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.stations import ideal_imu_table
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count, Scale
 
 # Number of poses between which moves are chosen; a prime, for the tour.
-_POSES = 31
+_POSES: Count = 31
 # Largest speed and acceleration of a polynomial of degree 5 from rest to rest, for unit move and
 # duration.
-_SPEED = 15.0 / 8.0
-_ACCELERATION = 10.0 / 3.0**0.5
+_SPEED: Scale = 15.0 / 8.0
+_ACCELERATION: Scale = 10.0 / 3.0**0.5
 # Number of intermediate poses of a move at which constraints are checked.
-_WITHIN = 9
+_WITHIN: Count = 9
 # Sampling rate of the tour for its spline, and the spline's knots [1/s].
-_RATE = 100.0
-_KNOTS = 16.0
+_RATE: Scale = 100.0
+_KNOTS: Scale = 16.0
 # Number of poses from which a motion may begin.
-_STARTS = 8
+_STARTS: Count = 8
 # Number of random motions of the same length, for comparison by their median.
-_RANDOM = 10
+_RANDOM: Count = 10
 # Poses over which errors are averaged; numbers of poses of an instrument, and random sets of each.
-_CARED = 200
-_NUMBERS = (3, 4, 6, 8, 10, 12, 15, 20, 30, 40, 60)
-_SETS = 8
+_CARED: Count = 200
+_NUMBERS: tuple[Count, ...] = (3, 4, 6, 8, 10, 12, 15, 20, 30, 40, 60)
+_SETS: Count = 8
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -154,22 +155,11 @@ def design_motion(
         >>> found.error < found.before, float(found.time[0])  # doctest: +SKIP
         (True, 0.0)
     """
-    for name, given, unit in (
-        ("duration", duration, "s"),
-        ("speed", speed, "rad/s"),
-        ("acceleration", acceleration, "rad/s^2"),
-    ):
-        if not 0.0 < given < np.inf:
-            raise BadInputError(f"{name} {given:g} {unit}; expected more than 0")
+    _refuse_impossible(duration, speed, acceleration)
     rng = np.random.default_rng(seed)
     options = Options() if options is None else options
     reach = Reach(robot, SensorSetup(), limits or Limits())
-    drawn = reach.draw(_POSES, rng)
-    if len(drawn.q) < _POSES:
-        raise BadInputError(
-            f"constraints leave {len(drawn.q)} poses to move between; expected {_POSES}: "
-            f"{drawn.in_words()}"
-        )
+    drawn = _poses_to_move_between(reach, rng)
     moves = _Moves.of(reach, drawn.q, speed, acceleration)
     if not moves.allowed.any():
         raise BadInputError(
@@ -183,26 +173,8 @@ def design_motion(
     at_random = [
         _walk(moves, worth, duration, np.flatnonzero(moves.allowed), rng) for _ in range(_RANDOM)
     ]
-    known = np.eye(design.n_free)
-    at = np.flatnonzero(design.has_prior)[worth.observed]
-    known[np.ix_(at, at)] = covariance(
-        covariance(worth.known(walk))[np.ix_(worth.columns, worth.columns)]
-    )
-    needed = {}
-    for poses in _NUMBERS:
-        sets = [Conditions.at(robot.random_configurations(poses, rng)) for _ in range(_SETS)]
-        both = [
-            [one.foreseen(measured, cared) for one in (design, replace(design, known=known))]
-            for measured in sets
-        ]
-        needed[poses] = tuple(np.median(both, axis=0).tolist())
-    times = np.array([0.0, *accumulate(moves.seconds[walk].tolist())])
-    if times[-1] < duration:
-        warn(
-            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s, as all moves "
-            f"between its {_POSES} poses are "
-            "used; expected fewer constraints or a shorter duration"
-        )
+    needed = _errors_with_instrument(robot, design, worth.information_on(design, walk), cared, rng)
+    times = _times(moves, walk, duration)
     return MotionDesign(
         robot,
         times,
@@ -215,6 +187,60 @@ def design_motion(
         needed,
         (*worth.noise, float(design.sigma[0])),
     )
+
+
+def _refuse_impossible(duration: float, speed: float, acceleration: float) -> None:
+    for name, given, unit in (
+        ("duration", duration, "s"),
+        ("speed", speed, "rad/s"),
+        ("acceleration", acceleration, "rad/s^2"),
+    ):
+        if not 0.0 < given < np.inf:
+            raise BadInputError(f"{name} {given:g} {unit}; expected more than 0")
+
+
+def _poses_to_move_between(reach: Reach, rng: np.random.Generator) -> Draw:
+    drawn = reach.draw(_POSES, rng)
+    if len(drawn.q) < _POSES:
+        raise BadInputError(
+            f"constraints leave {len(drawn.q)} poses to move between; expected {_POSES}: "
+            f"{drawn.in_words()}"
+        )
+    return drawn
+
+
+def _errors_with_instrument(
+    robot: Robot,
+    design: DesignModel,
+    known: np.ndarray,
+    cared: Conditions,
+    rng: np.random.Generator,
+) -> dict[int, tuple[float, float]]:
+    """Return number of random poses measured by an instrument -> rms error predicted from these
+    alone, and together with the information ``known`` of a motion, shape (F, F) [m].
+    """
+    with_motion = replace(design, known=known)
+    found = {}
+    for poses in _NUMBERS:
+        sets = [Conditions.at(robot.random_configurations(poses, rng)) for _ in range(_SETS)]
+        alone = [design.foreseen(measured, cared) for measured in sets]
+        both = [with_motion.foreseen(measured, cared) for measured in sets]
+        found[poses] = (float(np.median(alone)), float(np.median(both)))
+    return found
+
+
+def _times(moves: _Moves, walk: Sequence[int], duration: float) -> np.ndarray:
+    """Return the times at which the poses of a walk are reached, the first at 0, shape (V,) [s];
+    warn if it ends too soon.
+    """
+    times = np.array([0.0, *accumulate(moves.seconds[walk].tolist())])
+    if times[-1] < duration:
+        warn(
+            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s, as all moves "
+            f"between its {_POSES} poses are "
+            "used; expected fewer constraints or a shorter duration"
+        )
+    return times
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,11 +343,20 @@ class _Worth:
         """Return the predicted error of the tool after some moves due to the F parameters [m]."""
         return float(np.sqrt(value(covariance(self.known(walk)), self.W)))
 
+    def information_on(self, design: DesignModel, walk: Sequence[int]) -> np.ndarray:
+        """Return what is known of a design's parameters after some moves, shape of its ``known``
+        and in its units.
+        """
+        known = np.eye(design.n_free)
+        at = np.flatnonzero(design.has_prior)[self.observed]
+        C = covariance(self.known(walk))
+        known[np.ix_(at, at)] = covariance(C[np.ix_(self.columns, self.columns)])
+        return known
+
 
 def _worth(
     robot: Robot, moves: _Moves, options: Options, design: DesignModel, cared: Conditions
 ) -> _Worth:
-    ends = np.cumsum(moves.seconds)
     table = ideal_imu_table(MovingArm(robot, moves.path()))
     # The noise in the options is another instrument's, not the IMU's.
     ((station, values),) = place(
@@ -336,12 +371,13 @@ def _worth(
     columns = np.array([names.index(name) for name in np.array(design.own_names)[observed]])
     units = np.where(np.isfinite(sizes), sizes, 1.0)
     units[columns] = design.units[design.has_prior][observed]
-    noise = np.repeat([block.noise for block in station.sensor.blocks], station.block_sizes)
+    noise = tuple(block.noise for block in station.sensor.blocks)
     assert table.time is not None
+    ends = np.cumsum(moves.seconds)
     move = np.minimum(np.searchsorted(ends, table.time), len(ends) - 1)
     H = np.zeros((len(ends), len(units), len(units)))
     for rows, _, jacobian in station.linearise(values, free):
-        A = jacobian.transpose(2, 1, 0) * (units / noise[:, None])
+        A = jacobian.transpose(2, 1, 0) * (units / np.repeat(noise, station.block_sizes)[:, None])
         for e in np.unique(move[rows]):
             part = A[move[rows] == e].reshape(-1, len(units))
             H[e] += part.T @ part
@@ -349,9 +385,7 @@ def _worth(
     W = np.zeros_like(H[0])
     W[np.ix_(columns, columns)] = J[:, observed].T @ J[:, observed] / len(cared.q)
     lengths = float(np.sum(J[:, ~observed] ** 2)) / len(cared.q)
-    return _Worth(
-        W, H, columns, observed, lengths, tuple(block.noise for block in station.sensor.blocks)
-    )
+    return _Worth(W, H, columns, observed, lengths, noise)
 
 
 def _best_walk(moves: _Moves, worth: _Worth, duration: float) -> list[int]:

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from pincal.design.design_model import DesignModel, held_columns, predicted_station
+from pincal.design.design_numbers import DESIGN_NUMBERS
 from pincal.design.exchange import order_by_load, total
 from pincal.design.reach import Draw, Limits, Reach, SensorSetup
 from pincal.design.request import DesignRequest, pose_columns
@@ -36,6 +37,7 @@ from pincal.measure.admit import noted
 from pincal.model.catalogue.masses import notes_on_masses
 from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
+from pincal.thresholds import Scale
 
 SOURCES = {
     "O1": "Borm and Menq 1989",
@@ -81,13 +83,8 @@ def observability(
     }
 
 
-# Practically unlimited number of poses, and the fraction of the error remaining with them above
-# which more poses are useless.
-_MANY = 1e6
-_MOSTLY = 0.9
-# Recommended ratio of readings to identifiable directions, which leaves degrees of freedom to judge
-# a fit.
-_COMFORTABLE = 1.5
+# Practically unlimited number of poses.
+_MANY: Scale = 1e6
 
 
 @dataclass(frozen=True, repr=False)
@@ -268,10 +265,7 @@ def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
         n = request.poses or needed or 1
         _check_count(study, n)
         _check_limit(study, n)
-    picked = study.candidates.select(np.array(study.design(n)))
-    # A pose in which the target is held can't be refined.
-    if request.refine and not reach.rig.held_at:
-        picked = study.refine(picked, reach)
+    picked = _picked(study, n, request, reach)
     H = study.H + total(study.design_model.readings(picked))
     at_random = study.random(n)
     found = CurvePoint(n, study.quality(H), Quality.median([study.quality(R) for R in at_random]))
@@ -297,13 +291,23 @@ def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
         rank=study.rank(n),
         path_length=ordered,
         path_length_unordered=unordered,
-        notes=(
-            *reach.robot.notes,
-            *reach.bodies.notes,
-            *notes_on_masses(reach.robot, options.effects),
-            *notes,
-        ),
+        notes=(*_notes_on_robot(reach, options), *notes),
         seconds=time.perf_counter() - begun,
+    )
+
+
+def _picked(study: Study, n: int, request: DesignRequest, reach: Reach) -> Conditions:
+    """Return the n poses, refined if that is wanted and possible."""
+    picked = study.candidates.select(np.array(study.design(n)))
+    # A pose in which the target is held can't be refined.
+    return study.refine(picked, reach) if request.refine and not reach.rig.held_at else picked
+
+
+def _notes_on_robot(reach: Reach, options: Options) -> tuple[str, ...]:
+    return (
+        *reach.robot.notes,
+        *reach.bodies.notes,
+        *notes_on_masses(reach.robot, options.effects),
     )
 
 
@@ -313,7 +317,7 @@ def _check_count(study: Study, n: int) -> None:
     count = n + study.n_measured
     if size * count < rank:
         fewest = -(-rank // size)
-        good = int(np.ceil(_COMFORTABLE * rank / size))
+        good = int(np.ceil(DESIGN_NUMBERS.comfortable * rank / size))
         warn(
             f"{count} poses give {size * count} readings for {rank} directions of the "
             "parameters that such poses can "
@@ -325,7 +329,7 @@ def _check_count(study: Study, n: int) -> None:
 def _check_limit(study: Study, n: int) -> None:
     """Warn if most of the error remains with any number of such readings."""
     error, limit = (study.quality(study.H + count * study.mean).error for count in (n, _MANY))
-    if limit > _MOSTLY * error:
+    if limit > DESIGN_NUMBERS.mostly * error:
         warn(
             f"{1e3 * limit:.3g} mm of the predicted error remain however many such poses "
             "are measured: they do not "

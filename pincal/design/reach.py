@@ -12,26 +12,26 @@ from typing import NamedTuple
 import numpy as np
 
 from pincal.design.collisions import Bodies
+from pincal.design.design_numbers import DESIGN_NUMBERS
 from pincal.errors import BadInputError
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count, Scale
 
 # Half angle of the cone in which a corner-cube reflector is seen [rad]: 30 degrees by the data
 # sheets.
-CONE = np.pi / 6.0
-# The first joint, counted from 1, whose link has to stay above the floor.
-_OFF_THE_FLOOR = 3
+CONE: Scale = np.pi / 6.0
 # Most random poses tried per pose requested, and at once.
-_TRIES = 200
-_BATCH = 4096
+_TRIES: Count = 200
+_BATCH: Count = 4096
 # Most candidates of a design: about 200 MB (20 000: 40 MB), and minutes.
-_MOST = 100_000
+_MOST: Count = 100_000
 # Steps towards a socket for the target, their damping in reaches of the arm, and the tolerance [m].
-_STEPS = 25
-_DAMPING = 0.03
-_THERE = 1e-4
+_STEPS: Count = 25
+_DAMPING: Scale = 0.03
+_THERE: Scale = 1e-4
 # Default position of a target off and along the last axis, in reaches of the arm.
-_OFF_AXIS = 0.05
-_ALONG = 0.05
+_OFF_AXIS: Scale = 0.05
+_ALONG: Scale = 0.05
 
 
 @dataclass(frozen=True)
@@ -319,10 +319,8 @@ class Reach:
         limits = self.limits
         left = np.ones(len(placed.q), bool)
         if limits.floor is not None:
-            # Links before it may touch the floor, like the shoulder of a small arm.
-            height = np.minimum(
-                placed.targets[:, 2], self.bodies.boxes.lowest(placed.frames, _OFF_THE_FLOOR)
-            )
+            lowest = self.bodies.boxes.lowest(placed.frames, DESIGN_NUMBERS.off_the_floor)
+            height = np.minimum(placed.targets[:, 2], lowest)
             yield f"floor at {limits.floor:g} m", height < limits.floor
             left &= height >= limits.floor
         if measured:

@@ -16,11 +16,12 @@ from pincal.measure.measurements import Measurements
 from pincal.model.catalogue.candidates import needs_column
 from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count
 
 Criterion = Literal["task", "determinant"]
 
 # Default number of random poses to choose from.
-_CANDIDATES = 1500
+_CANDIDATES: Count = 1500
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,24 +146,16 @@ class PoseBuilder:
         """Return the poses of a table; rows without a payload have the first of the loads."""
         n = len(table)
         targets = self.targets
-        approach = table.approach
         index = np.array(
             [targets.index(str(name)) if str(name) in targets else 0 for name in table.target], int
         )
         payload = np.full(n, self._loads[0]) if table.payload is None else np.asarray(table.payload)
-        if approach is None and self.request.has_approach(self.robot):
-            approach = np.zeros(table.q.shape)
+        ordered = table.of_joints(self.robot)
+        columns = ordered.recorded()
+        if columns["approach"] is None and self.request.has_approach(self.robot):
+            columns["approach"] = np.zeros(ordered.q.shape)
         centre = np.array(self.options.payload_centre, float)
-        q = table.of_joints(self.robot).q
-        return Conditions(
-            q,
-            index,
-            payload,
-            centre,
-            temperature=table.temperature,
-            time=table.time,
-            approach=approach,
-        )
+        return Conditions(ordered.q, index, payload, centre, **columns)
 
 
 def pose_columns(

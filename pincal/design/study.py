@@ -32,32 +32,33 @@ from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Effect, Reducible
+from pincal.thresholds import Count, Scale
 
 log = logging.getLogger(__name__)
 
-RANDOM_DESIGNS = 50
+RANDOM_DESIGNS: Count = 50
 """Number of random designs with whose median a design is compared."""
 
 # Number of poses over which the task's error is averaged.
-_TASK_POSES = 400
+_TASK_POSES: Count = 400
 # Numbers of poses of the curve, and its extent as a multiple of the requested number, at least.
-_LADDER = (10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)
-_BEYOND = 2.0
-_AT_LEAST = 100
+_LADDER: tuple[Count, ...] = (10, 15, 20, 30, 40, 50, 70, 100, 150, 200, 300, 500)
+_BEYOND: Scale = 2.0
+_AT_LEAST: Count = 100
 # Passes of an exchange from a nearly optimal design.
-_FEW_PASSES = 2
+_FEW_PASSES: Count = 2
 # Positions tried of each joint, and the fraction of its range over which they are spread, sweep by
 # sweep.
-_STEPS = 11
-_WINDOWS = (1.0, 0.4, 0.15)
+_STEPS: Count = 11
+_WINDOWS: tuple[Scale, ...] = (1.0, 0.4, 0.15)
 # Least difference of a joint's positions between poses, as a fraction of its range, and of a pose's
 # share of the range.
-_APART = 2e-3
-_OF_SHARE = 0.25
+_APART: Scale = 2e-3
+_OF_SHARE: Scale = 0.25
 # Offset of the trial positions from pose to pose, as a fraction of a step.
-_SHIFT = 0.5 * (5.0**0.5 - 1.0)
+_SHIFT: Scale = 0.5 * (5.0**0.5 - 1.0)
 # Relative gain below which a pose is not moved.
-_WORTH = 1e-6
+_WORTH: Scale = 1e-6
 
 
 @dataclass(frozen=True)
@@ -143,27 +144,14 @@ class Study:
         H = design_model.known.copy()
         if known is not None:
             H += total(design_model.readings(known))
-        if request.task is None:
-            cared = poses.at(reach.draw(_TASK_POSES, rng[2], measured=False).q, rng[2])
-        else:
-            cared = replace(poses.of(request.task), target=np.zeros(len(request.task), int))
-        E = design_model.errors(cared)
+        E = design_model.errors(_task_poses(poses, reach, rng[2]))
         weight = total(E) / len(E)
         W = weight if request.criterion == "task" else None
         if rivals:
             W = weights(design_model.rivals, design_model.n_free)
         count = 0 if known is None else len(known)
-        return cls(
-            design_model,
-            drawn,
-            candidates,
-            design_model.readings(candidates),
-            H,
-            count,
-            weight,
-            W,
-            rng[3],
-        )
+        A = design_model.readings(candidates)
+        return cls(design_model, drawn, candidates, A, H, count, weight, W, rng[3])
 
     @cached_property
     def mean(self) -> np.ndarray:
@@ -290,6 +278,14 @@ class Study:
             is_reached = self.quality(self.H + information(self.A, design)).error <= accuracy
             low, high = (low, n) if is_reached else (n, high)
         return high
+
+
+def _task_poses(poses: PoseBuilder, reach: Reach, rng: np.random.Generator) -> Conditions:
+    """Return the poses over which the predicted error is averaged: the task's, or random ones."""
+    task = poses.request.task
+    if task is None:
+        return poses.at(reach.draw(_TASK_POSES, rng, measured=False).q, rng)
+    return replace(poses.of(task), target=np.zeros(len(task), int))
 
 
 def _neighbours(q: np.ndarray, place: int, reach: Reach, window: float) -> np.ndarray:

@@ -26,6 +26,7 @@ from pincal.model.effects import Compliance
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.parameters import Parameter, estimate_of
+from pincal.recorded import SURROUNDINGS
 from pincal.thresholds import Count, Scale
 
 
@@ -80,9 +81,8 @@ def changes_of(
     changes = list(_of_parameters(model))
     surroundings = []
     for effect in _catalogue(model, situation):
-        if effect.scope == "station" or (
-            effect.locus.joint is None and effect.locus.follows in ("temperature", "time")
-        ):
+        at = effect.locus
+        if effect.scope == "station" or (at.joint is None and at.follows in SURROUNDINGS):
             surroundings.append(effect)
         else:
             name, joint, source = effect.heading

@@ -229,14 +229,16 @@ def table_of(
         )
         # Only needed for significant candidates.
         if is_small and is_more_than_chance(row, policy):
-            evidence = (
-                tests.log_evidence([i, *given]) - tests.log_evidence(given)
-                if given
-                else tests.log_evidence([i])
-            )
-            row = replace(row, evidence=evidence)
+            row = replace(row, evidence=_evidence(tests, i, given))
         rows.append(row)
     return CandidateTable(rows, tests)
+
+
+def _evidence(tests: ScoreTests, candidate: int, given: range) -> float:
+    """Return the log evidence of a candidate, given others."""
+    if not given:
+        return tests.log_evidence([candidate])
+    return tests.log_evidence([candidate, *given]) - tests.log_evidence(given)
 
 
 def spare_compliances(fit: ModelFit, effects: Sequence[Effect], policy: Policy) -> list[Effect]:

@@ -6,7 +6,8 @@ all parameters, the curves as fine as the poses allow, L the information of all 
 :math:`C = (G + L + \sum_j R_j / w_j^2)^{-1}`, and the likelihood marginalised over x is largest
 where
 
-.. math:: w_j^2 = \frac{x_j^T R_j x_j}{\operatorname{tr} R_j (P_j^{-1} - C_j)} w_j^2, \qquad P_j = D_j^{-2} + R_j / w_j^2,
+.. math:: w_j^2 = \frac{x_j^T R_j x_j}{\operatorname{tr} R_j (P_j^{-1} - C_j)} w_j^2, \qquad
+    P_j = D_j^{-2} + R_j / w_j^2,
 
 for priors of size D (Wood and Fasiolo 2017, Biometrics 73, 1071-1081, equation 4); the noise
 follows from the residuals. One pass over the data serves all iterations.

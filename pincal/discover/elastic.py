@@ -78,15 +78,29 @@ def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
     every = _row(tests, block[0], whole, 1)
     if not accepted(replace(every, chance=min(chances)), policy):
         return None
+    single = _single(tests, parts, singles, whole, policy)
+    return Decision(every, effects=block) if single is None else single
+
+
+def _single(
+    tests: ScoreTests,
+    parts: Sequence[Effect],
+    singles: Sequence[Sequence[int]],
+    whole: Sequence[int],
+    policy: Policy,
+) -> Decision | None:
+    """Return the one drive or bearing to which all others add nothing significant; None if they
+    do.
+    """
     table = CandidateTable(
         [_row(tests, part, of, len(singles)) for part, of in zip(parts, singles, strict=True)],
         tests,
     )
     best = table.cheapest()[0]
     beyond = _chance(tests, [whole], singles[best]), _chance(tests, singles, singles[best])
-    single = replace(table.rows[best], chance=chances[0])
+    single = replace(table.rows[best], chance=_chance(tests, singles))
     if not accepted(single, policy) or min(beyond) < policy.adds_nothing:
-        return Decision(every, effects=block)
+        return None
     return Decision(table.rows[best], tuple(table.rivals(best, policy)))
 
 

@@ -323,7 +323,8 @@ def widened(trail: History) -> ModelFit:
     require them. What each adds to the variance of a prediction follows, on average over the rows,
     from the projected products of the score tests,
 
-    .. math:: e_m = m^T S' m + \operatorname{tr} S' C, \qquad C = (S' + D^{-2})^{-1}, \quad m = C b' ,
+    .. math:: e_m = m^T S' m + \operatorname{tr} S' C, \qquad
+        C = (S' + D^{-2})^{-1}, \quad m = C b' ,
 
     for masses known to D, in units of the noise and summed over the readings, and the mean over
     candidates,

@@ -5,7 +5,7 @@ the misfit was.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Literal
 
@@ -146,54 +146,79 @@ def _found(
     place = next(i for i, change in enumerate(trail.changes) if change.fit is step.after)
     before = gaps[place]
     after = gaps[place + 1]
-    known = fit.estimate
     score = step.score
-    of_blocks = fit.solution.of_blocks
-    if step.is_elastic:
-        found = [
-            (
-                sure.effect,
-                e := sure.estimate,
-                known.take(e.names).fitted_sigma,
-                sure.p_value,
-                *_in_its_place(trail, sure),
-            )
-            for sure in significant_compliances(trail.final, step.effects, step.equivalent)
-        ]
-    else:
-        estimate = known.take(
-            trail.final.names_of(
-                step.effects if isinstance(step.effect, Harmonic) else step.effects[:1]
-            )
-        )
-        # By rows that are independent or, if it is larger, by blocks of consecutive rows.
-        correlated = float(chdtrc(score.rank, score.gain / of_blocks)) if of_blocks > 1.0 else 0.0
-        p_value = max(score.p_value, correlated)
-        found = [(step.effect, estimate, estimate.sigma, p_value, step.equivalent, _deciding(step))]
     line = line_details(trail, step)
-    for effect, estimate, sigma, p_value, equivalent, decide in found:
-        sure_as = replace(score, p_value=p_value)
+    for known in _known_of(fit, trail, step):
+        sure_as = replace(score, p_value=known.p_value)
         if (
             step.is_elastic
             and trail.has_prior_elasticity
-            and not accepted(Row(effect, sure_as, score.ebic), trail.policy)
+            and not accepted(Row(known.effect, sure_as, score.ebic), trail.policy)
         ):
             # Given all other compliances, which on few rows depend on priors, it is not
             # significant.
             continue
         yield FoundEffect.of(
-            effect,
-            period=periods.get(effect),
-            parameters=_parameters(estimate, sigma),
-            p_value=p_value,
+            known.effect,
+            period=periods.get(known.effect),
+            parameters=_parameters(known.estimate, known.sigma),
+            p_value=known.p_value,
             gap_before_mm=before.mean_mm,
             gap_after_mm=after.mean_mm,
             gap_before_mrad=before.mean_mrad,
             gap_after_mrad=after.mean_mrad,
-            equivalent=tuple(EffectName.of(other) for other in equivalent),
-            tell_apart=decide,
+            equivalent=tuple(EffectName.of(other) for other in known.equivalent),
+            tell_apart=known.tell_apart,
             **line,
         )
+
+
+@dataclass(frozen=True)
+class _KnownEffect:
+    """What is known of an effect that was found.
+
+    Attributes:
+        effect: the effect.
+        estimate: its parameters.
+        sigma: their standard deviations as they are stated.
+        p_value: of its being there by chance.
+        equivalent: effects that it could be instead.
+        tell_apart: the measurement that would decide; "" without any.
+    """
+
+    effect: Effect
+    estimate: Estimate
+    sigma: np.ndarray
+    p_value: float
+    equivalent: tuple[Effect, ...]
+    tell_apart: str
+
+
+def _known_of(fit: ModelFit, trail: History, step: SearchStep) -> list[_KnownEffect]:
+    """Return what is known of the effects of a step; elasticity joint by joint."""
+    if step.is_elastic:
+        return [
+            _KnownEffect(
+                sure.effect,
+                sure.estimate,
+                fit.estimate.take(sure.estimate.names).fitted_sigma,
+                sure.p_value,
+                *_in_its_place(trail, sure),
+            )
+            for sure in significant_compliances(trail.final, step.effects, step.equivalent)
+        ]
+    own = step.effects if isinstance(step.effect, Harmonic) else step.effects[:1]
+    estimate = fit.estimate.take(trail.final.names_of(own))
+    # By rows that are independent or, if it is larger, by blocks of consecutive rows.
+    of_blocks = fit.solution.of_blocks
+    score = step.score
+    correlated = float(chdtrc(score.rank, score.gain / of_blocks)) if of_blocks > 1.0 else 0.0
+    p_value = max(score.p_value, correlated)
+    return [
+        _KnownEffect(
+            step.effect, estimate, estimate.sigma, p_value, step.equivalent, _deciding(step)
+        )
+    ]
 
 
 def _deciding(step: SearchStep) -> str:

@@ -4,7 +4,8 @@ With A the whitened Jacobian by all parameters (of the model, N, and of every ca
 the whitened residuals, S = A A^T and b = A r, all criteria follow from S and b: with the model's
 tangent space and its priors L projected out,
 
-.. math:: S'_{gg} = S_{gg} - S_{gN} (S_{NN} + L)^{-1} S_{Ng}, \qquad b'_g = b_g - S_{gN} (S_{NN} + L)^{-1} (b_N - L x)
+.. math:: S'_{gg} = S_{gg} - S_{gN} (S_{NN} + L)^{-1} S_{Ng}, \qquad
+    b'_g = b_g - S_{gN} (S_{NN} + L)^{-1} (b_N - L x)
 
 are information and gradient of candidates given a refit of the model, x its parameters less their
 prior means, and
@@ -281,8 +282,9 @@ class ScoreTests:
         (model, model_step) = self.model.without_block[k]
         model_S = self.model.blocks.H[k]
         model_b = self.model.blocks.g[k]
-        (across, own), b = np.split(self.blocks_H[k][:, j], [self.n_model]), self.blocks_g[k, j]
-        own = own[j]
+        across, of_candidates = np.split(self.blocks_H[k][:, j], [self.n_model])
+        own = of_candidates[j]
+        b = self.blocks_g[k, j]
         cross = self.cross[:, j] - across
         taken = model.half(cross)
         known = self.inner_of(which) - own + self.prior(which)
@@ -379,7 +381,8 @@ class ScoreTests:
 
     def score(self, which: Sequence[int], groups: int) -> ScoreResult:
         """Return the test of some candidates together, one of so many tested groups."""
-        (gain, rank), trials = self.gain(which), math.prod(self.effects[i].trials for i in which)
+        gain, rank = self.gain(which)
+        trials = math.prod(self.effects[i].trials for i in which)
         chance = (
             self._alone[2][which[0]]
             if len(which) == 1

@@ -5,7 +5,9 @@ With w = L . r and v = L . L at each pose (L the lever of a joint's position on 
 readings, r their residuals, orthogonal to the columns of a fit), and
 :math:`F_u(k) = \sum_n u_n e^{i k q_n}`, a wave of k cycles per revolution reduces the squares by
 
-.. math:: T(k) = 2 \, \frac{V |F_w(k)|^2 - \Re (\overline{F_v(2k)} F_w(k)^2)}{V^2 - |F_v(2k)|^2}, \qquad V = \sum_n v_n ,
+.. math:: T(k) = 2 \,
+    \frac{V |F_w(k)|^2 - \Re (\overline{F_v(2k)} F_w(k)^2)}{V^2 - |F_v(2k)|^2},
+    \qquad V = \sum_n v_n ,
 
 if the model absorbs none of it. On even steps of k the exponential of a sum is a product, so that
 all k follow from one product of two small matrices. The result is tested like any other candidate,
@@ -107,7 +109,8 @@ def strongest_tones(fit: ModelFit, candidates: Sequence[Candidate], near: float)
 
 def seen_along(fit: ModelFit, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return L . r and L . L of some coordinates on the whitened readings, shape (K, N) each."""
-    (problem, values, free), n = with_motions(fit, coordinates), len(fit.problem)
+    problem, values, free = with_motions(fit, coordinates)
+    n = len(fit.problem)
     along, lever = np.zeros((2, len(coordinates), n))
     for station, places, blocks, rows in zip(
         problem.stations, problem.places, problem.block_spans, problem.rows, strict=True
@@ -174,7 +177,8 @@ def on_steps(
         a, b = (_waves(k, q[piece]) for k in (coarse, fine))
         for total, (u, times) in zip(sums, columns, strict=True):
             total += (a**times * u[piece]) @ (b**times).T
-    (F, twice, *mean), whole = sums.reshape(len(columns), -1), np.array(lever.sum())
+    F, twice, *mean = sums.reshape(len(columns), -1)
+    whole = np.array(lever.sum())
     for m in mean:
         # The constant absorbs its part of each wave.
         F = F - m * along.sum() / whole

@@ -31,6 +31,7 @@ from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, PoseSet, distinct_values, recorded_variable, varies
 from pincal.model.effect import Effect, Locus, Term
 from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.recorded import SURROUNDINGS
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,7 @@ def _motions(fit: ModelFit) -> list[MovedPlace]:
     """Return the motions of all places along all variables."""
     names = fit.model.chain.robot.measured_joints
     conditions = fit.station.conditions
-    slow = [v for v in ("payload", "temperature", "time") if varies(conditions.column(v))]
+    slow = [v for v in ("payload", *SURROUNDINGS) if varies(conditions.column(v))]
     curves = {v: _curves(_variable(fit, None, v), WHERE.slow_pieces) for v in slow}
     moving = [name for name in names if name in PoseSet(fit.model.chain, conditions).moving]
     everywhere = curves | {

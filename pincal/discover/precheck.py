@@ -4,7 +4,7 @@ detectable effects.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -26,6 +26,7 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.folds import Folds
 from pincal.identify.options import Options
 from pincal.measure.admit import admit, unobservable_notes
+from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.catalogue.masses import notes_on_masses
 from pincal.model.conditions import distinct_values
@@ -154,19 +155,11 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     notes += notes_on_repeats(robot, fit.problem.conditions.q)
     posterior = fit.solution.posterior
     lead = leading_block(fit)
-    rows = [StationRows.of(name, table) for name, table in tables.items()]
-    rows = [
-        replace(part, name=at.name) for part, at in zip(rows, fit.problem.stations, strict=True)
-    ]
-    nominal = nominal_errors(fit, rows, Folds.of(fit.problem, WAYS["both"]))
-    fitted = error_statistics(
-        pose_error_sizes(at, fit.nominal.values[places]) for at, places, _ in fit.stations
-    )
     return DataReport(
         kind=" and ".join(dict.fromkeys(table.kind for table in tables.values())),
         rows=len(fit.problem),
         joints=tuple(_ranges(robot, fit.problem.conditions.q)),
-        nominal=nominal.get(headline_of(nominal), fitted),
+        nominal=_nominal(fit, tables),
         noise={
             noise_key(fit.problem.blocks[lead].unit): float(fit.solution.sigma[lead]),
             "source": "declared" if fit.is_declared else "estimated from a preliminary fit",
@@ -178,6 +171,21 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
         detectable=_outlook(robot, fit),
         warnings=doubts_first([*robot.notes, *notes]),
     )
+
+
+def _nominal(fit: ModelFit, tables: Mapping[str, Measurements]) -> dict[str, float]:
+    """Return the errors of the nominal robot: at rows that were not used to place it, or else at
+    those that were.
+    """
+    rows = [
+        replace(StationRows.of(name, table), name=at.name)
+        for (name, table), at in zip(tables.items(), fit.problem.stations, strict=True)
+    ]
+    found = nominal_errors(fit, rows, Folds.of(fit.problem, WAYS["both"]))
+    fitted = error_statistics(
+        pose_error_sizes(at, fit.nominal.values[places]) for at, places, _ in fit.stations
+    )
+    return found.get(headline_of(found), fitted)
 
 
 def _outlook(robot: Robot, fit: ModelFit) -> DetectabilityTable:

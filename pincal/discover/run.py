@@ -167,7 +167,8 @@ def run_discovery(
         >>> q = robot.random_configurations(60, rng)
         >>> bent = q + np.array([0.0, 0.0, 0.0, 1e-3, 0.0, 0.0]) * np.sin(q)
         >>> tips = robot.forward_kinematics(bent)
-        >>> position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((60, 3))
+        >>> position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2]
+        >>> position += 5e-5 * rng.standard_normal((60, 3))
         >>> table = measurements_from_arrays(robot.joint_names, q, position=position)
         >>> found = run_discovery(robot, table, Options(effects=GEOMETRIC, sigma=5e-5))
         >>> [(entry.effect, entry.joint) for entry in found.findings.effects]
@@ -178,13 +179,7 @@ def run_discovery(
             f"stability is {stability}; expected a number of subsamples, 0 for none"
         )
     tables = tables_of(measurements)
-    if not reads_places(tables):
-        raise BadInputError(
-            f"{', '.join(table.source for table in tables.values())}: an IMU alone "
-            "measures no positions, which a discovery "
-            "needs to distinguish causes; add a tracker in motion or some static poses, "
-            "or only calibrate (pincal calibrate)"
-        )
+    _require_positions(tables)
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
     frames = tuple(choices.pop("moment_frames", ())) or (
@@ -201,57 +196,120 @@ def run_discovery(
         left_out = leave_out_stations(robot, tables, options, fit_others=others, executor=executor)
     if executor is not None:
         wake(executor, stability, begin_subsamples.__module__)
-    # Correlation along the rows may be due to the effects searched for.
-    plain = replace(options, serial=False)
-    first = fit_admitted(robot, measurements, plain, **held_back)
-    first = replace(
-        first, fit=replace(first.fit, options=replace(first.fit.options, serial=options.serial))
-    )
+    first = _first_fit(robot, measurements, options, held_back)
     trail, notes = search(first)
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # The following runs while workers search the halves.
-    # Without any effect a robot that the readings do not improve stays as in its URDF.
-    harmless = first.fit if trail.steps else without_harm(first.fit)
-    fit = harmless if harmless.is_kept else widened(trail)
-    traces = partial_residuals(trail)
-    # Rows that the first model could not describe may be sound.
-    fit = replace(fit, nominal=nominal_without_outliers(fit))
-    validated = Validated.of(fit, first.stations, first.folds)
-    gaps, held_out = stages_of(trail, first.stations, validated)
-    origins = ", ".join(
-        dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations)))
-    )
-    measured = by_stops(trail.final, first.stations)
-    arrivals = arrivals_within(trail.final)
-    findings = findings_of(
-        fit,
-        trail,
-        gaps=gaps,
-        traces=traces,
-        measured=measured,
-        held_out=held_out,
-        approach_from=origins or None,
-        arrivals=arrivals,
-    )
+    ended = _Ended.of(first, trail)
+    findings = ended.findings
     if stability:
         findings = with_subsamples(findings, halves(), bootstrap_last(trail))
-    left_out = tuple(left_out)
-    seconds = time.perf_counter() - begun
-    result = result_of(
-        fit,
-        first.stations,
-        seconds=seconds,
-        notes=notes,
-        left_out=left_out,
-        validated=validated,
-        arrivals=arrivals,
-    )
-    final = Calibration(first.robot, first.stations, FittedRobot.of(fit), result, notes, validated)
-    # The search decides whether the model is inadequate; whether it is adequate, the rule common to
-    # all commands.
-    verdict = result.verdict_of(incomplete=findings.verdict is Verdict.NOT_ADEQUATE)
-    findings = changed(findings, verdict=verdict, warnings=result.warnings)
-    return Discovery(final, trail, findings, gaps, traces)
+    return ended.discovery(findings, notes, tuple(left_out), begun=begun)
+
+
+def _require_positions(tables: dict[str, Measurements]) -> None:
+    if not reads_places(tables):
+        raise BadInputError(
+            f"{', '.join(table.source for table in tables.values())}: an IMU alone "
+            "measures no positions, which a discovery "
+            "needs to distinguish causes; add a tracker in motion or some static poses, "
+            "or only calibrate (pincal calibrate)"
+        )
+
+
+def _first_fit(
+    robot: Robot, measurements: Tables, options: Options, held_back: dict[str, Any]
+) -> FittedTables:
+    """Return the fit from which a search starts."""
+    # Correlation along the rows may be due to the effects searched for.
+    plain = replace(options, serial=False)
+    first = fit_admitted(robot, measurements, plain, **held_back)
+    wanted = replace(first.fit.options, serial=options.serial)
+    return replace(first, fit=replace(first.fit, options=wanted))
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """The end of a search, with what its fit shows.
+
+    Attributes:
+        first: the fit from which it started, with its tables.
+        trail: its history.
+        fit: its last fit, with the uncertainty of its model; as in the URDF if no effect was found
+            and the readings do not improve the robot.
+        validated: the errors of this fit at rows that were held out; None without any.
+        gaps: errors on held-out rows at the start, after each change of the model.
+        traces: partial residuals of each effect.
+        arrivals: to how much all drives alike would have to stop to explain residuals beyond the
+            declared noise [rad]; None if nothing exceeds it so.
+        findings: what was found.
+    """
+
+    first: FittedTables
+    trail: History
+    fit: ModelFit
+    validated: Validated | None
+    gaps: tuple[Stage, ...]
+    traces: tuple[PartialResidual, ...]
+    arrivals: float | None
+    findings: Findings
+
+    @classmethod
+    def of(cls, first: FittedTables, trail: History) -> _Ended:
+        """Return what the last fit of a search shows."""
+        # Without any effect a robot that the readings do not improve stays as in its URDF.
+        harmless = first.fit if trail.steps else without_harm(first.fit)
+        fit = harmless if harmless.is_kept else widened(trail)
+        traces = partial_residuals(trail)
+        # Rows that the first model could not describe may be sound.
+        fit = replace(fit, nominal=nominal_without_outliers(fit))
+        validated = Validated.of(fit, first.stations, first.folds)
+        gaps, held_out = stages_of(trail, first.stations, validated)
+        origins = ", ".join(
+            dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations)))
+        )
+        measured = by_stops(trail.final, first.stations)
+        arrivals = arrivals_within(trail.final)
+        findings = findings_of(
+            fit,
+            trail,
+            gaps=gaps,
+            traces=traces,
+            measured=measured,
+            held_out=held_out,
+            approach_from=origins or None,
+            arrivals=arrivals,
+        )
+        return cls(first, trail, fit, validated, gaps, traces, arrivals, findings)
+
+    def discovery(
+        self,
+        findings: Findings,
+        notes: tuple[Note, ...],
+        left_out: tuple[LeftOut, ...],
+        *,
+        begun: float,
+    ) -> Discovery:
+        """Return the discovery with its calibration, since ``begun`` by the clock of this process
+        [s].
+        """
+        first = self.first
+        result = result_of(
+            self.fit,
+            first.stations,
+            seconds=time.perf_counter() - begun,
+            notes=notes,
+            left_out=left_out,
+            validated=self.validated,
+            arrivals=self.arrivals,
+        )
+        known = FittedRobot.of(self.fit)
+        final = Calibration(first.robot, first.stations, known, result, notes, self.validated)
+        # The search decides whether the model is inadequate; whether it is adequate, the rule
+        # common to all commands.
+        verdict = result.verdict_of(incomplete=findings.verdict is Verdict.NOT_ADEQUATE)
+        findings = changed(findings, verdict=verdict, warnings=result.warnings)
+        return Discovery(final, self.trail, findings, self.gaps, self.traces)
 
 
 def _search(

@@ -45,6 +45,60 @@ class _Piece(NamedTuple):
     jacobian: Jacobian
 
 
+class _StationColumns(NamedTuple):
+    """The whitened columns of a model at one station, and their products.
+
+    Attributes:
+        order: the station's rows sorted by block.
+        pieces: these rows with their columns, piece by piece.
+        H, g: shape (blocks, n, n) and (blocks, n), information of each block on its n columns.
+    """
+
+    order: np.ndarray | slice
+    pieces: tuple[_Piece, ...]
+    H: np.ndarray
+    g: np.ndarray
+
+    @classmethod
+    def at(
+        cls,
+        fit: ModelFit,
+        problem: Problem,
+        index: int,
+        local: tuple[np.ndarray, np.ndarray],
+        groups: np.ndarray | None,
+        n_blocks: int,
+    ) -> _StationColumns:
+        """Return the columns of the station of this index, at its values and by its free
+        parameters; ``groups`` are the blocks of its rows, default: one.
+        """
+        station = problem.stations[index]
+        rows = problem.rows[index]
+        blocks = np.zeros(len(station), int) if groups is None else groups
+        order: np.ndarray | slice = (
+            slice(None) if n_blocks == 1 else np.argsort(blocks, kind="stable")
+        )
+        station = _sorted(station, order)
+        noise = np.repeat(fit.solution.estimated[problem.block_spans[index]], station.block_sizes)
+        weights = station.weights * fit.solution.weights[rows][order] / noise[:, None]
+        numbers = np.arange(rows.start, rows.stop)[order]
+        size = int(local[1].sum())
+        H = np.zeros((n_blocks, size, size))
+        g = np.zeros((n_blocks, size))
+        pieces = list[_Piece]()
+        for piece, residuals, jacobian in station.linearise_shared(*local):
+            scale = weights[:, piece]
+            parts = list(_blocks(blocks[order][piece]))
+            part = _Piece(numbers[piece], parts, scale, residuals * scale, jacobian.weighted(scale))
+            for k, some in parts:
+                part.jacobian.poses(some).add_gram(part.residuals[:, some], H[k], g[k])
+            pieces.append(part)
+        if (facts := believed(station, *local)) is not None:
+            H = H + facts.H / n_blocks
+            g = g + facts.g / n_blocks
+        return cls(order, tuple(pieces), H, g)
+
+
 @dataclass(frozen=True, eq=False)
 class Tangent:
     """The columns of a model at a fit and of nuisance effects, whitened by the residual noise;
@@ -90,55 +144,23 @@ class Tangent:
         H = np.zeros((n_blocks, size, size))
         g = np.zeros((n_blocks, size))
         column = np.cumsum(free) - 1
-        orders = list[np.ndarray | slice]()
-        pieces = list[tuple[_Piece, ...]]()
-        for i, station in enumerate(problem.stations):
-            rows = problem.rows[i]
-            places = problem.places[i]
-            blocks = np.zeros(len(station), int) if groups is None else groups[rows]
-            order: np.ndarray | slice = (
-                slice(None) if n_blocks == 1 else np.argsort(blocks, kind="stable")
-            )
-            station = _sorted(station, order)
+        found = list[_StationColumns]()
+        for i, places in enumerate(problem.places):
+            blocks = None if groups is None else groups[problem.rows[i]]
             local = (values[places], free[places])
-            noise = np.repeat(fit.solution.estimated[problem.block_spans[i]], station.block_sizes)
-            weights = station.weights * fit.solution.weights[rows][order] / noise[:, None]
+            own = _StationColumns.at(fit, problem, i, local, blocks, n_blocks)
             mine = column[places[local[1]]]
-            numbers = np.arange(rows.start, rows.stop)[order]
-            found = list[_Piece]()
-            own = np.zeros((n_blocks, len(mine), len(mine))), np.zeros((n_blocks, len(mine)))
-            for piece, residuals, jacobian in station.linearise_shared(*local):
-                scale = weights[:, piece]
-                parts = list(_blocks(blocks[order][piece]))
-                part = _Piece(
-                    numbers[piece], parts, scale, residuals * scale, jacobian.weighted(scale)
-                )
-                for k, some in parts:
-                    part.jacobian.poses(some).add_gram(
-                        part.residuals[:, some], own[0][k], own[1][k]
-                    )
-                found.append(part)
-            if (facts := believed(station, *local)) is not None:
-                own = own[0] + facts.H / n_blocks, own[1] + facts.g / n_blocks
-            g[:, mine] += own[1]
-            _add(own[0], mine, mine, H)
-            orders.append(order)
-            pieces.append(tuple(found))
+            g[:, mine] += own.g
+            _add(own.H, mine, mine, H)
+            found.append(own)
+        pieces = tuple(own.pieces for own in found)
         squares = sum(
             float(np.sum(part.residuals**2)) for of_station in pieces for part in of_station
         )
+        orders = tuple(own.order for own in found)
         form = Form.of(H, g)
         return cls(
-            fit,
-            tuple(nuisance),
-            problem,
-            values,
-            free,
-            known,
-            tuple(orders),
-            tuple(pieces),
-            form,
-            squares,
+            fit, tuple(nuisance), problem, values, free, known, orders, pieces, form, squares
         )
 
     def tests(self, candidates: Sequence[Effect], *, wider: float = TESTING.wider) -> ScoreTests:
@@ -146,21 +168,12 @@ class Tangent:
         :func:`score_test`.
         """
         fit = self.fit
-        (problem, known) = extended(self.problem, candidates)
+        problem, known = extended(self.problem, candidates)
         model = known[self.free]
-        of_fit = known[self.known]
         values = np.zeros(len(problem.parameters))
         values[known] = self.values
-        # Priors of nuisance parameters are not widened.
-        sizes = np.array([parameter.size for parameter in problem.parameters])
-        sizes[of_fit] = fit.priors.sizes
-        for effect in fit.problem.effects:
-            sizes[problem.places_at(effect)] *= wider if effect.family is Family.GEOMETRY else 1.0
-        alone = fit.problem.with_effects(candidates)
-        own = priors_of(alone, fit.options).sizes
         places = [problem.places_at(effect) for effect in candidates]
-        for effect, at in zip(candidates, places, strict=True):
-            sizes[at] = own[alone.places_at(effect)]
+        sizes = self._sizes(problem, known[self.known], candidates, wider)
         if wider not in self.information:
             beyond = problem.beliefs.beyond_priors(model, values, sizes)
             precision = sizes[model] ** -2.0
@@ -185,6 +198,24 @@ class Tangent:
             is_partial=len(H) == 1 and len(places) > 1,
             parts=parts,
         )
+
+    def _sizes(
+        self, problem: Problem, of_fit: np.ndarray, candidates: Sequence[Effect], wider: float
+    ) -> np.ndarray:
+        """Return the standard deviations of the priors of all parameters, those of geometry
+        ``wider`` times as large as in the fit, whose indices are ``of_fit``.
+        """
+        fit = self.fit
+        # Priors of nuisance parameters are not widened.
+        sizes = np.array([parameter.size for parameter in problem.parameters])
+        sizes[of_fit] = fit.priors.sizes
+        for effect in fit.problem.effects:
+            sizes[problem.places_at(effect)] *= wider if effect.family is Family.GEOMETRY else 1.0
+        alone = fit.problem.with_effects(candidates)
+        own = priors_of(alone, fit.options).sizes
+        for effect in candidates:
+            sizes[problem.places_at(effect)] = own[alone.places_at(effect)]
+        return sizes
 
     def _products(
         self, problem: Problem, values: np.ndarray, places: Sequence[np.ndarray]

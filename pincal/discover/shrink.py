@@ -225,11 +225,8 @@ def _at_station(
             unit_errors = lever / np.maximum(weights, 1e-300)
             unit = "rad" if at.joint is None else drive_unit(chain, at.joint)
         else:
-            along = (without - residuals) / np.maximum(
-                np.linalg.norm(without - residuals, axis=0), 1e-300
-            )
             sigma = float(fit.solution.estimated[0]) * station.metres_per_reading(fit.values)
-            unit_errors = along * sigma
+            unit_errors = _directions(without - residuals) * sigma
             weights = np.full(len(station), sigma**-2.0)
             unit = "m"
         before, after, fitted = (
@@ -240,6 +237,11 @@ def _at_station(
         yield PartialResidual(
             part, *_explaining(fit, at, moments), before, after, fitted, weights, unit, own
         )
+
+
+def _directions(errors: np.ndarray) -> np.ndarray:
+    """Return the direction of the error of each row, shape (m, N)."""
+    return np.asarray(errors / np.maximum(np.linalg.norm(errors, axis=0), 1e-300))
 
 
 def _explaining(fit: ModelFit, at: Locus, moments: np.ndarray) -> tuple[str, str, np.ndarray]:

@@ -19,12 +19,13 @@ import numpy as np
 
 from pincal.atomic import write_atomic
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.compensate.compensation import ORTHONORMAL
+from pincal.compensate.compensate_numbers import COMPENSATION
 from pincal.compensate.robot_frames import in_base_frame
 from pincal.errors import BadInputError, OutputError, nearest_first
 from pincal.export.formulas import Formulas, sides_following
 from pincal.model.conditions import Conditions
 from pincal.plugins import Registry
+from pincal.thresholds import Count, Scale
 
 
 @dataclass(frozen=True)
@@ -129,11 +130,11 @@ def export_model(
 
 # Weight of a rotation against a translation in compensation, over the robot's reach; see
 # pincal.compensate.ik_problem.
-_LEVER = 1.0 / 3.0
-_CHECKED_POSES = 200
-_PAYLOAD = 20.0
-_WARM = (5.0, 45.0)
-_LONG = 1e5
+_LEVER: Scale = 1.0 / 3.0
+_CHECKED_POSES: Count = 200
+_PAYLOAD: Scale = 20.0
+_WARM: tuple[Scale, Scale] = (5.0, 45.0)
+_LONG: Scale = 1e5
 
 NOTES = (
     "standard deviations and the parameters of the sensor itself are in model.json only",
@@ -186,7 +187,7 @@ def filled(
     common = {
         "n": str(len(formulas.joints)),
         "length": repr(max(_LEVER * robot.reach, 1e-3)),
-        "orthonormal": repr(ORTHONORMAL),
+        "orthonormal": repr(COMPENSATION.orthonormal),
         "lower": numbers(np.where(coupled, -np.inf, robot.lower)[formulas.joints]),
         "upper": numbers(np.where(coupled, np.inf, robot.upper)[formulas.joints]),
         "frame": frame,

@@ -24,6 +24,7 @@ from pincal.model.model import Model
 from pincal.model.symbols import Expression, Symbol, either_way, multiply, scalar, symbols
 from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count
 
 
 @dataclass(frozen=True)
@@ -189,7 +190,7 @@ _INFIX = {
     "equal": ("{} == {}", _COMPARISON, (_SUM, _SUM)),
 }
 # Longest expression without a statement of its own [characters].
-_LONG = 90
+_LONG: Count = 90
 
 
 @dataclass(frozen=True)

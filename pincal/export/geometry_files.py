@@ -28,6 +28,7 @@ import numpy as np
 
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
+from pincal.export.export_numbers import EXPORT
 from pincal.export.exported import FORMATS, Exported, Format, as_comment
 from pincal.io.urdf_export import calibrated_urdf, rigid_notes, rigid_tips
 from pincal.io.urdf_text import read_origins, rpy_of
@@ -37,13 +38,13 @@ from pincal.model.model import Model
 from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.se3 import placed, rotation, rotation_vectors, translation
 from pincal.robot.urdf_file import parse_urdf
+from pincal.thresholds import Count
 
 _COLUMNS = ("theta", "d", "a", "alpha", "beta")
 _POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 _HEAD = ["convention", "row", "type", *(f"{c} [{'m' if c in 'da' else 'rad'}]" for c in _COLUMNS)]
 _HEAD += [f"{c} [{'m' if c in 'xyz' else 'rad'}]" for c in _POSE]
-_TOLERANCE = 1e-9
-_CHECKED_POSES = 50
+_CHECKED_POSES: Count = 50
 
 
 @FORMATS.register
@@ -69,7 +70,7 @@ class DhTable(Format):
             name: _tips(name, table, frames, q=q, slides=slides) for name, table in tables.items()
         }
         worst = max(float(np.linalg.norm(found - true, axis=1).max()) for found in tips.values())
-        if not worst <= _TOLERANCE:
+        if not worst <= EXPORT.geometry:
             raise BadInputError(
                 f"{robot.name}: its parameters would be off by up to {worst:.2g} m; use "
                 "another format"
@@ -168,7 +169,7 @@ def _lines(
 
 Controller = Literal["kuka", "fanuc", "abb", "ur"]
 # Decimal places: a hundredth of the resolution of any controller, and of any measurement.
-_DIGITS = 9
+_DIGITS: Count = 9
 
 
 @FORMATS.register
@@ -260,8 +261,6 @@ _JOINTS = {
     "wrist_1_joint": "wrist_1", "wrist_2_joint": "wrist_2", "wrist_3_joint": "wrist_3",
 }  # fmt: skip
 _FOOT = "base_link_inertia"
-# Smallest motion of the tip worth a note [m or rad].
-_MOVED = 1e-9
 
 
 @FORMATS.register
@@ -309,7 +308,7 @@ def _refuse_others(calibrated: FittedRobot) -> None:
     tree = parse_urdf(robot.urdf, source=robot.source)
     foot = next(joint.parent for joint in tree.joints if joint.name == robot.joint_names[0])
     axes = joint_mounts(calibrated.model.chain)[:, 2, :3]
-    if not foot.endswith(_FOOT) or np.abs(axes - [0.0, 0.0, 1.0]).max() > _MOVED:
+    if not foot.endswith(_FOOT) or np.abs(axes - [0.0, 0.0, 1.0]).max() > EXPORT.moved:
         raise BadInputError(f"{robot.name}: an older description with other frames; {expected}")
 
 
@@ -321,7 +320,7 @@ def _tip_note(calibrated: FittedRobot) -> tuple[str, ...]:
     change = np.linalg.inv(before) @ after
     moved = change[:3, 3]
     turned = rotation_vectors(change[None, :3, :3])[0]
-    if max(np.abs(moved).max(), np.abs(turned).max()) <= _MOVED:
+    if max(np.abs(moved).max(), np.abs(turned).max()) <= EXPORT.moved:
         return ()
     numbers = "x {:.6f} y {:.6f} z {:.6f} mm, rx {:.6f} ry {:.6f} rz {:.6f} mrad".format(
         *(1e3 * moved), *(1e3 * turned)

@@ -15,6 +15,7 @@ import numpy as np
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import base_in_instrument, nominal_robot
+from pincal.export.export_numbers import EXPORT
 from pincal.export.exported import (
     FORMATS,
     Exported,
@@ -39,30 +40,65 @@ from pincal.units import UNITS, size_of
 
 _JS = Language(
     statement="  const {} = {};",
-    functions={"rint": "rint"} | {name: f"Math.{spelled}" for name, spelled in (
-        *((name, name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "log", "sqrt", "floor", "hypot")),
-        ("arcsin", "asin"), ("arccos", "acos"), ("arctan", "atan"), ("arcsinh", "asinh"), ("arctan2", "atan2"),
-        ("fabs", "abs"),
-    )},
+    functions={"rint": "rint"}
+    | {
+        name: f"Math.{spelled}"
+        for name, spelled in (
+            *(
+                (name, name)
+                for name in (
+                    "sin",
+                    "cos",
+                    "tan",
+                    "sinh",
+                    "cosh",
+                    "tanh",
+                    "exp",
+                    "log",
+                    "sqrt",
+                    "floor",
+                    "hypot",
+                )
+            ),
+            ("arcsin", "asin"),
+            ("arccos", "acos"),
+            ("arctan", "atan"),
+            ("arcsinh", "asinh"),
+            ("arctan2", "atan2"),
+            ("fabs", "abs"),
+        )
+    },
     select="{} ? {} : {}",
     is_select_atom=False,
     input=lambda name: name if name.startswith("moments") else f"state.{name}",
     curve=lambda i, curve, x: f"cubic({x}, {curve.lower!r}, {curve.upper!r}, CURVES[{i}])",
-)  # fmt: skip
+)
 # Modules in the order of their dependencies; the languages come after them.
 _MODULES = ("syntax", "flow", "program", "draft", "statement_reader", "language", "rapid_blocks")
 # What the page implements itself: files, lark, arrays of numbers, and what only the command needs.
-_OWN = frozenset((
-    "Source", "parser_of", "TYPE_CHECKING", "spliced", "Frame.__eq__", "Frame.__hash__", "ControllerLanguage.pose",
-    "ControllerLanguage.is_pose", "ControllerLanguage.numbers", "ControllerLanguage.frame", "ControllerLanguage.joint_units",
-    "ControllerLanguage._by_axis", "Jbi.joint_units", "LANGUAGES", "language_of", "files_of", "read_sources",
-    "_nearest_angles", "Point.values",
-))  # fmt: skip
-
-
-# A base is fixed if it varies less than this over all checked times and temperatures [m, elements
-# of the rotation matrix].
-_STILL = 1e-12
+_OWN = frozenset(
+    (
+        "Source",
+        "parser_of",
+        "TYPE_CHECKING",
+        "spliced",
+        "Frame.__eq__",
+        "Frame.__hash__",
+        "ControllerLanguage.pose",
+        "ControllerLanguage.is_pose",
+        "ControllerLanguage.numbers",
+        "ControllerLanguage.frame",
+        "ControllerLanguage.joint_units",
+        "ControllerLanguage._by_axis",
+        "Jbi.joint_units",
+        "LANGUAGES",
+        "language_of",
+        "files_of",
+        "read_sources",
+        "_nearest_angles",
+        "Point.values",
+    )
+)
 
 
 @FORMATS.register
@@ -175,8 +211,8 @@ def _about(calibrated: FittedRobot, formulas: Formulas, frame: str) -> dict[str,
     robot = chain.robot
     days = calibrated.covered.days
     bases = base_in_instrument(calibrated, at)
-    stands = bool(np.ptp(bases, axis=0).max() <= _STILL) and not np.allclose(
-        bases[0], np.eye(4)[:3], rtol=0.0, atol=_STILL
+    stands = bool(np.ptp(bases, axis=0).max() <= EXPORT.still) and not np.allclose(
+        bases[0], np.eye(4)[:3], rtol=0.0, atol=EXPORT.still
     )
     shown = robot.kinematics
     combination = robot.combination[np.ix_(own, own)]
@@ -195,14 +231,21 @@ def _about(calibrated: FittedRobot, formulas: Formulas, frame: str) -> dict[str,
         "combination": combination.tolist(),
         "reported": np.linalg.inv(combination).tolist(),
         **{name: _place(robot, name) for name in ("world", "flange")},
-        "units": {quantity: {unit: size_of(unit, quantity) for unit in units} for quantity, units in UNITS.items()},
+        "units": {
+            quantity: {unit: size_of(unit, quantity) for unit in units}
+            for quantity, units in UNITS.items()
+        },
         "follows": _follows(calibrated),
-        "arm": {"first": shown.first[:3].ravel().tolist(), "before": shown.before[:, :3].reshape(-1, 12).tolist(),
-                "after": shown.after[:, :3].reshape(-1, 12).tolist(), "tip": robot.frames.T_last_tip[:3].ravel().tolist()},
+        "arm": {
+            "first": shown.first[:3].ravel().tolist(),
+            "before": shown.before[:, :3].reshape(-1, 12).tolist(),
+            "after": shown.after[:, :3].reshape(-1, 12).tolist(),
+            "tip": robot.frames.T_last_tip[:3].ravel().tolist(),
+        },
         "nodes": [T[:3, 3].tolist() for T in robot.T_link_joint],
         "types_of_all": robot.joint_types,
         "up": (-chain.gravity / max(float(np.linalg.norm(chain.gravity)), 1e-300)).tolist(),
-    }  # fmt: skip
+    }
 
 
 def _limit(value: float) -> float | None:

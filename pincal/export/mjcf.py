@@ -34,16 +34,17 @@ from pincal.robot.se3 import (
     transform,
     translation,
 )
+from pincal.thresholds import Count, Scale
 
 # MuJoCo requires a mass and an inertia of each body [kg, kg m^2].
-_LEAST_MASS = 1e-6
-_LEAST_INERTIA = 1e-9
+_LEAST_MASS: Scale = 1e-6
+_LEAST_INERTIA: Scale = 1e-9
 # MuJoCo's default [s]: a spring with a faster oscillation needs armature and damping to be stable.
-_TIME_STEP = 2e-3
-_CHECKED_POSES = 100
+_TIME_STEP: Scale = 2e-3
+_CHECKED_POSES: Count = 100
 # Number of equations of a closure on position; position of a second point on its axis [m].
-_PLACES = 3
-_ON_AXIS = 0.1
+_PLACES: Count = 3
+_ON_AXIS: Scale = 0.1
 
 
 @dataclass(frozen=True)
@@ -138,23 +139,8 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
     """Return the compliances that are equivalent to springs between two links."""
     chain = model.chain
     n = model.chain.robot.n_joints
-    at = Conditions.at(np.zeros((1, n)))
-    moments = np.ones((1, 3 * n))
-    matrices = np.zeros((n, 3, 3))
-    carried = []
+    matrices, carried = _compliance_matrices(model, values)
     refused = []
-    own = "z" if chain.moment_frame == "paper" else "xyz"
-    places = {
-        chain.joint(i, f"gamma_{axis}"): (i, "xyz".index(axis)) for i in range(n) for axis in own
-    }
-    for span, effect in zip(model.spans, model.effects, strict=True):
-        terms = effect.terms(chain, at, moments) if effect.uses_moments else ()
-        entries = [_entry(term, places) for term in terms]
-        if None in entries or not (terms or effect.family is Family.ELASTICITY):
-            continue
-        carried.append(effect)
-        for term, entry in zip(terms, entries, strict=True):
-            matrices[entry] += float(values[span][term.parameter])
     compliances = np.zeros((n, 3))
     axes = np.tile(np.eye(3), (n, 1, 1))
     loops = {
@@ -174,9 +160,32 @@ def _springs(model: Model, values: np.ndarray) -> _Springs:
         refused += [
             f"{chain.robot.joint_names[i]}.{names[c]}" for c in np.flatnonzero(compliances[i] < 0.0)
         ]
-    return _Springs(
-        np.maximum(compliances, 0.0), axes, tuple(carried), tuple(refused), tuple(rigid)
-    )
+    return _Springs(np.maximum(compliances, 0.0), axes, carried, tuple(refused), tuple(rigid))
+
+
+def _compliance_matrices(model: Model, values: np.ndarray) -> tuple[np.ndarray, tuple[Effect, ...]]:
+    """Return the compliance matrix of each joint, shape (n, 3, 3), and the effects that are wholly
+    in them.
+    """
+    chain = model.chain
+    n = chain.robot.n_joints
+    at = Conditions.at(np.zeros((1, n)))
+    moments = np.ones((1, 3 * n))
+    matrices = np.zeros((n, 3, 3))
+    carried = []
+    own = "z" if chain.moment_frame == "paper" else "xyz"
+    places = {
+        chain.joint(i, f"gamma_{axis}"): (i, "xyz".index(axis)) for i in range(n) for axis in own
+    }
+    for span, effect in zip(model.spans, model.effects, strict=True):
+        terms = effect.terms(chain, at, moments) if effect.uses_moments else ()
+        entries = [_entry(term, places) for term in terms]
+        if None in entries or not (terms or effect.family is Family.ELASTICITY):
+            continue
+        carried.append(effect)
+        for term, entry in zip(terms, entries, strict=True):
+            matrices[entry] += float(values[span][term.parameter])
+    return matrices, tuple(carried)
 
 
 def _entry(term: Term, places: Mapping[int, tuple[int, int]]) -> tuple[int, int, int] | None:
@@ -185,7 +194,8 @@ def _entry(term: Term, places: Mapping[int, tuple[int, int]]) -> tuple[int, int,
     """
     if term.coordinate not in places or term.moment is None or term.slope is not None:
         return None
-    (i, row), (joint, column) = places[term.coordinate], divmod(term.moment, 3)
+    i, row = places[term.coordinate]
+    joint, column = divmod(term.moment, 3)
     return (i, row, column) if joint == i and (row == 2) == (column == 2) else None
 
 
@@ -281,7 +291,21 @@ def _notes(calibrated: FittedRobot, springs: _Springs) -> tuple[str, ...]:
         *(effect for effect in model.effects if effect.bodies(model.chain)),
     )
     left = model.with_effects([effect for effect in model.effects if effect not in carried])
-    notes = rigid_notes(left, what="MuJoCo model")
+    notes = rigid_notes(left, what="MuJoCo model") + _notes_on_masses_and_springs(
+        calibrated, springs
+    )
+    if robot.massless:
+        notes += (
+            "inertia of links without one in the URDF is a placeholder: statics are "
+            "correct, dynamics are not",
+        )
+    return notes
+
+
+def _notes_on_masses_and_springs(calibrated: FittedRobot, springs: _Springs) -> tuple[str, ...]:
+    model = calibrated.model
+    robot = model.chain.robot
+    notes: tuple[str, ...] = ()
     masses = model.layout(calibrated.model_values).masses
     below = [
         f"{name} ({mass:.3g} kg)"
@@ -308,11 +332,6 @@ def _notes(calibrated: FittedRobot, springs: _Springs) -> tuple[str, ...]:
             "armature and damping keep MuJoCo "
             "stable at a step of 2 ms and are not measured",
             *([] if model.equilibrium else [_bent(calibrated)]),
-        )
-    if robot.massless:
-        notes += (
-            "inertia of links without one in the URDF is a placeholder: statics are "
-            "correct, dynamics are not",
         )
     return notes
 

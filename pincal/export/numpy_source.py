@@ -12,6 +12,7 @@ from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import nominal_in_instrument, nominal_robot
 from pincal.errors import BadInputError
+from pincal.export.export_numbers import EXPORT
 from pincal.export.exported import (
     FORMATS,
     Exported,
@@ -27,9 +28,6 @@ from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.measure.heading import NUMBERED
 from pincal.units import UNITS, size_of
 
-# Largest difference between poses of the formulas and of the model [m, elements of the rotation
-# matrix].
-TOLERANCE = 1e-12
 _ARGUMENTS = "q, payload, temperature, time, approach, target"
 
 
@@ -40,15 +38,34 @@ def _input(name: str) -> str:
 
 _NUMPY = Language(
     statement="    {} = {}",
-    functions={name: f"np.{name}" for name in (
-        "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh", "arcsinh", "exp", "log", "sqrt", "fabs",
-        "rint", "floor", "hypot", "arctan2",
-    )},
+    functions={
+        name: f"np.{name}"
+        for name in (
+            "sin",
+            "cos",
+            "tan",
+            "arcsin",
+            "arccos",
+            "arctan",
+            "sinh",
+            "cosh",
+            "tanh",
+            "arcsinh",
+            "exp",
+            "log",
+            "sqrt",
+            "fabs",
+            "rint",
+            "floor",
+            "hypot",
+            "arctan2",
+        )
+    },
     select="np.where({}, {}, {})",
     is_select_atom=True,
     input=_input,
     curve=lambda i, curve, x: f"_cubic({x}, {curve.lower!r}, {curve.upper!r}, _CURVE_{i})",
-)  # fmt: skip
+)
 
 
 @FORMATS.register
@@ -134,19 +151,20 @@ def refuse_wrong(calibrated: FittedRobot, *, text: str) -> float:
         BadInputError: if it exceeds rounding, naming the effect whose formula differs.
     """
     worst = _error(calibrated, text)
-    if worst <= TOLERANCE:
+    if worst <= EXPORT.formulas:
         return worst
     for effect in calibrated.model.effects:
         alone = calibrated.with_effects(lambda other, kept=effect: other is kept)  # type: ignore[misc]
         error = _error(alone, numpy_source(formulas_of(alone), frame="instrument"))
-        if not error <= TOLERANCE:
+        if not error <= EXPORT.formulas:
             raise BadInputError(
                 f"{effect.name}: its formula differs from its prediction by up to "
                 f"{error:.2g} m, expected at most "
-                f"{TOLERANCE:g} m; it can't be exported"
+                f"{EXPORT.formulas:g} m; it can't be exported"
             )
     raise BadInputError(
-        f"formulas differ from the model by up to {worst:.2g} m; expected at most {TOLERANCE:g} m"
+        f"formulas differ from the model by up to {worst:.2g} m; expected at most "
+        f"{EXPORT.formulas:g} m"
     )
 
 

@@ -12,35 +12,60 @@ import ast
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeGuard
 
 # Reserved words of JavaScript; built-in functions of Python; methods of strings, lists,
 # dictionaries and sets, which the page's python.js dispatches by type.
 _WORDS = """
-arguments break case catch class const continue default delete do else enum export extends false finally for function
-if import in instanceof let new null package private protected public return static super switch this throw true try
-typeof var void while with yield
+arguments break case catch class const continue default delete do else enum export extends false
+finally for function if import in instanceof let new null package private protected public return
+static super switch this throw true try typeof var void while with yield
 """
 _FUNCTIONS = """
-len str int float bool set frozenset tuple list dict sorted min max sum any all next enumerate zip range map filter abs round
-reversed hasattr getattr replace isinstance
+len str int float bool set frozenset tuple list dict sorted min max sum any all next enumerate zip
+range map filter abs round reversed hasattr getattr replace isinstance
 """
 _METHODS = """
-upper lower split partition strip lstrip rstrip startswith endswith removesuffix removeprefix replace join isdigit isalpha
-rjust find rfind append pop items keys values get setdefault update add union fromkeys index count
+upper lower split partition strip lstrip rstrip startswith endswith removesuffix removeprefix
+replace join isdigit isalpha rjust find rfind append pop items keys values get setdefault update
+add union fromkeys index count
 """
 _RESERVED, _BUILTIN, _SHARED = (
     frozenset(words.split()) for words in (_WORDS, _FUNCTIONS, _METHODS)
 )
 # Operations of two operands: of Python's types by python.js, and of numbers.
 _OPERATIONS: dict[type, str] = {
-    **{kind: f"py.{name}({{0}}, {{1}})" for kind, name in {
-        ast.Add: "add", ast.BitOr: "or", ast.BitAnd: "and", ast.Sub: "sub", ast.MatMult: "matmul", ast.Eq: "same"}.items()},
-    **{kind: f"({{0}} {sign} {{1}})" for kind, sign in {
-        ast.Mult: "*", ast.Div: "/", ast.LShift: "<<", ast.RShift: ">>", ast.Pow: "**",
-        ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">="}.items()},
-    ast.NotEq: "!py.same({0}, {1})", ast.In: "py.has({1}, {0})", ast.NotIn: "!py.has({1}, {0})",
-    ast.Is: "(({0}) ?? null) === ({1})", ast.IsNot: "(({0}) ?? null) !== ({1})",
-}  # fmt: skip
+    **{
+        kind: f"py.{name}({{0}}, {{1}})"
+        for kind, name in {
+            ast.Add: "add",
+            ast.BitOr: "or",
+            ast.BitAnd: "and",
+            ast.Sub: "sub",
+            ast.MatMult: "matmul",
+            ast.Eq: "same",
+        }.items()
+    },
+    **{
+        kind: f"({{0}} {sign} {{1}})"
+        for kind, sign in {
+            ast.Mult: "*",
+            ast.Div: "/",
+            ast.LShift: "<<",
+            ast.RShift: ">>",
+            ast.Pow: "**",
+            ast.Lt: "<",
+            ast.LtE: "<=",
+            ast.Gt: ">",
+            ast.GtE: ">=",
+        }.items()
+    },
+    ast.NotEq: "!py.same({0}, {1})",
+    ast.In: "py.has({1}, {0})",
+    ast.NotIn: "!py.has({1}, {0})",
+    ast.Is: "(({0}) ?? null) === ({1})",
+    ast.IsNot: "(({0}) ?? null) !== ({1})",
+}
 
 
 @dataclass
@@ -82,9 +107,13 @@ class Translator:
                 inherited = [
                     one for base in node.bases for one in self._fields.get(_name(base), [])
                 ]
-                own = [(part.target.id, "null" if part.value is None else self._default(part.value))
-                       for part in node.body if isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name)
-                       and "ClassVar" not in ast.unparse(part.annotation)]  # fmt: skip
+                own = [
+                    (part.target.id, "null" if part.value is None else self._default(part.value))
+                    for part in node.body
+                    if isinstance(part, ast.AnnAssign)
+                    and isinstance(part.target, ast.Name)
+                    and "ClassVar" not in ast.unparse(part.annotation)
+                ]
                 self._fields[node.name] = inherited + own
                 self.signatures[node.name] = [[name for name, _ in self._fields[node.name]]]
 
@@ -184,7 +213,8 @@ class Translator:
 
     def _target(self, target: ast.expr) -> str:
         if isinstance(target, (ast.Tuple, ast.List)):
-            return f"[{', '.join('' if _name(element) == '_' else self._target(element) for element in target.elts)}]"
+            names = ("" if _name(part) == "_" else self._target(part) for part in target.elts)
+            return f"[{', '.join(names)}]"
         if isinstance(target, ast.Starred):
             return f"...{self._target(target.value)}"
         return self._expression(target)
@@ -227,8 +257,7 @@ class Translator:
                     else ""
                 )
                 lines += self._function(part, prefix + part.name)
-            elif isinstance(part, ast.Assign) or (isinstance(part, ast.AnnAssign) and part.value is not None
-                                                  and "ClassVar" in ast.unparse(part.annotation)):  # fmt: skip
+            elif isinstance(part, ast.Assign) or _is_class_variable(part):
                 target = part.targets[0] if isinstance(part, ast.Assign) else part.target
                 if part.value is not None:
                     constants.append(
@@ -304,7 +333,9 @@ class Translator:
                     )
                 return last
             case ast.UnaryOp(ast.Not(), value):
-                return f"!{self._truth(value) if not isinstance(value, ast.Compare) else f'({self._expression(value)})'}"
+                if isinstance(value, ast.Compare):
+                    return f"!({self._expression(value)})"
+                return f"!{self._truth(value)}"
             case ast.UnaryOp(ast.USub(), value):
                 return f"-{self._expression(value)}"
             case ast.UnaryOp(ast.Invert(), value):
@@ -381,7 +412,8 @@ class Translator:
                 return f"py.isinstance({self._expression(node.args[0])}, [{', '.join(words)}])"
             if name in _BUILTIN:
                 return f"py.{name}({arguments})"
-            return f"{'new ' if name in self._fields or name.endswith('Error') else ''}{_plain(name)}({arguments})"
+            is_made = name in self._fields or name.endswith("Error")
+            return f"{'new ' if is_made else ''}{_plain(name)}({arguments})"
         if not isinstance(called, ast.Attribute):
             raise _unknown(node)
         if name == "fromkeys":
@@ -434,6 +466,14 @@ def _name(node: ast.expr) -> str:
         else node.attr
         if isinstance(node, ast.Attribute)
         else ""
+    )
+
+
+def _is_class_variable(node: ast.stmt) -> TypeGuard[ast.AnnAssign]:
+    return (
+        isinstance(node, ast.AnnAssign)
+        and node.value is not None
+        and "ClassVar" in ast.unparse(node.annotation)
     )
 
 

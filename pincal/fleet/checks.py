@@ -32,6 +32,7 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.fleet.evidence import least_chance, log_evidence
+from pincal.fleet.fleet_numbers import WATCH
 from pincal.fleet.history import (
     DIAGNOSED,
     WHOLE_FLEET,
@@ -44,26 +45,17 @@ from pincal.fleet.history import (
 )
 from pincal.fleet.machines import Machine, gathered
 from pincal.fleet.robot_type import EVERYTHING, RobotType
+from pincal.thresholds import Count, Scale
 
-FALSE_DISCOVERIES = 0.05
+FALSE_DISCOVERIES = WATCH.false_discoveries
 """Largest fraction of alarms that are false, in the long run."""
 
-# Probability that a robot, or a group, changes before a round.
-_HAZARD = 0.005
 # Number of rounds, the first one and the last ones, before which a change may have occurred.
-_WINDOW = 7
+_WINDOW: Count = 7
 # Size of a change, in units of the priors without a type: a millimetre or a milliradian.
-_SIZE = 0.3
-# Probabilities that one parameter, one element or everything changes.
-_ONE = 0.6
-_ELEMENT = 0.3
-_ALL = 0.1
-# Least number of robots of a group that can drift.
-_FEWEST = 5
-# Difference of log evidence up to which explanations are equally good.
-_EQUAL = float(np.log(100.0))
+_SIZE: Scale = 0.3
 # Upper bound on log evidence, so that exponentials are finite.
-_MOST = 600.0
+_MOST: Scale = 600.0
 
 
 def fleet_changes(
@@ -165,7 +157,7 @@ class _Epoch:
 
     def log_e(self) -> float:
         """Return the logarithm of the e-process, including the weight of the hypothesis."""
-        whole = np.logaddexp.reduce([*self.parts(), self.checks * np.log1p(-_HAZARD)])
+        whole = np.logaddexp.reduce([*self.parts(), self.checks * np.log1p(-WATCH.hazard)])
         return float(whole + np.log(6.0 / (np.pi * self.number) ** 2))
 
 
@@ -187,7 +179,11 @@ class FleetWatch:
         ]
         self._ways = [*np.arange(P)[:, None], *self._elements, np.arange(P)]
         self._names = [*of.names, *elements, EVERYTHING]
-        chances = [_ONE / P] * P + [_ELEMENT / len(elements)] * len(elements) + [_ALL]
+        chances = (
+            [WATCH.one / P] * P
+            + [WATCH.element / len(elements)] * len(elements)
+            + [WATCH.everything]
+        )
         self._log_chances = np.log(chances)
         self._epochs = dict[str, _Epoch]()
         self._last = dict[str, LastCheck]()
@@ -276,7 +272,8 @@ class FleetWatch:
         self._checks += 1
         if visit.found is not None:
             H, g = self._form(visit.found)
-            epoch.H, epoch.g = epoch.H + H, epoch.g + g - H @ epoch.drift
+            epoch.H = epoch.H + H
+            epoch.g = epoch.g + g - H @ epoch.drift
         elif visit.p_value is not None:
             epoch.steps[-1].p_value = min(visit.p_value, epoch.steps[-1].p_value)
             for step in epoch.steps:
@@ -356,7 +353,7 @@ class FleetWatch:
         for epoch in active.values():
             for group in epoch.groups:
                 members.setdefault(group, []).append(epoch)
-        members = {group: own for group, own in members.items() if len(own) >= _FEWEST}
+        members = {group: own for group, own in members.items() if len(own) >= WATCH.fewest}
         best: tuple[float, str, _Step] | None = None
         for group, own in members.items():
             steps = self._common(own)
@@ -386,7 +383,7 @@ class FleetWatch:
         for number in rounds:
             firsts = [next((s for s in epoch.steps if s.round >= number), None) for epoch in own]
             steps = [step for step in firsts if step is not None]
-            if len(steps) >= _FEWEST:
+            if len(steps) >= WATCH.fewest:
                 q = np.sum([step.q for step in steps], axis=0)
                 Q = np.sum([step.Q for step in steps], axis=0)
                 logs = self._logs(q[None], Q[None])[0]
@@ -429,7 +426,7 @@ class FleetWatch:
         equals = [
             self._names[k]
             for k in np.argsort(-step.logs)
-            if k != best and step.logs[k] > step.logs[best] - _EQUAL
+            if k != best and step.logs[k] > step.logs[best] - WATCH.equal
         ]
         change = None
         sigma = None
@@ -456,4 +453,4 @@ class FleetWatch:
 def _hazard(steps: Sequence[_Step]) -> np.ndarray:
     """Return the log probability of a change before each round, shape (steps,)."""
     rounds = np.array([step.round for step in steps]) - steps[0].round
-    return np.asarray(np.log(_HAZARD) + rounds * np.log1p(-_HAZARD))
+    return np.asarray(np.log(WATCH.hazard) + rounds * np.log1p(-WATCH.hazard))

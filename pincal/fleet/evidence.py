@@ -10,9 +10,8 @@ score and its covariance,
 the gradient of the log likelihood along the machine's deviation, and its covariance if the machine
 belongs to the population. They are computed in units of the spread, :math:`L^T q` and
 :math:`L^T Q L = 1 - (1 + L^T H L)^{-1}` with
-:math:`L L^T = \Sigma`, which is exact however little or much is known of a direction. If some
-  parameters deviate with
-covariance :math:`T^2`, the readings are more likely by the factor
+:math:`L L^T = \Sigma`, which is exact however little or much is known of a direction.
+If some parameters deviate with covariance :math:`T^2`, the readings are more likely by the factor
 
 .. math:: |1 + T Q T|^{-1/2} \exp(\tfrac12 q^T (T^{-2} + Q)^{-1} q),
 
@@ -28,14 +27,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc
 
+from pincal.thresholds import Count, Scale
+
 # Machines processed at a time: with 40 parameters their matrices take 6 MB.
-_PIECE = 500
+_PIECE: Count = 500
 # Upper bound on log odds, so that exponentials are finite.
-_SURE = 500.0
+_SURE: Scale = 500.0
 # Degrees of freedom of machines about their mean, and the grid of logarithms of factors on
 # variances.
-_TAIL = 4.0
-_FACTORS = (-3.0, 6.0, 181)
+_TAIL: Scale = 4.0
+_FACTORS: tuple[Scale, Scale, Count] = (-3.0, 6.0, 181)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,9 @@ from pincal.errors import BadInputError, ModelFileError
 from pincal.fleet.evidence import Forms
 from pincal.identify.fit import ModelFit
 from pincal.parameters import Parameter
+from pincal.thresholds import Count
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION: Count = 1
 """Version of the rows in which machines are stored."""
 
 
@@ -88,6 +89,32 @@ def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> 
         BadInputError: for no machine, one under two names, different nominal geometries, or
             different units of a parameter.
     """
+    found = _added_up(machines)
+    if not found:
+        raise BadInputError("no machines; expected information on one or more")
+    first = found[0].information
+    priors_of = _priors_of_all(found, like)
+    parameters = tuple(priors_of)
+    place = {parameter.name: i for i, parameter in enumerate(parameters)}
+    priors = np.array(list(priors_of.values()))
+    H = np.zeros((len(found), len(place), len(place)))
+    g = np.zeros((len(found), len(place)))
+    for k, machine in enumerate(found):
+        form = machine.information.form
+        at = np.array([place[name] for name in form.names], int)
+        D = priors[at]
+        H[k, at[:, None], at] = form.H * np.outer(D, D)
+        g[k, at] = form.g * D
+    forms = Forms(H, g, _numbered(p.element for p in parameters))
+    return Gathered(found, first.robot, first.geometry, parameters, priors, forms)
+
+
+def _added_up(machines: Iterable[Machine]) -> tuple[Machine, ...]:
+    """Return machines, one per name, without repeated readings.
+
+    Raises:
+        BadInputError: for a machine under two names.
+    """
     named = dict[object, Machine]()
     twins = dict[object, Machine]()
     for k, machine in enumerate(machines):
@@ -105,17 +132,26 @@ def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> 
             )
         twins[readings] = machine
         named[key] = named[key] + machine if key in named else machine
-    found = tuple(named.values())
-    if not found:
-        raise BadInputError("no machines; expected information on one or more")
-    first = found[0].information
+    return tuple(named.values())
+
+
+def _priors_of_all(
+    machines: Sequence[Machine], like: Sequence[Parameter]
+) -> dict[Parameter, float]:
+    """Return each parameter of any of the machines, first those of ``like``, with the standard
+    deviation of its prior without a type.
+
+    Raises:
+        BadInputError: for different nominal geometries, or different units of a parameter.
+    """
+    first = machines[0].information
     parameters = {p.name: p for p in like}
     sizes = dict[str, list[float]]()
-    for machine in found:
+    for machine in machines:
         own = machine.information
         if own.geometry != first.geometry:
             raise BadInputError(
-                f"{_called(machine)} ({own.robot}) and {_called(found[0])} "
+                f"{_called(machine)} ({own.robot}) and {_called(machines[0])} "
                 f"({first.robot}) have different nominal "
                 "geometries, so they are not of one type; calibrate all with the same "
                 "URDF, base and tip"
@@ -128,26 +164,8 @@ def gathered(machines: Iterable[Machine], *, like: Sequence[Parameter] = ()) -> 
                     f"expected {known.unit}"
                 )
             sizes.setdefault(parameter.name, []).append(size)
-    place = {name: i for i, name in enumerate(parameters)}
     # The prior of compliances depends on the poses of each machine.
-    priors = np.array([float(np.median(sizes.get(p.name, [p.size]))) for p in parameters.values()])
-    H = np.zeros((len(found), len(place), len(place)))
-    g = np.zeros((len(found), len(place)))
-    for k, machine in enumerate(found):
-        form = machine.information.form
-        at = np.array([place[name] for name in form.names], int)
-        D = priors[at]
-        H[k, at[:, None], at] = form.H * np.outer(D, D)
-        g[k, at] = form.g * D
-    elements = _numbered(p.element for p in parameters.values())
-    return Gathered(
-        found,
-        first.robot,
-        first.geometry,
-        tuple(parameters.values()),
-        priors,
-        Forms(H, g, elements),
-    )
+    return {p: float(np.median(sizes.get(p.name, [p.size]))) for p in parameters.values()}
 
 
 def kinds_of(parameters: Sequence[Parameter]) -> np.ndarray:

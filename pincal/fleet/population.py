@@ -33,35 +33,31 @@ import numpy as np
 from scipy.special import chdtri
 
 from pincal.fleet.evidence import Forms, in_prior_units, log_ratios, regular, scores
+from pincal.fleet.fleet_numbers import TYPES
+from pincal.thresholds import Count, Scale
 
-# Machines in the first rounds, and those with which two starting points are compared; by how much
-# the log likelihood of the second one has to be larger.
-_FEW = 400
-_TRIED = 100
-_BETTER = 3.0
+# Machines in the first rounds, and those with which two starting points are compared.
+_FEW: Count = 400
+_TRIED: Count = 100
 # Largest number of rounds, and largest change of a log variance in one. They end when all changes
 # are below _SETTLED plus the fraction _NEGLIGIBLE of their standard deviations.
-_ROUNDS = 60
-_FARTHEST = 1.5
-_SETTLED = 0.005
-_NEGLIGIBLE = 0.05
+_ROUNDS: Count = 60
+_FARTHEST: Scale = 1.5
+_SETTLED: Scale = 0.005
+_NEGLIGIBLE: Scale = 0.05
 # Standard deviations of log variances: common to all, from the priors without a type; of kinds and
 # of single parameters, by grids. A log variance of 2 is a factor of e in the standard deviation.
-_LEVEL = 5.0
-_KINDS = (0.05, 0.5, 1.2, 2.5)
-_UNLIKE = (0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
+_LEVEL: Scale = 5.0
+_KINDS: tuple[Scale, ...] = (0.05, 0.5, 1.2, 2.5)
+_UNLIKE: tuple[Scale, ...] = (0.1, 0.3, 0.6, 1.0, 1.5, 2.2)
 # Grid of the distance of the mean from the data sheet, in units of the spread.
-_OFF = (0.03, 0.1, 0.3, 0.6, 1.0, 1.8, 3.0, 6.0, 20.0)
+_OFF: tuple[Scale, ...] = (0.03, 0.1, 0.3, 0.6, 1.0, 1.8, 3.0, 6.0, 20.0)
 # Prior fraction of machines that were hit, and the number of machines that this prior is worth.
-_HIT = 0.02
-_HIT_COUNTS = 20.0
+_HIT: Scale = 0.02
+_HIT_COUNTS: Scale = 20.0
 # Largest number of rounds for correlations, and the change that ends them.
-_CORRELATING = 12
-_CORRELATED = 0.01
-# Standard errors by which mean squared correlations have to differ from zero.
-_BY_CHANCE = 1.0
-# Number of machines that have to determine a direction better than the prior does.
-_SEEN = 0.5
+_CORRELATING: Count = 12
+_CORRELATED: Scale = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +145,9 @@ def population_of(forms: Forms, kinds: np.ndarray) -> Population:
     mean, median = (
         _uncorrelated(some, kinds, _begun(some, kinds, by_median=way))[0] for way in (False, True)
     )
-    is_hit = _log_likelihood(some, kinds, median) > _log_likelihood(some, kinds, mean) + _BETTER
+    is_hit = (
+        _log_likelihood(some, kinds, median) > _log_likelihood(some, kinds, mean) + TYPES.median
+    )
     found, counts = _uncorrelated(few, kinds, median if is_hit else _begun(few, kinds))
     if few is not forms:
         found, counts = _uncorrelated(forms, kinds, found)
@@ -325,7 +323,7 @@ def _correlated(forms: Forms, at: _Uncorrelated, counts: np.ndarray) -> np.ndarr
     slope = sums.excess[pairs]
     information = (sums.diagonals + sums.QQ)[pairs]
     total = float(np.sum(information**2))
-    square = float(np.sum(slope**2 - information)) - _BY_CHANCE * np.sqrt(2.0 * total)
+    square = float(np.sum(slope**2 - information)) - TYPES.by_chance * np.sqrt(2.0 * total)
     if square <= 0.0:
         return root
     degrees = total / square
@@ -351,5 +349,5 @@ def _seen(forms: Forms, counts: np.ndarray) -> np.ndarray:
         _, Q = scores(part, np.zeros(P), np.eye(P))
         total += np.tensordot(counts[rows], Q, axes=1)
     values, vectors = np.linalg.eigh(total)
-    seen = vectors[:, values > _SEEN]
+    seen = vectors[:, values > TYPES.determined]
     return np.asarray(seen @ seen.T)

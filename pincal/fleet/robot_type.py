@@ -25,8 +25,9 @@ from pincal.fleet.evidence import (
     scores,
     times_farther,
 )
+from pincal.fleet.fleet_numbers import TYPES
 from pincal.fleet.machines import Gathered, Machine, gathered, kinds_of
-from pincal.fleet.population import population_of
+from pincal.fleet.population import Population, population_of
 from pincal.identify.calibrate import Tables
 from pincal.identify.options import Options
 from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_matrix
@@ -38,28 +39,15 @@ from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.parameters import Covariance, Estimate, Parameter, root_of
 from pincal.robot.robot import Robot
+from pincal.thresholds import Scale
 
-# Least prior fraction of unusual machines, whatever the type's own.
-_LEAST_HIT = 0.02
-# Probability of being usual below which a machine is not, and the share of a kind of deviation that
-# is then reported.
-_UNLIKELY = 0.5
-_SHARE = 0.1
-# Significance level for unusual machines, for a spread estimated from few machines.
-_ALPHA = 0.05
-# Factor on variances from which on the prior of a machine is wider than of others.
-_FARTHER = 1.25
-# Mean square of residuals in units of the declared noise up to which a fit agrees with it.
-_FITS = 2.0
 # Upper bound on the variance of log variances, however few the machines; logarithm of the factor on
 # standard deviations per unit of it, so that 95 % of further machines are within 1.96 of them.
-_LOOSEST = 2.0
-_WIDER = 0.35
-# Rounding of a covariance with unit diagonal, and of its eigenvalues; upper bound on deviations in
-# units of their priors.
-_ROUNDED = 1e-9
-_INDEFINITE = 1e-6
-_ABSURD = 1e3
+_LOOSEST: Scale = 2.0
+_WIDER: Scale = 0.35
+# Rounding of a covariance with unit diagonal, and of its eigenvalues.
+_ROUNDED: Scale = 1e-9
+_INDEFINITE: Scale = 1e-6
 EVERYTHING = "all"
 """Stands for more than one element in which a machine differs."""
 
@@ -137,7 +125,7 @@ class RobotType(Record, frozen=True, kw_only=True):
             raise Fault("lists a parameter twice", "each once", key=".entries")
         counts = self.machines > 0 and 0.0 <= self.hit < 1.0
         sound = counts and np.all(self.priors > 0.0) and np.all(self.spread_variance >= 0.0)
-        if not sound or np.any(np.abs(self.mean) > _ABSURD * self.priors):
+        if not sound or np.any(np.abs(self.mean) > TYPES.absurd * self.priors):
             raise Fault(
                 "contains invalid numbers", "standard deviations above 0 and a fraction below 1"
             )
@@ -149,7 +137,7 @@ class RobotType(Record, frozen=True, kw_only=True):
                 np.all(np.abs(unit - unit.T) <= _ROUNDED)
                 and np.linalg.eigvalsh(unit).min(initial=0.0) > -_INDEFINITE
             )
-            if not is_even or np.any(size > _ABSURD * self.priors):
+            if not is_even or np.any(size > TYPES.absurd * self.priors):
                 raise Fault(
                     "is not a covariance",
                     "a symmetric matrix without negative eigenvalues",
@@ -286,7 +274,7 @@ class RobotType(Record, frozen=True, kw_only=True):
         wider = self._with_own(found, membership)
         q, Q = scores(found.forms, *wider)
         times = times_farther(q[0], Q[0])
-        return replace(membership, times=times if times > _FARTHER else 1.0)
+        return replace(membership, times=times if times > TYPES.farther else 1.0)
 
     def _with_own(
         self, found: Gathered, member: Membership | None = None
@@ -356,25 +344,7 @@ def learn_type(machines: Iterable[Machine]) -> Learned:
     given = tuple(machines)
     order = sorted(range(len(given)), key=lambda k: given[k].information.form.g.tobytes())
     found = gathered(given[k] for k in order)
-    kinds = kinds_of(found.parameters)
-    population = population_of(found.forms, kinds)
-    scale = np.outer(found.priors, found.priors)
-    learned = RobotType(
-        format="pincal-type",
-        format_version=1,
-        robot=found.robot,
-        geometry=found.geometry,
-        entries=tuple(map(ParameterEntry.of_parameter, found.parameters)),
-        priors=found.priors,
-        mean=population.mean * found.priors,
-        covariance=population.covariance * scale,
-        mean_covariance=population.mean_covariance * scale,
-        spread_variance=population.spread_variance,
-        seen=population.seen,
-        machines=len(found.machines),
-        hit=population.hit,
-        provenance={},
-    )
+    learned = _type_of(found, population_of(found.forms, kinds_of(found.parameters)))
     mean, covariance = learned._further()
     root = root_of(covariance)
     members = _memberships(found, found.forms, mean, root, learned)
@@ -392,6 +362,27 @@ def learn_type(machines: Iterable[Machine]) -> Learned:
     )
 
 
+def _type_of(found: Gathered, population: Population) -> RobotType:
+    """Return the type of machines of a population, in their own units."""
+    scale = np.outer(found.priors, found.priors)
+    return RobotType(
+        format="pincal-type",
+        format_version=1,
+        robot=found.robot,
+        geometry=found.geometry,
+        entries=tuple(map(ParameterEntry.of_parameter, found.parameters)),
+        priors=found.priors,
+        mean=population.mean * found.priors,
+        covariance=population.covariance * scale,
+        mean_covariance=population.mean_covariance * scale,
+        spread_variance=population.spread_variance,
+        seen=population.seen,
+        machines=len(found.machines),
+        hit=population.hit,
+        provenance={},
+    )
+
+
 def _memberships(
     found: Gathered, forms: Forms, mean: np.ndarray, root: np.ndarray, of: RobotType
 ) -> list[Membership]:
@@ -402,14 +393,16 @@ def _memberships(
     for rows, part in forms.pieces():
         q, Q = in_prior_units(*scores(part, mean, root), root)
         logs = log_ratios(part, q, Q)
-        like = regular(logs, max(of.hit, _LEAST_HIT))
+        like = regular(logs, max(of.hit, TYPES.least_hit))
         p = least_chance(q, Q, root, part.ways[: len(elements)], of.degrees)
         for k, machine in enumerate(found.machines[rows]):
             share = np.exp(logs[:, k] - logs[:, k].max())
             off = tuple(
-                label for label, s in zip(labels, share / share.sum(), strict=True) if s > _SHARE
+                label
+                for label, s in zip(labels, share / share.sum(), strict=True)
+                if s > TYPES.share
             )
-            is_off = like[k] < _UNLIKELY and p[k] < _ALPHA
+            is_off = like[k] < TYPES.unlikely and p[k] < TYPES.unusual
             members.append(
                 Membership(machine.name, float(p[k]), float(like[k]), off if is_off else ())
             )
@@ -460,7 +453,7 @@ def calibrate_of_type(
     fit = fitted(robot, measurements, replace(options, earlier=of.prior_of(robot, options.effects)))
     # A deviation that the prior excludes inflates the noise, so that nothing is significant: then
     # judged without the prior.
-    is_fair = fit.fit.is_declared and fit.solution.cost < _FITS
+    is_fair = fit.fit.is_declared and fit.solution.cost < TYPES.fits
     fair = fit if is_fair else fitted(robot, measurements, options)
     member = of.judge(Machine.of(fair.fit, name))
     if not member.is_usual:

@@ -35,25 +35,25 @@ from pincal.fleet.stored_rows import (
     text_frame,
 )
 from pincal.measure.measurements import Measurements
+from pincal.thresholds import Count
 
-TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS = STORED = (
-    "tables",
-    "information",
-    "diagnoses",
-    "discoveries",
-    "models",
-)
+TABLES = "tables"
+INFORMATION = "information"
+DIAGNOSES = "diagnoses"
+DISCOVERIES = "discoveries"
+MODELS = "models"
+STORED = (TABLES, INFORMATION, DIAGNOSES, DISCOVERIES, MODELS)
 """Content of a store: rows as measured, information on machines, diagnoses, discoveries
 and models.
 """
 
 _MARK = "store.json"
 _FORMAT = "pincal-store"
-_VERSION = 1
+_VERSION: Count = 1
 # Files read at a time: with information on 40 parameters they take 10 MB.
-_PIECE = 1000
+_PIECE: Count = 1000
 # Longest name of a machine in a path [characters]: file systems allow 255.
-_LONGEST = 240
+_LONGEST: Count = 240
 
 
 @dataclass(frozen=True, order=True)
@@ -367,7 +367,8 @@ def open_store(place: str | os.PathLike[str], *, create: bool = False) -> Store:
         >>> import tempfile
         >>> from pincal import measurements_from_arrays
         >>> store = open_store(tempfile.mkdtemp(), create=True)
-        >>> rows = measurements_from_arrays(["a", "b"], [[0.0, 1.0], [0.5, 1.0]], distance=[1.2, 1.3])
+        >>> q = [[0.0, 1.0], [0.5, 1.0]]
+        >>> rows = measurements_from_arrays(["a", "b"], q, distance=[1.2, 1.3])
         >>> key = store.add_table("R17", "2026-11-03", rows)
         >>> store.table(key).distance, len(store.keys("tables"))
         (array([1.2, 1.3]), 1)

@@ -13,7 +13,9 @@ from pincal.fleet.machines import SCHEMA_VERSION, Machine, labelled, machines_fr
 from pincal.measure.measurements import Measurements, validated
 from pincal.units import LARGEST
 
-CALIBRATION, CHECK = ROLES = ("calibration", "check")
+CALIBRATION = "calibration"
+CHECK = "check"
+ROLES = (CALIBRATION, CHECK)
 """Purposes of measured rows: to calibrate a machine, or to check whether it has changed since."""
 
 

@@ -14,6 +14,7 @@ from scipy.special import ndtr
 from pincal.design.design_model import DesignModel
 from pincal.design.reach import SensorSetup
 from pincal.errors import BadInputError, counted
+from pincal.fleet.fleet_numbers import TYPES, WATCH
 from pincal.fleet.history import FleetChange, FleetHistory
 from pincal.fleet.robot_type import Learned, Membership, RobotType
 from pincal.identify.options import Options
@@ -24,6 +25,7 @@ from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
 from pincal.result_table import Cell, Column, Kind, Table
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count, Scale
 from pincal.units import (
     Quantity,
     fixed,
@@ -37,22 +39,18 @@ from pincal.units import (
 
 # Poses at which the tool is compared, and draws of the machines for exchangeability, of which ISO
 # 9283 compares five.
-_POSES = 200
-_DRAWN = 200
-_COMPARED = 5
+_POSES: Count = 200
+_DRAWN: Count = 200
+_COMPARED: Count = 5
 # Numbers of poses for which the error of a further machine is predicted, and sets of poses of each.
-_NUMBERS = (4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
-_SETS = 8
-# Probability that any machine of the type is reported as unusual.
-_ALPHA = 0.05
-# Least share of a parameter that readings have to determine for its numbers to be meaningful.
-_DETERMINED = 0.05
+_NUMBERS: tuple[Count, ...] = (4, 6, 8, 10, 12, 15, 20, 25, 30, 40, 60)
+_SETS: Count = 8
 # 95 % of a normal distribution lie within this number of standard deviations.
-_INTERVAL = 1.96
+_INTERVAL: Scale = 1.96
 # Number of robots listed.
-_FIRST = 10
+_FIRST: Count = 10
 # Number of parameters named in which the data sheet is wrong.
-_NAMED = 3
+_NAMED: Count = 3
 
 
 @dataclass(frozen=True)
@@ -117,30 +115,8 @@ def at_tool(
     alone = Options(effects=with_masses(robot, effects), sigma=noise)
     typed = replace(alone, earlier=of.prior_of(robot, effects))
     designs = [DesignModel.of(robot, cared, options, SensorSetup()) for options in (typed, alone)]
-    model = designs[1]
-    own = [k for k, name in enumerate(model.own_names) if name in of.names]
-    if not own:
-        raise BadInputError(
-            f"the model of {robot.name} has no parameter of the type; expected one of its machines"
-        )
-    places = np.array([of.names.index(model.own_names[k]) for k in own])
-    # Differences equivalent to a rigid displacement of base or tool do not count.
-    placed = (model.placed_errors(cared) / model.units[model.has_prior])[:, own]
-    mean, _, whole = of.determined
-    covariance = whole[np.ix_(places, places)]
-    moved = placed @ of.readable[places] @ root_of(of.covariance)
-    by_effect = {}
-    for effect in dict.fromkeys(of.parameters[k].effect for k in places):
-        at = np.array([of.parameters[k].effect == effect for k in places])
-        by_effect[effect] = _rms(
-            np.sum(placed[:, at] @ covariance[np.ix_(at, at)] * placed[:, at], axis=1)
-        )
-    by_parameter = np.full(len(of.names), np.nan)
-    by_parameter[places] = np.sqrt(3.0 * np.mean(placed**2, axis=0) * np.diag(covariance))
-    drawn = (rng.normal(size=(_DRAWN, _COMPARED, moved.shape[1])) @ moved.T).reshape(
-        _DRAWN, _COMPARED, -1, 3
-    )
-    apart = np.linalg.norm(drawn[:, :, None] - drawn[:, None], axis=-1).max(axis=(1, 2))
+    motion = _ToolMotion.of(designs[1], of, cared)
+    exchangeability = motion.exchangeability(of, rng)
     needed = {}
     for poses in _NUMBERS:
         sets = [Conditions.at(robot.random_configurations(poses, rng)) for _ in range(_SETS)]
@@ -148,17 +124,89 @@ def at_tool(
             [[design.foreseen(one, cared) for design in designs] for one in sets], axis=0
         )
         needed[poses] = float(with_type), float(without)
-    # A data sheet contains lengths and angles, but no compliances.
-    is_sheet = np.array([of.parameters[k].unit in ("m", "rad") for k in places])
-    sheet = placed @ (mean[places] * is_sheet)
     return AtTool(
-        _rms(np.sum(moved**2, axis=1)),
-        by_effect,
-        by_parameter,
-        _rms(sheet**2),
-        float(apart.mean()),
+        _rms(np.sum(motion.moved(of) ** 2, axis=1)),
+        motion.by_effect(of),
+        motion.by_parameter(of),
+        motion.sheet(of),
+        exchangeability,
         needed,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _ToolMotion:
+    """The motion of the tool over N poses by the parameters that a type and a model share.
+
+    Attributes:
+        places: shape (K,), indices of these parameters in the type.
+        placed: shape (3 N, K), the motion by each, after fitting base and tool [m per its unit].
+    """
+
+    places: np.ndarray
+    placed: np.ndarray
+
+    @classmethod
+    def of(cls, model: DesignModel, of: RobotType, cared: Conditions) -> _ToolMotion:
+        """Return the motion by a model's parameters.
+
+        Raises:
+            BadInputError: if the model has none of the type's parameters.
+        """
+        own = [k for k, name in enumerate(model.own_names) if name in of.names]
+        if not own:
+            raise BadInputError(
+                f"the model of {model.model.chain.robot.name} has no parameter of the type; "
+                "expected one of its machines"
+            )
+        places = np.array([of.names.index(model.own_names[k]) for k in own])
+        # Differences equivalent to a rigid displacement of base or tool do not count.
+        placed = (model.placed_errors(cared) / model.units[model.has_prior])[:, own]
+        return cls(places, placed)
+
+    def covariance(self, of: RobotType) -> np.ndarray:
+        """Return the covariance of machines, shape (K, K)."""
+        return np.asarray(of.determined[2][np.ix_(self.places, self.places)])
+
+    def moved(self, of: RobotType) -> np.ndarray:
+        """Return a root of the covariance of the tool's motion over machines, shape (3 N, P)."""
+        return np.asarray(self.placed @ of.readable[self.places] @ root_of(of.covariance))
+
+    def by_effect(self, of: RobotType) -> dict[str, float]:
+        """Return the root mean square motion by each effect alone [m]."""
+        covariance = self.covariance(of)
+        found = {}
+        for effect in dict.fromkeys(of.parameters[k].effect for k in self.places):
+            at = np.array([of.parameters[k].effect == effect for k in self.places])
+            part = self.placed[:, at]
+            found[effect] = _rms(np.sum(part @ covariance[np.ix_(at, at)] * part, axis=1))
+        return found
+
+    def by_parameter(self, of: RobotType) -> np.ndarray:
+        """Return the root mean square motion by each parameter alone, shape (P,) [m]; nan where
+        the model lacks it.
+        """
+        found = np.full(len(of.names), np.nan)
+        variances = np.diag(self.covariance(of))
+        found[self.places] = np.sqrt(3.0 * np.mean(self.placed**2, axis=0) * variances)
+        return found
+
+    def sheet(self, of: RobotType) -> float:
+        """Return the root mean square motion from the nominal machine to the mean one [m]."""
+        # A data sheet contains lengths and angles, but no compliances.
+        is_sheet = np.array([of.parameters[k].unit in ("m", "rad") for k in self.places])
+        return _rms((self.placed @ (of.determined[0][self.places] * is_sheet)) ** 2)
+
+    def exchangeability(self, of: RobotType, rng: np.random.Generator) -> float:
+        """Return the largest distance between any two of some drawn machines, mean over poses and
+        draws [m].
+        """
+        moved = self.moved(of)
+        drawn = (rng.normal(size=(_DRAWN, _COMPARED, moved.shape[1])) @ moved.T).reshape(
+            _DRAWN, _COMPARED, -1, 3
+        )
+        apart = np.linalg.norm(drawn[:, :, None] - drawn[:, None], axis=-1).max(axis=(1, 2))
+        return float(apart.mean())
 
 
 def _rms(squares: np.ndarray) -> float:
@@ -179,13 +227,19 @@ def parameter_summary(
         most: number of parameters; default: all.
     """
     share = np.diag(of.seen)
-    sheet, *spreads = of.determined
-    sigma, spread = (np.sqrt(np.diag(C)) for C in spreads)
     moves = np.full(len(of.names), np.nan) if found is None else found.by_parameter
     order = (
         np.arange(len(of.names))
         if found is None
-        else np.argsort(-np.nan_to_num(moves * (share > _DETERMINED)))
+        else np.argsort(-np.nan_to_num(moves * (share > TYPES.told)))
+    )
+    rows = _parameter_rows(of, moves)
+    note = (
+        "mean: of all machines minus the data sheet, with half the width of its 95 % "
+        "interval; differ: standard deviation "
+        "of machines, at the tool after fitting base and tool; determined: share of the "
+        "parameter that the "
+        "readings separate from the others; the rest is a matter of convention"
     )
     columns = (
         Column("parameter", kind=Kind.NAME),
@@ -196,27 +250,21 @@ def parameter_summary(
         Column("at the tool", "mm", kind=Kind.NUMBER, show=fixed(3)),
         Column("determined", kind=Kind.NUMBER, show=show_percent),
     )
+    return Table("Machines of the type", columns, tuple(rows[k] for k in order[:most]), (note,))
+
+
+def _parameter_rows(of: RobotType, moves: np.ndarray) -> list[tuple[Cell, ...]]:
+    """Return the row of each parameter; ``moves``, shape (P,), at the tool [m]."""
+    share = np.diag(of.seen)
+    sheet, *spreads = of.determined
+    sigma, spread = (np.sqrt(np.diag(C)) for C in spreads)
     rows = list[tuple[Cell, ...]]()
-    for k in order[:most]:
-        p = of.parameters[k]
+    for k, p in enumerate(of.parameters):
         numbers = [Quantity(float(x), p.unit) for x in (sheet[k], _INTERVAL * sigma[k], spread[k])]
         at = None if np.isnan(moves[k]) else float(1e3 * moves[k])
-        rows.append(
-            (
-                p.name,
-                p.unit,
-                *([*numbers, at] if share[k] > _DETERMINED else (None,) * 4),
-                float(share[k]),
-            )
-        )
-    note = (
-        "mean: of all machines minus the data sheet, with half the width of its 95 % "
-        "interval; differ: standard deviation "
-        "of machines, at the tool after fitting base and tool; determined: share of the "
-        "parameter that the "
-        "readings separate from the others; the rest is a matter of convention"
-    )
-    return Table("Machines of the type", columns, tuple(rows), (note,))
+        told = [*numbers, at] if share[k] > TYPES.told else (None,) * 4
+        rows.append((p.name, p.unit, *told, float(share[k])))
+    return rows
 
 
 def effect_summary(found: AtTool) -> Table:
@@ -252,7 +300,7 @@ def strangers(members: Sequence[Membership]) -> list[tuple[Membership, float]]:
     largest = 0.0
     for k, member in enumerate(ranked):
         largest = max(largest, min(1.0, member.p_value * (len(ranked) - k)))
-        if largest < _ALPHA and member.off:
+        if largest < TYPES.among_all and member.off:
             found.append((member, largest))
     return found
 
@@ -316,12 +364,13 @@ def _off_sheet(of: RobotType) -> str:
     places = [
         k
         for k, p in enumerate(of.parameters)
-        if p.unit in ("m", "rad") and of.seen[k, k] > _DETERMINED
+        if p.unit in ("m", "rad") and of.seen[k, k] > TYPES.told
     ]
     p = 2.0 * ndtr(-_INTERVAL * np.abs(mean) / half)
     ranked = sorted(places, key=lambda k: p[k])
     count = next(
-        (i for i, k in enumerate(ranked) if p[k] * (len(ranked) - i) >= _ALPHA), len(ranked)
+        (i for i, k in enumerate(ranked) if p[k] * (len(ranked) - i) >= TYPES.data_sheet),
+        len(ranked),
     )
     words = []
     for k in ranked[:_NAMED][:count]:
@@ -337,8 +386,6 @@ def plain_type(
 ) -> dict[str, Any]:
     """Return the summary of a type as plain data; arguments as for :func:`type_lines`."""
     of = learned.type
-    mean, *spreads = of.determined
-    sigma, spread = (np.sqrt(np.diag(C)) for C in spreads)
     members = [
         {
             "machine": one.machine,
@@ -348,18 +395,12 @@ def plain_type(
         }
         for one in learned.members
     ]
-    parameters = [
-        {
-            "name": p.name,
-            "unit": p.unit,
-            "mean": float(mean[k]),
-            "mean_sigma": float(sigma[k]),
-            "spread": float(spread[k]),
-            "determined": float(of.seen[k, k]),
-        }
-        for k, p in enumerate(of.parameters)
-    ]
-    found = {"robot": of.robot, "machines": members, "parameters": parameters, "hit": of.hit}
+    found = {
+        "robot": of.robot,
+        "machines": members,
+        "parameters": _plain_parameters(of),
+        "hit": of.hit,
+    }
     if at is None:
         return found
     poses = (
@@ -375,6 +416,22 @@ def plain_type(
         "errors_mm": {str(n): [1e3 * both[0], 1e3 * both[1]] for n, both in at.needed.items()},
         "poses": poses,
     }
+
+
+def _plain_parameters(of: RobotType) -> list[dict[str, Any]]:
+    mean, *spreads = of.determined
+    sigma, spread = (np.sqrt(np.diag(C)) for C in spreads)
+    return [
+        {
+            "name": p.name,
+            "unit": p.unit,
+            "mean": float(mean[k]),
+            "mean_sigma": float(sigma[k]),
+            "spread": float(spread[k]),
+            "determined": float(of.seen[k, k]),
+        }
+        for k, p in enumerate(of.parameters)
+    ]
 
 
 def change_summary(found: FleetHistory, *, groups: bool | None = None) -> Table:
@@ -419,14 +476,24 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         Column("p-value", kind=Kind.NUMBER, show="{:.2g}".format),
         Column("adjusted", kind=Kind.NUMBER, show="{:.2g}".format),
     )
+    note = (
+        "p-value: of the last check, if nothing has changed; adjusted: for the false "
+        "discovery rate among all checks of "
+        "that round (Benjamini and Hochberg 1995)"
+    )
+    return Table("Inspect these first", columns, tuple(_first_rows(found)[:most]), (note,))
+
+
+def _first_rows(found: FleetHistory) -> list[tuple[Cell, ...]]:
+    """Return the row of each robot, in the order in which to look at them."""
     what = {one.subject: f"{one.what} {_by(one)}".removesuffix(" -") for one in found.changes}
-    state = {one.machine: "watch" for one in found.last if one.q_value < _ALPHA}
+    state = {one.machine: "watch" for one in found.last if one.q_value < WATCH.watched}
     state = dict.fromkeys(found.drifted, "drifted") | state | dict.fromkeys(found.open, "changed")
     order = ("changed", "watch", "drifted", "unchanged")
     ranked = sorted(
         found.last, key=lambda one: (order.index(state.get(one.machine, order[-1])), -one.log_e)
     )
-    rows = [
+    return [
         (
             one.machine,
             state.get(one.machine, order[-1]),
@@ -436,14 +503,8 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
             one.p_value,
             one.q_value,
         )
-        for one in ranked[:most]
+        for one in ranked
     ]
-    note = (
-        "p-value: of the last check, if nothing has changed; adjusted: for the false "
-        "discovery rate among all checks of "
-        "that round (Benjamini and Hochberg 1995)"
-    )
-    return Table("Inspect these first", columns, tuple(rows), (note,))
 
 
 def history_lines(found: FleetHistory) -> Iterator[str]:
@@ -453,9 +514,8 @@ def history_lines(found: FleetHistory) -> Iterator[str]:
     whole = f"{counted(found.robots, 'robot')}, {counted(found.checks, 'check')}"
     yield f"{whole}: {robots} changed, {len(found.open)} of them not recalibrated since"
     for change in groups:
-        yield f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}".removesuffix(
-            " -"
-        )
+        line = f"drift: {change.subject} since {change.since}: {change.what} {_by(change)}"
+        yield line.removesuffix(" -")
 
 
 def plain_history(found: FleetHistory) -> dict[str, Any]:

@@ -20,21 +20,21 @@ from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.programs.program import Posture, Turn
+from pincal.programs.program_numbers import PROGRAM_NUMBERS
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count, Scale
 from pincal.units import plain_number
 
 # Random configurations among which starts of the search are chosen; starts where the posture is
 # known, and where it is not.
-_POOL = 30_000
-_STARTS = 12
-_MORE_STARTS = 64
+_POOL: Count = 30_000
+_STARTS: Count = 12
+_MORE_STARTS: Count = 64
 # Solutions that differ by less are the same [rad or m].
-_SAME = 1e-5
-# A joint this close to where its turn number changes may have either [rad].
-_ON_EDGE = 1e-4
+_SAME: Scale = 1e-5
 # Poses searched for at once.
-_PIECE = 64
-_TURN = 2.0 * np.pi
+_PIECE: Count = 64
+_TURN: Scale = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,8 @@ class ProgramAxes:
             BadInputError: for any other text, or axes that do not determine the joints.
 
         Example:
-            >>> ProgramAxes.parse("q1, 90-q2, q3-q2, q4, q5, q6", Robot.from_urdf("ur10")).matrix[2].tolist()
+            >>> robot = Robot.from_urdf("ur10")
+            >>> ProgramAxes.parse("q1, 90-q2, q3-q2, q4, q5, q6", robot).matrix[2].tolist()
             [0.0, -1.0, 1.0, 0.0, 0.0, 0.0]
         """
         n = robot.n_joints
@@ -271,7 +272,8 @@ class ArmSearch:
         """Return whether a turn number holds at, or next to, joint positions, shape (N, n); shape
         (N,).
         """
-        asides = np.array([[-_ON_EDGE], [0.0], [_ON_EDGE]]) * (np.arange(q.shape[1]) == turn.joint)
+        edge = PROGRAM_NUMBERS.on_edge
+        asides = np.array([[-edge], [0.0], [edge]]) * (np.arange(q.shape[1]) == turn.joint)
         angles = [self.axes.to_program(q + aside)[:, turn.joint] for aside in asides]
         return np.array(
             [

@@ -23,13 +23,9 @@ from pincal.model.conditions import Conditions
 from pincal.programs.arms import ArmSearch, ProgramAxes
 from pincal.programs.language import ControllerLanguage
 from pincal.programs.program import Edit, Frame, Point, PointKey, Posture, Program, Skipped
+from pincal.programs.program_numbers import PROGRAM_NUMBERS
 from pincal.robot.se3 import compose, inverse, rotation_vectors, transform
 
-# The nearest of several solutions is used if it is nearer than this fraction of the distance to the
-# next.
-_CLEARLY = 0.5
-# Corrections below this do not change the program [m and rad].
-_NOTHING = 1e-8
 _REASONS = {
     "singular": "the arm is singular there: a small correction would need large joint motions",
     "joint_limit": "an axis would leave its limits",
@@ -144,30 +140,10 @@ class Corrector:
     def changes(self, program: Program) -> tuple[dict[PointKey, Change], list[Skipped]]:
         """Return the corrections of a program's points, and what is not corrected."""
         skipped = list(program.skipped)
-        joints = dict[PointKey, np.ndarray]()
-        framed: dict[PointKey, tuple[np.ndarray, np.ndarray]] = {}
-        poses: dict[PointKey, Point] = {}
-        nowhere = (self.cell.world, np.linalg.inv(self.cell.flange))
-        for key, point in program.points.items():
-            frames = self.frames(point, program) if point.kind == "pose" else nowhere
-            reason = frames if isinstance(frames, str) else self._refusal(point)
-            if reason:
-                skipped.append(point.skip(str(reason)))
-                continue
-            framed[key] = frames  # type: ignore[assignment]
-            if point.kind == "pose":
-                poses[key] = point
-        tips = {
-            key: framed[key][0] @ self.language.pose(point.values) @ framed[key][1]
-            for key, point in poses.items()
-        }
+        framed = self._framed(program, skipped)
         uses = _first_uses(program)
-        # Where the programmed posture is not obeyed, all solutions are searched for.
-        postures = [
-            point.posture if uses[key].takes_posture else Posture() for key, point in poses.items()
-        ]
-        reached = np.array(list(tips.values())).reshape(-1, 4, 4)[:, :3]
-        found = dict(zip(poses, self.arms.find(reached, postures, self.cell.seed), strict=True))
+        found = self._reaching(program, framed, uses)
+        joints = dict[PointKey, np.ndarray]()
         for key, point in program.points.items():
             if key not in framed:
                 continue
@@ -184,6 +160,43 @@ class Corrector:
             {key: (program.points[key], q, framed[key]) for key, q in joints.items()}, skipped
         )
         return self._with_turns(program, changed, skipped), skipped
+
+    def _framed(
+        self, program: Program, skipped: list[Skipped]
+    ) -> dict[PointKey, tuple[np.ndarray, np.ndarray]]:
+        """Return the frames of the points that can be corrected; the others are added to
+        ``skipped``.
+        """
+        framed: dict[PointKey, tuple[np.ndarray, np.ndarray]] = {}
+        nowhere = (self.cell.world, np.linalg.inv(self.cell.flange))
+        for key, point in program.points.items():
+            frames = self.frames(point, program) if point.kind == "pose" else nowhere
+            if isinstance(frames, str):
+                skipped.append(point.skip(frames))
+            elif reason := self._refusal(point):
+                skipped.append(point.skip(reason))
+            else:
+                framed[key] = frames
+        return framed
+
+    def _reaching(
+        self,
+        program: Program,
+        framed: Mapping[PointKey, tuple[np.ndarray, np.ndarray]],
+        uses: Mapping[PointKey, _Use],
+    ) -> dict[PointKey, np.ndarray]:
+        """Return all joint positions that reach each pose, shape (solutions, n)."""
+        poses = {key: program.points[key] for key in framed if program.points[key].kind == "pose"}
+        tips = [
+            framed[key][0] @ self.language.pose(point.values) @ framed[key][1]
+            for key, point in poses.items()
+        ]
+        # Where the programmed posture is not obeyed, all solutions are searched for.
+        postures = [
+            point.posture if uses[key].takes_posture else Posture() for key, point in poses.items()
+        ]
+        reached = np.array(tips).reshape(-1, 4, 4)[:, :3]
+        return dict(zip(poses, self.arms.find(reached, postures, self.cell.seed), strict=True))
 
     def _refusal(self, point: Point) -> str:
         if reason := self.language.refusal(point):
@@ -249,27 +262,35 @@ class Corrector:
                 "start from (--seed-joints)"
             )
         near = np.zeros(self.robot.n_joints) if near is None else near
-        arms = (
-            found[[posture.allows(sides) for sides in self.arms.sides(found)]]
-            if len(found)
-            else found
-        )
-        turned = [self.arms.turned(q, posture, near) for q in arms]
-        reached = sorted(
-            (q for q in turned if q is not None), key=lambda q: float(np.sum((q - near) ** 2))
-        )
+        reached = self._nearest_first(found, posture, near)
         if not reached:
             return (
                 "no joint positions within the limits reach it in its posture, by the nominal model"
             )
         if not is_determined and len(reached) > 1:
             first, second = (float(np.abs(q - near).max()) for q in reached[:2])
-            if first > _CLEARLY * second:
+            if first > PROGRAM_NUMBERS.clearly * second:
                 return (
                     "several arm configurations reach it, and the motion before it does not "
                     "determine one (--seed-joints)"
                 )
         return reached[0]
+
+    def _nearest_first(
+        self, found: np.ndarray, posture: Posture, near: np.ndarray
+    ) -> list[np.ndarray]:
+        """Return those of some joint positions that a posture allows, turned as near others as
+        possible.
+        """
+        arms = (
+            found[[posture.allows(sides) for sides in self.arms.sides(found)]]
+            if len(found)
+            else found
+        )
+        turned = [self.arms.turned(q, posture, near) for q in arms]
+        return sorted(
+            (q for q in turned if q is not None), key=lambda q: float(np.sum((q - near) ** 2))
+        )
 
     def solve(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, list[str]]:
         """Return the joints near q, shape (N, n), with the real tip at poses, shape (N, 3, 4), and
@@ -369,7 +390,7 @@ class Corrector:
         """Return the edits of one point."""
         if (
             max(change.shift, change.turn, float(np.abs(change.commanded - change.q).max()))
-            < _NOTHING
+            < PROGRAM_NUMBERS.nothing
         ):
             return []
         texts = self.language.point_numbers(change.point, change.values)

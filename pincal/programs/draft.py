@@ -152,8 +152,13 @@ class Draft:
         """Return the reliable points by their names; the others are skipped."""
         known: dict[str, Point] = {}
         frames = self._frame_names()
-        targets = {name for motion in self.motions for target in motion.targets if isinstance(target, str)
-                   for name in (self._elements(target, self._points) or [target])}  # fmt: skip
+        targets = {
+            name
+            for motion in self.motions
+            for target in motion.targets
+            if isinstance(target, str)
+            for name in (self._elements(target, self._points) or [target])
+        }
         for name, points in self._points.items():
             if name in frames and name not in targets:
                 continue

@@ -199,8 +199,11 @@ def _posture(configuration: Sequence[Token]) -> Posture:
         for j, number in zip((0, 3, 5), turns, strict=True)
     )
     return Posture(
-        front=_side(sides, "T", "B"), up=_side(sides, "U", "D"), down=_side(sides, "N", "F"), turns=counted
-    )  # fmt: skip
+        front=_side(sides, "T", "B"),
+        up=_side(sides, "U", "D"),
+        down=_side(sides, "N", "F"),
+        turns=counted,
+    )
 
 
 def _side(sides: set[str], yes: str, no: str) -> bool | None:

@@ -48,8 +48,15 @@ _LOOPS = {"LOOP": "ENDLOOP", "WHILE": "ENDWHILE", "FOR": "ENDFOR", "REPEAT": "UN
 _BLOCKS = {"IF": "ENDIF", "SWITCH": "ENDSWITCH", "SPLINE": "ENDSPLINE", "PTP_SPLINE": "ENDSPLINE"}
 _CLOSES = {end: tuple(k for k, v in {**_ROUTINES, **_LOOPS, **_BLOCKS}.items() if v == end)
            for end in {*_ROUTINES.values(), *_LOOPS.values(), *_BLOCKS.values()}}  # fmt: skip
-_MOTIONS: dict[str, Path] = {"PTP": "joint", "LIN": "line", "CIRC": "circle", "SPTP": "joint", "SLIN": "line",
-                             "SCIRC": "circle", "SPL": "joint"}  # fmt: skip
+_MOTIONS: dict[str, Path] = {
+    "PTP": "joint",
+    "LIN": "line",
+    "CIRC": "circle",
+    "SPTP": "joint",
+    "SLIN": "line",
+    "SCIRC": "circle",
+    "SPL": "joint",
+}
 # Motions that obey S and T.
 _BY_POSTURE = ("PTP", "SPTP")
 _RELATIVE = {f"{name}_REL" for name in _MOTIONS}
@@ -98,8 +105,12 @@ class Krl(ControllerLanguage):
             statements = source.statements(_TOKENS, _WORDS)
             files.append((source, statements, [_step(statement) for statement in statements]))
         flows = followed(files, outside=_FRAMES)
-        by_value = {step.routine for _, statements, steps in files for statement, step in zip(statements, steps, strict=True)
-                    if _takes_values(statement, step)}  # fmt: skip
+        by_value = {
+            step.routine
+            for _, statements, steps in files
+            for statement, step in zip(statements, steps, strict=True)
+            if _takes_values(statement, step)
+        }
         readers = []
         for i, (source, statements, steps) in enumerate(files):
             outside = [

@@ -16,12 +16,10 @@ from pincal.errors import BadInputError, ProgramError
 from pincal.measure.orientation import CONVENTIONS
 from pincal.plugins import Registry
 from pincal.programs.program import Motion, Point, Posture, Program, Turn, number_text
+from pincal.programs.program_numbers import PROGRAM_NUMBERS
 from pincal.programs.syntax import Number, Source
 from pincal.robot.se3 import exponentials, rotation_matrices, rotation_of_rpy, transform
 from pincal.units import plain_numbers
-
-# How far the length of a quaternion may be from 1: the rounding of four digits.
-_UNIT = 2e-3
 
 
 class ControllerLanguage(ABC):
@@ -80,7 +78,9 @@ class ControllerLanguage(ABC):
 
     def is_pose(self, values: np.ndarray) -> bool:
         """Return whether numbers are a pose: a quaternion has unit length."""
-        return len(values) != 7 or abs(float(np.linalg.norm(values[3:])) - 1.0) < _UNIT
+        return (
+            len(values) != 7 or abs(float(np.linalg.norm(values[3:])) - 1.0) < PROGRAM_NUMBERS.unit
+        )
 
     def numbers(self, pose: np.ndarray, near: np.ndarray) -> np.ndarray:
         """Return the numbers of a pose; of equivalent orientations the one nearest to other

@@ -11,15 +11,17 @@ import numpy as np
 
 from pincal.compensate.robot_frames import in_base_frame
 from pincal.programs.correct import Change, Corrector
+from pincal.programs.language import ControllerLanguage
 from pincal.programs.program import Edit, Motion, PointKey, Program, Skipped
 from pincal.robot.se3 import compose, exponentials, inverse, rotation_vectors, transform
+from pincal.thresholds import Count, Scale
 
 # Number of places along a motion, without its ends, at which the deviation is evaluated.
-_SAMPLES = 15
+_SAMPLES: Count = 15
 # Largest number of parts into which a motion is divided.
-_MOST_PARTS = 64
-# Three points of a circle count as collinear within this [m].
-_STRAIGHT = 1e-6
+_MOST_PARTS: Count = 64
+# Root of twice the area of three points of a circle, below which they count as collinear [m].
+_STRAIGHT: Scale = 1e-6
 
 
 @dataclass(frozen=True)
@@ -170,18 +172,11 @@ class Follower:
                 continue
             motion = leg.motion
             source = program.sources[motion.source]
-            name = f"motion of line {motion.statement.line}"
             begin = max(source.text.rfind(end, 0, motion.statement.start) for end in "\r\n") + 1
             indent = source.text[begin : motion.statement.start]
-            reason = ""
-            if not language.can_insert:
-                reason = f"none can be inserted into programs in {language.name}"
-            elif motion.path == "circle":
-                reason = "none can be inserted into circles"
-            elif not motion.can_insert or indent.strip(" \t"):
-                reason = "no statement can stand before it"
-            poses = reason or self.divided(leg, limit)
+            poses = _no_insertion(language, motion, indent) or self.divided(leg, limit)
             if isinstance(poses, str):
+                name = f"motion of line {motion.statement.line}"
                 words = (
                     f"leaves its path by {1e3 * deviation.size:.3f} mm, and no points are "
                     f"inserted: {poses}"
@@ -203,6 +198,19 @@ class Follower:
             edits.append(Edit(motion.source, begin, begin, text))
             count += len(poses)
         return edits, skipped, count
+
+
+def _no_insertion(language: ControllerLanguage, motion: Motion, indent: str) -> str:
+    """Return why no statement can be inserted before a motion whose line begins with ``indent``, or
+    "".
+    """
+    if not language.can_insert:
+        return f"none can be inserted into programs in {language.name}"
+    if motion.path == "circle":
+        return "none can be inserted into circles"
+    if not motion.can_insert or indent.strip(" \t"):
+        return "no statement can stand before it"
+    return ""
 
 
 def _between(stops: np.ndarray, s: float) -> np.ndarray:

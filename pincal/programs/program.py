@@ -258,8 +258,10 @@ def number_text(number: Number, value: float, least: int) -> str:
         least: decimal places; as many as before if these were more.
 
     Example:
-        >>> number_text(Number(100.5, 0, 5, "100.5"), 100.50001, 3), number_text(Number(-1.0, 0, 2, "-1"), -0.99, 3)
-        ('100.5', '-0.990')
+        >>> number_text(Number(100.5, 0, 5, "100.5"), 100.50001, 3)
+        '100.5'
+        >>> number_text(Number(-1.0, 0, 2, "-1"), -0.99, 3)
+        '-0.990'
     """
     if abs(value - number.value) < 0.5 * 10.0**-least:
         return number.text

@@ -38,6 +38,7 @@ from pincal.programs.syntax import (
     word,
     words_in,
 )
+from pincal.thresholds import Scale
 
 _SEARCHES = ("SEARCHL", "SEARCHJ", "SEARCHC")
 _STORAGE = ("CONST", "PERS", "VAR")
@@ -53,7 +54,7 @@ _HARMLESS_WORDS = (
 )
 _HARMLESS = frozenset(_HARMLESS_WORDS.split())
 # From here on a number stands for no external axis: it is written 9E9.
-_NONE = 8.9e9
+_NONE: Scale = 8.9e9
 
 
 @LANGUAGES.register

@@ -61,16 +61,33 @@ _PLAIN |= {
 # Motions of options, such as arc welding, whose tool is their last argument.
 OF_OPTIONS = {
     f"{name}{kind}{more}": {"L": "line", "J": "joint", "C": "circle"}[kind]
-    for name, kinds, ends in (("TRIGG", "LJC", ("",)), ("ARC", "LC", ("", "START", "END", "1", "2")), ("SPOT", "LJ", ("",)),
-                              ("CAP", "LC", ("",)), ("DISP", "LC", ("",)), ("PAINT", "LC", ("",)))
-    for kind in kinds for more in ends
-}  # fmt: skip
+    for name, kinds, ends in (
+        ("TRIGG", "LJC", ("",)),
+        ("ARC", "LC", ("", "START", "END", "1", "2")),
+        ("SPOT", "LJ", ("",)),
+        ("CAP", "LC", ("",)),
+        ("DISP", "LC", ("",)),
+        ("PAINT", "LC", ("",)),
+    )
+    for kind in kinds
+    for more in ends
+}
 MOTIONS: dict[str, Path] = {**_PLAIN, **OF_OPTIONS}  # type: ignore[dict-item]
 # Instructions by what they switch: displacements of positions, and whether configurations are
 # monitored.
-SWITCHES = {"PDISPON": "PDISP", "PDISPSET": "PDISP", "PDISPOFF": "PDISP", "EOFFSON": "EOFFS", "EOFFSSET": "EOFFS",
-             "EOFFSOFF": "EOFFS", "CORRCON": "CORR", "CORRDISCON": "CORR", "CORRCLEAR": "CORR",
-             "CONFL": "CONFL", "CONFJ": "CONFJ"}  # fmt: skip
+SWITCHES = {
+    "PDISPON": "PDISP",
+    "PDISPSET": "PDISP",
+    "PDISPOFF": "PDISP",
+    "EOFFSON": "EOFFS",
+    "EOFFSSET": "EOFFS",
+    "EOFFSOFF": "EOFFS",
+    "CORRCON": "CORR",
+    "CORRDISCON": "CORR",
+    "CORRCLEAR": "CORR",
+    "CONFL": "CONFL",
+    "CONFJ": "CONFJ",
+}
 ENDS_IT = ("PDISPOFF", "EOFFSOFF", "CORRCLEAR")
 
 

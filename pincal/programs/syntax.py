@@ -16,12 +16,13 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pincal.errors import ProgramError, needed
+from pincal.thresholds import Count
 
 if TYPE_CHECKING:
     from lark import Lark, Token
 
 # No program is larger [bytes].
-LARGEST_PROGRAM = 50_000_000
+LARGEST_PROGRAM: Count = 50_000_000
 # Statements of nested brackets; a language adds its tokens, and ``_END``, which ends a statement.
 _NESTED = r"""
 start: statement*

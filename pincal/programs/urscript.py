@@ -41,9 +41,14 @@ _WORDS = "URScript: def, thread, if, while and for, each with its end"
 _MOTIONS: dict[str, Path] = {"movej": "joint", "movel": "line", "movep": "line", "movec": "circle"}
 _ENDLESS = ("servoj", "servoc", "servol", "speedj", "speedl")
 # What is set by a call: the tool, or a displacement of all positions.
-_SWITCHES = {"set_tcp": "tcp", "path_offset_enable": "path_offset", "path_offset_disable": "path_offset",
-             "track_conveyor_linear": "conveyor", "track_conveyor_circular": "conveyor",
-             "stop_conveyor_tracking": "conveyor"}  # fmt: skip
+_SWITCHES = {
+    "set_tcp": "tcp",
+    "path_offset_enable": "path_offset",
+    "path_offset_disable": "path_offset",
+    "track_conveyor_linear": "conveyor",
+    "track_conveyor_circular": "conveyor",
+    "stop_conveyor_tracking": "conveyor",
+}
 _ENDS_IT = ("path_offset_disable", "stop_conveyor_tracking")
 _OPENS = {
     "def": "routine",

@@ -27,12 +27,13 @@ from pincal.report.found_tables import show_chance
 from pincal.report.html import render
 from pincal.report.words import effect_meaning
 from pincal.result_table import Cell, Column, Kind, Table
+from pincal.thresholds import Count, Scale
 from pincal.units import fixed, format_small
 
 _STATISTICS = {"mean_mm": "mean", "p95_mm": "95 %", "max_mm": "worst"}
 # Number of parameters that are named in a line.
-_SHOWN = 3
-_ARCSEC = 180.0 * 3600.0 / np.pi
+_SHOWN: Count = 3
+_ARCSEC: Scale = 180.0 * 3600.0 / np.pi
 
 
 def headline(found: DiagnosisFile) -> str:
@@ -279,10 +280,16 @@ def _answer(found: DiagnosisFile) -> Section:
             (f"{words} error", f"{before[key]:.4f} mm") for key, words in _STATISTICS.items()
         )
         return Section("answer", "Has it changed?", (columns, errors), style="panel")
-    shown = glance([
-        (f"{words} error", (before[key], after[key]), (f"{before[key]:.4f}", f"{after[key]:.4f} mm"))
-        for key, words in _STATISTICS.items()
-    ])  # fmt: skip
+    shown = glance(
+        [
+            (
+                f"{words} error",
+                (before[key], after[key]),
+                (f"{before[key]:.4f}", f"{after[key]:.4f} mm"),
+            )
+            for key, words in _STATISTICS.items()
+        ]
+    )
     return Section(
         "answer", "Has it changed?", (columns, arranged("glance", *shown)), style="panel"
     )

@@ -28,17 +28,17 @@ from pincal.report.plots.style import (
     log_axis,
     panel,
 )
+from pincal.report.report_numbers import REPORT
+from pincal.thresholds import Count, Scale
 from pincal.units import readable_unit
 
-# Most parameters and robots drawn, height of a row and width of a letter [in], and least determined
-# share of a parameter.
-_MOST = 14
-_PER_ROW = 0.27
-_LETTER = 0.085
-_TOLD = 0.3
+# Most parameters and robots drawn, height of a row and width of a letter [in].
+_MOST: Count = 14
+_PER_ROW: Scale = 0.27
+_LETTER: Scale = 0.085
 # Most machines drawn as points, and evidence at which the axis ends [log10].
-_POINTS = 300
-_SURE = 10.0
+_POINTS: Count = 300
+_SURE: Scale = 10.0
 
 
 def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> str:
@@ -74,11 +74,22 @@ def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> s
 
 
 def _use() -> Markup:
-    return bullets((
-        rich("Calibrate another machine from a few poses: {}", code("pincal calibrate ROBOT.urdf FEW.csv --type TYPE.json")),
-        rich("Choose its poses: {}", code("pincal design ROBOT.urdf --type TYPE.json --accuracy 0.1mm --out poses.csv")),
-        rich("Monitor all machines: {}", code("pincal fleet check TYPE.json STORE --report fleet.html")),
-    ))  # fmt: skip
+    return bullets(
+        (
+            rich(
+                "Calibrate another machine from a few poses: {}",
+                code("pincal calibrate ROBOT.urdf FEW.csv --type TYPE.json"),
+            ),
+            rich(
+                "Choose its poses: {}",
+                code("pincal design ROBOT.urdf --type TYPE.json --accuracy 0.1mm --out poses.csv"),
+            ),
+            rich(
+                "Monitor all machines: {}",
+                code("pincal fleet check TYPE.json STORE --report fleet.html"),
+            ),
+        )
+    )
 
 
 def _populations(learned: Learned, at: summary.AtTool | None) -> Iterator[Drawing]:
@@ -103,7 +114,7 @@ def _order(learned: Learned, at: summary.AtTool | None, unit: str) -> np.ndarray
         if at is None
         else np.nan_to_num(at.by_parameter)
     )
-    places = [k for k, p in enumerate(of.parameters) if p.unit == unit and share[k] > _TOLD]
+    places = [k for k, p in enumerate(of.parameters) if p.unit == unit and share[k] > REPORT.told]
     return np.array(sorted(places, key=lambda k: -size[k])[:_MOST][::-1], int)
 
 
@@ -226,15 +237,20 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
 
 
 def _reading(alpha: float) -> Markup:
-    return bullets((
-        f"In the long run at most {100 * alpha:g} % of all alarms are false, however many "
-                "robots there are and however long "
-        "they are monitored.",
-        rich("A robot that changed stays on the list until it is calibrated again; see {}.", code("pincal diagnose")),
-        "A change that robots of one supplier, batch or hall share is reported as a drift "
-                "of that group, not as an alarm.",
-        "watch: no alarm yet, but unusual among the checks of its round; check it again soon.",
-    ))  # fmt: skip
+    return bullets(
+        (
+            f"In the long run at most {100 * alpha:g} % of all alarms are false, however many "
+            "robots there are and however long "
+            "they are monitored.",
+            rich(
+                "A robot that changed stays on the list until it is calibrated again; see {}.",
+                code("pincal diagnose"),
+            ),
+            "A change that robots of one supplier, batch or hall share is reported as a drift "
+            "of that group, not as an alarm.",
+            "watch: no alarm yet, but unusual among the checks of its round; check it again soon.",
+        )
+    )
 
 
 def _evidence(found: FleetHistory, alpha: float) -> Drawing:

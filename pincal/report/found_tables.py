@@ -13,10 +13,11 @@ from pincal.discover.precheck import DataReport, Detectable, JointRange
 from pincal.io.discovery_file import Disagreement, FoundEffect, Stage
 from pincal.report.words import effect_words
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
+from pincal.thresholds import Count
 from pincal.units import Quantity, fixed, format_digits, show_percent, show_plainly, small_unit
 
 # Number of joints side by side in a table of 100 characters.
-_JOINTS_ABREAST = 7
+_JOINTS_ABREAST: Count = 7
 
 
 def location_table(where: Sequence[Disagreement]) -> Table:
@@ -120,7 +121,8 @@ def by_reason(entries: Iterable[tuple[str, str | None, str]], n_joints: int) -> 
         n_joints: number of joints of the arm.
 
     Example:
-        >>> by_reason([("backlash", "a", "a is idle"), ("backlash", "b", "b is idle"), ("drift", None, "no time")], 3)
+        >>> idle = [("backlash", "a", "a is idle"), ("backlash", "b", "b is idle")]
+        >>> by_reason([*idle, ("drift", None, "no time")], 3)
         {'this joint is idle': 'backlash of a, b', 'no time': 'drift'}
     """
     found: dict[str, dict[str, list[str]]] = {}

@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from markupsafe import Markup
 
-from pincal.io.discovery_file import Findings, FoundEffect, FoundParameter
+from pincal.discover.run import Discovery
+from pincal.io.discovery_file import Findings, FoundEffect, FoundParameter, ScatteringJoint
 from pincal.report import sections
 from pincal.report.blocks import (
     PageBlock,
@@ -36,10 +37,11 @@ from pincal.report.words import (
     line_words,
     subsample_only_words,
 )
+from pincal.thresholds import Count
 from pincal.units import format_digits, small_unit
 
 # An effect with more parameters than this is a curve; its numbers are in discovery.json.
-_FEW = 4
+_FEW: Count = 4
 
 
 def missing(subject: Subject) -> Section | None:
@@ -49,46 +51,12 @@ def missing(subject: Subject) -> Section | None:
     if subject.discovery is None:
         return None
     found = subject.discovery.findings
-    is_declared = subject.discovery.calibration.fit.fit.is_declared
-    noise = (
-        "The noise alone"
-        if is_declared
-        else "The noise, estimated from the residuals of the fitted poses,"
-    )
-    beyond = f"; {found.unexplained_mm:.4f} mm rms remain beyond it" if is_declared else ""
-    intro = (
-        "The search starts from a simple model, locates where model and data disagree, "
-        "names the effect that explains most, "
-        f"adds it, refits the whole model, and stops when only noise is left. {noise} amounts to "
-        f"{found.noise_floor_mm:.4f} mm rms{beyond}. A named effect fits the data; this "
-        "does not prove it to be the cause."
-    )
-    blocks: list[PageBlock] = [paragraph(intro)]
-    if found.where:
-        text = (
-            "Shares of the residuals in excess of the noise. The share of elasticity is "
-            "of the residuals of the geometric "
-            "model, those of joints are of the residuals of the elastic one, in sequence, "
-            "so that nothing is counted twice. "
-            "Regions show the same error by location."
-        )
-        blocks += [
-            heading("Where model and data disagreed"),
-            location_table(found.where),
-            paragraph(text, "mute"),
-        ]
-    blocks.append(heading("Effects found"))
-    blocks += _named(found)
-    blocks += [
-        paragraph(
-            f"{entry.joint} scatters by {1e3 * entry.sigma_rad:.3f} mrad from pose to "
-            "pose, independently of "
-            f"all recorded quantities. Record {entry.missing}: it may explain the scatter.",
-            "note",
-        )
-        for entry in found.scatter
-    ]
-    blocks += [
+    blocks: list[PageBlock] = [
+        paragraph(_of_the_search(subject.discovery)),
+        *_located(found),
+        heading("Effects found"),
+        *_named(found),
+        *(paragraph(_scattering(entry), "note") for entry in found.scatter),
         heading("How the error decreased"),
         figures("search", discovery_drawings(subject.discovery)),
     ]
@@ -105,6 +73,51 @@ def missing(subject: Subject) -> Section | None:
         items = (rich("<b>{}</b>: {}", names, reason) for reason, names in untestable.items())
         blocks += [heading("What could not be tested"), bullets(items)]
     return Section("missing", "What was missing", tuple(blocks), "What was missing")
+
+
+def _of_the_search(discovery: Discovery) -> str:
+    """Return how a search works, and the noise at which it stopped."""
+    found = discovery.findings
+    is_declared = discovery.calibration.fit.fit.is_declared
+    noise = (
+        "The noise alone"
+        if is_declared
+        else "The noise, estimated from the residuals of the fitted poses,"
+    )
+    beyond = f"; {found.unexplained_mm:.4f} mm rms remain beyond it" if is_declared else ""
+    return (
+        "The search starts from a simple model, locates where model and data disagree, "
+        "names the effect that explains most, "
+        f"adds it, refits the whole model, and stops when only noise is left. {noise} amounts to "
+        f"{found.noise_floor_mm:.4f} mm rms{beyond}. A named effect fits the data; this "
+        "does not prove it to be the cause."
+    )
+
+
+def _located(found: Findings) -> list[PageBlock]:
+    """Return where model and data disagreed, if anywhere."""
+    if not found.where:
+        return []
+    text = (
+        "Shares of the residuals in excess of the noise. The share of elasticity is "
+        "of the residuals of the geometric "
+        "model, those of joints are of the residuals of the elastic one, in sequence, "
+        "so that nothing is counted twice. "
+        "Regions show the same error by location."
+    )
+    return [
+        heading("Where model and data disagreed"),
+        location_table(found.where),
+        paragraph(text, "mute"),
+    ]
+
+
+def _scattering(entry: ScatteringJoint) -> str:
+    return (
+        f"{entry.joint} scatters by {1e3 * entry.sigma_rad:.3f} mrad from pose to "
+        "pose, independently of "
+        f"all recorded quantities. Record {entry.missing}: it may explain the scatter."
+    )
 
 
 def _named(found: Findings) -> Iterator[PageBlock]:

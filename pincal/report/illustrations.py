@@ -20,11 +20,12 @@ from pincal.report.blocks import arranged, picture
 from pincal.report.plots import found, row_figures, style
 from pincal.report.subject import RowErrors
 from pincal.report.words import effect_words
+from pincal.thresholds import Count
 from pincal.validate.misfit import SURE
 from pincal.validate.outcome import MovedParameter, StationRecord
 
 # Number of parameters whose course is drawn.
-_MOST_COURSES = 4
+_MOST_COURSES: Count = 4
 
 Drawing = tuple[Figure, str, str]
 """A figure, its title and its caption."""

@@ -20,18 +20,14 @@ from pincal.io.discovery_file import Findings
 from pincal.model.catalogue import untestable
 from pincal.notes import Note, doubts_of
 from pincal.recorded import RECORDABLE
+from pincal.report.report_numbers import REPORT
 from pincal.report.words import effect_words
+from pincal.thresholds import Count
 from pincal.validate.accuracy import leading_unit
 from pincal.validate.misfit import Verdict, is_informative
 
-# Ratio of held-out to fitted rms error above which the rows were too few. N rows and p parameters
-# make it about sqrt((N + p) / (N - p)): 1.3 is reached when a quarter as many readings as there are
-# go into parameters.
-_OVERFITTED = 1.3
-# Errors beyond the noise that are mentioned are at least this large [mm].
-_SHOWN_MM = 5e-4
 # Number of outliers whose lines are listed.
-_LISTED = 3
+_LISTED: Count = 3
 
 
 @dataclass(frozen=True)
@@ -99,8 +95,10 @@ def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
     Example:
         >>> relative_to_noise(1.004, "the noise", is_misfit=True)
         'slightly larger than the noise, but in too many rows to be chance'
-        >>> relative_to_noise(1.2, "the noise", is_misfit=False), relative_to_noise(1.2, "the noise", is_misfit=True)
-        ('1.20 times the noise, which may be chance', '1.20 times the noise')
+        >>> relative_to_noise(1.2, "the noise", is_misfit=False)
+        '1.20 times the noise, which may be chance'
+        >>> relative_to_noise(1.2, "the noise", is_misfit=True)
+        '1.20 times the noise'
     """
     shown = f"{ratio:.2f} times {noise}"
     if float(f"{ratio:.2f}") <= 1.0:
@@ -118,7 +116,6 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
     """
     n = len(found.effects)
     left = found.unexplained_mm
-    doubts = doubts_of(found.warnings)
     added = (
         f"{n} effects were found and added"
         if n > 1
@@ -126,31 +123,40 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
         if n
         else "Nothing was added"
     )
-    beyond = f"{left:.3f} mm rms beyond the noise" if left >= _SHOWN_MM else ""
+    beyond = f"{left:.3f} mm rms beyond the noise" if left >= REPORT.beyond_noise else ""
     if found.verdict is Verdict.ADEQUATE:
         chance = f": {beyond} may be chance" if beyond else ""
         return Judged(
             found.verdict, f"{added}; the remaining residuals are consistent with noise{chance}."
         )
     if found.verdict is Verdict.NOT_JUDGED:
-        why = (
-            "nothing more is detected, but the noise was estimated from the residuals, so "
-            "they cannot show whether the "
-            "model is complete: declare the noise (--noise), or measure some poses again"
-        )
-        if is_of_arrivals:
-            why = (
-                "what exceeds the declared noise of the instrument is as of drives that "
-                "all stop unevenly, and hides "
-                "smaller errors of the model: measure ten poses three times each"
-            )
-        why = (
-            "there are too few poses to judge whether that is all; see the doubt stated first"
-            if doubts
-            else why
-        )
+        why = _why_not_judged(found, is_of_arrivals=is_of_arrivals)
         return Judged(found.verdict, f"{added}; {why}.")
+    return Judged(found.verdict, f"{added}; {', and '.join(_what_is_wrong(found, beyond))}.")
+
+
+def _why_not_judged(found: Findings, *, is_of_arrivals: bool) -> str:
+    if doubts_of(found.warnings):
+        return "there are too few poses to judge whether that is all; see the doubt stated first"
+    if is_of_arrivals:
+        return (
+            "what exceeds the declared noise of the instrument is as of drives that "
+            "all stop unevenly, and hides "
+            "smaller errors of the model: measure ten poses three times each"
+        )
+    return (
+        "nothing more is detected, but the noise was estimated from the residuals, so "
+        "they cannot show whether the "
+        "model is complete: declare the noise (--noise), or measure some poses again"
+    )
+
+
+def _what_is_wrong(found: Findings, beyond: str) -> list[str]:
+    """Return what a search has not explained; ``beyond`` are the errors beyond the noise, "" for
+    none.
+    """
     wrong = [f"{scatter.joint} scatters from reading to reading" for scatter in found.scatter]
+    doubts = doubts_of(found.warnings)
     if beyond:
         wrong.append(f"{beyond} remain unexplained")
     elif not wrong and doubts:
@@ -161,81 +167,21 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
             "neighbouring poses, allow, though "
             "not on average over all rows"
         )
-    return Judged(found.verdict, f"{added}; {', and '.join(wrong)}.")
+    return wrong
 
 
 def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> list[str]:
     """Return what to do next after a calibration or a discovery, the most pressing first."""
     result = calibration.result
-    steps = list[str]()
-    judgement = judged(result, discovery).judgement
-    if not result.converged:
-        steps.append(
-            "Check units, joint order, and rows that do not belong to this robot; pincal "
-            "check helps."
-        )
-    if result.shift:
-        steps.append(
-            "Make the rows before and after the shift two stations (column station), and "
-            "calibrate again."
-        )
     if result.doubt:
         return [f"First find out what is wrong: {result.doubt}."]
-    if result.is_kept:
-        steps.append(
-            "Measure more poses, or with less noise: pincal design predicts how many "
-            "poses reach an accuracy."
-        )
-    if is_few := not is_informative(result.degrees):
-        steps.append(
-            "Measure more poses: these are too few to distinguish a good model from a bad one."
-        )
-    if discovery is not None:
-        steps += _after_discovery(discovery)
-    elif not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
-        steps.append(
-            "Measure six to ten poses with an instrument, or in sockets, and calibrate "
-            "with both: an IMU gives no lengths."
-        )
-    elif not (is_few or result.is_kept) and judgement is not Verdict.ADEQUATE and result.converged:
-        steps.append(
-            "Run pincal discover on the same data: it identifies the effects that the model lacks."
-        )
-    if lines := result.outliers:
-        steps.append(
-            f"Inspect the rejected outliers, line {few(lines, _LISTED)}: a loose target, "
-            "or a slipping joint?"
-        )
-    if improved := result.improvement or ():
-        worst = max(improved, key=lambda region: region.after_mm)
-        steps.append(
-            f"No instrument measured the robot: {worst.link} is known to "
-            f"{worst.after_mm:.2g} mm at worst ({worst.region}). "
-            "If that is not enough, measure a few poses with one as well."
-        )
-    error = result.error["calibrated"]
-    no_better = False
-    if "test" not in error:
-        steps.append(
-            "Hold rows out (--test-fraction) or measure more (--holdout): otherwise the "
-            "accuracy is not validated."
-        )
-    else:
-        # Both kinds of held-out rows together.
-        rms = f"rms_{leading_unit(error['test'])}"
-        ways = [error[way][rms] for way in error if way not in ("train", "test")] or [
-            error["test"][rms]
-        ]
-        if error["test"][rms] > result.error["nominal"]["test"][rms]:
-            steps.append(
-                "Held-out poses are predicted no better than by the URDF: measure more "
-                "poses, or with less noise."
-            )
-        elif np.sqrt(np.mean(np.square(ways))) > _OVERFITTED * error["train"][rms]:
-            steps.append(
-                "Held-out errors exceed fitted ones: measure more poses, spread over the "
-                "whole range of use."
-            )
+    judgement = judged(result, discovery).judgement
+    steps = [
+        *_of_the_fit(result),
+        *_of_the_model(calibration, discovery, judgement),
+        *_of_the_rows(result),
+        *_of_held_out_rows(result),
+    ]
     if narrow := ", ".join(
         f"{name} ({100 * share:.0f} %)" for name, share in narrow_joints(calibration)
     ):
@@ -243,13 +189,95 @@ def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> 
             f"These joints moved through little of their range: {narrow}. Outside it the "
             "model is not validated."
         )
-    if (judgement is not Verdict.NOT_ADEQUATE and not no_better) or not steps:
+    if judgement is not Verdict.NOT_ADEQUATE or not steps:
         steps.append(
             "Use it: model.json predicts poses (pincal predict), calibrated.urdf "
             "transfers the geometry to other programs, "
             "and pincal validate checks the model against new measurements in a few months."
         )
     return steps
+
+
+def _of_the_fit(result: Result) -> Iterator[str]:
+    """Yield what to do about a fit that can't be used yet."""
+    if not result.converged:
+        yield (
+            "Check units, joint order, and rows that do not belong to this robot; pincal "
+            "check helps."
+        )
+    if result.shift:
+        yield (
+            "Make the rows before and after the shift two stations (column station), and "
+            "calibrate again."
+        )
+    if result.is_kept:
+        yield (
+            "Measure more poses, or with less noise: pincal design predicts how many "
+            "poses reach an accuracy."
+        )
+    if not is_informative(result.degrees):
+        yield "Measure more poses: these are too few to distinguish a good model from a bad one."
+
+
+def _of_the_model(
+    calibration: Calibration, discovery: Discovery | None, judgement: Verdict
+) -> Iterator[str]:
+    """Yield what to do about effects that the model lacks."""
+    result = calibration.result
+    is_open = result.converged and not result.is_kept and is_informative(result.degrees)
+    if discovery is not None:
+        yield from _after_discovery(discovery)
+    elif not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
+        yield (
+            "Measure six to ten poses with an instrument, or in sockets, and calibrate "
+            "with both: an IMU gives no lengths."
+        )
+    elif is_open and judgement is not Verdict.ADEQUATE:
+        yield (
+            "Run pincal discover on the same data: it identifies the effects that the model lacks."
+        )
+
+
+def _of_the_rows(result: Result) -> Iterator[str]:
+    """Yield what to do about rows that were rejected, and where no instrument measured."""
+    if lines := result.outliers:
+        yield (
+            f"Inspect the rejected outliers, line {few(lines, _LISTED)}: a loose target, "
+            "or a slipping joint?"
+        )
+    if improved := result.improvement or ():
+        worst = max(improved, key=lambda region: region.after_mm)
+        yield (
+            f"No instrument measured the robot: {worst.link} is known to "
+            f"{worst.after_mm:.2g} mm at worst ({worst.region}). "
+            "If that is not enough, measure a few poses with one as well."
+        )
+
+
+def _of_held_out_rows(result: Result) -> Iterator[str]:
+    """Yield what to do by the errors at rows that were held out, if any were."""
+    error = result.error["calibrated"]
+    if "test" not in error:
+        yield (
+            "Hold rows out (--test-fraction) or measure more (--holdout): otherwise the "
+            "accuracy is not validated."
+        )
+        return
+    # Both kinds of held-out rows together.
+    rms = f"rms_{leading_unit(error['test'])}"
+    ways = [error[way][rms] for way in error if way not in ("train", "test")] or [
+        error["test"][rms]
+    ]
+    if error["test"][rms] > result.error["nominal"]["test"][rms]:
+        yield (
+            "Held-out poses are predicted no better than by the URDF: measure more "
+            "poses, or with less noise."
+        )
+    elif np.sqrt(np.mean(np.square(ways))) > REPORT.overfitted * error["train"][rms]:
+        yield (
+            "Held-out errors exceed fitted ones: measure more poses, spread over the "
+            "whole range of use."
+        )
 
 
 def _after_discovery(discovery: Discovery) -> Iterator[str]:
@@ -368,10 +396,6 @@ _ADVICE = (
     ),
     Advice((Cause.GIVEN, Cause.NOT_NEEDED), "Given", "Fixed at your request, or by default."),
 )
-# Share of its range below which a joint hardly shows what depends on its position: with a turn as
-# the range, a wave of one period per turn is hard to distinguish from a slope there. A judgement,
-# not a measurement; it only words a recommendation.
-_NARROW = 0.3
 
 
 class UnidentifiedGroup(NamedTuple):
@@ -415,6 +439,6 @@ def narrow_joints(calibration: Calibration) -> tuple[tuple[str, float], ...]:
         if robot.joint_types[i] != "prismatic":
             width = min(width, 2.0 * np.pi)
         share = float(np.ptp(q[:, i])) / width if np.isfinite(width) and width > 0.0 else 1.0
-        if share < _NARROW:
+        if share < REPORT.narrow:
             found.append((str(name), share))
     return tuple(found)

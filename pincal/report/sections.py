@@ -4,7 +4,8 @@ None.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 from urllib.parse import quote
 
 from markupsafe import Markup
@@ -52,9 +53,11 @@ from pincal.report.illustrations import (
     workspace_drawings,
 )
 from pincal.report.judgement import judged, next_steps, unidentified_groups
+from pincal.report.report_numbers import REPORT
 from pincal.report.subject import Subject
 from pincal.report.words import TERMS, effect_meaning, elsewhere_words, noise_words
 from pincal.result_table import Column, Kind, RowTone, Table
+from pincal.thresholds import Count
 from pincal.units import fixed
 from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.misfit import Verdict
@@ -71,9 +74,7 @@ REPEATED = Markup(
 
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 # Number of rejected rows whose lines are listed.
-_LISTED = 12
-# Smallest ratio of errors before and after that is mentioned; a smaller one rounds to 1.0.
-_IMPROVED = 1.05
+_LISTED: Count = 12
 _TONES: dict[str, RowTone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "care"}
 
 
@@ -115,7 +116,7 @@ def _headline(subject: Subject) -> Markup:
         "poses: over all poses"
     )
     ratio = before / after if after > 0.0 else 1.0
-    times = f" ({ratio:.1f} times as large)" if ratio >= _IMPROVED else ""
+    times = f" ({ratio:.1f} times as large)" if ratio >= REPORT.improved else ""
     noise = (
         "The declared noise of the instrument is"
         if result.noise["source"] == "declared"
@@ -176,10 +177,16 @@ def _glance(subject: Subject) -> Iterator[Markup]:
             for name, words in _STATISTICS
             if f"{name}_{unit}" in after
         }
-        yield from glance([
-            (title, (before[key], after[key]), (_size(before[key], "").rstrip(), _size(after[key], unit)))
-            for title, key in keys.items()
-        ])  # fmt: skip
+        yield from glance(
+            [
+                (
+                    title,
+                    (before[key], after[key]),
+                    (_size(before[key], "").rstrip(), _size(after[key], unit)),
+                )
+                for title, key in keys.items()
+            ]
+        )
 
 
 def setup(subject: Subject) -> Section:
@@ -189,15 +196,6 @@ def setup(subject: Subject) -> Section:
     robot = subject.calibration.robot
     effects = dict.fromkeys(effect.name for effect in calibration.fit.options.effects)
     p_value = "" if result.chi2_p_value is None else f" (p {result.chi2_p_value:.2g})"
-    view = (
-        rich('<a href="{}">the robot, its errors and the measured points</a>', quote(subject.view))
-        if subject.view
-        else rich(
-            "<code>pincal view model.json {} --html view3d.html</code> shows the robot, "
-            "its errors and the measured points",
-            calibration.stations[0].train.source,
-        )
-    )
     items = (
         (
             "robot",
@@ -222,9 +220,21 @@ def setup(subject: Subject) -> Section:
             f"parameters determined, condition number {result.condition:.2g}; "
             f"reduced chi-square {result.chi2_reduced:.3f}{p_value}",
         ),
-        ("3D view", view),
+        ("3D view", _view(subject)),
     )
     return Section("subject", "Robot, data and model", (facts(items),))
+
+
+def _view(subject: Subject) -> Markup:
+    if subject.view:
+        return rich(
+            '<a href="{}">the robot, its errors and the measured points</a>', quote(subject.view)
+        )
+    return rich(
+        "<code>pincal view model.json {} --html view3d.html</code> shows the robot, "
+        "its errors and the measured points",
+        subject.calibration.stations[0].train.source,
+    )
 
 
 def _data(subject: Subject) -> Markup:
@@ -350,22 +360,7 @@ def stations(subject: Subject) -> Section | None:
             "placement of this one fitted. This is the "
             "accuracy to expect on another day."
         )
-    shown = []
-    for record in records:
-        nominal, calibrated = (
-            by_part.get(subject.part, by_part["train"]) for by_part in record["error"].values()
-        )
-        # A station that was left out is predicted with the model of the others.
-        unit = leading_unit(calibrated)
-        before = nominal[f"mean_{unit}"]
-        after = record.get("left_out", calibrated)[f"mean_{unit}"]
-        shown.append(
-            (
-                f"{record['name']}: mean error",
-                (before, after),
-                (f"{before:.3f}", f"{after:.4f} {unit}"),
-            )
-        )
+    shown = [_mean_error(record, subject.part) for record in records]
     blocks: list[PageBlock] = [
         paragraph(text),
         arranged("glance", *glance(shown)),
@@ -379,6 +374,23 @@ def stations(subject: Subject) -> Section | None:
             again,
         ]
     return Section("stations", "Stations", tuple(blocks), "Stations")
+
+
+def _mean_error(
+    record: Mapping[str, Any], part: str
+) -> tuple[str, tuple[float, float], tuple[str, str]]:
+    """Return what is shown of a station: its name, the errors before and after, and both in
+    words.
+    """
+    nominal, calibrated = (
+        by_part.get(part, by_part["train"]) for by_part in record["error"].values()
+    )
+    # A station that was left out is predicted with the model of the others.
+    unit = leading_unit(calibrated)
+    before = nominal[f"mean_{unit}"]
+    after = record.get("left_out", calibrated)[f"mean_{unit}"]
+    words = (f"{before:.3f}", f"{after:.4f} {unit}")
+    return f"{record['name']}: mean error", (before, after), words
 
 
 def elsewhere(subject: Subject) -> Section | None:

@@ -11,6 +11,7 @@ from typing import Any
 from pincal.identify.explain import Status
 from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
 from pincal.model.effect_registry import meaning_of
+from pincal.report.report_numbers import REPORT
 from pincal.units import readable_unit
 from pincal.validate.outcome import Elsewhere
 
@@ -22,9 +23,6 @@ _NOT_IDENTIFIED = {
     Status.AT_BOUND: "stopped at a bound",
     Status.FIXED: "held",
 }
-# Ratio of the error that the model expects elsewhere to that at poses like the measured ones, above
-# which more poses are advised. The latter includes the noise of the instrument; a judgement.
-_MUCH = 1.5
 # Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}
 # Effects other than those of the robot, with their meanings.
@@ -106,9 +104,11 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
     Example:
         >>> effect_words(EffectName(effect="joint_coupling", joint="axis_5", source="axis_4"))
         'joint_coupling of axis_5 by axis_4'
-        >>> effect_words(EffectName(effect="unnamed", joint="axis_2", depends_on="time", shape="curve"), joint=False)
+        >>> drift = EffectName(effect="unnamed", joint="axis_2", depends_on="time", shape="curve")
+        >>> effect_words(drift, joint=False)
         'unnamed (curve of time)'
-        >>> effect_words(EffectName(effect="unnamed", joint="axis_2", depends_on="axis_4", shape="map"), joint=False)
+        >>> both = EffectName(effect="unnamed", joint="axis_2", depends_on="axis_4", shape="map")
+        >>> effect_words(both, joint=False)
         'unnamed (map of axis_2 and axis_4)'
     """
     words = [entry.effect]
@@ -140,10 +140,11 @@ def line_words(entry: FoundEffect) -> str:
     """Return a remark on a spectral line in addition to its order, or an empty text.
 
     Example:
-        >>> names = {"effect": "gear_ripple", "joint": "wrist_2", "parameters": {}, "equivalent": (), "tell_apart": ""}
-        >>> entry = FoundEffect(**names, p_value=0.0, gap_before_mm=1.0, gap_after_mm=1.0, order=405.0, beside=(401.4,))
-        >>> line_words(entry)
-        'one spectral line whose amplitude varies over the span of the joint, fitted as harmonics of order 405 and 401.4'
+        >>> names = {"effect": "gear_ripple", "joint": "wrist_2", "order": 405.0}
+        >>> names |= {"parameters": {}, "equivalent": (), "tell_apart": "", "beside": (401.4,)}
+        >>> entry = FoundEffect(**names, p_value=0.0, gap_before_mm=1.0, gap_after_mm=1.0)
+        >>> line_words(entry).removeprefix("one spectral line whose amplitude varies over ")
+        'the span of the joint, fitted as harmonics of order 405 and 401.4'
     """
     orders = " and ".join(f"{order:g}" for order in (entry.order or 0.0, *entry.beside))
     whole = (
@@ -168,8 +169,9 @@ def bootstrap_words(last: Bootstrap) -> str:
     """Return the bootstrap test of the effect accepted last in words.
 
     Example:
-        >>> bootstrap_words(Bootstrap(effect="base_drift", joint=None, p_value=2 / 201, draws=200))
-        'Of 200 tables drawn from the model without base_drift, accepted last, 1 has a candidate that fits as well.'
+        >>> last = Bootstrap(effect="base_drift", joint=None, p_value=2 / 201, draws=200)
+        >>> bootstrap_words(last).removeprefix("Of 200 tables drawn from the model ")
+        'without base_drift, accepted last, 1 has a candidate that fits as well.'
     """
     as_good = round(last.p_value * (last.draws + 1)) - 1
     count = f"{as_good or 'none'} has" if as_good < 2 else f"{as_good} have"
@@ -186,8 +188,9 @@ def gain_words(entry: FoundEffect) -> str:
     Example:
         >>> from msgspec import structs
         >>> turned = {"gap_before_mrad": 0.168, "gap_after_mrad": 0.092}
-        >>> names = {"effect": "transmission_error", "joint": "axis_6", "parameters": {}, "equivalent": (), "tell_apart": ""}
-        >>> entry = FoundEffect(**names, p_value=1e-9, gap_before_mm=0.0425, gap_after_mm=0.0434, **turned)
+        >>> names = {"effect": "transmission_error", "joint": "axis_6", "p_value": 1e-9}
+        >>> names |= {"parameters": {}, "equivalent": (), "tell_apart": ""}
+        >>> entry = FoundEffect(**names, gap_before_mm=0.0425, gap_after_mm=0.0434, **turned)
         >>> gain_words(entry)
         '0.0425 to 0.0434 mm, 0.1680 to 0.0920 mrad: improves orientation only'
         >>> gain_words(structs.replace(entry, gap_before_mrad=None, gap_after_mrad=None))
@@ -220,8 +223,10 @@ def noise_words(noise: Mapping[str, Any]) -> str:
     ``sigma_px``.
 
     Example:
-        >>> noise_words({"sigma_m": 5e-5}), noise_words({"sigma_m": 3e-7}), noise_words({"sigma_px": 0.1})
-        ('0.0500 mm per coordinate', '0.0003 mm per coordinate', '0.1 px per coordinate')
+        >>> noise_words({"sigma_m": 5e-5}), noise_words({"sigma_m": 3e-7})
+        ('0.0500 mm per coordinate', '0.0003 mm per coordinate')
+        >>> noise_words({"sigma_px": 0.1})
+        '0.1 px per coordinate'
     """
     if "sigma_m_s2" in noise and not {"sigma_m", "sigma_px"} & noise.keys():
         rate = f", {noise['sigma_rad_s']:.2g} rad/s" if "sigma_rad_s" in noise else ""
@@ -237,7 +242,7 @@ def is_worse_elsewhere(found: Elsewhere, error: Mapping[str, float]) -> bool:
     """Return whether the expected error elsewhere is much larger than the error at poses like the
     measured ones.
     """
-    return "mean_mm" in error and found.mean_mm > _MUCH * error["mean_mm"]
+    return "mean_mm" in error and found.mean_mm > REPORT.much * error["mean_mm"]
 
 
 def elsewhere_words(found: Elsewhere, error: Mapping[str, float]) -> str:

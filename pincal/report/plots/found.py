@@ -30,27 +30,28 @@ from pincal.report.plots.style import (
     panel,
     thinned,
 )
+from pincal.thresholds import Count, Scale
 from pincal.units import SIZES, format_small, readable_unit, small_unit
 from pincal.validate.outcome import MovedParameter
 
 # Cells of a map along one joint.
-_CELLS = 14
+_CELLS: Count = 14
 # Number of bins of a variable, and fewest rows of a bin.
-_BINS = 30
-_FEWEST = 4
+_BINS: Count = 30
+_FEWEST: Count = 4
 # A variable with at most this many values is categorical.
-_CATEGORIES = 5
+_CATEGORIES: Count = 5
 # Height of one step, of a row of corrections, and width of a letter [in].
-_PER_STEP = 0.5
-_PER_ROW = 0.22
-_LETTER = 0.082
+_PER_STEP: Scale = 0.5
+_PER_ROW: Scale = 0.22
+_LETTER: Scale = 0.082
 # Most parameters that are drawn, the largest corrections first.
-_MOST = 24
+_MOST: Count = 24
 # Most names of stations under an axis, and most letters of each.
-_MOST_NAMES = 8
-_LETTERS = 12
+_MOST_NAMES: Count = 8
+_LETTERS: Count = 12
 # Smallest deviation that is drawn, since a logarithmic axis has no zero [m].
-_SMALLEST = 1e-17
+_SMALLEST: Scale = 1e-17
 
 
 def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
@@ -68,7 +69,8 @@ def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
         ValueError: if there is no series, or one has no poses.
 
     Example:
-        >>> figure = deviation_figure({"standard DH": np.array([1e-3, 3e-3]), "DH,s,e": np.array([1e-9, 2e-9])})
+        >>> sizes = {"standard DH": np.array([1e-3, 3e-3]), "DH,s,e": np.array([1e-9, 2e-9])}
+        >>> figure = deviation_figure(sizes)
         >>> [axes.get_title() for axes in figure.axes]
         ['standard DH\nmean 2.00 mm, max 3.00 mm', 'DH,s,e\nmean 1.50e-09 m, max 2.00e-09 m']
         >>> deviation_figure({})
@@ -288,8 +290,18 @@ def effect_figure(trace: PartialResidual, title: str) -> Figure:
         drawable(title), fontsize=TEXT, color=INK, x=0.02, y=0.985, ha="left", fontweight="bold"
     )
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, fontsize=SMALL, frameon=False, labelcolor=INK, ncols=3, loc="upper left",
-                  bbox_to_anchor=(0.0, 0.955), columnspacing=1.0, handletextpad=0.3)  # fmt: skip
+    figure.legend(
+        handles,
+        labels,
+        fontsize=SMALL,
+        frameon=False,
+        labelcolor=INK,
+        ncols=3,
+        loc="upper left",
+        bbox_to_anchor=(0.0, 0.955),
+        columnspacing=1.0,
+        handletextpad=0.3,
+    )
     return figure
 
 

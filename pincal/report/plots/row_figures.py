@@ -27,20 +27,21 @@ from pincal.report.plots.style import (
     thinned,
 )
 from pincal.report.subject import RowErrors
+from pincal.thresholds import Count, Scale
 
 _MODELS = (("before", BEFORE), ("after", AFTER))
 # Bins of a histogram over the whole logarithmic axis.
-_BARS = 36
+_BARS: Count = 36
 # Points of a curve; more would be indistinguishable.
-_POINTS = 400
+_POINTS: Count = 400
 # Most bins of a variable, rows per bin on average, and fewest rows of a bin.
-_BINS = 18
-_FEWEST = 12
-_SOME = 3
+_BINS: Count = 18
+_FEWEST: Count = 12
+_SOME: Count = 3
 # Pauses longer than this fraction of the whole time break a line.
-_PAUSE = 0.04
+_PAUSE: Scale = 0.04
 # Hexagons across the workspace.
-_CELLS = 15
+_CELLS: Count = 15
 # Viridis: even steps of lightness, distinguishable to the colour-blind and in print without
 # colours.
 _MAP = "viridis"

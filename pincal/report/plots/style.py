@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from pincal.result_table import one_line
+from pincal.thresholds import Count, Scale
 
 # Okabe and Ito's colours, distinguishable to colour-blind readers: vermilion, orange, blue, green,
 # sky blue, purple.
@@ -34,16 +35,18 @@ VARIABLES = {
 """Colour of a figure -> the page's variable for it."""
 # As wide as a phone, so that a page shows figures at their own size, side by side where there is
 # room [in].
-FIGURE_WIDTH = 5.2
-HEIGHT = 3.5
-TEXT, SMALL = 11.5, 10.5  # [pt]
+FIGURE_WIDTH: Scale = 5.2
+HEIGHT: Scale = 3.5
+# Sizes of letters [pt].
+TEXT: Scale = 11.5
+SMALL: Scale = 10.5
 # Room about the axes [in]; fixed, as fitting it takes longer than drawing.
-_LEFT = 0.86
-_RIGHT = 0.16
-_BOTTOM = 0.58
-_TOP = 0.36
+_LEFT: Scale = 0.86
+_RIGHT: Scale = 0.16
+_BOTTOM: Scale = 0.58
+_TOP: Scale = 0.36
 # Letters of a name that fit a figure.
-_LONGEST = 34
+_LONGEST: Count = 34
 
 
 def canvas(
