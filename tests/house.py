@@ -84,8 +84,8 @@ class File:
         found = []
         for node in self.tree.body:
             if isinstance(node, ast.AnnAssign) and node.value is not None and _is_number(node.value):
-                if not {"Count", "Scale"} & {of.id for of in ast.walk(node.annotation) if isinstance(of, ast.Name)}:
-                    found.append(ast.unparse(node.target))
+                words = {of.id for of in ast.walk(node.annotation) if isinstance(of, ast.Name)}
+                found += [ast.unparse(node.target)] if not {"Count", "Scale"} & words else []
             if isinstance(node, ast.Assign) and _is_number(node.value):
                 for target in node.targets:
                     found += [name.id for name in ast.walk(target) if isinstance(name, ast.Name)]
