@@ -683,6 +683,10 @@ def held_out_error(robot, machine, q, held_out, options, rng):
 
 
 @pytest.mark.long
+@pytest.mark.rooms(
+    "examples/design_poses.py", "pincal/design", "pincal/identify", "pincal/measure", "pincal/model", "pincal/robot",
+    "pincal/simulate", "pincal/calibration", "pincal/parameters.py",
+)  # fmt: skip
 def test_the_example_shows_what_design_is_worth(tmp_path):
     """From a cell at least 1.5 times less error, predicted and realised; in the open nearly all that is possible."""
     text = run_example("design_poses.py", folder=tmp_path)
