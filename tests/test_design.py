@@ -650,6 +650,7 @@ def test_a_robot_that_hangs_has_no_floor(tmp_path, capsys):
 # What comes of it.
 
 
+@pytest.mark.long
 def test_designed_poses_are_better_on_a_machine_too(kuka):
     """From a cell, used all over the reach: predicted and found, at least 1.5 times less error than random poses leave."""
     options = Options(sigma=5e-5)

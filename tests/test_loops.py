@@ -173,6 +173,7 @@ def test_readings_decide_which_joints_follow() -> None:
     assert [robot.joint_names[i] for i in robot.own_joints] == DRIVES
 
 
+@pytest.mark.long
 def test_rods_are_not_asked_for_couplings() -> None:
     """A table that agrees badly was refused by the name of a joint that has no column."""
     robot = Robot.from_urdf(palletizer())
