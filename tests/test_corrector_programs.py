@@ -121,15 +121,16 @@ def compared(jobs: list[Job], made: tuple[Path, str], folder: Path, capsys: Any)
 
 @pytest.mark.long
 @ROOMS
+@pytest.mark.parametrize("count", [COUNT // 3, pytest.param(COUNT, marks=pytest.mark.rates)])
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_the_page_writes_what_the_command_writes(
-    language: str, made: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    language: str, count: int, made: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of sound programs and of mutated ones, and refuses what the command refuses."""
-    jobs = jobs_of(language, COUNT, BROKEN, np.random.default_rng(4))
+    jobs = jobs_of(language, count, BROKEN * count // COUNT, np.random.default_rng(4))
     corrected, refused = compared(jobs, made, tmp_path, capsys)
 
-    assert corrected >= COUNT
+    assert corrected >= count
     with capsys.disabled():
         print(f"\n{language}: {corrected} programs equal byte for byte, {refused} refused by both")
 
