@@ -100,7 +100,7 @@ def main(folder: Path) -> None:
     turn = fit.values[[parameter.name for parameter in fit.problem.parameters].index("joint_2.cylinder")]
     assert abs(turn - TURN) < 2e-5, turn
     model = folder / "model.json"
-    fit.to_model().save(model)
+    fit.save(model)
     plan = ["design", str(model), "--check", "--notice", "2mm", "--candidates", "60", "--out", str(folder / "check.csv")]
     assert command.main(args=plan, standalone_mode=False) == 0
     with (folder / "check.csv").open(encoding="utf-8") as stream:

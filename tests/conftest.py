@@ -13,6 +13,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
+from rooms import changed_since, is_concerned
 
 # Imported for the effects, which it registers.
 import pincal.model.catalogue  # noqa: F401
@@ -24,6 +25,22 @@ from pincal.robot.robot import Robot
 
 # Data that is not part of the project stands next to it.
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let a run leave out what a change can't concern."""
+    parser.addoption("--since", metavar="COMMIT", help="leave out tests whose rooms are as they were in this commit")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out tests that name the rooms on which they rest, if git says that nothing in these has changed."""
+    commit = config.getoption("--since")
+    changed = changed_since(commit, config.rootpath) if commit else None
+    if changed is None:
+        return
+    left_out = [item for item in items if not is_concerned(item, changed)]
+    items[:] = [item for item in items if is_concerned(item, changed)]
+    config.hook.pytest_deselected(items=left_out)
 
 
 @pytest.fixture(scope="session")

@@ -90,7 +90,7 @@ def test_an_effect_in_a_file_of_its_own_passes_the_tests_of_the_house(tmp_path: 
     """The file of the page, added to a copy of the project as the page says, is as good as any other of the catalogue."""
     root = PACKAGE.parent
     for folder in ("pincal", "tests", "urdf"):
-        shutil.copytree(root / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(root / folder, tmp_path / folder, ignore=shutil.ignore_patterns("*.pyc"))
     shutil.copy(root / "pyproject.toml", tmp_path)
     block = re.search(r"<!-- recipe: catalogue -->\n```python\n(.*?)```", PAGE, re.DOTALL)
     assert block is not None

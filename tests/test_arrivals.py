@@ -119,6 +119,7 @@ def test_weights_of_rows_are_changed_without_summing_all() -> None:
     np.testing.assert_allclose(changed.form.H, anew.form.H, rtol=1e-9, atol=1e-6 * np.abs(anew.form.H).max())
 
 
+@pytest.mark.long
 def test_intervals_count_stops() -> None:
     """Five targets a stop cover the truth at fresh poses nearly as often as stated."""
     robot, inside = Robot.from_urdf(URDF), []
@@ -235,6 +236,7 @@ def test_drives_that_differ_are_told() -> None:
     assert max(found.drives[[0, 1]]) < 4e-5
 
 
+@pytest.mark.long
 def test_a_fit_that_weighs_stops_shows_the_same_arrivals() -> None:
     """A search estimates them again at its end, when rows are weighted by those of its first model already."""
     for seed in range(3):

@@ -93,7 +93,7 @@ def ratios(machines: int, poses: int, size: float, *, declared: bool) -> list[fl
     return found
 
 
-@pytest.mark.parametrize("declared", [True, False])
+@pytest.mark.parametrize("declared", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_a_delivered_robot_is_not_worse_than_its_urdf(declared):
     """From a few marker poses the delivered geometry is no more than 2 % worse in the mean; a plain fit is far worse."""
     assert np.mean(ratios(10, 14, 5e-4, declared=declared)) < 1.02
@@ -113,7 +113,7 @@ def test_fifty_delivered_robots_are_not_worse_than_their_urdf(poses, size, decla
     assert np.mean(ratios(50, poses, size, declared=declared)) < 1.02
 
 
-@pytest.mark.parametrize("size", [1e-4, 1e-3])
+@pytest.mark.parametrize("size", [1e-4, pytest.param(1e-3, marks=pytest.mark.long)])
 def test_good_readings_always_calibrate(size):
     """From 30 readings of a tracker every robot is calibrated, also one that is off by a tenth of a millimetre only."""
     for seed in range(10):
@@ -124,7 +124,7 @@ def test_good_readings_always_calibrate(size):
         assert calibrated < 0.5 * nominal
 
 
-@pytest.mark.parametrize("poses", [14, 60])
+@pytest.mark.parametrize("poses", [14, pytest.param(60, marks=pytest.mark.long)])
 def test_expected_errors_are_the_true_ones(poses):
     """Over machines, the errors expected of URDF and calibrated robot are the true ones, without knowing the machines."""
     expected, true = [], []
@@ -247,6 +247,7 @@ def test_what_is_expected_of_such_a_robot_covers_its_errors(kept):
     assert 0.4 < error / kept.result.elsewhere.mean_mm < 2.5
 
 
+@pytest.mark.long
 def test_a_discovery_that_finds_nothing_leaves_such_a_robot_alone(few):
     """So does ``discover``, which starts from this fit."""
     found = run_discovery(ur5(), few, Options(effects=GEOMETRIC, sigma=CAMERA[0], sigma_orientation=CAMERA[1]))
@@ -256,6 +257,7 @@ def test_a_discovery_that_finds_nothing_leaves_such_a_robot_alone(few):
     np.testing.assert_allclose(found.calibration.fit.values, found.calibration.fit.fit.nominal.values)
 
 
+@pytest.mark.long
 def test_nothing_is_judged_where_the_size_of_deviations_is_given(few):
     """An earlier fit, and factors on the priors, say how far a robot deviates; without parameters of it there is nothing."""
     options = Options(effects=GEOMETRIC, sigma=CAMERA[0], sigma_orientation=CAMERA[1])

@@ -12,6 +12,7 @@ from pincal import Robot
 from pincal.report.html import report_page
 from pincal.report.subject import Subject
 
+ROOMS = pytest.mark.rooms("pincal/report", "tests/report_cases.py")
 SIZES = {"desk": (1280, 800), "phone": (390, 844)}
 # Text with its colour and that of the ground it stands on; contrast as in WCAG 2.
 CONTRAST = """
@@ -97,6 +98,7 @@ def test_it_loads_in_silence_and_by_itself(browser: Any, pages: dict[str, Path],
 
 
 @pytest.mark.long
+@ROOMS
 @pytest.mark.parametrize("name", ["plain", "hostile", "found"])
 @pytest.mark.parametrize("size", SIZES)
 def test_it_fits_and_can_be_read(browser: Any, pages: dict[str, Path], name: str, size: str) -> None:
@@ -109,6 +111,7 @@ def test_it_fits_and_can_be_read(browser: Any, pages: dict[str, Path], name: str
 
 
 @pytest.mark.long
+@ROOMS
 @pytest.mark.parametrize("name", ["plain", "found"])
 def test_light_and_dark_differ_and_both_have_contrast(browser: Any, pages: dict[str, Path], name: str) -> None:
     """Every text, those in figures too, has a contrast of 4.5 to 1 at least in both schemes."""
@@ -134,6 +137,7 @@ def test_hostile_names_appear_as_text(browser: Any, pages: dict[str, Path]) -> N
 
 
 @pytest.mark.long
+@ROOMS
 def test_it_prints_in_light(browser: Any, pages: dict[str, Path]) -> None:
     """On paper the page is light even for a reader who prefers dark, and no wider than the sheet."""
     show(browser, pages["found"], "desk", "dark")

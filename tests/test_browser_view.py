@@ -13,6 +13,7 @@ from test_viewer import HOSTILE, machine, measured, small_robot
 from pincal.robot.robot import Robot
 from pincal.viewer import build_scene, show, write_html
 
+ROOMS = pytest.mark.rooms("pincal/viewer", "tests/test_viewer.py")
 # What the issue allows a page of 10000 arrows.
 MANY, BYTES, SECONDS = 10_000, 20e6, 5.0
 
@@ -55,6 +56,7 @@ def ur10() -> Robot:
 
 
 @pytest.mark.long
+@ROOMS
 def test_the_page_shows_the_robot_and_its_layers(
     browser: Any, ur10: Robot, rng: np.random.Generator, tmp_path: Path
 ) -> None:
@@ -109,6 +111,7 @@ def test_the_slider_moves_the_robot_to_the_measured_points(
 
 
 @pytest.mark.long
+@ROOMS
 def test_ten_thousand_arrows_are_quick(browser: Any, ur10: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
     """A page of 10000 arrows over measured poses and 10000 over the workspace, effects included."""
     calibrated = machine(ur10, rng)
@@ -162,6 +165,7 @@ def test_names_that_mean_something_to_the_page_are_names(
 
 
 @pytest.mark.long
+@ROOMS
 def test_the_program_moves_the_robot_in_an_open_page(browser: Any, rng: np.random.Generator) -> None:
     """The page that a server serves follows it."""
     scene = build_scene(machine(small_robot(), rng), grid=30)

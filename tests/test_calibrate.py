@@ -54,9 +54,15 @@ def noisy(kuka):
     return table, calibrate(kuka, table, OPTIONS)
 
 
-@pytest.mark.parametrize("stages", ["joint", "paper"])
-@pytest.mark.parametrize("known", [True, False])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("known", "stages"),
+    [
+        (True, "joint"),
+        (False, "paper"),
+        *(pytest.param(*of, marks=pytest.mark.long) for of in [(True, "paper"), (False, "joint")]),
+    ],
+)
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (1, 2))])
 def test_noise_free_paper_machine_is_found_to_rounding(kuka, seed, known, stages):
     """Table I's machine with 36 + 9 released parameters is identified to 1e-10 m on other poses, within 20 iterations."""
     first = kuka.joint_names[:3]
@@ -113,6 +119,7 @@ def test_how_exact_readings_are_is_told_of_any_size(size: float, information: fl
     assert is_exact(G, sizes) == exact
 
 
+@pytest.mark.long
 def test_wide_priors_make_no_reading_exact(noisy, kuka, monkeypatch):
     """Readings of 50 um are fitted with priors, however wide: as exact ones they would be fitted without any."""
     monkeypatch.setattr("pincal.identify.solve.polish", None)
@@ -146,6 +153,7 @@ def test_place_of_instrument_means_nothing(kuka, noisy, seed):
     np.testing.assert_allclose(moved.values[inner], fit.values[inner], atol=1e-8)
 
 
+@pytest.mark.long
 def test_place_of_target_means_nothing(kuka):
     """A longer tool changes no prediction beyond noise; noise-free it changes none at all."""
     q = kuka.random_configurations(80, np.random.default_rng(3))

@@ -7,11 +7,12 @@ import json
 import pkgutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import msgspec
 import numpy as np
 import pytest
+from pairs import in_pairs
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
@@ -82,6 +83,7 @@ LEVEL = np.array([0.0, 0.0, -9.81])
 ARMS = {"kuka": kuka_urdf_path, "ur10": lambda: find_file("ur10"), "panda": lambda: find_file("panda")}
 PARAMS = ["kuka", pytest.param("ur10", marks=pytest.mark.long), "panda"]
 FRAMES: list[tuple[MomentFrame, bool]] = [("paper", False), ("paper", True), ("before", False), ("after", True)]
+FRAME_PARAMS = [*FRAMES[::2], *(pytest.param(frame, marks=pytest.mark.long) for frame in FRAMES[1::2])]
 
 # From the names of the joints of an arm.
 Make = Callable[[tuple[str, ...]], Effect]
@@ -149,10 +151,16 @@ EFFECTS: dict[str, Make] = {
 }
 
 
+@cache
+def arm(name: str) -> Robot:
+    """Return one of the arms, read once."""
+    return Robot.from_urdf(ARMS[name]())
+
+
 @pytest.fixture(scope="module", params=PARAMS)
 def robot(request: pytest.FixtureRequest) -> Robot:
     """Return each of the arms: industrial, parallel axes, seven joints."""
-    return Robot.from_urdf(ARMS[request.param]())
+    return arm(request.param)
 
 
 # Where a tracker stands in the robot's base frame [m].
@@ -321,8 +329,11 @@ def test_zero_parameters_give_the_nominal_arm(robot: Robot, rng: np.random.Gener
             np.testing.assert_allclose(poses, nominal, rtol=0.0, atol=EXACT, err_msg=repr(model.effects))
 
 
-@pytest.mark.parametrize("frame", [*FRAMES[::2], *(pytest.param(frame, marks=pytest.mark.long) for frame in FRAMES[1::2])])
-@pytest.mark.parametrize("name", EFFECTS)
+@pytest.mark.parametrize(
+    ("name", "frame", "robot"),
+    in_pairs(list(EFFECTS), FRAME_PARAMS, PARAMS),
+    indirect=["robot"],
+)
 def test_jacobian_is_exact(robot: Robot, name: str, frame: tuple[MomentFrame, bool], rng: np.random.Generator) -> None:
     """The Jacobian equals central differences to 1e-6: an effect's own columns, and sums of all those beside it."""
     effect = EFFECTS[name](robot.joint_names)

@@ -147,6 +147,7 @@ def test_camera_and_targets_come_out_where_they_are(machine: sim.TrueMachine, ku
     np.testing.assert_allclose(found[:4], LENS.values[:4], rtol=1e-3)
 
 
+@pytest.mark.long
 def test_planes_come_out_where_they_are(machine: sim.TrueMachine, kuka: Robot) -> None:
     """Angles between planes, which no place of the base changes, are those of the planes; normals have the length 1."""
     fit = fit_tables(kuka, probed(machine, kuka, touching=False), Options(effects=GEOMETRIC))

@@ -177,6 +177,7 @@ def test_check_says_what_can_be_told(table, capsys):
         assert words in text
 
 
+@pytest.mark.long
 def test_check_counts_every_parameter_once(table, capsys):
     """What became of the parameters adds up to their number, in both forms of the text."""
     assert run("check", URDF, table, *COM, "--quiet", "--json") == 0
@@ -221,6 +222,7 @@ def test_the_next_command_of_check_is_one(tmp_path, columns, capsys, monkeypatch
     assert list(inputs) == ["tracker.csv", "log.csv", "kuka.urdf"]
 
 
+@pytest.mark.long
 def test_headers_with_units_change_nothing(results, tmp_path, columns, capsys):
     """Degrees and millimetres that the header names give the same calibration."""
     joints = [name for name in columns if name.startswith("joint")]

@@ -231,6 +231,7 @@ def aligned(fit: pincal.FittedRobot, table: pincal.Measurements) -> float:
     return float(1e3 * np.linalg.norm(best.fun.reshape(-1, 3), axis=1).mean())
 
 
+@pytest.mark.long
 def test_a_robot_of_several_stations_is_diagnosed(
     results: Path, machine: sim.TrueMachine, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,8 +23,8 @@ Arrival = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
 def seeds(count: int) -> list[Any]:
-    """Return seeds, one for each class of arms in every run of the tests and the others in long ones."""
-    return [pytest.param(seed, marks=pytest.mark.long if seed >= len(ARMS) else ()) for seed in range(count)]
+    """Return seeds, the first of which is in every run of the tests and the others in long ones."""
+    return [pytest.param(seed, marks=pytest.mark.long if seed else ()) for seed in range(count)]
 
 
 def alike(size: float) -> Arrival:
@@ -84,7 +84,7 @@ def names(found: Discovery) -> list[str]:
     return [entry.effect for entry in found.findings.effects if "elasticity" not in entry.effect]
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", seeds(3))
 def test_drives_that_stop_alike_are_no_missing_effect(seed: int) -> None:
     """Without a declared noise a sound arm is not accused, nor any of its joints."""
     found = of_sound(seed, None)
@@ -124,7 +124,7 @@ def test_what_exceeds_a_declared_noise_may_be_how_drives_stop() -> None:
     assert len(told) >= 8
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", seeds(2))
 def test_repeated_poses_show_how_drives_stop(seed: int) -> None:
     """Their scatter is the noise by which a search's model is judged, too, whatever is declared of the instrument."""
     found = discovered(seed, alike(4.5e-5), poses=60, cycles=3)
@@ -133,7 +133,7 @@ def test_repeated_poses_show_how_drives_stop(seed: int) -> None:
     assert found.findings.verdict is Verdict.ADEQUATE
 
 
-@pytest.mark.parametrize("sigma", [None, NOISE])
+@pytest.mark.parametrize("sigma", [None, pytest.param(NOISE, marks=pytest.mark.long)])
 @pytest.mark.parametrize("seed", seeds(8))
 def test_a_joint_that_scatters_more_than_the_others_is_named(seed: int, sigma: float | None) -> None:
     """One drive to 50 or 80 urad, the others exactly or to a fifth of it: it is named, with its size."""

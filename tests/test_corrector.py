@@ -31,6 +31,16 @@ from pincal.viewer import page as view_page
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
+# Pages are made from the model, and compared with it.
+ROOMS = pytest.mark.rooms(
+    "pincal/export",
+    "pincal/programs",
+    "pincal/compensate",
+    "pincal/model",
+    "pincal/robot",
+    "pincal/calibration",
+    "pincal/viewer",
+)
 EXACT = 1e-12
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-dev-shm-usage",
@@ -69,6 +79,7 @@ def states_of(at: Conditions, own: np.ndarray) -> str:
 
 
 @pytest.mark.long
+@ROOMS
 @pytest.mark.parametrize("case", ["gear", "elastic", "everything", "gantry", "few"])
 def test_the_page_predicts_and_compensates_as_the_model_does(kuka: Robot, case: str, tmp_path: Path) -> None:
     """In JavaScript as in Python to 1e-12, geometry, elasticity on the bent arm, every effect, joints that follow others."""
@@ -188,6 +199,7 @@ def without_numbers(text: bytes) -> bytes:
 
 
 @pytest.mark.long
+@ROOMS
 def test_a_table_of_joints_comes_back_with_other_numbers_alone(made: Made, tmp_path: Path) -> None:
     """Page and Python file write the same text, at whose joints the robot does what was meant; all else is as it was."""
     text = joints_table(made)
@@ -202,6 +214,7 @@ def test_a_table_of_joints_comes_back_with_other_numbers_alone(made: Made, tmp_p
 
 
 @pytest.mark.long
+@ROOMS
 @pytest.mark.parametrize(
     "names", [("A", "B", "C"), ("W", "P", "R"), ("rx", "ry", "rz"), ("qx", "qy", "qz", "qw"), ("q1", "q2", "q3", "q4")]
 )
@@ -236,6 +249,7 @@ def test_a_table_of_poses_comes_back_in_its_own_way(made: Made, names: tuple[str
 
 
 @pytest.mark.long
+@ROOMS
 def test_what_can_not_be_read_is_refused_by_name(made: Made, tmp_path: Path) -> None:
     """With what to do; the Python file ends with 3 and writes nothing."""
     joints = ",".join(made.calibrated.model.chain.robot.joint_names)
@@ -289,6 +303,7 @@ def test_no_request_leaves_the_page(made: Made, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@ROOMS
 def test_a_dropped_file_is_shown_and_saved(made: Made, tmp_path: Path) -> None:
     """The page takes a file, lists each point with its error and its change, and saves the corrected text."""
     if CHROMIUM is None:
@@ -347,6 +362,7 @@ def test_the_command_writes_the_page(made: Made, tmp_path: Path, capsys: pytest.
 
 
 @pytest.mark.long
+@ROOMS
 def test_the_view_on_a_phone_shows_the_robot(made: Made, tmp_path: Path) -> None:
     """The picture stands above the panel and fills its part of the screen, and the viewer's own menu is not there."""
     if CHROMIUM is None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from program_cases import COUNT, LANGUAGES, cases
+from test_corrector import ROOMS as PAGE_ROOMS
 from test_corrector import answered
 from test_program_safety import CASES as UNSAFE
 from test_programs import calibrated, mutated, run
@@ -23,6 +24,7 @@ from pincal.programs.krl import Krl
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 
+ROOMS = pytest.mark.rooms(*PAGE_ROOMS.args, "tests/program_cases.py")
 # A program: its files by their names, and the options of the command.
 Job = tuple[dict[str, bytes], list[str]]
 # Mutated programs of each language.
@@ -117,20 +119,23 @@ def compared(jobs: list[Job], made: tuple[Path, str], folder: Path, capsys: Any)
 
 
 @pytest.mark.long
+@ROOMS
+@pytest.mark.parametrize("count", [COUNT // 3, pytest.param(COUNT, marks=pytest.mark.rates)])
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_the_page_writes_what_the_command_writes(
-    language: str, made: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    language: str, count: int, made: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of sound programs and of mutated ones, and refuses what the command refuses."""
-    jobs = jobs_of(language, COUNT, BROKEN, np.random.default_rng(4))
+    jobs = jobs_of(language, count, BROKEN * count // COUNT, np.random.default_rng(4))
     corrected, refused = compared(jobs, made, tmp_path, capsys)
 
-    assert corrected >= COUNT
+    assert corrected >= count
     with capsys.disabled():
         print(f"\n{language}: {corrected} programs equal byte for byte, {refused} refused by both")
 
 
 @pytest.mark.long
+@ROOMS
 def test_the_page_leaves_what_the_command_leaves(
     made: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -142,6 +147,7 @@ def test_the_page_leaves_what_the_command_leaves(
 
 
 @pytest.mark.long
+@ROOMS
 def test_files_are_dropped_and_what_is_missing_is_asked_for(made: tuple[Path, str], tmp_path: Path) -> None:
     """A source with its data: the tool that they do not say is entered below, and each file has its button."""
     case = next(case for case in cases("KRL", 8) if len(case.files) == 2 and "BAS(#TOOL,3)" in case.files["test.src"])

@@ -685,6 +685,7 @@ def test_a_robot_that_hangs_has_no_floor(tmp_path, capsys):
 # What comes of it.
 
 
+@pytest.mark.long
 def test_designed_poses_are_better_on_a_machine_too(kuka):
     """From a cell, used all over the reach: predicted and found, at least 1.5 times less error than random poses leave."""
     options = Options(sigma=5e-5)
@@ -718,9 +719,14 @@ def held_out_error(robot, machine, q, held_out, options, rng):
 
 
 @pytest.mark.long
-def test_the_example_shows_what_design_is_worth(tmp_path):
+@pytest.mark.rooms(
+    "examples/design_poses.py", "pincal/design", "pincal/identify", "pincal/measure", "pincal/model", "pincal/robot",
+    "pincal/simulate", "pincal/calibration", "pincal/parameters.py",
+)  # fmt: skip
+@pytest.mark.parametrize("draws", [15, pytest.param(50, marks=pytest.mark.rates)])
+def test_the_example_shows_what_design_is_worth(tmp_path, draws):
     """From a cell at least 1.5 times less error, predicted and realised; in the open nearly all that is possible."""
-    text = run_example("design_poses.py", folder=tmp_path)
+    text = run_example("design_poses.py", "--draws", str(draws), folder=tmp_path)
     cell, hall = text.split("in an open hall")
 
     for part, least in ((cell, 1.5), (hall, 1.2)):

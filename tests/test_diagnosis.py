@@ -79,6 +79,7 @@ def offset(change_examples: Path) -> tuple[FittedRobot, Measurements]:
     return model, rows(change_examples / "cases" / "offset15_heavy_6r" / "new.csv", model.model.chain.robot)
 
 
+@pytest.mark.long
 def test_an_instrument_with_more_noise_tells_less(offset: tuple[FittedRobot, Measurements]) -> None:
     """Declared noise counts where it is more than the calibration's; what is no length is refused."""
     model, new = offset
@@ -92,6 +93,7 @@ def test_an_instrument_with_more_noise_tells_less(offset: tuple[FittedRobot, Mea
         pincal.diagnose(model, new, sigma=0.0)
 
 
+@pytest.mark.long
 def test_some_of_very_many_rows_tell_what_changed(
     offset: tuple[FittedRobot, Measurements], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -267,6 +269,7 @@ def test_one_wrong_reading_is_no_change(same: tuple[FittedRobot, Measurements]) 
     assert "contradict" in found.found.warnings[0].text
 
 
+@pytest.mark.long
 def test_gross_rows_make_the_others_no_rows_of_another_robot(same: tuple[FittedRobot, Measurements]) -> None:
     """Four of 25 rows are off by decimetres: they are left out, and the robot is judged by the others."""
     model, new = same
@@ -320,6 +323,7 @@ def test_weighing_again_after_a_change_is_consistent(offset: tuple[FittedRobot, 
     assert before.form.square - after.form.square == pytest.approx(before.gain(lineup.places[i])[0], rel=1e-2)
 
 
+@pytest.mark.long
 def test_a_change_of_a_drawn_robot_is_named() -> None:
     """One draw of each kind, over arms of six and of seven joints."""
     for seed, kind in enumerate(KINDS[:3]):
@@ -392,6 +396,7 @@ def test_a_robot_that_has_not_changed_is_left_alone() -> None:
     assert np.mean(alarms) <= 0.015
 
 
+@pytest.mark.long
 def test_what_a_model_left_is_no_change(tmp_path: Path) -> None:
     """Strong effects that it always had: an alarm for a model that forgot them, none for one that knows, file or not."""
     case = draw_case(0, missed=3)

@@ -53,6 +53,7 @@ def test_a_base_that_moves_with_time_is_nothing_for_another_frame_to_gain() -> N
     assert not is_small_table(fit.fit, POLICY) and _still_to_gain(fit.fit, search) == 0.0
 
 
+@pytest.mark.long
 def test_loads_have_something_to_gain_where_they_predict_rows_left_out() -> None:
     """A base that is compliant; in rows left out at random and in none but one block, which tells nothing of others."""
     case = draw_case("base_elasticity", 9662, n=200, strength=200.0)
@@ -63,6 +64,7 @@ def test_loads_have_something_to_gain_where_they_predict_rows_left_out() -> None
     assert [_still_to_gain(fit.fit, search) < 0.0 for search in searches] == [True, False]
 
 
+@pytest.mark.long
 def test_what_a_discovery_ends_with_is_settled() -> None:
     """Fits on the way end early: the last one, of few rows as of many, has nothing left to gain."""
     case = draw_case("backlash", 3, n=160, strength=200.0)

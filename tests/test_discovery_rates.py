@@ -103,10 +103,10 @@ def fresh_tasks(kinds: Sequence[str], count: int) -> list[tuple[str, int, dict[s
     ("kind", "seed"),
     [
         ("gear_eccentricity", 1),
-        ("joint_coupling", 100),
         *(
             pytest.param(kind, seed, marks=pytest.mark.long)
             for kind, seed in [
+                ("joint_coupling", 100),
                 ("thermal_expansion", 0),
                 ("load_backlash", 1),
                 ("axis_wobble", 3),
@@ -171,7 +171,7 @@ def test_what_has_no_name_gets_none(kind: str) -> None:
     assert verdict.right and not verdict.false_names, str(verdict)
 
 
-@pytest.mark.parametrize("kind", ["null", "measurement_scale"])
+@pytest.mark.parametrize("kind", ["null", pytest.param("measurement_scale", marks=pytest.mark.long)])
 def test_nothing_is_named_where_nothing_can_be_seen(kind: str) -> None:
     """Sound data with masses 3 % off, and an instrument's scale, which free lengths absorb: no name."""
     assert not judge(draw_case(kind, 4, n=200)).named

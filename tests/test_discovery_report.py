@@ -379,6 +379,7 @@ def _run(*arguments: object) -> object:
     return ended.value.code
 
 
+@pytest.mark.long
 def test_check_prints_what_could_be_found(tmp_path: Path, case: Case, capsys: pytest.CaptureFixture[str]) -> None:
     """The table of sizes is printed and stands in the JSON; no line of a table is wider than a page."""
     write_table(tmp_path / "data.csv", _columns(case.rows))

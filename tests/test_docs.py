@@ -181,6 +181,7 @@ def test_notebooks_import_nothing_internal() -> None:
     assert modules <= {"pincal.builtin", "pincal.simulate", "pincal.viewer"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("notebook", sorted((ROOT / "examples").glob("*.ipynb")), ids=lambda notebook: notebook.stem)
 def test_notebooks_run_and_draw(notebook: Path, tmp_path: Path) -> None:
     """Every cell runs, figures are drawn and the robot in 3D, as notebooks are kept without outputs."""

@@ -90,6 +90,7 @@ def test_a_wrist_alone_may_be_as_soft_as_its_load_lets_it(tmp_path: Path) -> Non
     assert sizes[0] > 3.0 * sizes[1]
 
 
+@pytest.mark.long
 def test_all_of_a_real_panda_gives_way(shared_data: Path) -> None:
     """From 157 poses in sockets too: one drive alone left .181 mm on rows held out, drives and bearings leave .150."""
     with warnings.catch_warnings():

@@ -87,6 +87,7 @@ def test_errors_elsewhere_are_as_large_as_expected(robot):
     assert 0.3 < true / expected < 1.5
 
 
+@pytest.mark.long
 def test_the_range_that_was_not_measured_is_named_with_the_cure(robot):
     """Poses that leave most of a joint's range out are said to, wherever the result is shown."""
     found, _ = calibrated(robot, without_the_middle(robot, 0), 0)
@@ -138,6 +139,7 @@ def run(arguments: list[str]) -> None:
     assert ended.value.code == 0
 
 
+@pytest.mark.long
 def test_the_command_tells_it_in_a_line(robot, tmp_path, capsys):
     """``calibrate`` prints it beside the headline and writes it; with ``--task`` for the poses of that file."""
     table, _ = measured(robot, without_the_middle(robot, 0), 0)

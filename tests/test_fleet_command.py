@@ -85,6 +85,7 @@ def test_a_type_is_learned_from_models(folder: Path, of: Path, capsys: pytest.Ca
     assert page.count("<svg") == 3 and "joint_2.theta" in page
 
 
+@pytest.mark.long
 def test_few_poses_of_a_machine_of_a_known_type(folder: Path, of: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It is known far better than alone, and that is true; a note on how it compares, and the type among the inputs."""
     assert run("calibrate", folder / "robot.urdf", folder / "few.csv", *GEOMETRIC, "--test-fraction", "0", "--quiet",
@@ -104,6 +105,7 @@ def test_few_poses_of_a_machine_of_a_known_type(folder: Path, of: Path, capsys: 
     np.testing.assert_allclose((model.information.H - fit.information.H) / np.sqrt(np.outer(whole, whole)), 0.0, atol=0.02)
 
 
+@pytest.mark.long
 def test_check_design_and_simulate_know_the_type(folder: Path, of: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Poses promise more, and a machine that is drawn from the type is one of it."""
     promised = []
@@ -120,6 +122,7 @@ def test_check_design_and_simulate_know_the_type(folder: Path, of: Path, capsys:
     assert not load_type(of).judge(Machine.of(drawn.fit)).off
 
 
+@pytest.mark.long
 def test_tables_models_and_diagnoses_go_into_a_store(
     arm: Robot, folder: Path, of: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -200,6 +203,7 @@ def test_a_design_begins_with_what_is_known(arm: Robot, folder: Path, of: Path) 
     np.testing.assert_allclose(covariance[np.ix_(at, at)] / scale, expected / scale, atol=1e-5)
 
 
+@pytest.mark.long
 def test_machines_differ_at_the_tool_as_true_ones_do(arm: Robot) -> None:
     """Predicted by the type of ten machines, and seen on true ones whose frames are placed over each other."""
     machines = siblings(10)

@@ -324,7 +324,7 @@ def test_p_values_of_machines_of_the_type_are_uniform_or_larger() -> None:
         assert np.mean(p < alpha) < alpha + 3.0 * np.sqrt(alpha * (1.0 - alpha) / 250)
 
 
-@pytest.mark.parametrize("count", [1, 3, 10])
+@pytest.mark.parametrize("count", [3, *(pytest.param(count, marks=pytest.mark.long) for count in (1, 10))])
 def test_few_machines_give_a_prior_that_covers(count: int) -> None:
     """Over families: intervals of 95 % hold 92 to 99 % of further machines, along what is seen."""
     rng, inside = np.random.default_rng(13), []
@@ -426,6 +426,7 @@ def test_real_siblings_save_poses(shared_data: Path) -> None:
     assert with_type < 1.02 * alone
 
 
+@pytest.mark.long
 def test_a_target_on_parallel_axes_stays_within_reach() -> None:
     """Of a SCARA its height is told by tilts alone: the surer these are small, the farther off it went, up to kilometres."""
     text = '<robot name="scara"><link name="l0"/>'

@@ -133,6 +133,7 @@ def test_a_job_does_what_is_left(robot: Robot, store: Store, tmp_path: Path) -> 
     assert len(list(store.machines(job=job.name))) == 6
 
 
+@pytest.mark.long
 def test_from_tables_to_changes(robot: Robot, tmp_path: Path) -> None:
     """Calibrated, learned and checked from the store alone: the one robot with a joint off is found."""
     store, machines = open_store(tmp_path, create=True), siblings(6)
@@ -157,6 +158,7 @@ def test_from_tables_to_changes(robot: Robot, tmp_path: Path) -> None:
     assert {"joint_3.theta", "joint_3"} & {change.what, *change.equals}
 
 
+@pytest.mark.long
 def test_models_and_diagnoses(robot: Robot, tmp_path: Path) -> None:
     """A check is diagnosed by the last model before it, and its p-value counts where there is no information."""
     store, machine = open_store(tmp_path / "fleet", create=True), siblings(1)[0]

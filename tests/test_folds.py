@@ -134,6 +134,7 @@ def test_a_pose_counts_once_however_often_it_was_visited(robot: Robot) -> None:
     )
 
 
+@pytest.mark.long
 def test_the_headline_is_the_error_at_other_poses(robot: Robot) -> None:
     """Over eight tables it is that of fresh readings at poses of the same plan, to a tenth or so."""
     ratios = []

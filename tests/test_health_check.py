@@ -164,6 +164,7 @@ def test_a_distance_takes_more_poses_than_a_position() -> None:
     assert len(position.conditions) < len(distance.conditions)
 
 
+@pytest.mark.long
 def test_a_check_with_sockets_holds_the_tool_point_in_them() -> None:
     """Every pose brings the target to the socket that its row names, and each socket has rows to spare."""
     robot = Robot.from_urdf(kuka_urdf_path())

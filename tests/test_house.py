@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -76,13 +77,20 @@ GUARDED = {
 }
 
 
-@pytest.mark.parametrize("numbers", NUMBERS, ids=lambda numbers: type(numbers).__name__)
-def test_numbers_that_decide_stand_in_a_policy(numbers: object) -> None:
-    """Each with its unit, its meaning, why it has this value, and a test that is there."""
+@cache
+def files_and_tests() -> set[str]:
+    """Return the files of this folder, and their functions as pytest names them."""
     known = set[str]()
     for path in TESTS.glob("*.py"):
         names = (node.name for node in ast.parse(path.read_text("utf-8")).body if isinstance(node, ast.FunctionDef))
         known |= {path.name, *(f"{path.name}::{name}" for name in names)}
+    return known
+
+
+@pytest.mark.parametrize("numbers", NUMBERS, ids=lambda numbers: type(numbers).__name__)
+def test_numbers_that_decide_stand_in_a_policy(numbers: object) -> None:
+    """Each with its unit, its meaning, why it has this value, and a test that is there."""
+    known = files_and_tests()
 
     for entry in fields(numbers):  # type: ignore[arg-type]
         assert all(entry.metadata[key].strip() for key in ("unit", "meaning", "origin", "pinned_by")), entry.name

@@ -103,6 +103,7 @@ def _joint(number: int, of: tuple[str, str, float, float, int]) -> str:
     )
 
 
+@pytest.mark.long
 def test_parallel_axes_leave_a_file(tmp_path: Path) -> None:
     """What a SCARA's readings say of lengths along its axes is rounding, and may come out as less than nothing."""
     (tmp_path / "scara.urdf").write_text(

@@ -90,6 +90,7 @@ def weighed_and_even(kuka: Robot, seed: int) -> tuple[FittedRobot, FittedRobot, 
     return weighed, calibrate(kuka, table, Options(effects=GEOMETRIC)), exact.position
 
 
+@pytest.mark.long
 def test_readings_are_weighed_by_what_the_instrument_says(kuka: Robot) -> None:
     """Over eight tables chi-square is that of the degrees of freedom, and the fit nearer to the truth than an even one's."""
     chi2, degrees, errors = 0.0, 0.0, np.zeros(2)
@@ -119,6 +120,7 @@ def cli(*arguments: str) -> int:
     return int(ended.value.code or 0)
 
 
+@pytest.mark.long
 def test_calibrate_takes_an_instrument_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The noise of result.json is declared, of the size that the data sheet gives at these ranges; bad input ends with 3."""
     table, out = tmp_path / "table.csv", tmp_path / "out"

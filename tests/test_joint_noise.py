@@ -136,6 +136,7 @@ def test_stations_have_the_joints_in_common(kuka: Robot) -> None:
     assert again.solution.converged
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scatter", [SCATTER, 0.0])
 def test_a_discovery_weighs_its_last_fit_and_says_so(scatter: float, kuka: Robot) -> None:
     """By how much each joint is unsteady, in a note; none where noise is even."""

@@ -96,7 +96,7 @@ def test_neighbours_are_near_in_the_joints_that_move() -> None:
     assert related(dict(zip("abcdef", q, strict=True)), errors, np.full(120, np.sqrt(0.5))) == ("a",)
 
 
-@pytest.mark.parametrize("jitter", [0.0, JITTER])
+@pytest.mark.parametrize("jitter", [JITTER, pytest.param(0.0, marks=pytest.mark.long)])
 @pytest.mark.parametrize("still", AT_REST.values(), ids=AT_REST)
 def test_a_sound_robot_is_found_sound_whatever_stands_still(still: tuple[int, ...], jitter: float) -> None:
     """Nothing is named, and regions are held out."""

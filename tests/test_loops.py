@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from linkages import WAYS, four_bar, palletizer, rod_arm
+from pairs import in_pairs
 from test_model import (
     EFFECTS,
     TILTED,
@@ -172,6 +173,7 @@ def test_readings_decide_which_joints_follow() -> None:
     assert [robot.joint_names[i] for i in robot.own_joints] == DRIVES
 
 
+@pytest.mark.long
 def test_rods_are_not_asked_for_couplings() -> None:
     """A table that agrees badly was refused by the name of a joint that has no column."""
     robot = Robot.from_urdf(palletizer())
@@ -221,10 +223,16 @@ def test_the_assembly_is_that_of_the_urdf() -> None:
 MODELS = {"palletizer": palletizer(), "rod arm, no parallelogram": rod_arm(skew=0.05)}
 
 
+@cache
+def linkage(name: str) -> Robot:
+    """Return one of the robots, read once."""
+    return Robot.from_urdf(MODELS[name])
+
+
 @pytest.fixture(scope="module", params=MODELS)
 def looped(request: pytest.FixtureRequest) -> Robot:
     """Return robots of one loop and of three, one of them no parallelogram."""
-    return Robot.from_urdf(MODELS[request.param])
+    return linkage(request.param)
 
 
 @pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
@@ -242,8 +250,11 @@ def test_zero_parameters_give_the_nominal_robot(
     np.testing.assert_allclose(model.predict(np.zeros(model.n_parameters), conditions), expected, rtol=0.0, atol=CLOSED)
 
 
-@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
-@pytest.mark.parametrize("name", ["geometric", "joint_elasticity", "bearing_elasticity", "all"])
+@pytest.mark.parametrize(
+    ("name", "moment_frame", "looped"),
+    in_pairs(["geometric", "joint_elasticity", "bearing_elasticity", "all"], MOMENT_FRAMES, list(MODELS)),
+    indirect=["looped"],
+)
 def test_the_jacobian_is_exact(looped: Robot, name: str, moment_frame: MomentFrame, rng: np.random.Generator) -> None:
     """Lengths of rods, zeros of cranks, loads that loops hand on: all columns equal central differences."""
     model = Model(chain_of(looped, moment_frame), EFFECTS[name])

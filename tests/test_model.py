@@ -6,6 +6,7 @@ import gc
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -13,6 +14,7 @@ import pytest
 from numba import njit
 from numba.core import event
 from numba.core.event import EventStatus
+from pairs import in_pairs
 
 from pincal import compiled
 from pincal import simulate as sim
@@ -65,12 +67,23 @@ EFFECTS: dict[str, tuple[Effect, ...]] = {
     "all": (BaseFrame(), ToolFrame(FRAME_SYMBOLS), *ELASTIC),
 }
 SOME_JOINTS = catalogue.JointElasticity, catalogue.BearingElasticity
+EFFECTS_IN_PAIRS = pytest.mark.parametrize(
+    ("name", "robot", "moment_frame", "equilibrium"),
+    in_pairs(list(EFFECTS), PARAMS, MOMENT_FRAMES, [False, True]),
+    indirect=["robot"],
+)
+
+
+@cache
+def arm(name: str) -> Robot:
+    """Return one of the robots, read once."""
+    return ARMS[name]()
 
 
 @pytest.fixture(scope="module", params=PARAMS)
 def robot(request: pytest.FixtureRequest) -> Robot:
     """Return each of the robots: industrial, parallel axes, seven joints, a sliding torso; paths up a tree and down."""
-    return ARMS[request.param]()
+    return arm(request.param)
 
 
 def chain_of(robot: Robot, moment_frame: MomentFrame = "paper", gravity: np.ndarray = TILTED) -> Chain:
@@ -157,9 +170,7 @@ def test_effects_have_a_readable_repr(name: str) -> None:
         assert repr(effect).startswith(type(effect).__name__ + "(")
 
 
-@pytest.mark.parametrize("equilibrium", [False, True])
-@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
-@pytest.mark.parametrize("name", EFFECTS)
+@EFFECTS_IN_PAIRS
 def test_zero_parameters_give_the_nominal_arm(
     robot: Robot, name: str, moment_frame: MomentFrame, equilibrium: bool, rng: np.random.Generator
 ) -> None:
@@ -185,9 +196,7 @@ def central_differences(model: Model, values: np.ndarray, conditions: Conditions
     return np.stack(columns, axis=2)
 
 
-@pytest.mark.parametrize("equilibrium", [False, True])
-@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
-@pytest.mark.parametrize("name", EFFECTS)
+@EFFECTS_IN_PAIRS
 def test_jacobian_is_exact(
     robot: Robot, name: str, moment_frame: MomentFrame, equilibrium: bool, rng: np.random.Generator
 ) -> None:

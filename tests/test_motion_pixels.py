@@ -110,6 +110,7 @@ BAD: dict[str, tuple[Corrupt, str]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("fault", BAD)
 def test_images_that_do_not_fit_the_motion_are_refused(hand: tuple[Path, Session], arm: MovingArm, fault: str) -> None:
     """With what is wrong, and what to do."""

@@ -151,6 +151,7 @@ def test_what_is_off_for_a_moment_is_no_place_of_a_joint(fit: pincal.FittedRobot
     assert gathering_of(held, rejected) is not None and bump_in(held, values) is not None
 
 
+@pytest.mark.long
 def test_a_clock_that_slips_is_refused_with_the_row(day: Path) -> None:
     """By less than the nominal arm could tell; a count of frames of which one is lost slips by a step."""
     session = pincal.read_session(ROBOT, day)
@@ -163,6 +164,7 @@ def test_a_clock_that_slips_is_refused_with_the_row(day: Path) -> None:
         pincal.run_calibration(ROBOT, tables, GEOMETRY, test_fraction=0.0)
 
 
+@pytest.mark.long
 def test_joints_that_were_commanded_are_doubted_by_an_imu(day: Path, fit: pincal.FittedRobot) -> None:
     """They are ahead of those that moved, each by another time; what is left then is more than an IMU scatters."""
     session = pincal.read_session(ROBOT, day)
@@ -188,6 +190,7 @@ def test_a_path_of_one_joint_is_asked_for_more(day: Path) -> None:
         pincal.session_tables(ROBOT, [one])
 
 
+@pytest.mark.long
 def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
     """Lengths stay as in the URDF unless a prior is given; errors are of accelerations; a saved model is the same."""
     table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]

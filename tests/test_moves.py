@@ -121,6 +121,7 @@ def test_what_no_model_knows_moves_nothing(robot: Robot) -> None:
     assert len(alarms) <= 2, alarms
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("change", [0.0, 5e-4])
 def test_a_calibration_names_the_drive_whose_curve_changed(robot: Robot, change: float) -> None:
     """With the day, and by how much in the mean square, to a tenth, as pieces are coarse, beside ripples of all drives."""
@@ -139,6 +140,7 @@ def test_a_calibration_names_the_drive_whose_curve_changed(robot: Robot, change:
     assert "joint_3.curve at tuesday by 0.3" in station_changes(run.result.to_dict()["stations"])
 
 
+@pytest.mark.long
 def test_nothing_moves_on_a_robot_that_stays_the_same(robot: Robot) -> None:
     """Eight robots measured on three days: not one parameter."""
     for seed in range(8):
@@ -193,6 +195,7 @@ def test_stations_pay_for_all_parameters_together(robot: Robot) -> None:
     np.testing.assert_allclose(covariance, fit.solution.known.covariance, rtol=1e-4, atol=1e-12)
 
 
+@pytest.mark.long
 def test_each_station_has_its_repeatability(robot: Robot) -> None:
     """Lack of fit is tested where poses were measured again, station by station."""
     tables = measured_over(7, {"monday": 0.0, "tuesday": 0.0}, again=6)

@@ -132,6 +132,7 @@ def test_positions_are_judged_by_a_model_of_poses(kuka: Robot, machine: sim.True
     assert validate_rows([of_poses], same_place).replicate_statistics() == (None, None)
 
 
+@pytest.mark.long
 def test_the_commands_take_rows_of_another_kind(
     shared_cases: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

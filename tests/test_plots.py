@@ -77,6 +77,7 @@ def test_no_rows_are_refused(name: str, evidence: RowErrors) -> None:
         OF_EVIDENCE[name](only(evidence, np.zeros(0, int)))
 
 
+@pytest.mark.long
 def test_exact_errors_are_drawn(evidence: RowErrors) -> None:
     """Errors of zero have a place on logarithmic axes."""
     exact = replace(evidence, after=0.0 * evidence.after)

@@ -29,6 +29,7 @@ def table(kuka: Robot) -> Measurements:
     return measurements_from_arrays(kuka.joint_names, q, position=position + rng.normal(0.0, NOISE, position.shape))
 
 
+@pytest.mark.long
 def test_what_is_held_stays_nominal_and_what_is_free_has_no_prior(kuka: Robot, table: Measurements) -> None:
     priors: dict[str, float | str] = {"*.s_?": 0.0, "*.theta": "3mrad", "joint_2.theta": np.inf}
     usual, told = (calibrate(kuka, table, Options(effects=GEOMETRIC, priors=of)) for of in ({}, priors))

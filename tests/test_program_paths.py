@@ -333,6 +333,7 @@ def test_options_that_make_no_sense_are_refused(
     assert "expected" in (err := capsys.readouterr().err) or "leave --pulses out" in err
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("axes", [None, "q1, -q2, q3, q4, q5, q6+10"])
 def test_programs_of_coupled_joints_hold_what_the_controller_reports(axes: str | None, tmp_path: Path) -> None:
     """Joint 3 reports less than the URDF's by joint 2: axes are recombined, and poses are those of the same arm."""

@@ -161,6 +161,7 @@ def test_later_rows_are_matched_and_checked(
             use(fit, renamed(later))
 
 
+@pytest.mark.long
 def test_a_reversed_joint_is_corrected_with_a_warning(
     robot: pincal.Robot,
     table: pincal.Measurements,

@@ -36,6 +36,7 @@ def rows(kuka: Robot) -> Measurements:
     return measurements_from_arrays(kuka.joint_names, q, position=position)
 
 
+@pytest.mark.long
 def test_what_repeated_positions_can_not_tell_is_said(kuka: Robot, rows: Measurements) -> None:
     """By check and by discover: which joint, how many positions, and the waves that look like others."""
     options = Options(effects=GEOMETRIC, sigma=5e-5)

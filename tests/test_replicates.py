@@ -302,6 +302,7 @@ def test_the_report_has_a_section_on_visits(soft, monkeypatch):
     assert not {"iso9283", "lack_of_fit"} & set(bare.result.to_dict())
 
 
+@pytest.mark.long
 def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys, monkeypatch):
     """Calibrate and validate print them and have them in their JSON, in the words of the standard."""
     monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")

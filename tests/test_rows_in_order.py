@@ -121,6 +121,7 @@ def test_moves_are_those_that_rows_or_times_tell(machine: sim.TrueMachine, tmp_p
     assert joined.move is not None and not joined.move[N:].any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("hidden", "name"),
     [(sim.ShortOfTarget(joint="joint_3", size=1e-4), "settling"), (sim.Backlash(joint="joint_3", size=2e-4), "backlash")],

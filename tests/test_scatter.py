@@ -67,6 +67,7 @@ def _excess_of_rows(kuka: Robot, table: Measurements, options: Options) -> Exces
     return find_excess(fit, by_stops(fit, [StationRows.of("", table)]))
 
 
+@pytest.mark.long
 def test_replicates_show_that_a_joint_scatters(kuka: Robot) -> None:
     """They differ by its scatter, and not by what is a function of the pose, whatever its size."""
     options = Options(effects=GEOMETRIC, sigma=NOISE)

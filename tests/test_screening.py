@@ -41,7 +41,7 @@ def test_wrong_readings_of_half_a_millimetre_are_found_among_ten_visits() -> Non
     assert np.count_nonzero(found & is_wrong) >= 0.95 * is_wrong.sum() and not np.any(found & ~is_wrong)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", [*range(3), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(3, 8))])
 def test_sound_visits_are_not_accused(seed: int) -> None:
     """Whatever the cycles, drives, targets and order, no reading is left out, and the fit is that of the means."""
     table, _ = drawn(np.random.default_rng(seed)).table(seed)
@@ -93,6 +93,7 @@ def test_a_calibration_lists_them_and_keeps_the_other_visits() -> None:
     assert len(found.station.measured[0]) == len(table) - len(lines)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not PLAN.exists(), reason="cases of plans of measurement are not part of the project")
 def test_wrong_readings_in_cycles_are_named() -> None:
     """Seven readings of 180 are off by 1 to 7 mm; of the three of one pose, line 31 agrees with the model to 36 um."""

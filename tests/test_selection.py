@@ -116,6 +116,7 @@ def named(found: Discovery) -> list[str]:
     return sorted({effect.heading[0] for step in found.trail.steps for effect in step.effects})
 
 
+@pytest.mark.long
 def test_priors_on_effects_decide_on_small_tables() -> None:
     """58 poses of an arm that bends: p-values put a gear ratio of joint 2 in the place of elasticity, priors don't."""
     robot, rows, clean = bent_panda(9)

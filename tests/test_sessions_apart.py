@@ -67,7 +67,7 @@ def steps(found: Discovery) -> list[int]:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("pause", [1.0, 17.0, 200.0])
+@pytest.mark.parametrize("pause", [17.0, *(pytest.param(pause, marks=pytest.mark.long) for pause in (1.0, 200.0))])
 def test_an_instrument_displaced_in_a_pause_is_no_drift(pause: float, seed: int) -> None:
     """The line is told, and nothing that follows the time is named."""
     found = discovered(seed, pause=pause * HOUR, shift=True)
@@ -86,7 +86,9 @@ def test_an_instrument_displaced_between_a_cool_and_a_warm_session_is_no_expansi
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize(("pause", "drift"), [(0.0, 1e-4), (1.0, 1e-4), (3.0, 2e-4)])
+@pytest.mark.parametrize(
+    ("pause", "drift"), [(1.0, 1e-4), *(pytest.param(*case, marks=pytest.mark.long) for case in ((0.0, 1e-4), (3.0, 2e-4)))]
+)
 def test_a_drift_that_goes_on_in_both_sessions_is_named(pause: float, drift: float, seed: int) -> None:
     """Beside a pause of up to three of these sessions, and nothing changed at once."""
     found = discovered(seed, pause=pause * HOUR, drift=drift)

@@ -151,6 +151,7 @@ def test_unknown_frames_files_and_attributes_are_refused() -> None:
         planar().tip(np.zeros((4, 3)))
 
 
+@pytest.mark.long
 def test_tips_are_the_same_piece_by_piece(monkeypatch: pytest.MonkeyPatch) -> None:
     """Poses are worked out a few at a time, in less memory; a joint that is dragged along follows them all the same."""
     monkeypatch.setattr(setup, "_PIECE", 40)

@@ -123,6 +123,7 @@ def test_the_second_wave_of_two_lobes_is_in_the_band(machine: sim.TrueMachine) -
     assert tone.locus.joint == "joint_2" and tone.locus.order == pytest.approx(404.0, abs=0.3)
 
 
+@pytest.mark.long
 def test_a_power_of_two_is_an_encoder_beside_the_ripple_that_it_looks_like(machine: sim.TrueMachine) -> None:
     """Lines that count in binary are in the headline; the ripple, and half as many lines, make the same wave."""
     rows = measured(machine, sim.EncoderSubdivision(joint="joint_2", size=6e-5, order=64.0, offset=0.0))

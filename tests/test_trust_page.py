@@ -1,5 +1,6 @@
 """The page of promises names tests that are there."""
 
+import ast
 import re
 from pathlib import Path
 
@@ -20,6 +21,17 @@ def test_every_promise_has_its_tests(tests: dict[str, bool]) -> None:
     assert {name for names in named for name in names} - tests.keys() == set()
     for name, is_long in re.findall(r"`(test_\w+)`( \(long\))?", page):
         assert tests[name] == bool(is_long), name
+
+
+def test_no_change_leaves_out_a_test_that_holds_a_promise() -> None:
+    """Such a test names no rooms, and is not of the products that only ``.ci/run --all`` runs."""
+    page = (TESTS.parent / "docs" / "trust.md").read_text(encoding="utf-8")
+    promised = set(re.findall(r"`(test_\w+)`", page))
+    for file in TESTS.glob("test_*.py"):
+        for test in ast.parse(file.read_text(encoding="utf-8")).body:
+            if isinstance(test, ast.FunctionDef) and test.name in promised:
+                marks = " ".join(map(ast.unparse, test.decorator_list))
+                assert not re.search("ROOMS|[.]rooms|[.]products", marks), f"{file.name}: {test.name}"
 
 
 def test_the_page_says_what_tests_of_rates_notice() -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import SHARED
+from pairs import one_in_three
 from visited import NOISE, ROBOT, Visited, drawn
 
 from pincal import GEOMETRIC, Options, Robot, calibrate, read_measurements, run_calibration
@@ -53,7 +54,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("case", CHANGES)
+@pytest.mark.parametrize("case", one_in_three(list(CHANGES)))
 def test_a_change_between_passes_is_found_with_its_line(case: str) -> None:
     """By the row at which it happened, to within three, and by its cause, though means of poses show nothing."""
     plan, cut, cause = CHANGES[case]
@@ -86,6 +87,7 @@ def test_a_calibration_stops_at_a_change_between_passes() -> None:
     assert result.verdict_of() is Verdict.NOT_ADEQUATE
 
 
+@pytest.mark.long
 def test_a_drift_between_visits_is_a_doubt() -> None:
     """A tenth of a millimetre over three passes, in any order of the poses."""
 
@@ -115,7 +117,7 @@ def test_visits_that_alternate_between_two_sides_are_named_with_their_joint() ->
     assert "approach_joint_3" in str(found) and "by turns" in str(found)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 12))])
 def test_sound_visits_raise_no_doubt(seed: int) -> None:
     """Whatever the cycles, drives, targets, dwell and order."""
     table, _ = drawn(np.random.default_rng(100 + seed)).table(100 + seed)
@@ -162,6 +164,7 @@ def test_visits_that_differ_in_no_pattern_are_not_passed_over() -> None:
     assert any("differ by more than the means of poses about the model allow" in note.text for note in doubts)
 
 
+@pytest.mark.long
 def test_a_step_among_poses_of_which_few_are_visited_again_has_the_line_of_the_means() -> None:
     """Ten of 110 poses are visited again at the end: by them it lies anywhere between, by the means at its row."""
     plan = Visited(poses=110, cycles=2, order="same", readings=shifted(4e-4, 60))

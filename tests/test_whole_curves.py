@@ -61,6 +61,7 @@ def test_a_simple_curve_may_be_part_of_a_whole_one(size: float, whole: bool, tol
     assert not whole or GearEccentricity("joint_3").heading in [effect.heading for effect in found.equivalent]
 
 
+@pytest.mark.long
 def test_a_second_name_is_better_than_a_whole_curve(kuka: Robot) -> None:
     """Two waves of one drive are told by their names, or by one that is both; nothing of them is left for its curve."""
     twice = sim.GearEccentricity(joint="joint_3", size=3e-4, order=2, phase=1.0)
