@@ -12,7 +12,9 @@ from dataclasses import field
 from typing import Any, TypeAlias
 
 Count: TypeAlias = int
-"""Bounds a computation, a file or a page: rows, steps, bytes, names shown. Nothing is decided by it."""
+"""Bounds a computation, a file or a page: rows, steps, bytes, names shown. Nothing is decided by
+it.
+"""
 
 Scale: TypeAlias = float
 """A tolerance or grid of a computation, the size of a prior, a constant of nature or of a format.

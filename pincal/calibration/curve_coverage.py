@@ -1,4 +1,4 @@
-"""Which curves of a calibrated robot some rows need beyond, or between, what its rows determined."""
+"""Which curves of a calibrated robot some rows need beyond, or between, what it was fitted to."""
 
 from __future__ import annotations
 

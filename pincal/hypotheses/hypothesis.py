@@ -3,8 +3,8 @@
 Every search for a fault goes the same way. A list of hypotheses says what may have happened: two
 columns exchanged, a joint that counts the other way, an instrument that was touched. Each is tried,
 either by undoing it and looking whether the subject then fits (:class:`Hypothesis`,
-:func:`explaining`), or by what is gained where it is estimated. :func:`likeliest` compares what they
-leave: it believes the one that leaves least, and names those that leave hardly more, between which
+:func:`explaining`), or by what is gained where it is estimated. :func:`likeliest` compares what
+they leave: it believes the one that leaves least, and names those that leave hardly more, between which
 nobody can decide.
 
 A new hypothesis is an entry in the list of its topic; neither the trial nor the comparison changes.

@@ -23,7 +23,8 @@ from pincal.measure.sensor import Grouped
 from pincal.model.effect import Family
 
 Task = tuple[Callable[..., Any], slice, np.ndarray, *tuple[Any, ...]]
-"""A function, the slice of a problem's stations that it is called with (joined, with the boundaries of their rows), their
+"""A function, the slice of a problem's stations that it is called with (joined, with the
+boundaries of their rows), their
 values as for :meth:`Batch.together`, and its further arguments."""
 
 

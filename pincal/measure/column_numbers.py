@@ -14,23 +14,48 @@ _TOLERANCE = "test_checks.py::test_tolerance_of_limits_is_silent"
 _ONE_POSE = "test_checks.py::test_one_pose_repeated_is_refused"
 
 
-# fmt: off
 @dataclass(frozen=True, kw_only=True)
 class ColumnNumbers:
     """Thresholds by which joint columns are refused as swapped or in another unit."""
 
-    many: float = number(0.2, "ratio", _FEW_DEGREES,
-        "of rows beyond the limits to all, above which the column, not the row, is at fault", "chosen")
-    most_m: float = number(50.0, "m", _RAIL, "beyond which a prismatic joint is not in metres",
-        "longer than any rail of a robot")
-    most_rad: float = number(4.0 * pi, "rad", _DEGREES, "beyond which a revolute joint is not in radians",
-        "two revolutions: more than cables allow, and less than a motion of some degrees read as radians")
-    beyond: float = number(0.05, "rad or m", _TOLERANCE, "by which positions may exceed the limits of a URDF",
-        "these are rounded, and controllers overshoot them by about as much")
-    far: float = number(2.0, "ratio", _FEW_DEGREES,
-        "of a joint's largest position to its limits, above which another unit may explain it", "chosen")
-    constant: float = number(1e-4, "rad or m", _ONE_POSE, "range of a joint that is at rest", "the noise of an encoder")
+    many: float = number(
+        0.2,
+        "ratio",
+        _FEW_DEGREES,
+        "of rows beyond the limits to all, above which the column, not the row, is at fault",
+        "chosen",
+    )
+    most_m: float = number(
+        50.0,
+        "m",
+        _RAIL,
+        "beyond which a prismatic joint is not in metres",
+        "longer than any rail of a robot",
+    )
+    most_rad: float = number(
+        4.0 * pi,
+        "rad",
+        _DEGREES,
+        "beyond which a revolute joint is not in radians",
+        "two revolutions: more than cables allow, and less than a motion of some degrees read as radians",
+    )
+    beyond: float = number(
+        0.05,
+        "rad or m",
+        _TOLERANCE,
+        "by which positions may exceed the limits of a URDF",
+        "these are rounded, and controllers overshoot them by about as much",
+    )
+    far: float = number(
+        2.0,
+        "ratio",
+        _FEW_DEGREES,
+        "of a joint's largest position to its limits, above which another unit may explain it",
+        "chosen",
+    )
+    constant: float = number(
+        1e-4, "rad or m", _ONE_POSE, "range of a joint that is at rest", "the noise of an encoder"
+    )
 
 
-# fmt: on
 JOINT_COLUMNS = ColumnNumbers()

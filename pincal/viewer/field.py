@@ -112,9 +112,7 @@ class Fields:
         return replace(self, layers=tuple(layers), poses=tuple(poses))
 
 
-def _workspace_layers(
-    part: FittedRobot, over: Conditions, nominal: np.ndarray
-) -> Iterator[Layer]:
+def _workspace_layers(part: FittedRobot, over: Conditions, nominal: np.ndarray) -> Iterator[Layer]:
     """Yield the deviations over a workspace: from the prediction at nominal values to the
     calibrated one, and of each effect.
     """
