@@ -18,6 +18,7 @@ from pathlib import Path
 from types import ModuleType
 
 from pincal.errors import OutputError
+from pincal.thresholds import Count
 
 fcntl: ModuleType | None
 try:
@@ -31,8 +32,8 @@ ELSEWHERE = "choose a folder that exists and is writable"
 
 # renameat2(2): paths relative to the working directory, and both names exchanged. renamex_np(2) of
 # macOS: likewise.
-_AT_FDCWD = -100
-_RENAME_EXCHANGE = 2
+_AT_FDCWD: Count = -100
+_RENAME_EXCHANGE: Count = 2
 
 
 @contextlib.contextmanager

@@ -15,15 +15,17 @@ from enum import IntEnum
 from itertools import islice
 from typing import TYPE_CHECKING
 
+from pincal.thresholds import Count, Scale
+
 if TYPE_CHECKING:
     import numpy as np
 
 # Longest message [bytes], as names from files may have any length.
-LONGEST = 1900
+LONGEST: Count = 1900
 # Similarity of two names, 0 to 1, below which they are unrelated.
-_SIMILAR = 0.5
+_SIMILAR: Scale = 0.5
 # Most names that are compared, and characters of each.
-_COMPARED = 50
+_COMPARED: Count = 50
 
 
 def printable(text: str, most: int | None = None) -> str:

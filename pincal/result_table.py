@@ -12,6 +12,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, Literal
 
 from pincal.errors import BadInputError, nearest_first
+from pincal.thresholds import Count
 from pincal.units import Quantity, show_plainly
 
 if TYPE_CHECKING:
@@ -64,9 +65,9 @@ class Column:
 
 
 # Width of plain text.
-_WIDTH = 100
+_WIDTH: Count = 100
 # Names are not broken up to this fraction of the width.
-_NARROWEST = 4
+_NARROWEST: Count = 4
 _STYLES: dict[str, str] = {"": "", "good": "", "care": "yellow", "bad": "red", "mute": "dim"}
 _CLASSES = {
     Kind.LABEL: "nw",

@@ -31,18 +31,19 @@ from typing import Any, TypeVar
 
 from pincal.errors import BadInputError, WorkersLostError
 from pincal.plugins import load_plugin, loaded_plugins
+from pincal.thresholds import Count, Scale
 
 _T = TypeVar("_T")
 _R = TypeVar("_R")
 
 # Functions that a worker keeps: the current one, and earlier ones.
-_KEPT = 4
+_KEPT: Count = 4
 # A pool with a dead process is broken. A cluster continues, unless its scheduler is gone, or
 # several workers died at one task, for which Dask raises this error.
 _BROKEN = (BrokenExecutor, CancelledError)
 _GIVEN_UP = ("KilledWorker",)
 # Interval at which a wait for workers can be interrupted [s].
-_GLANCE = 0.3
+_GLANCE: Scale = 0.3
 
 log = logging.getLogger(__name__)
 

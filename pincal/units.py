@@ -10,19 +10,21 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pincal.thresholds import Scale
+
 if TYPE_CHECKING:
     import numpy as np
 
-LARGEST = 1e7
+LARGEST: Scale = 1e7
 """Largest plausible quantity of a robot cell in SI units.
 
 Some cells are placed in national grids, which extend that far; beyond, a double does not resolve a
 nanometre.
 """
-SMALLEST = 1e-12
+SMALLEST: Scale = 1e-12
 """Smallest plausible positive quantity in SI units: a picometre is a hundredth of an atom."""
 
-STANDARD_GRAVITY = 9.80665
+STANDARD_GRAVITY: Scale = 9.80665
 """Gravity that defines units of g [m/s^2]."""
 _DEG = math.pi / 180
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "in": 0.0254}
@@ -65,7 +67,7 @@ _OFFSETS = {"K": -273.15}
 # Quantities of any size, such as counts and times, which some clocks count in nanoseconds from
 # 1970; their limit.
 _UNBOUNDED = ("time", "number", "name")
-_LARGEST_COUNT = 1e20
+_LARGEST_COUNT: Scale = 1e20
 
 
 def is_possible(values: np.ndarray, quantity: str) -> np.ndarray:
@@ -113,8 +115,8 @@ def in_unit(values: np.ndarray, unit: str) -> np.ndarray:
 
 
 # Plausible gravity other than zero [m/s^2], from orbit to a hundred times that on earth.
-_LEAST_GRAVITY = 1e-6
-_MOST_GRAVITY = 1e3
+_LEAST_GRAVITY: Scale = 1e-6
+_MOST_GRAVITY: Scale = 1e3
 GRAVITIES = f"0 0 0, or a vector of {_LEAST_GRAVITY:g} to {_MOST_GRAVITY:g} m/s^2"
 """Plausible gravity in words."""
 

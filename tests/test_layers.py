@@ -16,8 +16,8 @@ import pincal
 PACKAGE = Path(pincal.__file__).resolve().parent
 # From the bottom up; a layer imports itself and what stands before it.
 LAYERS = (
-    "errors",
     "thresholds",
+    "errors",
     "atomic",
     "plugins",
     "spread",

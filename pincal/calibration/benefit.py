@@ -51,19 +51,20 @@ from pincal.identify.quadratic import Factor
 from pincal.identify.station import Station
 from pincal.measure.extrinsics import sample_rows
 from pincal.model.conditions import Conditions
+from pincal.thresholds import Count, Scale
 
 # Factors on the priors that are compared: the URDF as it is (for the arithmetic, a thousandth),
 # then up to the usual priors.
-_NONE = 1e-3
-_LEAST = 1e-2
-_STEP = 10.0**0.125
+_NONE: Scale = 1e-3
+_LEAST: Scale = 1e-2
+_STEP: Scale = 10.0**0.125
 # Standard deviation of parameters without a prior [m or rad].
-_ANYWHERE = 10.0
+_ANYWHERE: Scale = 10.0
 # Measured poses at most at which errors are compared.
-_MEASURED = 500
+_MEASURED: Count = 500
 # Ratio of the noise of the nominal robot to that of the fit beyond which the fit is taken to have
 # none.
-_MOST = 1e4
+_MOST: Scale = 1e4
 
 
 class Benefit(NamedTuple):

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pincal.calibration.calibration_numbers import DOUBTED
 from pincal.identify.calibrate import doubts_of_known
 from pincal.identify.choices import found_moments
 from pincal.identify.criteria import CHANGES
@@ -16,6 +17,7 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.notes import Note, Severity
+from pincal.thresholds import Count
 from pincal.units import format_readable, format_small
 from pincal.validate.accuracy import pose_error_sizes
 from pincal.validate.agreement import computed, implausible
@@ -25,22 +27,8 @@ from pincal.validate.midway import change_in
 from pincal.validate.misfit import MISFIT, is_informative
 from pincal.validate.outcome import MovedParameter
 
-# A held-out row is far off if its error is this many times the median: 15 standard deviations of a
-# normal error in 3D.
-_FAR = 10.0
 # Lines that a note lists.
-_LISTED = 8
-# Rank correlation of a joint's positions with the row order above which the joint moved steadily;
-# the fewest rows for that.
-_STEADY = 0.95
-_ROWS = 20
-# Residuals of an IMU that exceed noise, in units of its scatter within a window and of the usual
-# noise: sound logs reach 1.6, including arms with ripple and friction that no effect describes;
-# commanded instead of measured joints give 10.
-_UNLIKE = 4.0
-_USUAL = 2.0
-# Fraction of the rows above which outliers are no exceptions; real tables have some percent.
-_MANY = 0.25
+_LISTED: Count = 8
 
 
 class CaveatKind(Enum):
@@ -398,7 +386,7 @@ def findings_on_scatter(fit: ModelFit) -> Iterator[Caveat]:
         ):
             # A filter in the sensor reduces the scatter; the residuals are then still those of any
             # IMU.
-            if noise > max(_UNLIKE * expected, _USUAL * block.noise):
+            if noise > max(DOUBTED.unlike * expected, DOUBTED.usual * block.noise):
                 figures = {"what": block.name.replace("_", " "), "ratio": noise / expected}
                 yield Caveat(CaveatKind.UNLIKE_ITS_SCATTER, figures, station.name)
 
@@ -424,18 +412,18 @@ def findings_on_order(station: Station) -> list[Caveat]:
             else CaveatKind.DEPENDENT_ROWS
         )
         found.append(Caveat(kind, {"what": what}, station.name))
-    if station.position is not None and n >= _ROWS:
+    if station.position is not None and n >= DOUBTED.rows:
         # Blocks of different loads are judged separately: what differs between them may be elastic.
         loads = (
             station.conditions.payload == load for load in np.unique(station.conditions.payload)
         )
-        parts = [station.select(rows) for rows in loads if rows.sum() >= _ROWS] or [station]
+        parts = [station.select(rows) for rows in loads if rows.sum() >= DOUBTED.rows] or [station]
         steady = np.full(station.conditions.q.shape[1], np.inf)
         for q, position in ((part.conditions.q, part.position) for part in parts):
             rank = np.argsort(np.argsort([*q.T, position], axis=1), axis=1)
             correlation = np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1])
             steady = np.minimum(steady, np.where(np.ptp(q, axis=0) > 0.0, correlation, 0.0))
-        if steady.max() > _STEADY:
+        if steady.max() > DOUBTED.steady:
             joint = station.model.chain.robot.joint_names[int(np.argmax(steady))]
             found.append(Caveat(CaveatKind.SORTED, {"joint": joint}, station.name))
     return found
@@ -476,7 +464,7 @@ def findings_on_outliers(
 
     left_out = table.rows[rejected].tolist() if lines is None else lines
     found = [Caveat(CaveatKind.OUTLIERS, {}, station.name, tuple(left_out))] if left_out else []
-    if rejected.mean() >= _MANY:
+    if rejected.mean() >= DOUBTED.many:
         common = in_common(station, values, table, rejected) or "no common cause was found"
         found = [about(CaveatKind.MANY_OUTLIERS, rejected, rows=len(table), common=common)]
     elif (gathered := gathering_of(station, rejected)) is not None:
@@ -535,7 +523,7 @@ def far_off(errors: np.ndarray, table: Measurements, station: str) -> list[Cavea
         table: the rows.
         station: their station.
     """
-    far = errors > _FAR * np.median(errors)
+    far = errors > DOUBTED.far * np.median(errors)
     if not far.any():
         return []
     figures = {

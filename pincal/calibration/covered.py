@@ -15,6 +15,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pincal.calibration.calibration_numbers import COVERAGE
 from pincal.identify.criteria import CHANGES
 from pincal.io.arrays import ArrayShape, Matrix, Numbers, Record
 from pincal.model.chain import Chain
@@ -24,13 +25,10 @@ from pincal.model.model import Model
 from pincal.parameters import Estimate
 from pincal.recorded import OF_THE_DAY, RECORDED
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count
 
-# Margin beyond the training rows that counts as covered: a fraction of their range, and a constant
-# [rad, m or kg].
-_MARGIN_PART = 0.02
-_MARGIN = 1e-3
 # Points per piece of a curve at which its uncertainty is evaluated.
-_POINTS = 4
+_POINTS: Count = 4
 
 
 class Outside(NamedTuple):
@@ -226,7 +224,7 @@ def curves_at(model: Model, conditions: Conditions) -> Iterator[SeenCurve]:
 def _beyond(x: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.ndarray:
     low = np.asarray(lower, float)
     high = np.asarray(upper, float)
-    margin = _MARGIN_PART * (high - low) + _MARGIN
+    margin = COVERAGE.margin_part * (high - low) + COVERAGE.margin
     return np.asarray((x < low - margin) | (x > high + margin))
 
 

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pincal.calibration.calibration_numbers import COVERAGE
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.improvement import unplaced
 from pincal.identify.fit import ModelFit
@@ -28,23 +29,16 @@ from pincal.measure.measurements import Measurements
 from pincal.model.conditions import Conditions
 from pincal.recorded import RECORDED
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count
 from pincal.validate.outcome import Elsewhere
 
 # Random poses, more of which change the mean by a few per cent only, and their seed.
-_DRAWN = 400
-_SEED = 0
+_DRAWN: Count = 400
+_SEED: Count = 0
 # Directions over which lengths are averaged: exact to 1 % for the flattest covariance.
-_DIRECTIONS = 60
+_DIRECTIONS: Count = 60
 # Ends of the ranges of a joint that are compared: every twelfth of the poses.
-_PARTS = 12
-# Fewest poses that are divided by ranges, and the least share of the variance of the expected
-# errors that a range has to explain before it is named; below, it is combinations of joints that
-# are missing, not the range of one.
-_FEWEST = 48
-_EXPLAINED = 0.1
-# Of the number of measured poses in a range to that of evenly spread ones, below which the range is
-# hardly covered.
-_SPARSE = 0.5
+_PARTS: Count = 12
 
 
 def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere | None:
@@ -166,13 +160,13 @@ def _where(robot: Robot, q: np.ndarray, expected: np.ndarray, measured: np.ndarr
     """Return in which range of which joint the expected errors are largest, and how it was covered;
     "" if in none.
     """
-    if len(q) < _FEWEST or not np.ptp(expected) > 0.0:
+    if len(q) < COVERAGE.fewest or not np.ptp(expected) > 0.0:
         return ""
     ranges = (
         found for joint in range(q.shape[1]) for found in _ranges(joint, q[:, joint], expected)
     )
     worst = max(ranges, key=lambda found: found.explained, default=None)
-    if worst is None or worst.explained < _EXPLAINED:
+    if worst is None or worst.explained < COVERAGE.explained:
         return ""
     turns = robot.joint_units[worst.joint] == "rad"
     unit = "deg" if turns else "mm"
@@ -195,7 +189,11 @@ def _coverage(worst: _Range, q: np.ndarray, measured: np.ndarray) -> str:
     share = np.mean((q >= worst.low) & (q <= worst.high))
     if there == 0:
         return " (not measured there)"
-    return f" ({there} of {len(measured)} poses)" if there < _SPARSE * share * len(measured) else ""
+    return (
+        f" ({there} of {len(measured)} poses)"
+        if there < COVERAGE.sparse * share * len(measured)
+        else ""
+    )
 
 
 def _ranges(joint: int, q: np.ndarray, expected: np.ndarray) -> Iterator[_Range]:

@@ -22,12 +22,13 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.options import PriorScale
 from pincal.identify.station import Station
 from pincal.model.chain import MOUNT_SYMBOLS
+from pincal.thresholds import Count
 from pincal.validate.outcome import Improvement
 
 # Random poses within the joints' limits, measured poses at most, and the seed of both.
-_DRAWN = 400
-_MEASURED = 200
-_SEED = 0
+_DRAWN: Count = 400
+_MEASURED: Count = 200
+_SEED: Count = 0
 _MEASURED_POSES = "measured poses"
 
 

@@ -24,11 +24,12 @@ from pincal.io.entries import ParameterEntry, plain, restoring
 from pincal.io.strict_json import Fault, FileKind, built, read_json, write_json
 from pincal.parameters import Estimate, Parameter, estimate_of
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count, Scale
 
 # Digits to which link frames [m or 1] of the same robot agree.
-_DIGITS = 9
+_DIGITS: Count = 9
 # Asymmetry of a matrix, relative to its largest entry, that rounding explains.
-_ROUNDING = 1e-9
+_ROUNDING: Scale = 1e-9
 _FILE = FileKind(
     "an information file",
     ModelFileError,

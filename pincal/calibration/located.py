@@ -19,6 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from pincal.calibration.calibration_numbers import OTHER_ROWS
 from pincal.identify.initial import base_seen, links_of, starts_of
 from pincal.identify.options import Options
 from pincal.identify.station import Station
@@ -30,14 +31,10 @@ from pincal.robot.cell import Beside
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import transform
 from pincal.robot.urdf_file import parse_urdf
+from pincal.thresholds import Count
 
-# Contacts used to search for a rotation at most, and the fewest degrees of freedom.
-_MOST = 300
-_SPARE = 12
-# Largest ratio of the best pose's residuals to the next best's to be accepted, and how far apart
-# two poses are [rad].
-_CLEAR = 0.5
-_ELSEWHERE = 0.2
+# Contacts used to search for a rotation at most.
+_MOST: Count = 300
 
 
 def located(
@@ -132,7 +129,7 @@ def _touched(robot: Robot, station: Station, links: Sequence[str]) -> np.ndarray
         x = np.linalg.lstsq(A, b)[0]
         return b - A @ x, x
 
-    if 3 * n < 6 + 3 * sum(of.shape[1] for of in onehot) + _SPARE:
+    if 3 * n < 6 + 3 * sum(of.shape[1] for of in onehot) + OTHER_ROWS.spare:
         return None
     found = [
         least_squares(lambda turn: solved(turn)[0], start)
@@ -143,8 +140,8 @@ def _touched(robot: Robot, station: Station, links: Sequence[str]) -> np.ndarray
     others = [
         one.cost
         for one in found
-        if (here.inv() * Rotation.from_rotvec(one.x)).magnitude() > _ELSEWHERE
+        if (here.inv() * Rotation.from_rotvec(one.x)).magnitude() > OTHER_ROWS.elsewhere
     ]
-    if others and best.cost > _CLEAR * min(others):
+    if others and best.cost > OTHER_ROWS.clear * min(others):
         return None
     return transform(here.as_matrix(), solved(best.x)[1][:3])

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import gammainc
 
 from pincal.calibration.another_day import unrecorded
+from pincal.calibration.calibration_numbers import OTHER_ROWS
 from pincal.calibration.covered import of_the_day
 from pincal.calibration.day_notes import note_on, notes_on_day
 from pincal.calibration.fitted_robot import FittedRobot
@@ -39,21 +40,18 @@ from pincal.model.effect import Effect
 from pincal.parameters import FRAME_SYMBOLS, Estimate, estimate_of
 from pincal.robot.se3 import placed as frame_at
 from pincal.robot.se3 import rotation_vectors
+from pincal.thresholds import Count, Scale
 from pincal.units import format_readable
 from pincal.validate.misfit import Misfit, misfit_at
 
-# Standard deviation of a prediction, in units of the noise, above which rows do not determine
-# instrument and target.
-_UNDETERMINED = 100.0
 # Multiple of its noise at which a block of readings tells nothing, and halvings of the range of a
 # noise.
-_NO_INFORMATION = 1e4
-_HALVINGS = 12
-# Different fingerprints of a row, and the chance at which some that agree are of the same rows.
-_FINGERPRINTS = 2.0**32
-_RARE = 1e-3
+_NO_INFORMATION: Scale = 1e4
+_HALVINGS: Count = 12
+# Different fingerprints of a row.
+_FINGERPRINTS: Scale = 2.0**32
 # Poses of the calibrated range at which it is evaluated.
-_EVALUATED = 64
+_EVALUATED: Count = 64
 
 
 @dataclass(frozen=True)
@@ -375,7 +373,7 @@ def fitted_rows(marks: str, model: FittedRobot, stops: StopRows) -> np.ndarray:
     found = known_rows(marks, model.readings(stops.readings))
     # Among many rows some have the fingerprint of another by chance.
     by_chance = count(marks) * len(found) / _FINGERPRINTS
-    if gammainc(int(found.sum()), by_chance) > _RARE:
+    if gammainc(int(found.sum()), by_chance) > OTHER_ROWS.rare:
         found = np.zeros(len(found), bool)
     if not stops.of_readings.is_repeated:
         return found
@@ -435,7 +433,7 @@ def _refuse_undetermined(
         )
         ** 0.5
     )
-    if worst > _UNDETERMINED * solution.sigma[0]:
+    if worst > OTHER_ROWS.undetermined * solution.sigma[0]:
         raise BadInputError(
             f"{source}: {len(station)} rows do not determine the pose of instrument and "
             "target: predictions in other "

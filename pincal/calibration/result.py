@@ -14,6 +14,7 @@ from scipy.special import chdtrc
 
 from pincal.calibration.assessed_station import AssessedStation, noise_of
 from pincal.calibration.benefit import findings_on_benefit
+from pincal.calibration.calibration_numbers import DOUBTED
 from pincal.calibration.caveats import (
     DOUBTS,
     UNUSABLE,
@@ -44,6 +45,7 @@ from pincal.identify.explain import Cause
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
 from pincal.notes import Note, doubts_first, doubts_of
+from pincal.thresholds import Count
 from pincal.validate.accuracy import (
     error_statistics,
 )
@@ -58,11 +60,8 @@ from pincal.validate.outcome import (
     ValidationWay,
 )
 
-# Absolute correlation above which a pair is listed: the two parameters share four fifths of their
-# variance.
-_CORRELATED = 0.9
 # Pairs listed at most, the strongest first.
-_MOST_CORRELATIONS = 20
+_MOST_CORRELATIONS: Count = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -416,7 +415,9 @@ def _correlations(fit: ModelFit, rows: tuple[ParameterRow, ...]) -> tuple[Correl
     pairs = [
         (float(correlation[i, j]), parameters[i].name, parameters[j].name)
         for i, j in zip(
-            *np.nonzero(np.triu(np.abs(correlation) > _CORRELATED, 1) & np.outer(inner, inner)),
+            *np.nonzero(
+                np.triu(np.abs(correlation) > DOUBTED.correlated, 1) & np.outer(inner, inner)
+            ),
             strict=True,
         )
     ]

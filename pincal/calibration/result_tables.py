@@ -16,6 +16,7 @@ from pincal.identify.station import Station
 from pincal.parameters import Estimate, Parameter
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.robot.se3 import placed, rotation_vectors
+from pincal.thresholds import Count, Scale
 from pincal.units import (
     Quantity,
     fixed,
@@ -38,16 +39,16 @@ PARTS = {
 }
 """Names of the parts of a data set."""
 
-INTERVAL = 1.96
+INTERVAL: Scale = 1.96
 """Half-width of a 95 % interval, in standard deviations."""
 
 # Rows of parameters beyond which only those that moved are listed.
-_MOST_MOVED = 40
+_MOST_MOVED: Count = 40
 # Moves named in one line.
-_MOST_NAMED = 3
+_MOST_NAMED: Count = 3
 # Coordinates of named points beyond which they are omitted from printed tables; result.json has
 # them.
-_MOST_POINTS = 24
+_MOST_POINTS: Count = 24
 _STATISTICS = {"mean": "mean", "median": "median", "rms": "rms", "p95": "95 %", "max": "max"}
 _MODELS = {"nominal": "nominal, base and tool fitted", "calibrated": "calibrated"}
 _TONES: dict[str, RowTone] = {

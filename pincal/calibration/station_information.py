@@ -31,17 +31,18 @@ from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.selection import Scored, select_stepwise
 from pincal.model.effect import Effect, Family
 from pincal.parameters import Parameter
+from pincal.thresholds import Count, Scale
 
 # Fraction of a parameter's information that has to remain, the station's own parameters eliminated,
 # to be observable.
-_SEEN = 1e-4
+_SEEN: Scale = 1e-4
 # Fraction of a value's information that is added to it, well above rounding and far below what is
 # relevant.
-_ROUNDING = 1e-8
+_ROUNDING: Scale = 1e-8
 # Factor on a negative eigenvalue's size that is well above the rounding errors of all.
-_BEYOND_ROUNDING = 10.0
+_BEYOND_ROUNDING: Scale = 10.0
 # Groups released at most: work and memory grow with their square.
-_MOST = 6
+_MOST: Count = 6
 
 Together = tuple[int, ...]
 """Indices of parameters that move together."""

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import chdtri
 
+from pincal.calibration.calibration_numbers import OTHER_ROWS
 from pincal.calibration.caveats import findings_on_held_out
 from pincal.calibration.curve_coverage import knows
 from pincal.calibration.fitted_robot import FittedRobot
@@ -37,12 +38,6 @@ from pincal.validate.misfit import (
 from pincal.validate.path_accuracy import path_accuracy
 
 Placement = Literal["as calibrated", "refitted"]
-# Ratio of residuals to their expected size above which a note is given; UR10 tables of one series
-# reach 1.1.
-_NOTED = 1.3
-# Where drive curves were not determined, the same robot may have residuals that many times as
-# large.
-_UNSEEN = 4.0
 
 
 @dataclass(frozen=True)
@@ -83,7 +78,7 @@ class Validation:
         """Reservations about the errors; doubts are why the rows do not support the model."""
         doubts = [self.doubt, self.note]
         source = self.table.source
-        if self.misfit.is_significant and self.misfit.ratio > _NOTED and not self.doubt:
+        if self.misfit.is_significant and self.misfit.ratio > OTHER_ROWS.noted and not self.doubt:
             why = (
                 "beyond the loads of the calibration" if self.misfit.is_far() else "on another day"
             )
@@ -364,7 +359,11 @@ def doubt_of(placed: Placed) -> str:
     used = placed.solution.weights > 0.0
     inside = knows(known, station.conditions)
     sound = used & known.covered.carries(station.conditions.payload)
-    for rows, factor in ((sound & inside, 1.0), (sound, _UNSEEN), (used & inside, np.inf)):
+    for rows, factor in (
+        (sound & inside, 1.0),
+        (sound, OTHER_ROWS.unseen),
+        (used & inside, np.inf),
+    ):
         misfit = placed.misfit_of(rows)
         if not misfit.is_significant:
             continue
@@ -381,7 +380,7 @@ def doubt_of(placed: Placed) -> str:
             )
             return f"{beyond}; {mixed}" if mixed else beyond
         if (
-            factor != _UNSEEN
+            factor != OTHER_ROWS.unseen
             and (nominal := _as_good(table, placed, misfit=misfit, rows=rows)) is not None
         ):
             return f"{off}, no better than the nominal robot ({1e3 * nominal:.3g} mm)"

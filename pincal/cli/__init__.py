@@ -20,13 +20,14 @@ from typing import Any
 import click
 
 from pincal.errors import LONGEST, Exit, PincalError, printable
+from pincal.thresholds import Count, Scale
 
 # New objects after which garbage is collected.
-_GARBAGE = 200_000
+_GARBAGE: Count = 200_000
 
 # The interruptions of this process, and the time that one may take [s].
 _INTERRUPTS: list[int] = []
-_PATIENCE = 0.8
+_PATIENCE: Scale = 0.8
 
 # Colours, and on a terminal the moves of the cursor that a progress line needs: up, down, start,
 # and clearing.

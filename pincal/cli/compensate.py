@@ -19,6 +19,7 @@ from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, prin
 from pincal.cli.quantities import ANGLE
 from pincal.errors import Exit, counted, few
 from pincal.recorded import RECORDABLE
+from pincal.thresholds import Count
 from pincal.units import plain_number
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from pincal.robot.robot import Robot
 
 # Number of rows that are listed individually.
-_SHOWN = 5
+_SHOWN: Count = 5
 _CONDITIONS = [name for name, variable in RECORDABLE.items() if not variable.of_joints]
 
 _PREDICT_EXAMPLES = """

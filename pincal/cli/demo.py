@@ -19,6 +19,7 @@ from pincal.cli.common import GeneralOptions
 from pincal.cli.outputs import print_json, provenance
 from pincal.errors import Exit
 from pincal.io.result_folder import output_folder
+from pincal.thresholds import Count, Scale
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,20 +33,20 @@ if TYPE_CHECKING:
     from pincal.simulate.paper_machine import PaperMachine
 
 # As in the paper's section V: a tool point off the flange, and a tracker in an unknown pose.
-_TOOL = (0.05, 0.03, 0.12)
-_NOISE = 5e-5
-_ROWS = 300
+_TOOL: tuple[Scale, Scale, Scale] = (0.05, 0.03, 0.12)
+_NOISE: Scale = 5e-5
+_ROWS: Count = 300
 # The second act: the amplitude of a gear's error [rad], some forty arcseconds, and where it is.
-_SIZE = 2e-4
+_SIZE: Scale = 2e-4
 _JOINT = "joint_1"
 _HIDDEN_FOLDER = "hidden_effect"
 # The third act: poses of a program.
-_PROGRAM = 200
+_PROGRAM: Count = 200
 # The fourth act: by how much a collision shifts the zero of a joint [rad], which one, and the
 # number of poses measured then.
-_HIT = 1e-3
+_HIT: Scale = 1e-3
 _HIT_JOINT = "joint_3"
-_HIT_ROWS = 10
+_HIT_ROWS: Count = 10
 _HIT_FOLDER = "hit"
 
 

@@ -27,6 +27,7 @@ from pincal.cli.outputs import print_json, provenance, require_accuracy
 from pincal.errors import BadInputError, Exit, IdentificationError, counted
 from pincal.io.result_folder import output_folder
 from pincal.spread import own_processes
+from pincal.thresholds import Count, Scale
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -39,10 +40,10 @@ if TYPE_CHECKING:
 # The view in three dimensions that accompanies the report.
 VIEW = "view3d.html"
 # Most stations with their own view: a page is about a megabyte.
-_MOST_VIEWS = 12
+_MOST_VIEWS: Count = 12
 # Times within which a cluster has to answer, and then to have a worker [s].
-_ANSWER = 5.0
-_WORKER = 10.0
+_ANSWER: Scale = 5.0
+_WORKER: Scale = 10.0
 _FILES = (
     "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, "
     "residuals.csv and report.html"

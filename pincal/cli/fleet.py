@@ -17,13 +17,14 @@ from pincal.cli.fleet_store import machine_names, store_argument
 from pincal.cli.outputs import print_json, provenance
 from pincal.cli.quantities import LENGTH
 from pincal.errors import BadInputError, Exit, counted
+from pincal.thresholds import Count
 
 if TYPE_CHECKING:
     from pincal.calibration.fitted_robot import FittedRobot
     from pincal.fleet.machines import Machine
 
 # Number of parameters that are listed.
-_PARAMETERS = 8
+_PARAMETERS: Count = 8
 _LEARN_EXAMPLES = """
 Examples:
   pincal fleet learn r1/model.json r2/model.json r3/model.json --out type.json --report type.html

@@ -27,6 +27,7 @@ from pincal.cli.fitting import workers
 from pincal.cli.outputs import echo_notes, print_json
 from pincal.cli.quantities import ANGLE, LENGTH
 from pincal.errors import BadInputError, Exit, counted
+from pincal.thresholds import Count
 
 if TYPE_CHECKING:
     from pincal.fleet.jobs import Job
@@ -35,9 +36,9 @@ if TYPE_CHECKING:
     from pincal.robot.robot import Robot
 
 # Number of failures that are listed.
-_FAILURES = 5
+_FAILURES: Count = 5
 # Number of tables from which on starting processes, which takes seconds, pays off.
-_SEVERAL = 12
+_SEVERAL: Count = 12
 # Names of files that do not name the machine; the folder does.
 _GENERIC = ("model", "information", "diagnosis")
 _ADD_EXAMPLES = """

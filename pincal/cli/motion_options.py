@@ -14,6 +14,7 @@ import click
 from pincal.cli.arguments import NumberType, option
 from pincal.cli.quantities import ANGLES, QuantityType
 from pincal.measure.fields import TABLE_ENDINGS
+from pincal.thresholds import Scale
 from pincal.units import UNITS, plain_numbers, size_of
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def load_sessions(
 
 
 # Samples per second of a fast logger.
-_MOST_RATE = 10_000.0
+_MOST_RATE: Scale = 10_000.0
 
 
 def _densities(text: str) -> tuple[float, float]:

@@ -18,6 +18,7 @@ import click
 
 from pincal.atomic import replacing
 from pincal.errors import AccuracyGateError, OutputError, printable
+from pincal.thresholds import Count
 
 if TYPE_CHECKING:
     import numpy as np
@@ -29,9 +30,9 @@ if TYPE_CHECKING:
 # Packages whose versions a report of a problem names.
 _PACKAGES = ("numpy", "scipy", "pin", "numba", "llvmlite", "polars", "example-robot-data")
 # Longer headers are truncated.
-_LONGEST_HEADER = 500
+_LONGEST_HEADER: Count = 500
 # Number of rows outside the calibrated range that are listed individually.
-_SHOWN = 5
+_SHOWN: Count = 5
 
 
 def print_json(contents: Mapping[str, Any]) -> None:

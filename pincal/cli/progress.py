@@ -24,6 +24,8 @@ from rich.progress import (
 )
 from rich.text import Text
 
+from pincal.thresholds import Count, Scale
+
 # Loggers of steps whose messages do not stay on the screen.
 _FITS = "pincal.identify"
 # Logger of work done item by item: without a terminal, a line for every tenth of the items.
@@ -38,9 +40,9 @@ _TRANSIENT = (
 )
 # Commands that consist of fits; in others a fit is one step of many.
 _OF_FITS = ("calibrate",)
-_LONG = 1.0  # [s]
+_LONG: Scale = 1.0  # [s]
 # Columns of results that are not printed on a terminal.
-_WIDTH = 100
+_WIDTH: Count = 100
 
 log = logging.getLogger(__name__)
 _handler: logging.Handler | None = None

@@ -41,6 +41,7 @@ from pincal.report.words import (
 )
 from pincal.result_table import hanging, one_line
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count
 from pincal.units import Quantity, format_small
 from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.lack_of_fit import LackOfFit
@@ -48,7 +49,7 @@ from pincal.validate.lack_of_fit import LackOfFit
 # Observability indices that are printed; the others are in --json.
 _SHOWN = ("O1", "O2")
 # Number of effects that are listed individually.
-_EFFECTS = 3
+_EFFECTS: Count = 3
 # Dimension -> mean distance of independent errors of standard deviation 1 (chi distribution).
 _MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8.0 / np.pi)}
 

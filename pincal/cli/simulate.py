@@ -17,6 +17,7 @@ from pincal.cli.outputs import print_json, provenance, write_all, write_plain
 from pincal.cli.simulate_options import SensorArguments, SimulateArguments, via_path
 from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 from pincal.robot.cell import read_cell, robot_files
+from pincal.thresholds import Count
 
 if TYPE_CHECKING:
     from pincal.robot.robot import Robot
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 _Files = dict[str, tuple[Path | None, Callable[[Path], None]]]
 # Number of poses of a path at which the sizes of effects are evaluated for the truth.
-_LOOKED_AT = 500
+_LOOKED_AT: Count = 500
 _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
   pincal simulate robot.urdf --poses 300 --payload 0,80 --masses-off 3 \\

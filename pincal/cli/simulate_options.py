@@ -29,6 +29,7 @@ from pincal.cli.quantities import ANGLES, LENGTH, NoiseType, QuantityType, masse
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.measure.fields import TABLE_ENDINGS
 from pincal.robot.cell import Beside
+from pincal.thresholds import Count, Scale
 from pincal.units import plain_numbers
 
 if TYPE_CHECKING:
@@ -56,11 +57,11 @@ _GOES_WITH = {
 }
 _IMPLIED = {"sockets": "socket", "anchors": "distance", "ball_bar": "distance"}
 _NOISE = {"m": 5e-5, "px": 0.1}
-_NOISE_ANGLE = 1e-4
+_NOISE_ANGLE: Scale = 1e-4
 # Ten million poses take an hour and 4 GB (100 000: 39 s and 33 MB more than 1000, on one core).
-_MOST_POSES = 10_000_000
+_MOST_POSES: Count = 10_000_000
 # Images of the paper's object: three blocks on each of two sides, two joint configurations each.
-_PAPER_POSES = 12
+_PAPER_POSES: Count = 12
 
 
 class _LensType(click.ParamType[dict[str, float]]):

@@ -37,19 +37,21 @@ from scipy.special import chdtri
 from pincal.identify.criteria import CRITERIA, VISITS
 from pincal.identify.drive_levers import drive_levers
 from pincal.identify.fit import ModelFit
+from pincal.thresholds import Count, Scale
 
 # Variances are searched within these factors of that of the readings, as seen at the target.
-_BOUNDS = (1e-6, 1e8)
+_BOUNDS: tuple[Scale, Scale] = (1e-6, 1e8)
 # Range of the readings' variance, in units of the estimated one, which includes the arrivals.
-_QUIETEST, _LOUDEST = 1e-3, 4.0
+_QUIETEST: Scale = 1e-3
+_LOUDEST: Scale = 4.0
 # Standard deviation of parameters without a prior [m or rad].
-_ANYWHERE = 10.0
+_ANYWHERE: Scale = 10.0
 # Stops that show the variances well enough; of more a sample is evaluated.
-_MOST_STOPS = 300
+_MOST_STOPS: Count = 300
 # Smallest eigenvalue of a scaled matrix, by rounding.
-_ROUNDING = 1e-14
+_ROUNDING: Scale = 1e-14
 # What moves readings by less than a hundredth of their noise is none.
-_NOTHING = 1e-4
+_NOTHING: Scale = 1e-4
 
 
 @dataclass(frozen=True)

@@ -17,15 +17,16 @@ from pincal.identify.options import Options, PriorScale, known_frames
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station
 from pincal.model.effects import LENGTH_SIZE
+from pincal.thresholds import Scale
 from pincal.units import size_in
 
 # A point estimated to be farther away than this [m] was observed from too few directions.
-_FARTHEST = 50.0
+_FARTHEST: Scale = 50.0
 # Prior of a parameter declared free, as a multiple of its usual size.
-_FREE = 1e3
+_FREE: Scale = 1e3
 # Range of sensible prior standard deviations, in any unit; a float holds their squares.
-_LEAST = 1e-30
-_MOST = 1e30
+_LEAST: Scale = 1e-30
+_MOST: Scale = 1e30
 _EXPECTED = f"a standard deviation from {_LEAST:g} to {_MOST:g}"
 
 

@@ -24,10 +24,11 @@ from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
 from pincal.model.effects import LENGTHS
 from pincal.parameters import Estimate, Parameter
+from pincal.thresholds import Scale
 
 # Smallest standard deviation of a direction relative to the largest, each parameter in units of its
 # own; below is rounding.
-_LEAST = 1e-9
+_LEAST: Scale = 1e-9
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,6 +51,7 @@ from pincal.model.effect import Effect
 from pincal.parameters import is_on_link
 from pincal.recorded import RECORDED
 from pincal.robot.robot import Robot
+from pincal.thresholds import Count, Scale
 
 Tables = Measurements | Sequence[Measurements] | Mapping[str, Measurements]
 
@@ -58,12 +59,12 @@ log = logging.getLogger(__name__)
 
 # Rounds in which the masses of an earlier fit are rescaled to the present ones, and the negligible
 # relative change.
-_WEIGHINGS = 10
-_SAME_WEIGHT = 1e-3
+_WEIGHINGS: Count = 10
+_SAME_WEIGHT: Scale = 1e-3
 # Rounds in which wrong readings are looked for by the fit without those of the round before.
-_SCREENINGS = 3
+_SCREENINGS: Count = 3
 # Rounds in which the factors on priors are estimated.
-_SCALINGS = 4
+_SCALINGS: Count = 4
 # The paper's sequence (IV.D); base and tool, known there, are free throughout. The last stage
 # releases everything.
 PAPER_STAGES: dict[str, tuple[str, ...]] = {
@@ -73,7 +74,7 @@ PAPER_STAGES: dict[str, tuple[str, ...]] = {
 }
 
 # A step that moves predictions by less than this part of the noise changes no test noticeably.
-_CLOSE = 5e-3
+_CLOSE: Scale = 5e-3
 
 
 class Tolerance(Enum):

@@ -28,6 +28,7 @@ from pincal.model.chain import MomentFrame
 from pincal.model.conditions import UNFELT
 from pincal.model.effect import Effect
 from pincal.parameters import Covariance, Estimate
+from pincal.thresholds import Count
 
 
 class RequiredFeatures(NamedTuple):
@@ -88,7 +89,7 @@ def required_features(fit: ModelFit, least: float = 0.0) -> RequiredFeatures:
 
 
 # Rows used to choose a convention: a difference that these do not show does not matter.
-_ROWS = 2000
+_ROWS: Count = 2000
 
 
 def some_rows_of(fit: ModelFit) -> ModelFit:

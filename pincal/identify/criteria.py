@@ -617,6 +617,13 @@ class StopNumbers:
         "above which targets of a stop share its arrival",
         "cautious: one table of fifty that share nothing",
     )
+    agrees: float = number(
+        0.99,
+        "probability",
+        "test_visit_weights.py::test_few_poses_that_were_visited_often_have_the_noise_of_their_visits",
+        "of the interval of an estimated noise within which a declared one agrees with it",
+        "one sound table in a hundred",
+    )
 
 
 _MISTAKEN = "test_agreement.py::test_what_is_wrong_with_a_table_is_named"

@@ -32,33 +32,42 @@ from pincal.identify.fit import AnyFit, ModelFit, posterior_of
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial, turned_into
 from pincal.model.conditions import spread_of_moving
+from pincal.thresholds import Count, Scale
 
 # Bands of lags [rows] whose products of residuals are summed: fast noise shows in the first, drifts
 # in the last.
-_BANDS = ((1, 1), (2, 5), (6, 20))
+_BANDS: tuple[tuple[Count, Count], tuple[Count, Count], tuple[Count, Count]] = (
+    (1, 1),
+    (2, 5),
+    (6, 20),
+)
 # Lags of rows that are near in the order; number of pairs of rows, far apart in the order and
 # nearest in the joints.
-_NEAR = 5
-_NEAREST = 500
+_NEAR: Count = 5
+_NEAREST: Count = 500
 # Readings used to estimate the noise; rows used to test for dependence.
-_READINGS = 2400
-_ROWS = 4096
+_READINGS: Count = 2400
+_ROWS: Count = 4096
 # Start values of share and correlation: fast, slow and a random walk.
-_STARTS = ((0.5, 0.5), (0.8, 0.9), (0.9, 0.995))
+_STARTS: tuple[tuple[Scale, Scale], tuple[Scale, Scale], tuple[Scale, Scale]] = (
+    (0.5, 0.5),
+    (0.8, 0.9),
+    (0.9, 0.995),
+)
 # Longest memory, in rows: a random walk over any table; and longer ones, accepted if as likely, the
 # longest first.
-_LONGEST = 1e5
-_MEMORIES = (3e4, 1e3, 300.0, 100.0, 30.0)
+_LONGEST: Scale = 1e5
+_MEMORIES: tuple[Scale, ...] = (3e4, 1e3, 300.0, 100.0, 30.0)
 # Trial values for the log size of white noise, in units of the residuals' noise.
 _SIZES = np.linspace(-0.4, 0.4, 9)
 
 # Rows of a block.
-_LENGTHS = (5, 10, 20, 40)
+_LENGTHS: tuple[Count, ...] = (5, 10, 20, 40)
 # Readings of a station, and stations, that the factor of blocks is estimated from.
-_BLOCK_READINGS = 1500
-_MOST_STATIONS = 8
+_BLOCK_READINGS: Count = 1500
+_MOST_STATIONS: Count = 8
 # Mean number of points per image up to which the number of images is kept.
-_MOST_AT_ONCE = 20
+_MOST_AT_ONCE: Count = 20
 
 
 def dependence(residuals: np.ndarray, position: np.ndarray) -> float:

@@ -32,15 +32,16 @@ from pincal.identify.posterior import Eliminated, Posterior, eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.spread import spread_again
+from pincal.thresholds import Count
 
 # The number of a batch, its noise and its robust weights; and its contribution for these.
 _Key = tuple[int, bytes, bytes]
 _Sums = tuple[tuple[Form, Eliminated], StationSquares]
 
 # Largest size of the normal equations of single stations that is kept at one point [bytes].
-_MOST_KEPT = 2_000_000
+_MOST_KEPT: Count = 2_000_000
 # Size of the normal equations of folds that are summed in one pass over the rows [bytes].
-_MOST_AT_ONCE = 200_000_000
+_MOST_AT_ONCE: Count = 200_000_000
 
 
 @dataclass(frozen=True, eq=False)

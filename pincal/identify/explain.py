@@ -30,6 +30,7 @@ from pincal.measure.extrinsics import sample_rows
 from pincal.measure.sensor import KnownParameters
 from pincal.model.effects import BaseFrame
 from pincal.parameters import Parameter
+from pincal.thresholds import Count, Scale
 from pincal.units import format_readable
 
 
@@ -92,7 +93,7 @@ class Combination:
 
 
 # Relative difference from 1 that three digits of a factor do not show.
-_ONE = 1e-3
+_ONE: Scale = 1e-3
 
 
 @dataclass(frozen=True)
@@ -151,14 +152,14 @@ IDENTIFIED = Reason(Cause.NONE)
 
 # Residual share of a column's square below which other columns have the same effect: 1e-4 of the
 # column itself, far below what any instrument resolves and far above rounding.
-_SAME = 1e-8
+_SAME: Scale = 1e-8
 # Eigenvalues of a scaled Gram matrix, relative to the largest, below which they are rounding (its
 # square is 1e-16).
-_RANK = 1e-10
+_RANK: Scale = 1e-10
 # Poses that are used; more do not change what can be identified, and take time.
-_ROWS = 2000
+_ROWS: Count = 2000
 # Stations examined together: what no such group determines, all of them together hardly do either.
-_TOGETHER = 8
+_TOGETHER: Count = 8
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,10 @@ from pincal.model.chain import MomentFrame
 from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.parameters import Estimate
+from pincal.thresholds import Count
 
 # Largest number of steps of a fit.
-MOST_STEPS = 40
+MOST_STEPS: Count = 40
 
 
 class Ending(Enum):

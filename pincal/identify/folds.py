@@ -32,6 +32,7 @@ from pincal.identify.split import joint_regions
 from pincal.identify.station import Station
 from pincal.measure.poses import SCATTER, same_joints
 from pincal.measure.stops import sessions_by_time
+from pincal.thresholds import Count, Scale
 
 Way = Literal["regions", "stretches", "sessions", "random"]
 """In what held-out rows are apart from fitted ones: joint positions, the order of measurement, the
@@ -39,18 +40,18 @@ session, or nothing.
 """
 
 # Folds of each way; of fewer than so many, the largest fraction of all poses in one of them.
-_FOLDS = 25
-_MANY = 10
-_LARGEST = 2 / 3
+_FOLDS: Count = 25
+_MANY: Count = 10
+_LARGEST: Scale = 2 / 3
 # Steps at most to the fit without a fold, and the motion of predictions by the last one, in units
 # of the noise, that needs no further one.
-_STEPS = 3
-_SHORT = 0.3
+_STEPS: Count = 3
+_SHORT: Scale = 0.3
 # Precisions, in units of the priors', by which a step that leads up is damped.
 _DAMPINGS = tuple(3.0 * 10.0**k for k in range(6))
 # Largest step of a parameter [rad or m] whose predictions are taken to first order: they are off by
 # half its square.
-_LINEAR = 1e-3
+_LINEAR: Scale = 1e-3
 
 
 @dataclass(frozen=True)

@@ -36,15 +36,16 @@ from pincal.parameters import FRAME_SYMBOLS, carried_over
 from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import placed as placed_frame
+from pincal.thresholds import Count, Scale
 
 # Rows that suffice for a start, and for its short fit; many stations share them, with a minimum for
 # each.
-_ROWS = 2000
-_SETTLED_ROWS = 500
-_FEWEST_SETTLED_ROWS = 40
+_ROWS: Count = 2000
+_SETTLED_ROWS: Count = 500
+_FEWEST_SETTLED_ROWS: Count = 40
 # Starts whose residuals agree to this factor end in the same place; rounding does not choose among
 # them.
-_ALIKE = 1.0 + 1e-6
+_ALIKE: Scale = 1.0 + 1e-6
 
 
 def begin(

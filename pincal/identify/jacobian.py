@@ -24,11 +24,12 @@ from pincal.model.sparse_basis import (
     sparse_times,
     sparse_times_dense,
 )
+from pincal.thresholds import Count, Scale
 
 # Parts of the poses are padded to one length up to this factor in size, and up to so many poses at
 # once.
-_PADDING = 1.5
-_AT_ONCE = 512
+_PADDING: Scale = 1.5
+_AT_ONCE: Count = 512
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,12 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.noise import Judge
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Course, solve
+from pincal.thresholds import Count
 
 # Number of rows above which a fit is begun with so many, and the fewest that each station keeps.
 # All rows then move predictions by some hundredths of the noise, which one step corrects.
-MANY = 20_000
-EACH = 1_000
+MANY: Count = 20_000
+EACH: Count = 1_000
 
 
 def some_of(problem: Problem) -> Problem:

@@ -10,11 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.identify.station import Station
+from pincal.thresholds import Scale
 
 # Differences [rad or m] for numerical derivatives.
-_MOVED = 1e-5
+_MOVED: Scale = 1e-5
 # Largest motion [m/m or m/rad] that counts as none.
-_NOTHING = 1e-5
+_NOTHING: Scale = 1e-5
 
 
 @dataclass(frozen=True)

@@ -20,24 +20,25 @@ from pincal.identify.criteria import CRITERIA
 from pincal.identify.equations import Linearised
 from pincal.identify.normal import belief_rows
 from pincal.identify.problem import Problem
+from pincal.thresholds import Count, Scale
 
 # Steps of a fit to exact readings, and the largest Jacobian (rows times parameters) for which it is
 # done.
-_POLISHING = 60
-MOST_EXACT = 2_000_000
+_POLISHING: Count = 60
+MOST_EXACT: Count = 2_000_000
 # Damping of a step relative to the largest singular value of J (Levenberg, Marquardt): rounding,
 # and more where that fails.
 _DAMPING = (64.0 * np.finfo(float).eps, 1e-11, 1e-9, 1e-7)
 # Fractions of a step that are tried.
-_PARTS = (1.0, 0.5, 0.25, 0.1, 0.02)
+_PARTS: tuple[Scale, ...] = (1.0, 0.5, 0.25, 0.1, 0.02)
 # Singular values, relative to the largest, above which directions are strong, and the corrections
 # along them after each.
-_STRONG = (1e-3, 1e-6)
-_CORRECTIONS = 3
+_STRONG: tuple[Scale, Scale] = (1e-3, 1e-6)
+_CORRECTIONS: Count = 3
 # Rounding of G, in units of the priors' information, above which it is too coarse.
-_COARSE = 1e-4
+_COARSE: Scale = 1e-4
 # Residuals of a perfect fit to exact readings, in units of their rounding.
-_EXACT = 1e-3
+_EXACT: Scale = 1e-3
 
 
 def rounding(problem: Problem) -> np.ndarray:

@@ -21,6 +21,7 @@ from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.station import PIECE, Station
 from pincal.measure.sensor import Grouped
 from pincal.model.effect import Family
+from pincal.thresholds import Count
 
 Task = tuple[Callable[..., Any], slice, np.ndarray, *tuple[Any, ...]]
 """A function, the slice of a problem's stations that it is called with (joined, with the
@@ -219,7 +220,7 @@ def _is_plain(station: Station) -> bool:
 
 
 # All rows are summed again if more than one in so many has another weight.
-_MOST_CHANGED = 3
+_MOST_CHANGED: Count = 3
 
 
 @dataclass(frozen=True)

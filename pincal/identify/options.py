@@ -16,6 +16,7 @@ from pincal.model.chain import MomentFrame
 from pincal.model.effect import Effect
 from pincal.model.effects import ELASTIC
 from pincal.parameters import FRAME_SYMBOLS, Estimate
+from pincal.thresholds import Scale
 from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity
 
 Stages = Literal["joint", "paper"]
@@ -23,7 +24,7 @@ Tools = dict[str, tuple[float, float, float] | np.ndarray]
 
 # Largest deviation of a length that a fit may find [m]; the paper (IV.C) gives +-1 cm for real
 # deviations.
-LENGTH_BOUND = 0.01
+LENGTH_BOUND: Scale = 0.01
 
 
 class PriorScale(NamedTuple):

@@ -31,10 +31,11 @@ from scipy.linalg.lapack import dpotri
 
 from pincal.identify.quadratic import NULL, Form
 from pincal.parameters import Covariance, root_of
+from pincal.thresholds import Scale
 
 # Spurious information due to rounding, in units of the prior's, below which it may remain in a
 # solve.
-_ROUNDING = 1e-3
+_ROUNDING: Scale = 1e-3
 
 
 @dataclass(frozen=True, eq=False)

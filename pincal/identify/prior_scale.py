@@ -32,12 +32,27 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
 from pincal.identify.options import PriorScale
 from pincal.identify.quadratic import Factor
+from pincal.thresholds import Count, Scale
 
 # Trial factors, largest first, and the largest number of rounds over all kinds.
-_SCALES = (1.0, 0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01, 0.005, 0.003, 0.002, 0.001)
-_ROUNDS = 10
+_SCALES: tuple[Scale, ...] = (
+    1.0,
+    0.5,
+    0.3,
+    0.2,
+    0.1,
+    0.05,
+    0.03,
+    0.02,
+    0.01,
+    0.005,
+    0.003,
+    0.002,
+    0.001,
+)
+_ROUNDS: Count = 10
 # Standard deviation of parameters without a prior [m or rad].
-_ANYWHERE = 10.0
+_ANYWHERE: Scale = 10.0
 
 
 def has_instrument(fit: ModelFit) -> bool:

@@ -29,9 +29,10 @@ from pincal.model.conditions import Conditions, joined_conditions, part_of
 from pincal.model.effect import Effect, Family
 from pincal.model.sizes import largest_bases
 from pincal.parameters import Parameter, carried_over
+from pincal.thresholds import Count
 
 # Rows from which sizes are determined.
-_ROWS = 1000
+_ROWS: Count = 1000
 
 
 @dataclass(frozen=True)

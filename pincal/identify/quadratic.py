@@ -25,15 +25,17 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtrc
 
+from pincal.thresholds import Scale
+
 # Fraction of the parameters' information before any elimination below which a direction counts as
 # unobserved. Two columns that agree to one part in 300 are one then: linearisation errors of a
 # sound model are as large.
-SEEN = 1e-5
+SEEN: Scale = 1e-5
 # The same where only rounding, some 1e-16 of the largest entry, is to be excluded.
-ROUNDING = 1e-12
+ROUNDING: Scale = 1e-12
 # The same for finding directions that are unobservable altogether, where weakly observed ones still
 # count: a hundred to a thousand times the rounding of a sum over the rows.
-NULL = 1e-13
+NULL: Scale = 1e-13
 
 
 @dataclass(frozen=True, eq=False)

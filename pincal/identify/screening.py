@@ -21,9 +21,10 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.visit_scatter import Arrivals, arrivals_of, levers_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, numbers_of_copies, replicate_groups, without_copies
+from pincal.thresholds import Count
 
 # Rounds in which the centre of a pose and its sound readings are found in turn.
-_ROUNDS = 3
+_ROUNDS: Count = 3
 
 
 def wrong_readings(fit: ModelFit, tables: Mapping[str, Measurements]) -> dict[str, np.ndarray]:

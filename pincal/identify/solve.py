@@ -28,6 +28,7 @@ from pincal.identify.noise import (
     usual_sizes,
 )
 from pincal.identify.problem import Problem
+from pincal.thresholds import Count, Scale
 from pincal.units import readable_unit
 
 log = logging.getLogger(__name__)
@@ -35,32 +36,32 @@ log = logging.getLogger(__name__)
 # A step that moves predictions by less than this part of the noise ends the fit: the next one would
 # be smaller still. So does one that had to be halved down to this: along a curved ridge there is
 # nothing to gain.
-SETTLED = 1e-3
-_ROUGH = 0.1
+SETTLED: Scale = 1e-3
+_ROUGH: Scale = 0.1
 # The same in standard deviations of parameters, which are smaller than a short step if there are
 # very many rows. On a ridge that is known to rounding such steps may continue, so after this number
 # of them a short one suffices.
-_NEAR = 0.05
-_TRIALS = 8
+_NEAR: Scale = 0.05
+_TRIALS: Count = 8
 # The same where the noise is at its floor: steps there are rounding.
-_ROUNDED = 0.03
+_ROUNDED: Scale = 0.03
 # Relative change of the noise above which earlier steps do not predict the next.
-_STEADY = 0.05
+_STEADY: Scale = 0.05
 # Change of robust weights below which they are settled.
-_SETTLED = 1e-3
+_SETTLED: Scale = 1e-3
 # Number of steps kept, and the ratio of successive steps above which they are used.
-_MEMORY = 4
-_SLOW = 0.3
+_MEMORY: Count = 4
+_SLOW: Scale = 0.3
 # First damping, in units of the priors' precision; its factors after a refused and after an
 # accepted step; and the number of refusals after which steps are halved instead.
-_FIRST = 3.0
-_MORE = 4.0
-_LESS = 2.0
-_MOST = 6
+_FIRST: Scale = 3.0
+_MORE: Scale = 4.0
+_LESS: Scale = 2.0
+_MOST: Count = 6
 # Additional damping of a step that corrects another one.
-_REPAIR = 10.0
+_REPAIR: Scale = 10.0
 # Halvings of a step that increased the squares, before the fit counts as stalled.
-_HALVINGS = 10
+_HALVINGS: Count = 10
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from pincal.measure.poses import pose_groups
 from pincal.model.conditions import TURN, spread_of_moving
 from pincal.robot.robot import Robot
 from pincal.spread import spread
+from pincal.thresholds import Count
 
 Split = Literal["random", "blocked"]
 HeldWay = Literal["regions", "stretches"]
@@ -38,7 +39,7 @@ of measurement.
 """
 
 # Number of regions of joint space, and of stretches of rows, in a blocked split.
-_BLOCKS = 25
+_BLOCKS: Count = 25
 
 
 def hold_out(

@@ -24,9 +24,10 @@ from pincal.measure.setup import Setup
 from pincal.model.conditions import Conditions, part_of
 from pincal.model.model import Model, Shared
 from pincal.parameters import Parameter, is_on_link
+from pincal.thresholds import Count
 
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
-PIECE = 4096
+PIECE: Count = 4096
 
 
 # Columns of each joint in units of its position; the approach direction, in contrast, is that of

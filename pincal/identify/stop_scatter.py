@@ -28,13 +28,14 @@ from pincal.identify.criteria import STOPS
 from pincal.identify.drive_levers import drive_levers
 from pincal.identify.station import Station
 from pincal.measure.stops import Plan
+from pincal.thresholds import Count, Scale
 
 # Range in which the share of the drives is searched, log of its odds.
-_LOGITS = (-6.0, 9.0)
+_LOGITS: tuple[Scale, Scale] = (-6.0, 9.0)
 # Rows by which a fit's loss of information to shared stops is found, and directions that are too
 # weak to count.
-_MOST_ROWS = 600
-_RANK = 1e-4
+_MOST_ROWS: Count = 600
+_RANK: Scale = 1e-4
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,17 +22,18 @@ from scipy.special import chdtri
 
 from pincal.identify.drive_levers import drive_levers
 from pincal.identify.station import Station
+from pincal.thresholds import Count, Scale
 
 # Rounds in which variances and weights are estimated in turn.
-_ROUNDS = 6
+_ROUNDS: Count = 6
 # Probability of a sound deviation beyond which deviations have no part in the estimate.
-_BEYOND = 1e-4
+_BEYOND: Scale = 1e-4
 # Smallest noise of a component, relative to the scatter of readings at a typical pose.
-_LEAST = 0.05
+_LEAST: Scale = 0.05
 # Combinations of variances weaker than this, relative to the strongest, are excluded.
-_RANK = 1e-10
+_RANK: Scale = 1e-10
 # Deviations that suffice to estimate the variances.
-_FEW = 3000
+_FEW: Count = 3000
 
 
 @dataclass(frozen=True)

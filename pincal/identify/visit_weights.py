@@ -22,16 +22,16 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtri
 
+from pincal.identify.criteria import STOPS
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.identify.stop_scatter import scatter_of_stops
 from pincal.measure.measurements import Measurements
 from pincal.measure.stops import Plan, plan_of
+from pincal.thresholds import Scale
 
 # Relative change of weights below which they stay as they are.
-_SAME = 0.01
-# Level of the interval of an estimated noise in which a declared one agrees with it.
-_AGREES = 0.99
+_SAME: Scale = 0.01
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class ScatterByLevel:
         """
         if not self.stop.degrees:
             return False
-        least, _ = VarianceComponent(self.of_visit_m, self.stop.degrees).interval(_AGREES)
+        least, _ = VarianceComponent(self.of_visit_m, self.stop.degrees).interval(STOPS.agrees)
         return declared is None or least > declared
 
     @property
@@ -175,7 +175,7 @@ def _as_declared(reading: VarianceComponent, declared: float | None) -> Variance
     """Return the scatter within stops, as it was declared where both agree."""
     if declared is None or not reading.degrees:
         return reading
-    low, high = reading.interval(_AGREES)
+    low, high = reading.interval(STOPS.agrees)
     return replace(reading, sigma_m=declared) if low <= declared <= high else reading
 
 

@@ -22,9 +22,10 @@ import numpy as np
 from scipy.sparse import coo_array
 
 from pincal.compiled import compiled
+from pincal.thresholds import Count
 
 # Poses processed at once, so that their data stay in the cache.
-_TILE = 512
+_TILE: Count = 512
 
 
 @compiled(nogil=True)

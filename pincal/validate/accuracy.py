@@ -31,9 +31,10 @@ from pincal.errors import counted
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
+from pincal.thresholds import Count
 from pincal.units import Unit, readable_unit
 
-CYCLES = 30
+CYCLES: Count = 30
 """Cycles, measurements of each pose, that ISO 9283 requires."""
 
 _ANGLES = "abc"

@@ -22,10 +22,7 @@ from pincal.measure.poses import replicate_groups
 from pincal.units import format_readable
 from pincal.validate.accuracy import Replicates, groups, iso9283
 from pincal.validate.misfit import MISFIT, NoiseTest, is_informative, misfit_at
-
-# Replicates that differ by less than this multiple of a reading's rounding carry no information on
-# the noise.
-_ROUNDINGS = 10.0
+from pincal.validate.validation_numbers import JUDGEMENT
 
 
 @dataclass(frozen=True)
@@ -151,7 +148,7 @@ def _is_enough(parts: Sequence[ReplicateSquares], station: Station) -> bool:
     pure = np.sum([part.by_block for part in parts], axis=0)
     sizes = [np.sqrt(squares / degrees) if degrees else 0.0 for squares, degrees in pure]
     return any(
-        size > _ROUNDINGS * block.rounding
+        size > JUDGEMENT.rounding * block.rounding
         for size, block in zip(sizes, station.sensor.blocks, strict=True)
     )
 

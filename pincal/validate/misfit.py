@@ -27,40 +27,16 @@ from pincal.identify.posterior import eliminate
 from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
 from pincal.notes import Note
+from pincal.validate.validation_numbers import JUDGEMENT
 
-MISFIT = 1e-3
-"""Significance level at which residuals count as too large for the noise, in every test of this
-kind.
-
-One false alarm in a thousand calibrations. tests/test_replicates.py checks level and power of the
-test for lack of fit.
-"""
-# Residuals of real arms on another day, relative to noise and uncertainty: a UR10 discovered in one
-# month has 1.7 times as much in the next. Above this, there is another cause.
-_FAR = 5.0
-# Reduction of the squares, as a fraction, for which the displacement of a station matters: a tenth
-# of the error.
-_MATTERS = 0.2
-# The model error of an arm is a field over the poses. A few rows in a corner of the workspace may
-# fit better with another placement, by this multiple of its square: in blocks of 12 to 400 rows of
-# a UR10 under its geometry up to 2.2.
-_LOCAL = 3.0
-
-
-SURE = 0.6
-"""Fraction of the subsamples of a search, half of the poses each, in which a name has to occur to
-be more than a hint.
-
-``tests/stability_study.py`` measures how many of such names are right.
-"""
-TWICE = 2.0
-POWER = 0.9
+MISFIT = JUDGEMENT.misfit
+"""Significance level at which residuals count as too large for the noise."""
+SURE = JUDGEMENT.sure
+"""Fraction of the subsamples of a search in which a name has to occur to be more than a hint."""
+TWICE = JUDGEMENT.twice
+POWER = JUDGEMENT.power
 """Power with which residuals of this multiple of the noise have to be detected for the verdict
 "adequate".
-
-The model error is then 1.7 times the noise, which any plot of the residuals shows. At
-:data:`MISFIT` that takes 18 degrees of freedom with declared noise, and 30 of pure error with a
-hundred of the misfit.
 """
 
 
@@ -112,7 +88,7 @@ class Misfit:
 
     def is_far(self, factor: float = 1.0) -> bool:
         """Return whether the misfit exceeds that of an unchanged robot by a factor."""
-        return self.is_significant and self.ratio > factor * _FAR
+        return self.is_significant and self.ratio > factor * JUDGEMENT.far
 
 
 def has_moved(before: Misfit, after: Misfit) -> bool:
@@ -124,7 +100,9 @@ def has_moved(before: Misfit, after: Misfit) -> bool:
     """
     # A field over the poses, not scatter from row to row.
     field = after.systematic * after.degrees + max(after.square - after.degrees, 0.0)
-    gain = before.square - after.square - _MATTERS * after.degrees - _LOCAL * field
+    gain = (
+        before.square - after.square - JUDGEMENT.matters * after.degrees - JUDGEMENT.local * field
+    )
     scale = max(after.square / max(after.degrees, 1), 1.0)
     more = max(after.found - before.found, 1)
     return bool(fdtrc(more, max(after.degrees, 1), max(gain, 0.0) / more / scale) < MISFIT)

@@ -20,23 +20,17 @@ import numpy as np
 
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
+from pincal.thresholds import Count
+from pincal.validate.validation_numbers import PATHS
 
-CYCLES_OF_PATH = 10
+CYCLES_OF_PATH: Count = 10
 """Cycles of a path that ISO 9283 requires."""
 
-# Joint positions coincide if they differ by less than this fraction of their motion, root mean
-# square.
-_SAME = 0.01
-# Fraction of a cycle that the last one may lack.
-_SHORT = 0.02
-# Fraction of the median speed below which an arm stands still.
-_SLOW = 0.01
-# Largest numbers of time steps and of moments in the search for cycles; steps that count as one;
-# and frequency of a lag, relative to the most frequent one, from which the shortest is the period.
-_STEPS = 20_000
-_ASKED = 1_000
-_BESIDE = 4
-_OFTEN = 0.5
+# Largest numbers of time steps and of moments in the search for cycles, and steps that count as
+# one.
+_STEPS: Count = 20_000
+_ASKED: Count = 1_000
+_BESIDE: Count = 4
 
 
 def path_accuracy(
@@ -78,7 +72,7 @@ def along_path(
     way = np.gradient(path, time, axis=0)
     speed = np.linalg.norm(way, axis=1, keepdims=True)
     # An arm that stands still has no direction.
-    way /= np.maximum(speed, max(_SLOW * float(np.median(speed)), 1e-12))
+    way /= np.maximum(speed, max(PATHS.slow * float(np.median(speed)), 1e-12))
     off = residuals.T.copy()
     off[:, :3] -= way * np.sum(off[:, :3] * way, axis=1, keepdims=True)
     begin, period, n = cycles_of(time, q)
@@ -116,7 +110,7 @@ def cycles_of(time: np.ndarray, q: np.ndarray) -> tuple[float, float, int]:
     even, step = np.linspace(time[0], time[-1], count, retstep=True)
     once = float(time[0]), float(time[-1] - time[0]), 1
     z = np.stack([np.interp(even, time, joint) for joint in q.T])
-    near = _SAME * float(np.sqrt(z.var(axis=1).sum()))
+    near = PATHS.same * float(np.sqrt(z.var(axis=1).sum()))
     # Lags after which the joints are back at their positions at some moments.
     asked = np.arange(0, count, max(count // _ASKED, 1))
     found = KDTree(z.T).query_ball_point(z.T[asked], near) if near else np.empty(0, object)
@@ -129,7 +123,7 @@ def cycles_of(time: np.ndarray, q: np.ndarray) -> tuple[float, float, int]:
     away = int(np.argmin(often))
     if not often[away:].any():
         return once
-    first = away + int(np.argmax(often[away:] > _OFTEN * often[away:].max()))
+    first = away + int(np.argmax(often[away:] > PATHS.often * often[away:].max()))
     most = first + int(np.argmax(often[first : first + 4 * _BESIDE]))
     period = float(step) * float(np.mean(lags[np.abs(lags - most) <= 2 * _BESIDE]))
     later = np.stack([np.interp(even + period, even, joint) for joint in z])
@@ -140,7 +134,7 @@ def cycles_of(time: np.ndarray, q: np.ndarray) -> tuple[float, float, int]:
         return once
     longest = int(np.argmax(edges[1::2] - edges[::2]))
     start, end = edges[2 * longest : 2 * longest + 2]
-    n = 1 + int((end - start) * step / period + _SHORT)
+    n = 1 + int((end - start) * step / period + PATHS.short)
     return (float(even[start]), period, n) if n > 1 else once
 
 
