@@ -263,7 +263,7 @@ def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elast
     fit, rng = elastic_fit, np.random.default_rng(3)
     conditions = fit.fit.station.conditions
     effects = candidates(fit.model.chain, conditions)
-    sights = minimum_detectable(fit, effects, sigma=np.array([SIGMA]))
+    sights = minimum_detectable(fit.fit, effects, sigma=np.array([SIGMA]))
     sight = next(s for s in sights if s.effect.name == name and vars(s.effect)["joint"] == "joint_3")
     assert sight.size is not None
     model = fit.model.with_effects([*fit.model.effects, sight.effect])

@@ -88,7 +88,7 @@ def test_an_effect_from_outside_is_fitted_on_request(scene: Scene) -> None:
     scene.run(*fit)
     found = {entry["name"]: entry for entry in scene.read("out/result.json")["parameters"]}  # type: ignore[attr-defined]
     assert abs(found["joint_5.hose"]["value"] - PULL) < 4.0 * found["joint_5.hose"]["sigma"]
-    entry = scene.read("out/model.json")["model"]["effects"][-1]  # type: ignore[index]
+    entry = scene.read("out/model.json")["stations"][0]["effects"][-1]  # type: ignore[index]
     assert entry == {"name": "hose_pull", "module": "hose_pull", "joint": "joint_5", "wound": "joint_4"}
     scene.run("validate", "out/model.json", "new.csv", "--max-error", "0.1mm")
     EFFECTS._classes.pop("hose_pull")

@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ET
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -210,6 +211,14 @@ def stands(content: bytes, robot: Robot, q: np.ndarray) -> np.ndarray | None:
     return way
 
 
+def _matrix(block: Any, n: int) -> np.ndarray:
+    """Return a square matrix of a model file, of numbers or packed into text."""
+    if isinstance(block, str):
+        words = np.frombuffer(zlib.decompress(base64.b64decode(block.removeprefix("matrix:"))), np.uint8)
+        block = np.ascontiguousarray(words.reshape(8, -1).T).view("<f8").ravel()[1:]
+    return np.reshape(block, (n, n))
+
+
 @pytest.mark.long
 @checked(1500)
 @given(changes=MUTATIONS)
@@ -223,10 +232,14 @@ def test_models(tmp_path_factory: pytest.TempPathFactory, model: bytes, changes:
         return
     plain = json.loads(content)
     np.testing.assert_array_equal(found.values, plain["values"])
-    covariance = plain["covariance"]
-    if isinstance(covariance, str):
-        words = np.frombuffer(zlib.decompress(base64.b64decode(covariance.removeprefix("matrix:"))), np.uint8)
-        covariance = np.ascontiguousarray(words.reshape(8, -1).T).view("<f8").ravel()[1:].reshape(found.covariance.shape)
+    fitted = np.flatnonzero(plain["fitted"])
+    factor = np.array(plain["covariance"].get("factor") or np.zeros((len(fitted), 0)))
+    among_fitted = factor @ factor.T
+    for group in plain["covariance"]["groups"]:
+        places = np.array(group["parameters"], int)
+        among_fitted[np.ix_(places, places)] += _matrix(group["block"], len(places))
+    covariance = np.zeros((len(plain["values"]),) * 2)
+    covariance[np.ix_(fitted, fitted)] = among_fitted
     np.testing.assert_array_equal(found.covariance, covariance)
     assert [p.name for p in found.estimate.parameters] == [p["name"] for p in plain["parameters"]]
     assert np.isfinite(found.predict(np.zeros((1, 6)))).all()
