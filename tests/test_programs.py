@@ -149,7 +149,8 @@ def test_without_errors_a_program_stays_as_it_is(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("language", "count"), [(language, COUNT) for language in LANGUAGES])
+@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize("count", [COUNT // 3, pytest.param(COUNT, marks=pytest.mark.rates)])
 def test_the_real_arm_arrives_where_the_program_meant(
     language: str,
     count: int,
@@ -238,10 +239,8 @@ def mutated(content: bytes, other: bytes, rng: np.random.Generator) -> bytes:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("language", "count"),
-    [(language, MUTATIONS) for language in LANGUAGES],
-)
+@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize("count", [MUTATIONS // 3, pytest.param(MUTATIONS, marks=pytest.mark.rates)])
 def test_a_program_that_is_not_whole_is_never_made_wrong(
     language: str, count: int, real_arm: Callable[[np.ndarray], np.ndarray]
 ) -> None:

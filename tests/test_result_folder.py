@@ -175,7 +175,7 @@ def fork() -> Iterator[multiprocessing.context.BaseContext]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kills", [30, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.parametrize("kills", [30, pytest.param(100, marks=pytest.mark.rates)])
 @pytest.mark.parametrize("by", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
 @pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
 def test_a_killed_run_leaves_the_old_folder_or_the_new_one(
@@ -224,8 +224,9 @@ def test_of_two_runs_at_once_one_wins_whole(tmp_path: Path, fork: multiprocessin
 
 
 @pytest.mark.long
-def test_a_killed_calibration_leaves_old_results_or_new_ones(tmp_path: Path) -> None:
-    """The command itself, killed sixteen times from its start to its end: model.json and result.json are of one run."""
+@pytest.mark.parametrize("kills", [8, pytest.param(16, marks=pytest.mark.rates)])
+def test_a_killed_calibration_leaves_old_results_or_new_ones(tmp_path: Path, kills: int) -> None:
+    """The command itself, killed at times from its start to its end: model.json and result.json are of one run."""
     from pincal.builtin import kuka_urdf_path
     from pincal.measure.table import write_table
     from pincal.robot.robot import Robot
@@ -252,7 +253,7 @@ def test_a_killed_calibration_leaves_old_results_or_new_ones(tmp_path: Path) -> 
     begun = time.perf_counter()
     subprocess.run(command("old"), check=True, stdout=subprocess.DEVNULL)
     whole = time.perf_counter() - begun
-    for k in range(16):
+    for k in range(kills):
         table = ("new", "old")[k % 2]
         # Most of the kills fall into the last fifth, where the files are written.
         after = whole * (rng.uniform(0.1, 1.05) if k % 4 == 0 else rng.uniform(0.8, 1.05))
