@@ -153,5 +153,7 @@ def test_a_robot_of_a_file_with_one_station_is_used_as_its_model(fit: pincal.Fit
 
     np.testing.assert_array_equal(robot.predict(q), pincal.load_model(paths[0]).predict(q))
     assert paths[0].read_bytes() == paths[1].read_bytes()
+    with pytest.raises(pincal.BadInputError, match=r"holds no fit, as one from a file.* calibrate again from the table"):
+        robot.problem  # noqa: B018
     with pytest.warns(DeprecationWarning, match=r"pincal.CalibratedStations is now pincal.FittedRobot"):
         assert isinstance(robot, pincal.CalibratedStations)

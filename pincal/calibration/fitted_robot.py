@@ -370,12 +370,13 @@ class FittedRobot:
         """The fit: its problem, rows and solution.
 
         Raises:
-            BadInputError: for a robot from a file, which does not hold them.
+            BadInputError: for a robot without them: from a file, of an update, or with one of several
+                stations other than the first.
         """
         if not isinstance(self.evidence, FitEvidence):
             raise BadInputError(
-                "this robot was read from a file, which does not hold the rows of the fit; "
-                "calibrate again from the table"
+                "this robot holds no fit, as one from a file, of an update, or at one of several "
+                "stations; ask the robot that calibrate() returned, or calibrate again from the table"
             )
         return self.evidence.fit
 
