@@ -20,6 +20,7 @@ LAYERS = (
     "errors",
     "atomic",
     "plugins",
+    "satellites",
     "spread",
     "compiled",
     "units",

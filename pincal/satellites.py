@@ -1,0 +1,85 @@
+"""Satellites: packages of pincal beside its kernel, which hand in verbs, readers, sections, schemas.
+
+The kernel (robot, model, tables, fits, validation, compensation, export, report and their verbs)
+names none of them and works without them. A satellite is a package of pincal, or of another
+distribution by an entry point of the group ``pincal.satellites``, with a module ``satellite`` whose
+``HANDED_IN`` says where it hands in what, by names that are imported when they are used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib.metadata import entry_points
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Generic, TypeVar, cast
+
+_T = TypeVar("_T")
+_GROUP = "pincal.satellites"
+
+# What a satellite hands in: by place of the kernel, "module:attribute" by name.
+HandedIn = Mapping[str, Mapping[str, str]]
+
+
+class Place(Generic[_T]):
+    """A place of the kernel where satellites hand in objects of one type by name.
+
+    Example:
+        >>> Place[object]("nothing is handed in here").names()
+        ()
+    """
+
+    def __init__(self, name: str) -> None:
+        """Create a place.
+
+        Args:
+            name: by which satellites hand in, such as "verbs".
+        """
+        self.name = name
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of what is handed in, in the order of the satellites; nothing is
+        imported.
+        """
+        return tuple(self._sources())
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._sources()
+
+    def __getitem__(self, name: str) -> _T:
+        """Return what is handed in by this name.
+
+        Raises:
+            KeyError: if nothing is.
+        """
+        module, _, attribute = self._sources()[name].partition(":")
+        return cast(_T, getattr(importlib.import_module(module), attribute))
+
+    def all(self) -> Iterator[_T]:
+        """Yield all that is handed in."""
+        return (self[name] for name in self.names())
+
+    def _sources(self) -> dict[str, str]:
+        return {
+            name: source
+            for handed_in in _declarations()
+            for name, source in handed_in.get(self.name, {}).items()
+        }
+
+
+@cache
+def _declarations() -> tuple[HandedIn, ...]:
+    """Return what all satellites hand in, those of pincal first."""
+    package = Path(__file__).parent
+    modules = [
+        f"pincal.{path.parent.name}.satellite" for path in sorted(package.glob("*/satellite.py"))
+    ]
+    modules += [point.value for point in entry_points(group=_GROUP)]
+    return tuple(_handed_in(module) for module in modules if find_spec(module))
+
+
+def _handed_in(module: str) -> HandedIn:
+    declared: Any = importlib.import_module(module)
+    return cast(HandedIn, declared.HANDED_IN)
