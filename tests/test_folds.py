@@ -55,7 +55,7 @@ def fit(robot: Robot) -> ModelFit:
 def test_rows_are_predicted_as_by_a_fit_of_the_others(fit: ModelFit, way: str) -> None:
     """The information of the whole less the fold's and a step give what fitting the other rows from the start gives."""
     fold = Folds.of(fit.problem, (way,)).of_way[way]  # type: ignore[arg-type]
-    (found,) = left_out_residuals(fit, fit.solution, fold)
+    ((found,),) = left_out_residuals(fit, fit.solution, [fold])
 
     for k in (0, 3, 11):
         rest = fold != k
@@ -72,7 +72,7 @@ def test_folds_of_parallel_axes_are_fitted_to_their_end(tmp_path: Path) -> None:
     table = read_measurements(tmp_path / "table.csv", planar.joint_names)
     fit = run_calibration(planar, table, Options(sigma=NOISE)).fit
     fold = Folds.of(fit.problem, ("random",)).of_way["random"]
-    (found,) = left_out_residuals(fit.fit, fit.solution, fold)
+    ((found,),) = left_out_residuals(fit.fit, fit.solution, [fold])
 
     # 26 parameters at most share what 300 rows tell.
     expected = NOISE * np.sqrt(3.0 * (1.0 + 26 / 900))

@@ -258,21 +258,20 @@ def left_out_errors(
         rows: the rows of each station.
         folds: the division of the fitted poses.
     """
-    as_read = [_as_read(fit, k, part) for k, part in enumerate(rows)]
-    found: dict[Way, list[LeftOutErrors]] = {}
-    for way, fold in folds.of_way.items():
-        by_station = left_out_residuals(fit, solution, fold)
-        found[way] = []
-        for k, (left_out, (station, pose, share)) in enumerate(
-            zip(by_station, as_read, strict=True)
-        ):
-            values = solution.values[fit.problem.places[k]]
-            weights = fit.solution.weights[fit.problem.rows[k]]
+    found: dict[Way, list[LeftOutErrors]] = {way: [] for way in folds.of_way}
+    by_way = left_out_residuals(fit, solution, list(folds.of_way.values()))
+    for k, part in enumerate(rows):
+        fitted = fit.problem.stations[k]
+        values = solution.values[fit.problem.places[k]]
+        station, pose, share = _as_read(fit, k, part)
+        by_all = fitted.residuals(values)
+        of_readings = by_all if station is fitted else station.residuals(values)
+        is_kept = fit.solution.weights[fit.problem.rows[k]][pose] > 0.0
+        for way, by_station in zip(found, by_way, strict=True):
             # Without the fold all readings of a pose are predicted elsewhere by the same vector.
-            moved = left_out - fit.problem.stations[k].residuals(values)
-            residuals = station.residuals(values) + moved[:, pose]
+            residuals = of_readings + (by_station[k] - by_all)[:, pose]
             sizes = pose_error_sizes(station, values, residuals=residuals)
-            counted = np.isfinite(residuals).all(axis=0) & (weights[pose] > 0.0)
+            counted = np.isfinite(residuals).all(axis=0) & is_kept
             found[way].append(LeftOutErrors(residuals, sizes, counted, share))
     return found
 

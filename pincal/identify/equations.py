@@ -8,7 +8,7 @@ result does not depend on the executor.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -246,8 +246,11 @@ class Linearised:
             Form(H, g, whole), self.sizes[places], self.values[places], tuple(eliminated), believed
         )
 
-    def without_each(self, fold: np.ndarray, sigma: np.ndarray) -> Iterator[Posterior]:
-        """Yield the posterior without the rows of each fold, from one pass over all rows.
+    def without_each(
+        self, fold: np.ndarray, sigma: np.ndarray
+    ) -> Iterator[tuple[Posterior, Posterior]]:
+        """Yield the posterior of all rows, and that without the rows of each fold, from one pass
+        over all rows.
 
         Args:
             fold: shape (N,), the fold of each row, from 0.
@@ -261,15 +264,12 @@ class Linearised:
         for first in range(0, count, at_once):
             some = range(first, min(first + at_once, count))
             parts = [self._by_fold(batch, fold, some, sigma) for batch in self._batches]
+            whole = self._assembled([part.whole for part in parts])
             for i in range(len(some)):
-                yield self._assembled([forms_without(i) for forms_without in parts])
+                yield whole, self._assembled([part.without(i) for part in parts])
 
-    def _by_fold(
-        self, batch: Batch, fold: np.ndarray, some: range, sigma: np.ndarray
-    ) -> Callable[[int], tuple[Form, Eliminated]]:
-        """Return a function from the number of a fold among ``some`` to the contribution of a batch
-        without it.
-        """
+    def _by_fold(self, batch: Batch, fold: np.ndarray, some: range, sigma: np.ndarray) -> _Folded:
+        """Return the contribution of a batch without each fold among ``some``."""
         n = len(batch.stations)
         k = len(some)
         here = fold[batch.rows] - some.start
@@ -300,8 +300,10 @@ class Linearised:
         if n == 1 and (known := believed(together, values, may)) is not None:
             whole_H = whole_H + known.H
             whole_g = whole_g + known.g
-        prior = batch.own[may], *(of[batch.places][:, may] for of in (self.sizes, self.values))
-        return lambda i: eliminate(Form.of(whole_H - H[:, i], whole_g - g[:, i]), *prior)
+        sizes = self.sizes[batch.places][:, may]
+        offsets = self.values[batch.places][:, may]
+        prior = (batch.own[may], sizes, offsets)
+        return _Folded(H, g, whole_H, whole_g, prior)
 
     def _contributions(self, sigma: np.ndarray) -> list[_Sums]:
         """Return the contribution of each batch, computed where it is not known for this noise and
@@ -347,6 +349,34 @@ class Linearised:
             if self.executor is None
             else spread_again(work, tasks, label="station", executor=self.executor)
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Folded:
+    """Normal equations of S stations with F free parameters each, by fold.
+
+    Attributes:
+        H, g: of each of K folds, and of the rows of none of them: shapes (S, K + 1, F, F) and (S,
+            K + 1, F).
+        whole_H, whole_g: of all rows, with what the sensor knows otherwise.
+        prior: which parameters are eliminated, their sizes and their offsets.
+    """
+
+    H: np.ndarray
+    g: np.ndarray
+    whole_H: np.ndarray
+    whole_g: np.ndarray
+    prior: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+    @property
+    def whole(self) -> tuple[Form, Eliminated]:
+        """The contribution of all rows."""
+        return eliminate(Form.of(self.whole_H, self.whole_g), *self.prior)
+
+    def without(self, i: int) -> tuple[Form, Eliminated]:
+        """Return the contribution of all rows but those of a fold."""
+        form = Form.of(self.whole_H - self.H[:, i], self.whole_g - self.g[:, i])
+        return eliminate(form, *self.prior)
 
 
 def _by_part(sums: np.ndarray, stations: int) -> np.ndarray:

@@ -96,50 +96,75 @@ class Folds:
         return int(self.of_way[way].max()) + 1
 
 
-def left_out_residuals(fit: ModelFit, solution: Solution, fold: np.ndarray) -> list[np.ndarray]:
-    """Return reading minus prediction of every row by the fit of the other folds, shape (m, N) for
-    each station.
+def left_out_residuals(
+    fit: ModelFit, solution: Solution, folds: Sequence[np.ndarray]
+) -> list[list[np.ndarray]]:
+    """Return reading minus prediction of every row by the fit of the other folds, shape (m, N), for
+    each division and each station.
 
     Args:
         fit: the fit of all rows.
         solution: its full solution, or that of base and tool alone.
-        fold: shape (N,), the fold of each row of all stations.
+        folds: divisions, each of shape (N,): the fold of each row of all stations.
 
     Returns:
-        For each station; nan for rows of a target or point that no other fold has.
+        For each division the residuals of each station; nan for rows of a target or point that no
+        other fold has.
     """
     problem = fit.problem
-    values = np.array(list(_without_each(fit, solution, fold)))
-    steps = values - solution.values
-    # Predictions change by the Jacobian times the step where this is small.
-    is_far = np.abs(steps).max(axis=1, initial=0.0) > _LINEAR
-    found = []
+    left_out = [
+        _LeftOut(fold, np.array(list(_without_each(fit, solution, fold)))) for fold in folds
+    ]
+    found: list[list[np.ndarray]] = [[] for _ in folds]
     for station, places, rows in zip(problem.stations, problem.places, problem.rows, strict=True):
-        own = fold[rows]
-        residuals = _moved(
-            station, solution.values[places], solution.free[places], steps[:, places], own
+        of_station = [without.at(rows, places) for without in left_out]
+        by_division = _residuals_without(
+            station, solution.values[places], solution.free[places], of_station
         )
-        for k in np.flatnonzero(is_far):
-            if (mine := own == k).any():
-                residuals[:, mine] = _residuals_of(station, values[k, places], mine)
-        residuals[:, _alone_in_fold(station, own)] = np.nan
-        found.append(residuals)
+        for residuals, of_division in zip(by_division, found, strict=True):
+            of_division.append(residuals)
     return found
 
 
-def _moved(
-    station: Station, values: np.ndarray, free: np.ndarray, steps: np.ndarray, fold: np.ndarray
-) -> np.ndarray:
-    """Return the residuals of all rows after the step of each row's fold, to first order, shape (m,
-    N).
+@dataclass(frozen=True, eq=False)
+class _LeftOut:
+    """Fits without each of K folds.
 
-    ``steps``, shape (K, P), are those of all parameters, by fold.
+    Attributes:
+        fold: shape (N,), the fold of each row.
+        values: shape (K, P), the parameters without each fold.
     """
-    out = np.empty((station.reading_size, len(station)))
+
+    fold: np.ndarray
+    values: np.ndarray
+
+    def at(self, rows: slice, places: np.ndarray) -> _LeftOut:
+        """Return the same of some rows, and of the parameters at some places."""
+        return _LeftOut(self.fold[rows], self.values[:, places])
+
+
+def _residuals_without(
+    station: Station, values: np.ndarray, free: np.ndarray, left_out: Sequence[_LeftOut]
+) -> list[np.ndarray]:
+    """Return the residuals of all rows of a station by the fit without each row's fold, for each
+    division, shape (m, N).
+
+    Predictions change by the Jacobian at the values of all rows, shape (P,), times the step where
+    this is small.
+    """
+    steps = [without.values - values for without in left_out]
+    found = [np.empty((station.reading_size, len(station))) for _ in left_out]
     # Neither weighted nor whitened.
     for piece, residuals, J in station.linearise(values, free):
-        out[:, piece] = residuals - np.einsum("fmn,nf->mn", J, steps[fold[piece]][:, free])
-    return out
+        for without, step, out in zip(left_out, steps, found, strict=True):
+            own = step[without.fold[piece]][:, free]
+            out[:, piece] = residuals - np.einsum("fmn,nf->mn", J, own)
+    for without, step, out in zip(left_out, steps, found, strict=True):
+        for k in np.flatnonzero(np.abs(step).max(axis=1, initial=0.0) > _LINEAR):
+            if (mine := without.fold == k).any():
+                out[:, mine] = _residuals_of(station, without.values[k], mine)
+        out[:, _alone_in_fold(station, without.fold)] = np.nan
+    return found
 
 
 def _residuals_of(station: Station, values: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -161,18 +186,21 @@ def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterat
     problem = replace(fit.problem, stations=tuple(stations)) if is_serial else fit.problem
     readings = max(float(problem.readings(weights).sum()), 1.0)
     point = Linearised(problem, solution.values, free, weights, fit.priors.sizes)
-    # The step of the fit of all rows, which may not be at rest itself, by damping.
-    of_all = cache(partial(_step, point.posterior(solution.sigma), bounds))
 
-    def step_beyond(posterior: Posterior, damping: float) -> np.ndarray:
-        return np.asarray(_step(posterior, bounds, damping) - of_all(damping))
+    @cache
+    def step_of(posterior: Posterior, damping: float) -> np.ndarray:
+        return _step(posterior, bounds, damping)
 
-    for k, posterior in enumerate(point.without_each(fold, solution.sigma)):
+    def step_beyond(whole: Posterior, posterior: Posterior, damping: float) -> np.ndarray:
+        # The fit of all rows may not be at rest itself.
+        return np.asarray(_step(posterior, bounds, damping) - step_of(whole, damping))
+
+    for k, (whole, posterior) in enumerate(point.without_each(fold, solution.sigma)):
         others = np.where(fold == k, 0.0, weights)
         here = Linearised(
             problem, solution.values, free, others, fit.priors.sizes, squares_first=True
         )
-        here, step = _descended(here, partial(step_beyond, posterior), solution.sigma)
+        here, step = _descended(here, partial(step_beyond, whole, posterior), solution.sigma)
         for _ in range(_STEPS - 1):
             if is_serial or posterior.square(step) < _SHORT**2 * readings:
                 break

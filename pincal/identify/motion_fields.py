@@ -5,11 +5,12 @@ differs from its model.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pincal.identify.station import Station
+from pincal.model.motions import Motions
 from pincal.thresholds import Scale
 
 # Differences [rad or m] for numerical derivatives.
@@ -59,16 +60,28 @@ def fields_of_joints(station: Station, values: np.ndarray) -> Iterator[MotionFie
     """Yield the motion of the targets by each joint that moves them; arguments as for
     :func:`fields_of_setup`.
     """
-    motion, _ = _motions(station, values)
-    of_model, _ = station.split(values)
     robot = station.model.chain.robot
-    for j, (name, unit) in enumerate(zip(robot.joint_names, robot.joint_units, strict=True)):
-        moved = station.conditions.q.copy()
-        moved[:, j] += _MOVED
-        directions = motion(station.model.predict(of_model, replace(station.conditions, q=moved)))
+    by_joint = _displacements_by_drives(station, values)
+    for name, unit, directions in zip(robot.joint_names, robot.joint_units, by_joint, strict=True):
         # A joint that these poses do not observe moves nothing.
         if np.abs(directions).max() > _NOTHING:
             yield MotionField(name, directions[:, :, None], unit)
+
+
+def _displacements_by_drives(station: Station, values: np.ndarray) -> np.ndarray:
+    """Return the displacements of the targets by each drive, as far as readings determine them,
+    shape (n, N, 3) [m per rad or m].
+
+    The load on the arm is taken as it is.
+    """
+    model = station.model
+    drives = Motions(tuple(map(int, model.chain.drives)))
+    moving = station.with_model(model.with_effects((*model.effects, drives)))
+    of_model, own = station.split(values)
+    still = np.zeros(len(drives.coordinates))
+    free = np.zeros(len(moving.parameters), bool)
+    free[len(of_model) : len(of_model) + len(still)] = True
+    return moving.displacements_by(np.concatenate([of_model, still, own]), free)
 
 
 def field_of_load(station: Station, values: np.ndarray) -> MotionField:

@@ -225,6 +225,20 @@ class Station:
 
         ``residuals``, shape (m, N), are of predictions by nearby values; default: by these.
         """
+        if residuals is not None:
+            return self._displacements(values, residuals)
+        # Several findings ask for those at the values of a fit.
+        key = values.tobytes()
+        if key not in self._latest_displacements:
+            self._latest_displacements.clear()
+            self._latest_displacements[key] = self._displacements(values, None)
+        return self._latest_displacements[key].copy()
+
+    @cached_property
+    def _latest_displacements(self) -> dict[bytes, np.ndarray]:
+        return {}
+
+    def _displacements(self, values: np.ndarray, residuals: np.ndarray | None) -> np.ndarray:
         out = np.empty((len(self), 3))
         (of_model, own) = self.split(values)
         for piece in self._pieces():
@@ -232,6 +246,22 @@ class Station:
             poses = part.model.predict(of_model, part.conditions.at_moments)
             off = part.sensor.residuals(poses, own) if residuals is None else residuals[:, piece]
             out[piece] = part.sensor.displacement(off, poses, own)
+        return out
+
+    def displacements_by(self, values: np.ndarray, free: np.ndarray) -> np.ndarray:
+        """Return the displacements of each row's target by free parameters, as far as its reading
+        determines them, shape (F, N, 3) [m per unit].
+        """
+        of_model, own = self.split(values)
+        model_free, own_free = self.split(free)
+        columns = np.concatenate([np.ones(np.count_nonzero(model_free), bool), own_free])
+        out = np.empty((np.count_nonzero(free), len(self), 3))
+        for piece in self._pieces():
+            part = self._part(piece)
+            poses, motion = part._motion(of_model, model_free)
+            jacobian = part.sensor.jacobian(poses, motion, own)[columns]
+            for by_parameter, column in zip(out, jacobian, strict=True):
+                by_parameter[piece] = part.sensor.displacement(column, poses, own)
         return out
 
     def metres_per_reading(self, values: np.ndarray) -> float:

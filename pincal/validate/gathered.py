@@ -31,9 +31,15 @@ from pincal.thresholds import Count, Scale
 _MOST: Count = 200
 # Ratio of consecutive widths of windows.
 _WIDER: Scale = 1.4
-# Permutations that determine how likely a bump is, and errors whose windows are computed at once.
+# Permutations that determine how likely a bump is, the fewest after which one is clearly none, how
+# much more likely than the limit it then is, and errors whose windows are computed at once.
 _ORDERS: Count = 200
-_AT_ONCE: Count = 50_000
+_FIRST_ORDERS: Count = 25
+_CLEARLY: Scale = 5.0
+_AT_ONCE: Count = 25_000
+# Windows of a width whose median stands for all of them, over those that do not overlap: neighbours
+# share most of their rows.
+_OVERLAPPING: Count = 4
 # Standard deviation over the median absolute error, for normal noise.
 _NORMAL: Scale = 1.4826
 
@@ -184,7 +190,8 @@ class _Windows:
         squares = np.append(0.0, np.cumsum(self.lever**2))
         for m in self.widths:
             means = np.abs(sums[:, m:] - sums[:, :-m]) / np.sqrt(squares[m:] - squares[:-m])
-            yield means / np.maximum(1.0, _NORMAL * np.median(means, axis=1, keepdims=True))
+            some = means[:, :: max(m // _OVERLAPPING, 1)]
+            yield means / np.maximum(1.0, _NORMAL * np.median(some, axis=1, keepdims=True))
 
     def surprises(self, off: np.ndarray) -> np.ndarray:
         """Return minus the log p-value of the most significant window of each width, shape
@@ -200,15 +207,25 @@ class _Windows:
         return np.asarray(-np.log(2.0 * stdtr(degrees[:, None], -largest)))
 
     def chance(self, surprise: float) -> float:
-        """Return the probability of a window as significant under permutations of the errors."""
+        """Return the probability of a window as significant under permutations of the errors.
+
+        Their largest surprises follow an extreme-value distribution (Gumbel), of which mean and
+        standard deviation are drawn; no more permutations are when it is clearly no bump.
+        """
         rng = np.random.default_rng(0)
         _, clipped = self._clipped(self.off)
-        orders = np.array([rng.permutation(clipped) for _ in range(_ORDERS)])
-        at_once = max(_AT_ONCE // len(clipped), 1)
-        parts = [self._surprises(orders[i : i + at_once]) for i in range(0, _ORDERS, at_once)]
-        drawn = np.concatenate(parts, axis=1).max(axis=0)
-        scale = np.sqrt(6.0) / np.pi * float(drawn.std())
-        return -float(np.expm1(-np.exp((float(drawn.mean()) - surprise) / scale - np.euler_gamma)))
+        at_once = max(_AT_ONCE // len(clipped), _FIRST_ORDERS)
+        drawn = np.empty(0)
+        p_value = 1.0
+        while len(drawn) < _ORDERS:
+            orders = rng.permuted(np.tile(clipped, (min(at_once, _ORDERS), 1)), axis=1)
+            drawn = np.append(drawn, self._surprises(orders).max(axis=0))
+            scale = np.sqrt(6.0) / np.pi * float(drawn.std())
+            excess = (float(drawn.mean()) - surprise) / scale - np.euler_gamma
+            p_value = -float(np.expm1(-np.exp(excess)))
+            if p_value > _CLEARLY * GATHERED.bump_chance:
+                break
+        return p_value
 
     def gathering(self, p_value: float) -> Gathering:
         """Return the most significant window."""
