@@ -57,6 +57,12 @@ class Place(Generic[_T]):
         module, _, attribute = self._sources()[name].partition(":")
         return cast(_T, getattr(importlib.import_module(module), attribute))
 
+    def get(self, name: str) -> _T | None:
+        """Return what is handed in by this name, None if nothing is."""
+        if name not in self:
+            return None
+        return self[name]
+
     def all(self) -> Iterator[_T]:
         """Yield all that is handed in."""
         return (self[name] for name in self.names())

@@ -44,28 +44,18 @@ _MOST_VIEWS: Count = 12
 # Times within which a cluster has to answer, and then to have a worker [s].
 _ANSWER: Scale = 5.0
 _WORKER: Scale = 10.0
-_FILES = (
+FIT_FILES = (
     "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, "
     "residuals.csv and report.html"
 )
-_EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
+FIT_EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
 _CALIBRATE_EXAMPLES = f"""
 Examples:
   pincal calibrate robot.urdf tracker.csv --out results --noise 0.05mm
   pincal calibrate ur10 series.csv --out results --max-error 0.2mm
   pincal calibrate robot.urdf monday.csv tuesday.csv --split station --out results
 
-{_FILES}.
-"""
-_DISCOVER_EXAMPLES = f"""
-Examples:
-  pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
-  pincal discover robot.urdf tracker.csv --out results --try gear_ripple:joint_2:order=101
-  pincal discover robot.urdf monday.csv tuesday.csv --split station --out results
-  pincal discover robot.urdf tracker.csv --out results --dask tcp://10.0.0.5:8786
-
-{_FILES},
-all for the model with the effects that were found, and discovery.json.
+{FIT_FILES}.
 """
 
 
@@ -97,31 +87,7 @@ class FitArguments:
     general: GeneralOptions = group("General")
 
 
-@dataclass(frozen=True, kw_only=True)
-class DiscoverArguments(FitArguments):
-    """Arguments of discover."""
-
-    tried: tuple[str, ...] = option(
-        "Also try this effect, named as for --add: for a gear of known ratio or an "
-        "encoder of known line count the cycles "
-        "per revolution, e.g. gear_ripple:joint_2:order=101. An effect of known order is "
-        "detected at a smaller amplitude "
-        "than one that is searched for.",
-        (),
-        metavar="EFFECT",
-        name="--try",
-    )
-    stability: int = option(
-        "Number of subsamples of half of the poses on which the search is repeated, to "
-        "count how often each effect "
-        "is found; 0 for none.",
-        20,
-        type=click.IntRange(min=0),
-        metavar="N",
-    )
-
-
-@verb(FitArguments, examples=_CALIBRATE_EXAMPLES, exits=_EXITS)
+@verb(FitArguments, examples=_CALIBRATE_EXAMPLES, exits=FIT_EXITS)
 def calibrate_verb(arguments: FitArguments) -> Exit:
     """Calibrate a robot from a table of measured poses.
 
@@ -133,31 +99,10 @@ def calibrate_verb(arguments: FitArguments) -> Exit:
     with workers(
         arguments.dask, repeats=arguments.split.split == "station", processes=False
     ) as executor:
-        return _run_fit(arguments, partial(run_calibration, executor=executor))
+        return run_fit(arguments, partial(run_calibration, executor=executor))
 
 
-@verb(DiscoverArguments, examples=_DISCOVER_EXAMPLES, exits=_EXITS, defaults={"model": "geometric"})
-def discover(arguments: DiscoverArguments) -> Exit:
-    """Identify the effects that the model lacks.
-
-    Reports where model and data disagree, which effects explain it, and how the error at unfitted
-    poses shrinks.
-    """
-    from pincal.cli.inputs import named_effects
-    from pincal.discover.run import run_discovery
-
-    repeats = arguments.stability > 0 or arguments.split.split == "station"
-    with workers(arguments.dask, repeats=repeats) as executor:
-
-        def run(robot: Any, tables: Any, options: Any, **choice: Any) -> Any:
-            extra = named_effects(arguments.tried, options, robot=robot, tables=tables)
-            choice |= {"extra": extra, "stability": arguments.stability, "executor": executor}
-            return run_discovery(robot, tables, options, **choice)
-
-        return _run_fit(arguments, run)
-
-
-def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
+def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
     """Run a calibration or a discovery on the files of the command line, write and print its
     result.
 

@@ -1,8 +1,7 @@
-"""``pincal check`` and ``design``: what a table, or poses to be measured, can identify."""
+"""``pincal design``: poses to be measured, or a motion to be driven, and what they can identify."""
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
@@ -11,12 +10,10 @@ from typing import TYPE_CHECKING, Literal
 import click
 import numpy as np
 
-from pincal.cli.arguments import argument, group, option, verb, words_given
+from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import (
     TABLE,
-    CalibrationOptions,
     GeneralOptions,
-    InputOptions,
     ModelOptions,
     Triple,
     base_option,
@@ -25,12 +22,10 @@ from pincal.cli.common import (
     sign_option,
     tip_option,
     type_option,
-    verbose_option,
     xacro_option,
 )
-from pincal.cli.motion_options import DrivenOptions
-from pincal.cli.outputs import print_json, problem_report
-from pincal.cli.quantities import ANGLE, LENGTH, masses
+from pincal.cli.outputs import print_json
+from pincal.cli.quantities import ANGLE, DURATION, LENGTH, masses
 from pincal.errors import Exit
 from pincal.robot.cell import Beside
 
@@ -62,58 +57,6 @@ around the robot are considered: check them before the robot moves.
 _COUNT = click.IntRange(min=1)
 # Options of an instrument, on which a motion with an IMU does not depend.
 _OF_RIG = ("sensor", "sockets", "tool", "payload")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CheckArguments:
-    """Arguments of check."""
-
-    source: InputOptions = group("Input")
-    chosen: CalibrationOptions = group("Model")
-    verbose: bool = verbose_option()
-    report: bool = option(
-        "Print what a bug report needs, without the data: versions, command, files, and "
-        "the complete check.",
-        False,
-    )
-    general: GeneralOptions = group("General")
-
-
-@verb(
-    CheckArguments,
-    examples="Example:\n  pincal check robot.urdf tracker.csv --noise 0.05mm",
-    exits=(Exit.UNDECIDED,),
-)
-def check(arguments: CheckArguments) -> Exit:
-    """Report what can and cannot be identified from a table.
-
-    Units, ranges and coverage are checked, and the reason is given for what cannot be identified.
-    """
-    if arguments.report:
-        # Before anything is read, so that it is printed even if the check fails.
-        for line in problem_report(
-            ["check", *words_given()], [Path(arguments.source.robot), *arguments.source.data]
-        ):
-            click.echo(line)
-    from pincal.cli.inputs import prepare
-    from pincal.cli.progress import log_step
-    from pincal.discover.precheck import precheck
-
-    prepared = prepare(arguments.source, arguments.chosen)
-    log_step("analysing what these poses can identify")
-    found = precheck(prepared.robot, prepared.tables, prepared.options)
-    if arguments.general.as_json:
-        print_json(found.to_dict())
-    else:
-        from pincal.cli.progress import console
-        from pincal.cli.screen import print_brief_check, print_precheck
-
-        if arguments.verbose or arguments.report:
-            print_precheck(found, console())
-        else:
-            command = shlex.join(["pincal", "calibrate", *words_given(), "--out", "results"])
-            print_brief_check(found, prepared.robot, console(), command=command)
-    return Exit.DONE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,6 +141,27 @@ class CheckOptions:
     power: float = option("Probability of detecting it.", 0.95)
     alpha: float = option("Probability of a false alarm.", 0.01)
     max_poses: int = option("Largest number of poses.", 40, metavar="N", type=_COUNT)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DrivenOptions:
+    """A motion to drive with an IMU."""
+
+    motion: float | None = option(
+        "Instead of poses, choose a motion of this duration to drive with an IMU on the "
+        "tool; --out gives the time at which "
+        "each of its poses is reached.",
+        metavar="DURATION",
+        type=DURATION,
+    )
+    speed: float = option(
+        "Largest speed of a joint [rad/s], half as much for a prismatic one [m/s]; less "
+        "if the URDF says so.",
+        1.0,
+    )
+    acceleration: float = option(
+        "Largest acceleration of a joint [rad/s^2], half as much for a prismatic one [m/s^2].", 3.0
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -65,8 +65,8 @@ def demo(arguments: DemoArguments) -> Exit:
     from pincal.builtin import kuka_urdf_path
     from pincal.calibration.calibration import run_calibration
     from pincal.cli.fitting import write_results
-    from pincal.cli.new_rows import write_diagnosis
     from pincal.cli.progress import console
+    from pincal.diagnosis.cli.new_rows import write_diagnosis
     from pincal.discover.run import run_discovery
     from pincal.identify.options import Options
     from pincal.io.strict_json import write_json

@@ -11,12 +11,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pincal.cli.arguments import VERBS, Output, argument, group, option, verb
+from pincal.cli.arguments import Output, argument, group, option, verb
 from pincal.cli.common import GeneralOptions, base_option, tip_option, verbose_option
-from pincal.cli.fleet_store import machine_names, store_argument
 from pincal.cli.outputs import print_json, provenance
 from pincal.cli.quantities import LENGTH
 from pincal.errors import BadInputError, Exit, counted
+from pincal.fleet.cli.fleet_store import (
+    fleet_add,
+    fleet_calibrate,
+    fleet_diagnose,
+    fleet_discover,
+    machine_names,
+    store_argument,
+)
 from pincal.thresholds import Count
 
 if TYPE_CHECKING:
@@ -246,12 +253,15 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
     return Exit.CHANGED if found.open or found.drifted else Exit.DONE
 
 
-VERBS["fleet"] = click.Group(
+fleet = click.Group(
     "fleet",
     commands={
-        name.removeprefix("fleet_"): command
-        for name, command in VERBS.items()
-        if name.startswith("fleet_")
+        "add": fleet_add,
+        "calibrate": fleet_calibrate,
+        "check": fleet_check,
+        "diagnose": fleet_diagnose,
+        "discover": fleet_discover,
+        "learn": fleet_learn,
     },
     help="Learn from many robots of a type, and monitor them.",
     context_settings={"help_option_names": ["-h", "--help"]},

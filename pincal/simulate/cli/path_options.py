@@ -1,10 +1,7 @@
-"""Arms in motion: streams on the command line, and for ``pincal simulate`` a path and
-its loggers.
-"""
+"""A path that ``pincal simulate`` drives, and the loggers of it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,90 +9,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pincal.cli.arguments import NumberType, option
-from pincal.cli.quantities import ANGLES, QuantityType
+from pincal.cli.quantities import ANGLES, DURATION, QuantityType
 from pincal.measure.fields import TABLE_ENDINGS
 from pincal.thresholds import Scale
 from pincal.units import UNITS, plain_numbers, size_of
 
 if TYPE_CHECKING:
-    from pincal.measure.fields import TableOptions
-    from pincal.measure.measurements import Measurements
-    from pincal.robot.robot import Robot
     from pincal.simulate.session import SessionOptions
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotionOptions:
-    """Streams of an arm in motion, each with its own clock, in place of a folder."""
-
-    imu: Path | None = option(
-        "Log of an IMU on the tool while the arm moves (time, ax ay az, wx wy wz); "
-        "--joints is then its joint log (time and "
-        "a column per joint).",
-        metavar="LOG",
-    )
-    tracker: Path | None = option(
-        "Log of an instrument that measures the tool in motion (time, and x y z, "
-        "distance, or u v with point or target).",
-        metavar="LOG",
-    )
-
-    @property
-    def are_given(self) -> bool:
-        """Whether a stream is given."""
-        return self.imu is not None or self.tracker is not None
-
-    def check(self, joints: Path | None, data: Sequence[Path]) -> None:
-        """Refuse streams without their joints, and no input at all."""
-        if self.are_given and joints is None:
-            raise click.UsageError("--imu and --tracker need the log of the joints: --joints LOG")
-        if not self.are_given and not data:
-            raise click.UsageError(
-                "Missing argument 'DATA.csv...'; or --joints, --imu and --tracker of an "
-                "arm in motion"
-            )
-
-
-def input_files(paths: Iterable[Path]) -> Iterator[Path]:
-    """Yield files, and the files in folders of sessions."""
-    from pincal.motion.sessions import joints_of_session
-
-    for path in paths:
-        yield from (
-            (path,)
-            if joints_of_session(path) is None or path.is_file()
-            else sorted(filter(Path.is_file, path.iterdir()))
-        )
-
-
-def load_sessions(
-    robot: Robot, paths: Sequence[Path], reading: TableOptions, motion: MotionOptions
-) -> tuple[dict[str, Measurements], list[Path]]:
-    """Return the tables of stations in motion by name, and the other files, which are tables.
-
-    Raises:
-        BadInputError: for a stream that is invalid.
-    """
-    from pincal.motion.sessions import Session, joints_of_session, read_session, read_streams
-    from pincal.motion.stations import session_tables
-
-    motion.check(reading.joints, paths)  # type: ignore[arg-type]
-    sessions = list[Session]()
-    plain: dict[str, Any] = {
-        "columns": reading.columns,
-        "ignore": reading.ignore,
-        "orientation": reading.orientation,
-    }
-    if motion.are_given:
-        given: dict[str, Any] = {
-            "joints": reading.joints,
-            "imu": motion.imu,
-            "tracker": motion.tracker,
-        }
-        sessions.append(read_streams(robot, **given, **plain))
-    folders = [path for path in paths if joints_of_session(path) is not None]
-    sessions += [read_session(robot, path, **plain) for path in folders]
-    return session_tables(robot, sessions), [path for path in paths if path not in folders]
 
 
 # Samples per second of a fast logger.
@@ -129,31 +49,6 @@ def _rates(text: str) -> tuple[float, ...]:
             f"{text!r}; expected rates of joints, IMU and tracker [Hz], such as 150,100,250"
         )
     return tuple(rates)
-
-
-DURATION = QuantityType({"s": 1.0, "min": 60.0}, "300s")
-"""A duration."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DrivenOptions:
-    """A motion to drive with an IMU."""
-
-    motion: float | None = option(
-        "Instead of poses, choose a motion of this duration to drive with an IMU on the "
-        "tool; --out gives the time at which "
-        "each of its poses is reached.",
-        metavar="DURATION",
-        type=DURATION,
-    )
-    speed: float = option(
-        "Largest speed of a joint [rad/s], half as much for a prismatic one [m/s]; less "
-        "if the URDF says so.",
-        1.0,
-    )
-    acceleration: float = option(
-        "Largest acceleration of a joint [rad/s^2], half as much for a prismatic one [m/s^2].", 3.0
-    )
 
 
 def _path(text: str) -> float | Path:

@@ -24,11 +24,11 @@ from pincal.cli.common import (
     tip_option,
     xacro_option,
 )
-from pincal.cli.motion_options import MotionArguments
 from pincal.cli.quantities import ANGLES, LENGTH, NoiseType, QuantityType, masses
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.measure.fields import TABLE_ENDINGS
 from pincal.robot.cell import Beside
+from pincal.simulate.cli.path_options import MotionArguments
 from pincal.thresholds import Count, Scale
 from pincal.units import plain_numbers
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from pincal.cli.arguments import verb
 from pincal.cli.outputs import print_json, provenance, write_all, write_plain
-from pincal.cli.simulate_options import SensorArguments, SimulateArguments, via_path
 from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 from pincal.robot.cell import read_cell, robot_files
+from pincal.simulate.cli.simulate_options import SensorArguments, SimulateArguments, via_path
 from pincal.thresholds import Count
 
 if TYPE_CHECKING:

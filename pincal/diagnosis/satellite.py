@@ -1,0 +1,10 @@
+"""What diagnosis hands in to the kernel."""
+
+from pincal.satellites import HandedIn
+
+HANDED_IN: HandedIn = {
+    "verbs": {
+        "diagnose": "pincal.diagnosis.cli.new_rows:diagnose_verb",
+        "update": "pincal.diagnosis.cli.new_rows:update_verb",
+    },
+}
