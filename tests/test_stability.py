@@ -15,6 +15,8 @@ from pincal.calibration.fitted_robot import FittedRobot
 from pincal.discover.ending import of_bearings, of_candidates, of_masses
 from pincal.discover.findings import chance_of_best, findings_of
 from pincal.discover.levers import missing_features
+from pincal.discover.report.found_drawings import stability_drawings
+from pincal.discover.report.found_section import _named
 from pincal.discover.run import Discovery, Subsamples, _subsamples, begin_subsamples, run_discovery
 from pincal.discover.score_tests import ScoreTests, score_test, score_test_given_nuisances
 from pincal.errors import BadInputError
@@ -25,8 +27,6 @@ from pincal.io.discovery_file import Findings, Repeated, Stability
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
-from pincal.report.html import _named
-from pincal.report.illustrations import stability_drawings
 
 COUNT = 2
 

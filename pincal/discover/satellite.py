@@ -1,0 +1,7 @@
+"""What discovery hands in to the kernel."""
+
+from pincal.satellites import HandedIn
+
+HANDED_IN: HandedIn = {
+    "drawings": {"Discovery": "pincal.discover.report.found_drawings:discovery_drawings"},
+}
