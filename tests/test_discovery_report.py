@@ -19,6 +19,8 @@ from pincal.calibration.curve_coverage import outside_curves
 from pincal.calibration.fitted_robot import load_model
 from pincal.cli import main
 from pincal.discover.decisions import Row, critical_gain, is_more_than_chance
+from pincal.discover.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
+from pincal.discover.discovery_file import Verdict as FoundVerdict
 from pincal.discover.first_order import ScoreResult
 from pincal.discover.levers import on_steps
 from pincal.discover.locate import _window, locate
@@ -33,8 +35,6 @@ from pincal.discover.shrink import PartialResidual, period_of
 from pincal.identify.calibrate import refit
 from pincal.identify.fit_levers import levers
 from pincal.identify.folds import Folds
-from pincal.io.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
-from pincal.io.discovery_file import Verdict as FoundVerdict
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import GearEccentricity, TransmissionError, candidates

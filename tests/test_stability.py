@@ -12,6 +12,7 @@ from scipy.stats import binom, kstest
 from stability_study import by_class, study
 
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.discover.discovery_file import Findings, Repeated, Stability
 from pincal.discover.ending import of_bearings, of_candidates, of_masses
 from pincal.discover.findings import chance_of_best, findings_of
 from pincal.discover.levers import missing_features
@@ -23,7 +24,6 @@ from pincal.errors import BadInputError
 from pincal.identify.calibrate import refit
 from pincal.identify.mass_error import MassError, variance_of_masses
 from pincal.identify.split import row_groups
-from pincal.io.discovery_file import Findings, Repeated, Stability
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of

@@ -19,6 +19,7 @@ from pincal.design.motion_design import MotionDesign
 from pincal.design.plan_tables import motion_table, pose_count_table
 from pincal.design.pose_design import SOURCES, Design
 from pincal.design.study import RANDOM_DESIGNS
+from pincal.discover.discovery_file import FoundEffect
 from pincal.discover.policy import SIGHT
 from pincal.discover.precheck import DataReport, DetectabilityTable
 from pincal.discover.report import found_tables, precheck_tables
@@ -32,7 +33,6 @@ from pincal.discover.report.found_words import (
 from pincal.discover.report.search_answer import SearchAnswer
 from pincal.discover.run import Discovery
 from pincal.errors import counted
-from pincal.io.discovery_file import FoundEffect
 from pincal.measure.registry import blocks_of
 from pincal.model.effect import Family
 from pincal.model.effect_registry import EFFECTS

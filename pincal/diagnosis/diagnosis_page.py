@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from markupsafe import Markup
 
+from pincal.diagnosis.diagnosis_file import ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
 from pincal.diagnosis.robot_diagnosis import Diagnosis
-from pincal.io.diagnosis_file import ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
 from pincal.parameters import split_name
 from pincal.report.blocks import (
     Section,

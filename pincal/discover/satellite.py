@@ -3,5 +3,6 @@
 from pincal.satellites import HandedIn
 
 HANDED_IN: HandedIn = {
+    "schemas": {"discovery": "pincal.discover.discovery_file:Findings"},
     "drawings": {"Discovery": "pincal.discover.report.found_drawings:discovery_drawings"},
 }

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.discover.discovery_file import EffectName
 from pincal.discover.report.found_words import effect_words
 from pincal.errors import BadInputError
 from pincal.identify.fit import Priors
@@ -17,7 +18,6 @@ from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Course, likeliest_values
 from pincal.identify.station import Station
-from pincal.io.discovery_file import EffectName
 from pincal.measure.measurements import Measurements
 from pincal.measure.registry import simulatable
 from pincal.model.conditions import Conditions

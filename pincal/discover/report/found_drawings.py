@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from pincal.discover.discovery_file import Findings
 from pincal.discover.report.found_figures import (
     effect_figure,
     map_figure,
@@ -12,7 +13,6 @@ from pincal.discover.report.found_figures import (
 )
 from pincal.discover.report.found_words import effect_words
 from pincal.discover.run import Discovery
-from pincal.io.discovery_file import Findings
 from pincal.report.illustrations import Drawing
 from pincal.validate.misfit import SURE
 

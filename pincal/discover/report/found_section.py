@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from markupsafe import Markup
 
+from pincal.discover.discovery_file import Findings, FoundEffect, FoundParameter, ScatteringJoint
 from pincal.discover.report.found_drawings import discovery_drawings, stability_drawings
 from pincal.discover.report.found_tables import by_reason, location_table, stage_table
 from pincal.discover.report.found_words import (
@@ -18,7 +19,6 @@ from pincal.discover.report.found_words import (
     subsample_only_words,
 )
 from pincal.discover.run import Discovery
-from pincal.io.discovery_file import Findings, FoundEffect, FoundParameter, ScatteringJoint
 from pincal.report.blocks import (
     PageBlock,
     Section,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 
+from pincal.discover.discovery_file import Disagreement, FoundEffect, Stage
 from pincal.discover.report.found_words import effect_words
-from pincal.io.discovery_file import Disagreement, FoundEffect, Stage
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.units import fixed, show_chance, show_percent
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pincal.io.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
+from pincal.discover.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
 
 # Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from pincal.discover.discovery_file import Findings
 from pincal.discover.report.found_words import effect_words
 from pincal.discover.run import Discovery
-from pincal.io.discovery_file import Findings
 from pincal.model.catalogue import untestable
 from pincal.notes import doubts_of
 from pincal.recorded import RECORDABLE
