@@ -19,27 +19,28 @@ from pincal.calibration.curve_coverage import outside_curves
 from pincal.calibration.fitted_robot import load_model
 from pincal.cli import main
 from pincal.discover.decisions import Row, critical_gain, is_more_than_chance
+from pincal.discover.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
+from pincal.discover.discovery_file import Verdict as FoundVerdict
 from pincal.discover.first_order import ScoreResult
 from pincal.discover.levers import on_steps
 from pincal.discover.locate import _window, locate
 from pincal.discover.policy import POLICY
 from pincal.discover.precheck import detectable_noncentrality, minimum_detectable, power_of, precheck
+from pincal.discover.report.found_figures import effect_figure, shrinking_figure
+from pincal.discover.report.found_words import gain_words
+from pincal.discover.report.search_answer import verdict_of_search
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import PartialResidual, period_of
 from pincal.identify.calibrate import refit
 from pincal.identify.fit_levers import levers
 from pincal.identify.folds import Folds
-from pincal.io.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
-from pincal.io.discovery_file import Verdict as FoundVerdict
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import GearEccentricity, TransmissionError, candidates
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.parameters import estimate_of
-from pincal.report.judgement import relative_to_noise, verdict_of_search
-from pincal.report.plots.found import effect_figure, shrinking_figure
-from pincal.report.words import gain_words
+from pincal.report.judgement import relative_to_noise
 
 HIDDEN = (
     "backlash_cobot",

@@ -37,16 +37,16 @@ LAYERS = (
     "io",
     "calibration",
     "schemas",
+    "report",
     "compensate",
     "export",
-    "report",
     "cli",
     "__main__",
 )
 # What stands on the kernel, and which the kernel never imports: it hands in its verbs and whatever else the kernel has
 # a place for. Each imports the kernel but its command line, and the satellites before it; its own ``cli`` also imports
 # the kernel's.
-SATELLITES = ("motion", "programs", "viewer", "discover", "diagnosis", "design", "fleet", "simulate", "demo")
+SATELLITES = ("motion", "programs", "discover", "diagnosis", "design", "fleet", "viewer", "simulate", "demo")
 # Two layers that know nothing of each other.
 SIBLINGS = {"model", "measure"}
 # What stands beside the layers, and what it may import: machines of the simulator share no code with the model.
@@ -63,19 +63,9 @@ CROSSING = {
     "pincal.cli.fitting",
     "pincal.cli.inputs",
     "pincal.cli.screen",
-    "pincal.cli.validate",
+    "pincal.cli.validating",
     "pincal.design.cli.planning",
     "pincal.export.js_source",
-    "pincal.report.diagnosis",
-    "pincal.report.drawings",
-    "pincal.report.fleet_pages",
-    "pincal.report.found_tables",
-    "pincal.report.html",
-    "pincal.report.illustrations",
-    "pincal.report.judgement",
-    "pincal.report.plots.found",
-    "pincal.report.subject",
-    "pincal.schemas",
     "pincal.validate.clock_jumps",
 }
 HEAVY = (

@@ -250,8 +250,13 @@ def write_results(
     _write_residuals(folder / "residuals.csv", calibration)
     if view:
         _write_views(folder, calibration)
+    search = None
+    if discovery is not None:
+        from pincal.discover.report.search_answer import SearchAnswer
+
+        search = SearchAnswer(discovery)
     page = report_page(
-        Subject(calibration, origin, export.notes, discovery, view=VIEW if view else None)
+        Subject(calibration, origin, export.notes, search, view=VIEW if view else None)
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
     return tuple(export.notes)

@@ -16,33 +16,37 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.result import Result
 from pincal.design.health import HealthCheck
 from pincal.design.motion_design import MotionDesign
+from pincal.design.plan_tables import motion_table, pose_count_table
 from pincal.design.pose_design import SOURCES, Design
 from pincal.design.study import RANDOM_DESIGNS
+from pincal.discover.discovery_file import FoundEffect
 from pincal.discover.policy import SIGHT
 from pincal.discover.precheck import DataReport, DetectabilityTable
+from pincal.discover.report import found_tables, precheck_tables
+from pincal.discover.report.found_words import (
+    HINTS,
+    bootstrap_words,
+    effect_words,
+    line_words,
+    subsample_only_words,
+)
+from pincal.discover.report.search_answer import SearchAnswer
 from pincal.discover.run import Discovery
 from pincal.errors import counted
-from pincal.io.discovery_file import FoundEffect
 from pincal.measure.registry import blocks_of
 from pincal.model.effect import Family
 from pincal.model.effect_registry import EFFECTS
 from pincal.notes import Note, doubts_first, doubts_of
-from pincal.report import found_tables
 from pincal.report.judgement import judged, next_steps
 from pincal.report.words import (
-    HINTS,
-    bootstrap_words,
-    effect_words,
     elsewhere_words,
-    line_words,
     noise_words,
     rank_words,
-    subsample_only_words,
 )
 from pincal.result_table import hanging, one_line
 from pincal.robot.robot import Robot
 from pincal.thresholds import Count
-from pincal.units import Quantity, format_small
+from pincal.units import Quantity, format_small, show_chance
 from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.lack_of_fit import LackOfFit
 
@@ -81,9 +85,10 @@ def print_brief(
         _line(out, "moved", moved)
     if discovery is not None:
         _line(out, "found", _found(discovery))
-    verdict = judged(result, discovery)
+    search = None if discovery is None else SearchAnswer(discovery)
+    verdict = judged(result, search)
     _line(out, "verdict", f"{verdict.judgement}. {verdict.reason}")
-    _line(out, "next", next_steps(calibration, discovery)[0])
+    _line(out, "next", next_steps(calibration, search)[0])
     print_first_notes([*result.warnings, *notes], out)
     _line(out, "more", more)
 
@@ -107,7 +112,7 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
     shares = {
         joint.joint: share
         for joint in found.joints
-        if (share := found_tables.covered_share(joint)) is not None
+        if (share := precheck_tables.covered_share(joint)) is not None
     }
     if shares:
         least = min(shares, key=lambda name: shares[name])
@@ -208,7 +213,7 @@ def _found(discovery: Discovery) -> str:
 
 
 def _named(entry: FoundEffect) -> str:
-    chance = f"p {found_tables.show_chance(entry.p_value)}"
+    chance = f"p {show_chance(entry.p_value)}"
     words = chance if entry.stability is None else f"{entry.stability} subsamples, {chance}"
     return f"{'perhaps ' if entry.is_hint else ''}{effect_words(entry)} ({words})"
 
@@ -316,8 +321,8 @@ def print_precheck(precheck: DataReport, out: Console) -> None:
     out.print(f"noise {noise_words(precheck.noise)} ({precheck.noise['source']})")
     statuses = (parameter.status for parameter in precheck.parameters)
     out.print(rank_words(statuses, rank=precheck.rank, condition=precheck.condition))
-    out.print(found_tables.coverage_table(precheck))
-    out.print(found_tables.expectation_table(precheck))
+    out.print(precheck_tables.coverage_table(precheck))
+    out.print(precheck_tables.expectation_table(precheck))
     _print_detectability(precheck, precheck.detectable, out)
     print_notes(precheck.warnings, out)
 
@@ -336,10 +341,10 @@ def _print_detectability(precheck: DataReport, found: DetectabilityTable, out: C
         "rotation in these poses, joint_coupling by the range over the joints that may "
         "drive it. -: see below."
     )
-    for table in found_tables.detectability_tables(precheck):
+    for table in precheck_tables.detectability_tables(precheck):
         out.print(table)
     whole = [
-        (e.effect.name, found_tables.smallest_size([e]))
+        (e.effect.name, precheck_tables.smallest_size([e]))
         for e in found.effects
         if e.effect.locus.joint is None
     ]
@@ -366,7 +371,10 @@ def print_discovery(found: Discovery, out: Console) -> None:
     print_doubts(found.calibration.result.warnings, out)
     print_left_out(found.calibration.result, out)
     out.print(
-        hanging("Verdict:", f"{findings.verdict}. {judged(found.calibration.result, found).reason}")
+        hanging(
+            "Verdict:",
+            f"{findings.verdict}. {judged(found.calibration.result, SearchAnswer(found)).reason}",
+        )
     )
     if findings.where:
         out.print(found_tables.location_table(findings.where))
@@ -443,7 +451,7 @@ def _print_design(found: Design, out: Console) -> None:
     for mark, text in _design_facts(found):
         out.print(hanging(f"{mark + ':':13s}", text))
     if found.curve:
-        out.print(found_tables.pose_count_table(found))
+        out.print(pose_count_table(found))
     print_notes(found.notes, out)
 
 
@@ -473,7 +481,7 @@ def _print_motion(found: MotionDesign, out: Console) -> None:
         ("random", f"{1e3 * found.random:.3f} mm ({found.random / found.error:.2f} times as much)"),
     ):
         out.print(hanging(f"{mark + ':':13s}", text))
-    out.print(found_tables.motion_table(found))
+    out.print(motion_table(found))
 
 
 def print_check(found: HealthCheck, out: Console) -> None:

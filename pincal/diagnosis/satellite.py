@@ -7,4 +7,5 @@ HANDED_IN: HandedIn = {
         "diagnose": "pincal.diagnosis.cli.new_rows:diagnose_verb",
         "update": "pincal.diagnosis.cli.new_rows:update_verb",
     },
+    "schemas": {"diagnosis": "pincal.diagnosis.diagnosis_file:DiagnosisFile"},
 }

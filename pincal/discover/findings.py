@@ -15,6 +15,17 @@ from scipy.special import chdtrc
 
 from pincal.discover.candidate_tests import named_tests
 from pincal.discover.decisions import Row, accepted
+from pincal.discover.discovery_file import (
+    Bootstrap,
+    Disagreement,
+    EffectName,
+    Findings,
+    FoundEffect,
+    FoundParameter,
+    Gap,
+    Stage,
+    Untestable,
+)
 from pincal.discover.elastic import (
     JointCompliance,
     deciding_measurement,
@@ -32,17 +43,6 @@ from pincal.discover.shrink import PartialResidual, period_of
 from pincal.discover.steps import History, SearchStep
 from pincal.identify.fit import ModelFit, without
 from pincal.identify.fit_levers import levers
-from pincal.io.discovery_file import (
-    Bootstrap,
-    Disagreement,
-    EffectName,
-    Findings,
-    FoundEffect,
-    FoundParameter,
-    Gap,
-    Stage,
-    Untestable,
-)
 from pincal.model.catalogue import untestable
 from pincal.model.effect import Effect, Harmonic
 from pincal.parameters import Estimate

@@ -6,4 +6,5 @@ HANDED_IN: HandedIn = {
     "verbs": {
         "fleet": "pincal.fleet.cli.fleet:fleet",
     },
+    "schemas": {"type": "pincal.fleet.robot_type:RobotType"},
 }

@@ -306,7 +306,7 @@ def _print_program(missed: dict[str, dict[str, float]], screen: Console) -> None
 
 
 def _print_collision(diagnosis: Diagnosis, screen: Console) -> None:
-    from pincal.report.diagnosis import lines
+    from pincal.diagnosis.diagnosis_page import lines
 
     screen.rule("A collision")
     screen.print(

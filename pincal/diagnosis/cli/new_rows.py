@@ -93,9 +93,9 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
     from pincal.calibration.fitted_robot import load_model
     from pincal.cli.progress import console
     from pincal.cli.screen import print_doubts
+    from pincal.diagnosis.diagnosis_page import curve_table, lines
     from pincal.diagnosis.robot_diagnosis import diagnose
     from pincal.notes import doubts_of
-    from pincal.report.diagnosis import curve_table, lines
 
     calibrated = load_model(arguments.model)
     table = arguments.read(calibrated.robot_model().model.chain.robot)
@@ -127,8 +127,8 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
 
 def write_diagnosis(folder: Path, diagnosis: Diagnosis, origin: dict[str, Any]) -> None:
     """Write ``diagnosis.json``, the page and the re-identified model with its origin."""
+    from pincal.diagnosis.diagnosis_page import diagnosis_page
     from pincal.io.strict_json import write_json
-    from pincal.report.diagnosis import diagnosis_page
 
     replace(diagnosis.model, provenance=origin).save(folder / "model.json")
     write_json(folder / "diagnosis.json", diagnosis.report)

@@ -120,7 +120,7 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     if arguments.share is not None:
         save_machines(arguments.share, machines)
     if arguments.report is not None:
-        from pincal.report.fleet_pages import type_page
+        from pincal.fleet.fleet_pages import type_page
 
         write_atomic(arguments.report, type_page(learned, at, version=origin["pincal"]))
     if arguments.general.as_json:
@@ -220,7 +220,7 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
     known = [visit for visit in visits if begun.get(visit.machine, "9999") <= visit.day]
     found = fleet_changes(of, known, alpha=arguments.alpha, every=arguments.every)
     if arguments.report is not None:
-        from pincal.report.fleet_pages import fleet_page
+        from pincal.fleet.fleet_pages import fleet_page
 
         version = provenance([])["pincal"]
         write_atomic(

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from markupsafe import Markup
 
+from pincal.diagnosis.diagnosis_file import ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
 from pincal.diagnosis.robot_diagnosis import Diagnosis
-from pincal.io.diagnosis_file import ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
 from pincal.parameters import split_name
 from pincal.report.blocks import (
     Section,
@@ -23,12 +23,11 @@ from pincal.report.blocks import (
     plain_notes,
     rich,
 )
-from pincal.report.found_tables import show_chance
 from pincal.report.html import render
 from pincal.report.words import effect_meaning
 from pincal.result_table import Cell, Column, Kind, Table
 from pincal.thresholds import Count, Scale
-from pincal.units import fixed, format_small
+from pincal.units import fixed, format_small, show_chance
 
 _STATISTICS = {"mean_mm": "mean", "p95_mm": "95 %", "max_mm": "worst"}
 # Number of parameters that are named in a line.

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from pincal.errors import counted
 from pincal.fleet import summary
+from pincal.fleet.fleet_numbers import TYPES
 from pincal.fleet.history import FleetHistory
 from pincal.fleet.robot_type import Learned, RobotType
 from pincal.report.blocks import Section, arranged, bullets, code, heading, paragraph, rich
@@ -28,7 +29,6 @@ from pincal.report.plots.style import (
     log_axis,
     panel,
 )
-from pincal.report.report_numbers import REPORT
 from pincal.thresholds import Count, Scale
 from pincal.units import readable_unit
 
@@ -114,7 +114,7 @@ def _order(learned: Learned, at: summary.AtTool | None, unit: str) -> np.ndarray
         if at is None
         else np.nan_to_num(at.by_parameter)
     )
-    places = [k for k, p in enumerate(of.parameters) if p.unit == unit and share[k] > REPORT.told]
+    places = [k for k, p in enumerate(of.parameters) if p.unit == unit and share[k] > TYPES.drawn]
     return np.array(sorted(places, key=lambda k: -size[k])[:_MOST][::-1], int)
 
 
