@@ -45,9 +45,9 @@ def check(arguments: CheckArguments) -> Exit:
             ["check", *words_given()], [Path(arguments.source.robot), *arguments.source.data]
         ):
             click.echo(line)
+    from pincal.calibration.precheck import precheck
     from pincal.cli.inputs import prepare
     from pincal.cli.progress import log_step
-    from pincal.discover.precheck import precheck
 
     prepared = prepare(arguments.source, arguments.chosen)
     log_step("analysing what these poses can identify")

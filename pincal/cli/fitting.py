@@ -1,5 +1,5 @@
-"""``pincal calibrate`` and ``pincal discover``: from a URDF and tables to a calibrated model, and
-to missing effects.
+"""``pincal calibrate``: from a URDF and tables to a calibrated model; and what other verbs that fit
+share with it.
 """
 
 from __future__ import annotations
@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import MISSING, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +22,7 @@ from pincal.cli.common import (
     max_error_option,
     verbose_option,
 )
+from pincal.cli.outcome import Outcome
 from pincal.cli.outputs import print_json, provenance, require_accuracy
 from pincal.errors import BadInputError, Exit, IdentificationError, counted
 from pincal.io.result_folder import output_folder
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from pincal.calibration.calibration import Calibration
     from pincal.cli.inputs import Prepared
-    from pincal.discover.run import Discovery
     from pincal.identify.options import Options
 
 # The view in three dimensions that accompanies the report.
@@ -99,12 +98,15 @@ def calibrate_verb(arguments: FitArguments) -> Exit:
     with workers(
         arguments.dask, repeats=arguments.split.split == "station", processes=False
     ) as executor:
-        return run_fit(arguments, partial(run_calibration, executor=executor))
+
+        def run(*given: Any, **choice: Any) -> Outcome:
+            return Outcome(run_calibration(*given, **choice, executor=executor))
+
+        return run_fit(arguments, run)
 
 
-def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
-    """Run a calibration or a discovery on the files of the command line, write and print its
-    result.
+def run_fit(arguments: FitArguments, run: Callable[..., Outcome]) -> Exit:
+    """Run a fit on the files of the command line, write and print its outcome.
 
     Raises:
         IdentificationError: if the fit did not converge, or instrument or target was touched
@@ -113,7 +115,6 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
     """
     from msgspec import UNSET
 
-    from pincal.calibration.calibration import Calibration
     from pincal.calibration.elsewhere import elsewhere_of
     from pincal.cli.inputs import load_table, load_tables, prepare
     from pincal.cli.progress import log_step
@@ -139,10 +140,8 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
             "holdout": holdout,
         }
         options, members = _of_type(arguments.chosen.fit.type, prepared)
-        found = run(prepared.robot, prepared.tables, options, **choice)
-        calibration, discovery = (
-            (found, None) if isinstance(found, Calibration) else (found.calibration, found)
-        )
+        outcome = run(prepared.robot, prepared.tables, options, **choice)
+        calibration = outcome.calibration
         log_step("writing the model")
         origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
         result = calibration.result
@@ -150,24 +149,27 @@ def run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]
             result = replace(result, warnings=doubts_first([*members, *result.warnings]))
         if task is not None:
             result = replace(result, elsewhere=elsewhere_of(calibration.fit.fit, task) or UNSET)
-        calibration = replace(calibration, result=result)
-        discovery = None if discovery is None else replace(discovery, calibration=calibration)
-        notes = write_results(draft, calibration, origin, discovery, view=arguments.view)
+        outcome = outcome.with_result(result)
+        notes = write_results(draft, outcome, origin, view=arguments.view)
         written = " ".join(sorted(file.name for file in draft.iterdir()))
     if arguments.general.as_json:
-        print_json(result.to_dict() if discovery is None else discovery.report)
+        print_json(outcome.to_dict())
     else:
         from pincal.cli.progress import console
-        from pincal.cli.screen import print_brief, print_discovery, print_notes, print_result
+        from pincal.cli.screen import print_brief
 
         if not arguments.verbose:
             more = f"--verbose, or {arguments.out / 'report.html'}"
-            print_brief(calibration, discovery, console(), more=more, notes=notes)
-        elif discovery is None:
-            print_result(result, console())
+            print_brief(
+                outcome.calibration,
+                console(),
+                more=more,
+                search=outcome.search,
+                found=outcome.found(),
+                notes=notes,
+            )
         else:
-            print_discovery(discovery, console())
-            print_notes(result.warnings, console())
+            outcome.print_all(console())
         for note in notes if arguments.verbose else ():
             click.echo(f"note: {note}")
         click.echo(f"written to {arguments.out}: {written}")
@@ -225,38 +227,30 @@ def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str,
 
 def write_results(
     folder: Path,
-    calibration: Calibration,
+    outcome: Outcome,
     origin: dict[str, Any],
-    discovery: Discovery | None = None,
     *,
     view: bool = False,
 ) -> tuple[str, ...]:
-    """Write all files of a calibration, or of a discovery, to a folder; return notes on what the
-    URDF can't represent.
-    """
+    """Write all files of a fit to a folder; return notes on what the URDF can't represent."""
     from pincal.io.strict_json import write_json
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.report.html import report_page
     from pincal.report.subject import Subject
 
+    calibration = outcome.calibration
     fit = calibration.fit
     fit.save(folder / "model.json", provenance=origin)
     write_json(folder / "result.json", calibration.result.to_dict())
-    if discovery is not None:
-        write_json(folder / "discovery.json", discovery.report)
+    outcome.write(folder)
     robot = fit.robot_model()
     export = calibrated_urdf(robot.model, robot.values)
     (folder / "calibrated.urdf").write_bytes(export.text)
     _write_residuals(folder / "residuals.csv", calibration)
     if view:
         _write_views(folder, calibration)
-    search = None
-    if discovery is not None:
-        from pincal.discover.report.search_answer import SearchAnswer
-
-        search = SearchAnswer(discovery)
     page = report_page(
-        Subject(calibration, origin, export.notes, search, view=VIEW if view else None)
+        Subject(calibration, origin, export.notes, outcome.search, view=VIEW if view else None)
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
     return tuple(export.notes)

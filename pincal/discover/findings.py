@@ -15,6 +15,7 @@ from scipy.special import chdtrc
 
 from pincal.discover.candidate_tests import named_tests
 from pincal.discover.decisions import Row, accepted
+from pincal.discover.detectability import ABSORBED
 from pincal.discover.discovery_file import (
     Bootstrap,
     Disagreement,
@@ -37,7 +38,6 @@ from pincal.discover.ending import line_details
 from pincal.discover.first_order import ScoreTests, chance_of
 from pincal.discover.locate import Located, locate
 from pincal.discover.policy import TESTING, WHERE
-from pincal.discover.precheck import ABSORBED
 from pincal.discover.scatter import Excess, find_excess
 from pincal.discover.shrink import PartialResidual, period_of
 from pincal.discover.steps import History, SearchStep

@@ -3,6 +3,7 @@
 from pincal.satellites import HandedIn
 
 HANDED_IN: HandedIn = {
+    "prechecks": {"detectable": "pincal.discover.report.detectability_tables:Outlook.of"},
     "verbs": {
         "discover": "pincal.discover.cli.search_verb:discover",
     },

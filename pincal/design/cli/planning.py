@@ -352,7 +352,7 @@ def _write(
         print_json(found.to_dict() | {"out": str(arguments.out)})
     else:
         from pincal.cli.progress import console
-        from pincal.cli.screen import print_plan
+        from pincal.design.cli.plan_screen import print_plan
 
         print_plan(found, console())
         click.echo(

@@ -57,14 +57,15 @@ def discover(arguments: DiscoverArguments) -> Exit:
     poses shrinks.
     """
     from pincal.cli.inputs import named_effects
+    from pincal.discover.cli.search_outcome import Found
     from pincal.discover.run import run_discovery
 
     repeats = arguments.stability > 0 or arguments.split.split == "station"
     with workers(arguments.dask, repeats=repeats) as executor:
 
-        def run(robot: Any, tables: Any, options: Any, **choice: Any) -> Any:
+        def run(robot: Any, tables: Any, options: Any, **choice: Any) -> Found:
             extra = named_effects(arguments.tried, options, robot=robot, tables=tables)
             choice |= {"extra": extra, "stability": arguments.stability, "executor": executor}
-            return run_discovery(robot, tables, options, **choice)
+            return Found.of(run_discovery(robot, tables, options, **choice))
 
         return run_fit(arguments, run)
