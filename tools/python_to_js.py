@@ -3,7 +3,7 @@ as the command.
 
 The subset is what the modules of :mod:`pincal.programs` use: functions, classes and dataclasses,
 comprehensions, generators, and the methods of strings, lists, dictionaries and sets, which the
-page's ``python.js`` implements. Anything else is refused with its line, at export.
+page's ``python.js`` implements. Anything else is refused with its line.
 """
 
 from __future__ import annotations
