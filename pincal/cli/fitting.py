@@ -22,7 +22,7 @@ from pincal.cli.common import (
     max_error_option,
     verbose_option,
 )
-from pincal.cli.outcome import Outcome
+from pincal.cli.fit_output import FitOutput
 from pincal.cli.outputs import print_json, provenance, require_accuracy
 from pincal.errors import BadInputError, Exit, IdentificationError, counted
 from pincal.io.result_folder import output_folder
@@ -99,14 +99,14 @@ def calibrate_verb(arguments: FitArguments) -> Exit:
         arguments.dask, repeats=arguments.split.split == "station", processes=False
     ) as executor:
 
-        def run(*given: Any, **choice: Any) -> Outcome:
-            return Outcome(run_calibration(*given, **choice, executor=executor))
+        def run(*given: Any, **choice: Any) -> FitOutput:
+            return FitOutput(run_calibration(*given, **choice, executor=executor))
 
         return run_fit(arguments, run)
 
 
-def run_fit(arguments: FitArguments, run: Callable[..., Outcome]) -> Exit:
-    """Run a fit on the files of the command line, write and print its outcome.
+def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
+    """Run a fit on the files of the command line, write and print its output.
 
     Raises:
         IdentificationError: if the fit did not converge, or instrument or target was touched
@@ -140,8 +140,8 @@ def run_fit(arguments: FitArguments, run: Callable[..., Outcome]) -> Exit:
             "holdout": holdout,
         }
         options, members = _of_type(arguments.chosen.fit.type, prepared)
-        outcome = run(prepared.robot, prepared.tables, options, **choice)
-        calibration = outcome.calibration
+        output = run(prepared.robot, prepared.tables, options, **choice)
+        calibration = output.calibration
         log_step("writing the model")
         origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
         result = calibration.result
@@ -149,11 +149,11 @@ def run_fit(arguments: FitArguments, run: Callable[..., Outcome]) -> Exit:
             result = replace(result, warnings=doubts_first([*members, *result.warnings]))
         if task is not None:
             result = replace(result, elsewhere=elsewhere_of(calibration.fit.fit, task) or UNSET)
-        outcome = outcome.with_result(result)
-        notes = write_results(draft, outcome, origin, view=arguments.view)
+        output = output.with_result(result)
+        notes = write_results(draft, output, origin, view=arguments.view)
         written = " ".join(sorted(file.name for file in draft.iterdir()))
     if arguments.general.as_json:
-        print_json(outcome.to_dict())
+        print_json(output.to_dict())
     else:
         from pincal.cli.progress import console
         from pincal.cli.screen import print_brief
@@ -161,15 +161,15 @@ def run_fit(arguments: FitArguments, run: Callable[..., Outcome]) -> Exit:
         if not arguments.verbose:
             more = f"--verbose, or {arguments.out / 'report.html'}"
             print_brief(
-                outcome.calibration,
+                output.calibration,
                 console(),
                 more=more,
-                search=outcome.search,
-                found=outcome.found(),
+                search=output.search,
+                found=output.found(),
                 notes=notes,
             )
         else:
-            outcome.print_all(console())
+            output.print_all(console())
         for note in notes if arguments.verbose else ():
             click.echo(f"note: {note}")
         click.echo(f"written to {arguments.out}: {written}")
@@ -227,7 +227,7 @@ def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str,
 
 def write_results(
     folder: Path,
-    outcome: Outcome,
+    output: FitOutput,
     origin: dict[str, Any],
     *,
     view: bool = False,
@@ -238,11 +238,11 @@ def write_results(
     from pincal.report.html import report_page
     from pincal.report.subject import Subject
 
-    calibration = outcome.calibration
+    calibration = output.calibration
     fit = calibration.fit
     fit.save(folder / "model.json", provenance=origin)
     write_json(folder / "result.json", calibration.result.to_dict())
-    outcome.write(folder)
+    output.write(folder)
     robot = fit.robot_model()
     export = calibrated_urdf(robot.model, robot.values)
     (folder / "calibrated.urdf").write_bytes(export.text)
@@ -250,7 +250,7 @@ def write_results(
     if view:
         _write_views(folder, calibration)
     page = report_page(
-        Subject(calibration, origin, export.notes, outcome.search, view=VIEW if view else None)
+        Subject(calibration, origin, export.notes, output.search, view=VIEW if view else None)
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
     return tuple(export.notes)

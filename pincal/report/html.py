@@ -6,9 +6,7 @@ import logging
 from collections.abc import Callable, Sequence
 
 from pincal.report import sections
-from pincal.report.blocks import (
-    Section,
-)
+from pincal.report.blocks import Section
 from pincal.report.subject import Subject
 
 log = logging.getLogger(__name__)

@@ -64,11 +64,11 @@ def demo(arguments: DemoArguments) -> Exit:
     """Run the complete example on a KUKA KR 125/2; no data needed."""
     from pincal.builtin import kuka_urdf_path
     from pincal.calibration.calibration import run_calibration
+    from pincal.cli.fit_output import FitOutput
     from pincal.cli.fitting import write_results
-    from pincal.cli.outcome import Outcome
     from pincal.cli.progress import console
     from pincal.diagnosis.cli.new_rows import write_diagnosis
-    from pincal.discover.cli.search_outcome import Found
+    from pincal.discover.cli.search_output import SearchOutput
     from pincal.discover.run import run_discovery
     from pincal.identify.options import Options
     from pincal.io.strict_json import write_json
@@ -100,12 +100,12 @@ def demo(arguments: DemoArguments) -> Exit:
             options = Options(effects=effects, payload_centre=PAYLOAD_COM, sigma=_NOISE)
             runs[name] = run_calibration(robot, table, options, seed=seed)
         write_results(
-            draft, Outcome(runs["DH,s,e"]), provenance([data, urdf], seed=seed), view=True
+            draft, FitOutput(runs["DH,s,e"]), provenance([data, urdf], seed=seed), view=True
         )
         deviation_figure(_deviations(runs)).savefig(draft / "deviations.png", dpi=120)
         table, tracker = _measure(again, bad, robot, rng=np.random.default_rng([seed, 2]))
         found = run_discovery(robot, table, options, seed=seed)
-        write_results(second, Found.of(found), provenance([again], seed=seed), view=True)
+        write_results(second, SearchOutput.of(found), provenance([again], seed=seed), view=True)
         write_json(second / "discovery.json", found.report)
         q = robot.random_configurations(_PROGRAM, np.random.default_rng([seed, 3]))
         missed = _compensate(second, found, q, machine=bad, tracker=tracker)
@@ -267,7 +267,7 @@ def _print_calibration(runs: dict[str, Calibration], screen: Console) -> None:
 
 def _print_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
     from pincal.cli.screen import print_brief
-    from pincal.discover.cli.search_outcome import Found
+    from pincal.discover.cli.search_output import SearchOutput
 
     size = f"{_SIZE * 1e3:g} mrad"
     screen.rule("A hidden effect")
@@ -278,13 +278,13 @@ def _print_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
         "above. The model does not include "
         "the\nwheel, and the held-out error stays above the noise. What is missing, and where?\n"
     )
-    outcome = Found.of(found)
+    output = SearchOutput.of(found)
     print_brief(
-        outcome.calibration,
+        output.calibration,
         screen,
         more=str(folder / "report.html"),
-        search=outcome.search,
-        found=outcome.found(),
+        search=output.search,
+        found=output.found(),
     )
     for entry in found.report["effects"]:
         if (entry["effect"], entry["joint"]) == ("gear_eccentricity", _JOINT):

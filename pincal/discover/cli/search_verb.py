@@ -57,15 +57,15 @@ def discover(arguments: DiscoverArguments) -> Exit:
     poses shrinks.
     """
     from pincal.cli.inputs import named_effects
-    from pincal.discover.cli.search_outcome import Found
+    from pincal.discover.cli.search_output import SearchOutput
     from pincal.discover.run import run_discovery
 
     repeats = arguments.stability > 0 or arguments.split.split == "station"
     with workers(arguments.dask, repeats=repeats) as executor:
 
-        def run(robot: Any, tables: Any, options: Any, **choice: Any) -> Found:
+        def run(robot: Any, tables: Any, options: Any, **choice: Any) -> SearchOutput:
             extra = named_effects(arguments.tried, options, robot=robot, tables=tables)
             choice |= {"extra": extra, "stability": arguments.stability, "executor": executor}
-            return Found.of(run_discovery(robot, tables, options, **choice))
+            return SearchOutput.of(run_discovery(robot, tables, options, **choice))
 
         return run_fit(arguments, run)

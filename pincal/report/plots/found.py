@@ -10,17 +10,7 @@ from matplotlib.figure import Figure
 from pincal.calibration.result_tables import INTERVAL, ParameterRow
 from pincal.parameters import FRAME_SYMBOLS, split_name
 from pincal.report.plots import style
-from pincal.report.plots.style import (
-    AFTER,
-    INK,
-    LETTER,
-    MUTED,
-    ROW,
-    SMALL,
-    drawable,
-    dress,
-    panel,
-)
+from pincal.report.plots.style import AFTER, INK, LETTER, MUTED, ROW, SMALL, drawable, dress, panel
 from pincal.thresholds import Count, Scale
 from pincal.units import readable_unit
 from pincal.validate.outcome import MovedParameter

@@ -1,4 +1,4 @@
-// What Python means, for the readers of programs: they are the command's own, translated (pincal/export/python_to_js.py).
+// What Python means, for the readers of programs: they are the command's own, translated (tools/python_to_js.py).
 
 const py = (() => {
   class ValueError extends Error {}

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class FitOutput:
     """A calibration as a verb writes and prints it; verbs that find more than a calibration extend
     it.
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pincal.cli.outcome import Outcome
+from pincal.cli.fit_output import FitOutput
 from pincal.discover.report.search_answer import SearchAnswer
 from pincal.discover.run import Discovery
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Found(Outcome):
+class SearchOutput(FitOutput):
     """A discovery as a verb writes and prints it.
 
     Attributes:
@@ -25,8 +25,8 @@ class Found(Outcome):
     run: Discovery
 
     @classmethod
-    def of(cls, discovery: Discovery) -> Found:
-        """Return the outcome of a search."""
+    def of(cls, discovery: Discovery) -> SearchOutput:
+        """Return the output of a search."""
         return cls(discovery.calibration, discovery)
 
     @property

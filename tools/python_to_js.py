@@ -3,7 +3,11 @@ as the command.
 
 The subset is what the modules of :mod:`pincal.programs` use: functions, classes and dataclasses,
 comprehensions, generators, and the methods of strings, lists, dictionaries and sets, which the
-page's ``python.js`` implements. Anything else is refused with its line, at export.
+page's ``python.js`` implements. Anything else is refused with its line.
+
+No compiler that is kept up translates these modules: of their 150 functions pscript 0.8 refuses 69
+(generators, sets, matrices) and takes a tuple as a key for a slice; Transcrypt 3.9 stops at a
+dataclass.
 """
 
 from __future__ import annotations

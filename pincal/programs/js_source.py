@@ -17,7 +17,6 @@ from pincal.compensate.compensation import middle_of_range
 from pincal.compensate.robot_frames import base_in_instrument, nominal_robot
 from pincal.export.export_numbers import EXPORT
 from pincal.export.exported import (
-    FORMATS,
     Exported,
     Format,
     as_comment,
@@ -29,12 +28,9 @@ from pincal.export.exported import (
 )
 from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.export.numpy_source import numpy_source, refuse_wrong
-from pincal.export.python_to_js import Translator, as_text
 from pincal.io.strict_json import in_script
 from pincal.measure.heading import NUMBERED
 from pincal.programs.arms import rigid_pose
-from pincal.programs.language import LANGUAGES
-from pincal.programs.syntax import parser_of
 from pincal.robot.robot import Robot
 from pincal.units import UNITS, size_of
 
@@ -73,35 +69,8 @@ _JS = Language(
     input=lambda name: name if name.startswith("moments") else f"state.{name}",
     curve=lambda i, curve, x: f"cubic({x}, {curve.lower!r}, {curve.upper!r}, CURVES[{i}])",
 )
-# Modules in the order of their dependencies; the languages come after them.
-_MODULES = ("syntax", "flow", "program", "draft", "statement_reader", "language", "rapid_blocks")
-# What the page implements itself: files, lark, arrays of numbers, and what only the command needs.
-_OWN = frozenset(
-    (
-        "Source",
-        "parser_of",
-        "TYPE_CHECKING",
-        "spliced",
-        "Frame.__eq__",
-        "Frame.__hash__",
-        "ControllerLanguage.pose",
-        "ControllerLanguage.is_pose",
-        "ControllerLanguage.numbers",
-        "ControllerLanguage.frame",
-        "ControllerLanguage.joint_units",
-        "ControllerLanguage._by_axis",
-        "Jbi.joint_units",
-        "LANGUAGES",
-        "language_of",
-        "files_of",
-        "read_sources",
-        "_nearest_angles",
-        "Point.values",
-    )
-)
 
 
-@FORMATS.register
 @dataclass(frozen=True)
 class CorrectorPage(Format):
     """A single-file page that corrects tables and programs by the model in any browser, without
@@ -121,18 +90,18 @@ class CorrectorPage(Format):
         placed_in(calibrated, self.frame)
         formulas = formulas_of(placed_in(calibrated, "base"))
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame="base"))
-        templates = files("pincal.export").joinpath("templates")
+        templates = files("pincal.programs").joinpath("page")
         names = (
             "corrector.css",
             "corrector_table.js",
             "python.js",
             "programs.js",
+            "readers.js",
             "corrector_programs.js",
             "corrector.js",
         )
         style, table, *scripts = (templates.joinpath(name).read_text("utf-8") for name in names)
-        scripts.insert(2, programs_in_js())
-        loader = jinja2.PackageLoader("pincal.export", "templates")
+        loader = jinja2.PackageLoader("pincal.programs", "page")
         page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(
             "corrector.html.j2"
         )
@@ -155,8 +124,9 @@ def js_source(formulas: Formulas) -> str:
     found = formulas.calibrated
     robot = found.model.chain.robot
     nominal = formulas_of(nominal_robot(found))
+    template = files("pincal.programs").joinpath("page", "model.js.in").read_text("utf-8")
     return filled(
-        "model.js.in",
+        template,
         formulas,
         frame="base",
         numbers=lambda values: ", ".join(
@@ -268,79 +238,3 @@ def _follows(calibrated: FittedRobot) -> list[list[float]]:
     return [
         mimics[name] if name in mimics else [place[name], 1.0, 0.0] for name in robot.joint_names
     ]
-
-
-def programs_in_js() -> str:
-    """Return the readers of all languages of pincal as JavaScript, to be placed after
-    ``templates/programs.js``.
-    """
-    known = [
-        cls for cls in LANGUAGES.known().values() if cls.__module__.startswith("pincal.programs.")
-    ]
-    names = [*_MODULES, *(cls.__module__.rpartition(".")[2] for cls in known)]
-    texts = {
-        name: files("pincal.programs").joinpath(f"{name}.py").read_text("utf-8") for name in names
-    }
-    tables = (
-        f"GRAMMARS[{as_text(grammar)}] = {grammar_table(grammar)};"
-        for cls in known
-        for grammar in cls.grammars
-    )
-    return "\n".join(("const GRAMMARS = {};", *tables, Translator(skip=_OWN).translate(texts)))
-
-
-def grammar_table(grammar: str) -> str:
-    """Return the LALR table of a grammar as JSON: patterns of terminals, when they are tried, and
-    their actions.
-    """
-    front = parser_of(grammar).parser
-    table: Any = front.parser._parse_table
-    lexers = front.lexer.lexers
-    names = list[str]()
-    patterns = list[str]()
-    rules = list[Any]()
-    hidden = set[str]()
-    places: dict[Any, int] = {}
-    states = []
-    # The parser numbers its states by the iteration order of sets, which differs between processes;
-    # here states are numbered as they are reached.
-    reached = [table.start_states["start"]]
-    for number in reached:
-        actions = {}
-        for symbol, (action, argument) in sorted(table.states[number].items()):
-            if action.name == "Shift":
-                if argument not in reached:
-                    reached.append(argument)
-                actions[str(symbol)] = [0, reached.index(argument)]
-                continue
-            if argument not in places:
-                places[argument] = len(rules)
-                origin = str(argument.origin.name)
-                rules.append([origin, len(argument.expansion), str(argument.alias or origin)])
-                hidden |= {
-                    str(part.name)
-                    for part in argument.expansion
-                    if getattr(part, "filter_out", False)
-                }
-            actions[str(symbol)] = [1, places[argument]]
-        tried = []
-        if number in lexers:
-            for terminal in lexers[number].scanner.terminals:
-                if terminal.name not in names:
-                    names.append(terminal.name)
-                    patterns.append(_pattern(terminal.pattern.to_regexp()))
-                tried.append(names.index(terminal.name))
-        states.append({"actions": actions, "tried": tried})
-    ignored = sorted(next(iter(lexers.values())).ignore_types)
-    content = {"start": 0, "names": names, "terminals": patterns, "rules": rules, "states": states,
-               "hidden": sorted(hidden), "ignored": ignored}  # fmt: skip
-    return in_script(json.dumps(content))
-
-
-def _pattern(pattern: str) -> str:
-    r"""Return a pattern for JavaScript, where ``\s`` and ``\w`` match other characters beyond
-    ASCII.
-    """
-    spaces = "".join(chr(k) for k in range(256) if chr(k).isspace())
-    letters = "0-9A-Z_a-z" + "".join(chr(k) for k in range(128, 256) if chr(k).isalnum())
-    return pattern.replace("\\s", spaces).replace("\\w", letters)
