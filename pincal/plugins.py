@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
@@ -47,6 +47,7 @@ class Registry(Generic[_T]):
         group: str,
         name_of: Callable[[type[_T]], str],
         check: Callable[[type[_T]], None] | None = None,
+        handed_in: Callable[[], Iterable[type[_T]]] = tuple,
     ) -> None:
         """Create an empty registry.
 
@@ -56,11 +57,14 @@ class Registry(Generic[_T]):
                 register them.
             name_of: returns the name of a class.
             check: raises ``TypeError`` for an incomplete class.
+            handed_in: returns the classes that satellites hand in; asked when classes are.
         """
         self.kind = kind
         self.group = group
         self._name_of = name_of
         self._check = check
+        self._handed_in = handed_in
+        self._is_handed_in = False
         self._classes: dict[str, type[_T]] = {}
         self._is_complete = False
 
@@ -87,12 +91,18 @@ class Registry(Generic[_T]):
 
     def registered(self) -> Mapping[str, type[_T]]:
         """Return the classes registered so far, without loading installed packages."""
+        if not self._is_handed_in:
+            self._is_handed_in = True
+            for cls in self._handed_in():
+                self.register(cls)
         return dict(self._classes)
 
     def known(self) -> Mapping[str, type[_T]]:
         """Return all classes by name, including those of installed packages."""
         if not self._is_complete:
             self._is_complete = True
+            # First pincal's own: a plug-in does not take their names.
+            self.registered()
             self._load_entry_points()
         return dict(self._classes)
 

@@ -314,6 +314,11 @@ def show_percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:z.0f} %"
 
 
+def show_chance(p_value: float) -> str:
+    """Return a p-value as text; one that underflows is given by a bound."""
+    return f"{p_value:.0e}" if p_value > 0.0 else "<1e-300"
+
+
 def show_value(quantity: Quantity | None) -> str:
     """Return a quantity in its readable unit, without the unit.
 

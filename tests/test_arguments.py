@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from test_cli import URDF, columns, results, run  # noqa: F401
 
-from pincal.cli import _COMMANDS, pincal
+from pincal.cli import pincal
 from pincal.cli.arguments import NumberType, Verb, argument, group, option, verb
 from pincal.cli.common import GeneralOptions
 from pincal.cli.quantities import ANGLE, LENGTH, NoiseType, QuantityType, masses
@@ -19,7 +19,8 @@ from pincal.errors import BadInputError, Exit, OutputError, PincalError
 from pincal.identify.options import Options, StationOptions
 from pincal.measure.table import write_table
 
-TYPED = [name for name in _COMMANDS if isinstance(pincal.get_command(click.Context(pincal), name), Verb)]
+CONTEXT = click.Context(pincal)
+TYPED = [name for name in pincal.list_commands(CONTEXT) if isinstance(pincal.get_command(CONTEXT, name), Verb)]
 
 
 @dataclass(frozen=True)

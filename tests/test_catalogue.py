@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.discover.discovery_file import EffectName
 from pincal.errors import BadInputError
-from pincal.io.discovery_file import EffectName
 from pincal.io.entries import EFFECTS as REGISTERED
 from pincal.io.entries import ModelEntry, effect_from_entry, effect_to_entry, plain, restoring
 from pincal.io.strict_json import MODEL_FILE, built

@@ -24,8 +24,6 @@ from pincal.units import LARGEST, plain_numbers
 A = TypeVar("A")
 _HEADING = "heading"
 _WORDS = "pincal.words"
-# The verbs of the modules that have been imported, by their names on the command line.
-VERBS: dict[str, click.Command] = {}
 
 
 def option(
@@ -256,9 +254,8 @@ def verb(
             return function(_filled(arguments, given))
 
         parameters = list(_parameters(arguments, defaults or {}, heading="Options"))
-        name = function.__name__.removesuffix("_verb")
-        VERBS[name] = found = Verb(
-            name=name,
+        return Verb(
+            name=function.__name__.removesuffix("_verb"),
             callback=run,
             params=[parameter for _, parameter in parameters],
             headings={str(parameter.name): heading for heading, parameter in parameters},
@@ -267,7 +264,6 @@ def verb(
             help=inspect.getdoc(function),
             epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",
         )
-        return found
 
     return decorate
 

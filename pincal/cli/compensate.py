@@ -14,10 +14,15 @@ import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import TABLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
-from pincal.cli.controller_programs import Allowed, ProgramOptions, correct_file, summary_of_program
 from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
 from pincal.cli.quantities import ANGLE
 from pincal.errors import Exit, counted, few
+from pincal.programs.cli.controller_programs import (
+    Allowed,
+    ProgramOptions,
+    correct_file,
+    summary_of_program,
+)
 from pincal.recorded import RECORDABLE
 from pincal.thresholds import Count
 from pincal.units import plain_number

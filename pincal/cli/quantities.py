@@ -125,6 +125,7 @@ def columns(text: str) -> dict[str, str]:
 BESIDE = "right=ur10.urdf@1.5m,0,0,0,0,180deg"
 LENGTH = QuantityType(LENGTH_UNITS, "0.05mm")
 ANGLE = QuantityType(ANGLES, "0.1mrad")
+DURATION = QuantityType({"s": 1.0, "min": 60.0}, "300s")
 
 
 def station_links(text: str) -> tuple[str, str, str]:

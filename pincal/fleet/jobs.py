@@ -23,6 +23,7 @@ import polars as pl
 from pincal.calibration.checked_fit import fitted
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.information import RobotInformation
+from pincal.diagnosis.diagnosis_file import DiagnosisFile
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, diagnose
 from pincal.discover.run import run_discovery
 from pincal.errors import BadInputError, ModelFileError, PincalError
@@ -39,7 +40,6 @@ from pincal.fleet.stored_rows import (
 )
 from pincal.identify.options import Options
 from pincal.identify.quadratic import Quadratic
-from pincal.io.diagnosis_file import DiagnosisFile
 from pincal.io.strict_json import FileKind, read_json
 from pincal.measure.admit import check_table
 from pincal.measure.measurements import Measurements
