@@ -406,27 +406,29 @@ def findings_on_order(station: Station) -> list[Caveat]:
         what = (
             f"{100 * np.max(serial.share):.0f} % of their variance is {error} that persists {lasts}"
         )
-        kind = (
-            CaveatKind.LEFT_IN_MOTION
-            if station.conditions.are_in_motion
-            else CaveatKind.DEPENDENT_ROWS
-        )
+        is_in_motion = station.conditions.are_in_motion
+        kind = CaveatKind.LEFT_IN_MOTION if is_in_motion else CaveatKind.DEPENDENT_ROWS
         found.append(Caveat(kind, {"what": what}, station.name))
     if station.position is not None and n >= DOUBTED.rows:
-        # Blocks of different loads are judged separately: what differs between them may be elastic.
-        loads = (
-            station.conditions.payload == load for load in np.unique(station.conditions.payload)
-        )
-        parts = [station.select(rows) for rows in loads if rows.sum() >= DOUBTED.rows] or [station]
-        steady = np.full(station.conditions.q.shape[1], np.inf)
-        for q, position in ((part.conditions.q, part.position) for part in parts):
-            rank = np.argsort(np.argsort([*q.T, position], axis=1), axis=1)
-            correlation = np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1])
-            steady = np.minimum(steady, np.where(np.ptp(q, axis=0) > 0.0, correlation, 0.0))
+        steady = _steadiness(station)
         if steady.max() > DOUBTED.steady:
             joint = station.model.chain.robot.joint_names[int(np.argmax(steady))]
             found.append(Caveat(CaveatKind.SORTED, {"joint": joint}, station.name))
     return found
+
+
+def _steadiness(station: Station) -> np.ndarray:
+    """Return the rank correlation of each joint with the order of the rows, shape (n,)."""
+    payload = station.conditions.payload
+    # Blocks of different loads are judged separately: what differs between them may be elastic.
+    loads = (payload == load for load in np.unique(payload))
+    parts = [station.select(rows) for rows in loads if rows.sum() >= DOUBTED.rows] or [station]
+    steady = np.full(station.conditions.q.shape[1], np.inf)
+    for q, position in ((part.conditions.q, part.position) for part in parts):
+        rank = np.argsort(np.argsort([*q.T, position], axis=1), axis=1)
+        correlation = np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1])
+        steady = np.minimum(steady, np.where(np.ptp(q, axis=0) > 0.0, correlation, 0.0))
+    return steady
 
 
 def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> list[Caveat]:
@@ -468,33 +470,37 @@ def findings_on_outliers(
         common = in_common(station, values, table, rejected) or "no common cause was found"
         found = [about(CaveatKind.MANY_OUTLIERS, rejected, rows=len(table), common=common)]
     elif (gathered := gathering_of(station, rejected)) is not None:
-        where = "in one stretch of the table"
-        unit = _unit_of(station, gathered)
-        if unit:
-            low, high = (
-                (np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high)
-            )
-            where = (
-                f"where {gathered.variable} is {low:.4g} to {high:.4g} "
-                f"{'deg' if unit == 'rad' else unit}"
-            )
-        found.append(
-            about(CaveatKind.GATHERED, gathered.rows, rows=int(rejected.sum()), where=where)
-        )
+        where = _where(gathered, _unit_of(station, gathered))
+        count = int(rejected.sum())
+        found.append(about(CaveatKind.GATHERED, gathered.rows, rows=count, where=where))
     if (bump := bump_in(station, values)) is not None:
         assert bump.size is not None
         per = _unit_of(station, bump)
-        turns = _unit_of(station, bump) == "rad"
-        low, high = ((float(np.degrees(x)) if turns else 1e3 * x) for x in (bump.low, bump.high))
-        span = {"joint": bump.variable, "low": low, "high": high, "unit": "deg" if turns else "mm"}
-        found.append(about(CaveatKind.BUMP, bump.rows, size=1e3 * abs(bump.size), per=per, **span))
-    if change := change_in(station, values, free, table.rows):
         found.append(
-            Caveat(
-                CaveatKind.STEP, {"line": change.line, "what": change}, station.name, (change.line,)
+            about(
+                CaveatKind.BUMP, bump.rows, size=1e3 * abs(bump.size), per=per, **_span(bump, per)
             )
         )
+    if change := change_in(station, values, free, table.rows):
+        figures = {"line": change.line, "what": change}
+        found.append(Caveat(CaveatKind.STEP, figures, station.name, (change.line,)))
     return found
+
+
+def _where(gathered: Gathering, unit: str) -> str:
+    """Return where rejected rows lie, in words; ``unit`` is of the joint, empty if it is none."""
+    if not unit:
+        return "in one stretch of the table"
+    low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
+    shown = "deg" if unit == "rad" else unit
+    return f"where {gathered.variable} is {low:.4g} to {high:.4g} {shown}"
+
+
+def _span(bump: Gathering, unit: str) -> dict[str, Any]:
+    """Return the figures of the joint and the range in which its drive has a bump."""
+    turns = unit == "rad"
+    low, high = ((float(np.degrees(x)) if turns else 1e3 * x) for x in (bump.low, bump.high))
+    return {"joint": bump.variable, "low": low, "high": high, "unit": "deg" if turns else "mm"}
 
 
 def _unit_of(station: Station, gathered: Gathering) -> str:
