@@ -489,13 +489,8 @@ def _solved(
         missed, begun = _is_missed(replace(fit, solution=fitted), released)
         if missed or name == "final":
             short = _CLOSE if until is Tolerance.CLOSE else SETTLED
-            fitted = solved(
-                name,
-                begun,
-                released if missed else fitted.free,
-                short=short,
-                ahead=until is Tolerance.NEAR,
-            )
+            free = released if missed else fitted.free
+            fitted = solved(name, begun, free, short=short, ahead=until is Tolerance.NEAR)
         if not missed and fitted.iterations == 1:
             # The test was made at the solution itself.
             break
