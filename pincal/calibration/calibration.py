@@ -242,7 +242,7 @@ def fit_admitted(
         *agreed.robot.notes,
         *dict.fromkeys((*admitted.notes, *split_notes)),
         *admitted.idle,
-        *_unobservable(trained, setup_of),
+        *unobservable(trained, options),
         *_on_moment_frame(fit, options.first_frame),
     ]
     divides = holdout is None and not test_fraction
@@ -257,13 +257,13 @@ def _setups(options: Options) -> Callable[[str], Setup]:
     return lambda name: options.at(name).setup
 
 
-def _unobservable(
-    trained: Mapping[str, Measurements], setup_of: Callable[[str], Setup]
-) -> list[str]:
+def unobservable(tables: Mapping[str, Measurements], options: Options) -> list[str]:
     """Return the notes on what no station can observe: the sensor of another may observe what that
     of one can't.
     """
-    unseen = [list(unobservable_notes(train, setup_of(name))) for name, train in trained.items()]
+    unseen = [
+        list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()
+    ]
     return [note for note in unseen[0] if all(note in other for other in unseen)]
 
 
