@@ -124,6 +124,14 @@ class MotionDesign:
         }
 
 
+def _require_moves(moves: _Moves) -> None:
+    if not moves.allowed.any():
+        raise BadInputError(
+            "constraints leave no move between any two poses; expected a lower floor or a "
+            "wider box or span"
+        )
+
+
 def design_motion(
     robot: Robot,
     duration: float,
@@ -161,11 +169,7 @@ def design_motion(
     reach = Reach(robot, SensorSetup(), limits or Limits())
     drawn = _poses_to_move_between(reach, rng)
     moves = _Moves.of(reach, drawn.q, speed, acceleration)
-    if not moves.allowed.any():
-        raise BadInputError(
-            "constraints leave no move between any two poses; expected a lower floor or a "
-            "wider box or span"
-        )
+    _require_moves(moves)
     cared = Conditions.at(robot.random_configurations(_CARED, rng))
     design = DesignModel.of(robot, cared, options, SensorSetup())
     worth = _worth(robot, moves, options, design, cared)

@@ -95,6 +95,14 @@ class Diagnosis:
         return msgspec.to_builtins(self.found)  # type: ignore[no-any-return]
 
 
+def _require_chance(alpha: float) -> None:
+    if not 0.0 < alpha < 0.5:
+        raise BadInputError(
+            f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and "
+            "0.5, such as 0.01"
+        )
+
+
 def diagnose(
     calibrated: FittedRobot,
     measurements: Measurements,
@@ -142,11 +150,7 @@ def diagnose(
         >>> diagnose(fit, measured(15, 0.0)).changed
         False
     """
-    if not 0.0 < alpha < 0.5:
-        raise BadInputError(
-            f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and "
-            "0.5, such as 0.01"
-        )
+    _require_chance(alpha)
     model = calibrated.robot_model(measurements.kind)
     measurements = measurements.in_order_of(model.model.chain.robot)
     whole = StopRows.of(measurements)

@@ -433,11 +433,9 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
     curves = _curves_of(state)
     is_shared = any(map(shares_stops, fit.problem.stations))
     if not curves and not is_thinned and noise is None and not is_shared:
-        return (
-            state.fitted_again(refit(fit, fit.options.effects, start={}))
-            if state.changes
-            else state
-        )
+        if not state.changes:
+            return state
+        return state.fitted_again(refit(fit, fit.options.effects, start={}))
     chosen: dict[Curve, tuple[Curve, np.ndarray]] = {}
     if curves and fit.solution.exit is not Ending.EXACT:
         chosen, fit = smoothed(fit, curves, search.policy.finer)

@@ -224,8 +224,7 @@ class Tangent:
         at some indices.
         """
         tested = np.concatenate([np.zeros(0, int), *places])
-        free = np.zeros(len(values), bool)
-        free[tested] = True
+        free = np.isin(np.arange(len(values)), tested)
         n_model = self.blocks.H.shape[1]
         n_blocks = len(self.blocks.H)
         n = len(tested)
@@ -243,9 +242,8 @@ class Tangent:
             mine = of_model[before[self.free[before]]]
             ours = of_tested[local[free[local]]]
             products = _Products.none(n_blocks, len(mine), len(ours))
-            linearised = _sorted(station, self.orders[i]).linearise_shared(
-                values[local], free[local]
-            )
+            ordered = _sorted(station, self.orders[i])
+            linearised = ordered.linearise_shared(values[local], free[local])
             for piece, (_, _, jacobian) in zip(self.pieces[i], linearised, strict=True):
                 added = jacobian.weighted(piece.whitening)
                 products.add(piece, added, candidate[ours])
