@@ -78,8 +78,7 @@ class Registry(Generic[_T]):
         if there is not None and there.__qualname__ != cls.__qualname__:
             raise TypeError(
                 f"{self.kind} {name!r} of {cls.__module__} has the name of "
-                f"{there.__module__}.{there.__qualname__}; "
-                "choose another name"
+                f"{there.__module__}.{there.__qualname__}; choose another name"
             )
         self._classes[name] = cls
         _origins.append(cls.__module__)

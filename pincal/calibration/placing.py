@@ -484,11 +484,9 @@ def _refuse_undetermined(
     )
     if worst > OTHER_ROWS.undetermined * solution.sigma[0]:
         raise BadInputError(
-            f"{source}: {len(station)} rows do not determine the pose of instrument and "
-            "target: predictions in other "
-            f"poses are uncertain by {1e3 * worst:.3g} mm; add rows in different poses "
-            "and with the tool turned in "
-            "different ways"
+            f"{source}: {len(station)} rows do not determine the pose of instrument and target: "
+            f"predictions in other poses are uncertain by {1e3 * worst:.3g} mm; add rows in "
+            "different poses and with the tool turned in different ways"
         )
 
 

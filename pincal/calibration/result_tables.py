@@ -306,9 +306,8 @@ def clock_table(clocks: Sequence[ClockRecord]) -> Table:
             (at.station or "instrument", at.offset_s, sigmas[0], at.drift_ppm, sigmas[1], *delay)
         )
     note = (
-        "correction to the time stamps of a station at the middle of its session; for a "
-        "gyroscope in addition to its "
-        "accelerometer's; +- 95 %"
+        "correction to the time stamps of a station at the middle of its session; for a gyroscope "
+        "in addition to its accelerometer's; +- 95 %"
     )
     return Table("Clocks relative to that of the joints", columns, tuple(rows), (note,))
 

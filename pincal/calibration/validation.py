@@ -83,10 +83,9 @@ class Validation:
                 "beyond the loads of the calibration" if self.misfit.is_far() else "on another day"
             )
             doubts.append(
-                f"{source}: residuals are {self.misfit.ratio:.3g} times what noise and "
-                "the uncertainty of the calibration "
-                f"allow, as happens {why}; run pincal diagnose to test whether something "
-                "has changed"
+                f"{source}: residuals are {self.misfit.ratio:.3g} times what noise and the "
+                f"uncertainty of the calibration allow, as happens {why}; run pincal diagnose to "
+                "test whether something has changed"
             )
         if self.fitted_rows:
             doubts.append(

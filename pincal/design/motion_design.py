@@ -240,9 +240,8 @@ def _times(moves: _Moves, walk: Sequence[int], duration: float) -> np.ndarray:
     times = np.array([0.0, *accumulate(moves.seconds[walk].tolist())])
     if times[-1] < duration:
         warn(
-            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s, as all moves "
-            f"between its {_POSES} poses are "
-            "used; expected fewer constraints or a shorter duration"
+            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s, as all moves between "
+            f"its {_POSES} poses are used; expected fewer constraints or a shorter duration"
         )
     return times
 

@@ -82,10 +82,9 @@ def update(
     if verdict.changed:
         raise ChangedRobotError(
             f"{measurements.source}: the robot no longer matches its model (p = "
-            f"{verdict.p_value:.2g}), so its old "
-            "rows and these can't be combined; pincal diagnose identifies what has "
-            "changed and re-estimates it. With --anew "
-            "EFFECT:JOINT the rows are added nevertheless, and that effect is re-estimated"
+            f"{verdict.p_value:.2g}), so its old rows and these can't be combined; pincal diagnose "
+            "identifies what has changed and re-estimates it. With --anew EFFECT:JOINT the rows "
+            "are added nevertheless, and that effect is re-estimated"
         )
     wrong = some.readings.rows[np.isin(some.row_of, verdict.wrong_rows)]
     kept = measurements.select(~np.isin(measurements.rows, wrong))

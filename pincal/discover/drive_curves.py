@@ -258,11 +258,9 @@ def notes_on_repeats(robot: Robot, q: np.ndarray) -> Iterator[str]:
             step = 2.0 * float(np.ptp(x)) / (values - 1)
             wave = f"{step:.3g} m" if kind == "prismatic" else f"{np.degrees(step):.3g} deg"
             yield (
-                f"{joint} takes {values} distinct positions in {len(x)} rows: its drive "
-                "error between them is not "
-                f"observable, and a period shorter than {wave} is aliased to a longer "
-                "one; choose positions that don't "
-                "repeat, as pincal design does"
+                f"{joint} takes {values} distinct positions in {len(x)} rows: its drive error "
+                f"between them is not observable, and a period shorter than {wave} is aliased to a "
+                "longer one; choose positions that don't repeat, as pincal design does"
             )
 
 

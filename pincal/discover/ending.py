@@ -128,9 +128,8 @@ def note_on_joints(fit: ModelFit) -> str | None:
     """Return the note on a fit whose readings are weighted by joint noise; None for any other."""
     if any(station.arrival is not None for station in fit.problem.stations):
         return (
-            "readings of several targets, or points, in one stop of the robot share an "
-            "error that scatters from stop to "
-            "stop; a stop counts as one observation of the robot"
+            "readings of several targets, or points, in one stop of the robot share an error that "
+            "scatters from stop to stop; a stop counts as one observation of the robot"
         )
     if fit.is_declared or all(station.whitening is None for station in fit.problem.stations):
         return None
@@ -142,9 +141,8 @@ def note_on_joints(fit: ModelFit) -> str | None:
         f"{joint} {format_small(sigma, unit)}" for joint, sigma, unit in triples if sigma > 0.0
     )
     return (
-        f"the residuals are consistent with joint noise ({sizes or 'negligible'} from row "
-        "to row), and the final fit "
-        "weights the readings of each row accordingly"
+        f"the residuals are consistent with joint noise ({sizes or 'negligible'} from row to row), "
+        "and the final fit weights the readings of each row accordingly"
     )
 
 
