@@ -9,13 +9,14 @@ from typing import Any, Protocol
 import numpy as np
 from msgspec import to_builtins
 
+from pincal.calibration.calibration import unobservable
 from pincal.calibration.held_out import WAYS, StationRows, headline_of, nominal_errors
 from pincal.identify.calibrate import Tables, expected_fit, tables_of
 from pincal.identify.explain import Reason, Status, explain
 from pincal.identify.fit import ModelFit
 from pincal.identify.folds import Folds
 from pincal.identify.options import Options
-from pincal.measure.admit import admit, unobservable_notes
+from pincal.measure.admit import admit
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue.masses import notes_on_masses
 from pincal.model.conditions import distinct_values
@@ -128,12 +129,9 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     if corrected is not None:
         robot = corrected.of(robot)
         fit = expected_fit(robot, tables, options)
-    unseen = [
-        list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()
-    ]
     notes: list[Note | str] = [*(() if corrected is None else corrected.notes)]
     notes += [*admitted.notes, *admitted.idle]
-    notes += [note for note in unseen[0] if all(note in other for other in unseen)]
+    notes += unobservable(tables, options)
     notes += notes_on_masses(robot, options.effects)
     further = {name: _FURTHER[name](robot, fit) for name in _FURTHER.names()}
     notes += [note for found in further.values() for note in found.notes]
