@@ -103,7 +103,7 @@ class Registry(Generic[_T]):
                 found = point.load()
                 if isinstance(found, type):
                     self.register(found)
-            except Exception as error:  # Third-party code may raise anything.
+            except (Exception, SystemExit) as error:  # Third-party code may raise anything.
                 warn(
                     f"{self.kind} {point.name!r} of the entry point {point.value} can't be loaded "
                     f"({type(error).__name__}: {error}); it is left out"
@@ -143,6 +143,11 @@ def load_plugin(name: str) -> ModuleType:
             f"plugin {name!r}: no such module; expected the name of an installed one, or "
             "a file such as my_effects.py"
         ) from None
+    except SystemExit as error:
+        raise BadInputError(
+            f"plugin {name!r} ends the program (SystemExit: {error}); expected a module that only "
+            "registers classes"
+        ) from error
     except Exception as error:
         raise BadInputError(f"plugin {name!r} fails: {type(error).__name__}: {error}") from error
     finally:
