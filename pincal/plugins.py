@@ -112,7 +112,7 @@ class Registry(Generic[_T]):
                 found = point.load()
                 if isinstance(found, type):
                     self.register(found)
-            except Exception as error:  # Third-party code may raise anything.
+            except (Exception, SystemExit) as error:  # Third-party code may raise anything.
                 warn(
                     f"{self.kind} {point.name!r} of the entry point {point.value} can't be loaded "
                     f"({type(error).__name__}: {error}); it is left out"
@@ -167,6 +167,11 @@ def _imported(name: str, module: str, folder: Path) -> ModuleType:
             f"plugin {name!r}: no such module; expected the name of an installed one, or "
             "a file such as my_effects.py"
         ) from None
+    except SystemExit as error:
+        raise BadInputError(
+            f"plugin {name!r} ends the program (SystemExit: {error}); expected a module that only "
+            "registers classes"
+        ) from error
     except Exception as error:
         raise BadInputError(f"plugin {name!r} fails: {type(error).__name__}: {error}") from error
     finally:

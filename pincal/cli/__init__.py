@@ -19,7 +19,7 @@ from typing import Any, cast
 
 import click
 
-from pincal.errors import LONGEST, Exit, PincalError, printable
+from pincal.errors import LONGEST, BadInputError, Exit, PincalError, printable
 from pincal.satellites import Place
 from pincal.thresholds import Count, Scale
 
@@ -231,6 +231,12 @@ def main(arguments: list[str] | None = None) -> None:
                 prog_name="pincal",
                 standalone_mode=False,
             )
+        except SystemExit as error:
+            # Nothing of pincal ends a command this way; 0 would mean that it was done.
+            raise BadInputError(
+                f"a plug-in, or another module that pincal calls, ended the program (SystemExit: "
+                f"{error}); correct it"
+            ) from error
         except Exception:
             # An interrupted import may fail as if the library were missing.
             if _INTERRUPTS:

@@ -18,7 +18,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 import click
 
 from pincal.cli import show_progress
-from pincal.errors import Exit, OutputError
+from pincal.errors import BadInputError, Exit, OutputError
 from pincal.units import LARGEST, plain_numbers
 
 A = TypeVar("A")
@@ -190,7 +190,18 @@ class Verb(click.Command):
         self._ending = ending
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the words of the command line, and keep them for :func:`words_given`."""
+        """Read the words of the command line, and keep them for :func:`words_given`.
+
+        Raises:
+            BadInputError: for bytes that are no text, which files and the libraries that read them
+                can't hold as names.
+        """
+        for word in args:
+            if not _is_text(word):
+                raise BadInputError(
+                    f"{word!r}: has bytes that are no text in UTF-8; expected names in UTF-8: "
+                    "rename the file, or correct the encoding of the terminal or the script"
+                )
         ctx.meta[_WORDS] = tuple(args)
         return super().parse_args(ctx, args)
 
@@ -215,6 +226,17 @@ class Verb(click.Command):
         super().format_epilog(ctx, formatter)
         if self._ending is not None:
             formatter.write(f"\n{self._ending()}\n")
+
+
+def _is_text(word: str) -> bool:
+    """Return whether a word of the command line consists of characters; bytes that are none in the
+    encoding of the system are surrogates.
+    """
+    try:
+        word.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def words_given() -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -170,8 +171,13 @@ def resting(text: str) -> tuple[str, float]:
 def _signed(text: str, units: dict[str, float]) -> float:
     unit = next((unit for unit in sorted(units, key=len, reverse=True) if text.endswith(unit)), "")
     try:
-        return plain_number(text.removesuffix(unit)) * units.get(unit, 1.0)
+        number = plain_number(text.removesuffix(unit)) * units.get(unit, 1.0)
     except ValueError:
+        number = math.nan
+    # Not a number is in no range.
+    if not -LARGEST <= number <= LARGEST:
         raise click.BadParameter(
-            f"{text!r}; expected a position such as 0.1m, 20deg or 0.35 (rad or m)"
-        ) from None
+            f"{text!r}; expected a position such as 0.1m, 20deg or 0.35 (rad or m), of at most "
+            f"{LARGEST:g}"
+        )
+    return number

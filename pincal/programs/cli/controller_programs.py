@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from pincal.cli.arguments import option, pair
+from pincal.cli.arguments import NumberType, option, pair
 from pincal.cli.quantities import LENGTH
 
 if TYPE_CHECKING:
@@ -75,7 +75,9 @@ class ProgramOptions:
         name="--with",
         metavar="FILE",
     )
-    payload: float = option("Mass at the tip while the program runs [kg].", 0.0)
+    payload: float = option(
+        "Mass at the tip while the program runs [kg].", 0.0, type=NumberType(least=0.0)
+    )
     path_error: float | None = option(
         "Insert points into lines where the tool deviates by more than this.", type=LENGTH
     )
