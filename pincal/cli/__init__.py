@@ -286,6 +286,7 @@ def _spread(arguments: list[str]) -> list[str]:
     three values.
 
     ``--socket-distance A B 0.05 C D 0.05`` then means the option given twice, as Click expects it.
+    Sockets may have numbers for names, so that a further option is none of the three.
     """
     from pincal.units import plain_numbers
 
@@ -296,7 +297,11 @@ def _spread(arguments: list[str]) -> list[str]:
         if word != _MANY:
             out.append(word)
             continue
-        while len(words) >= 3 and plain_numbers([words[2].rstrip("ucm")]):
+        while (
+            len(words) >= 3
+            and not words[0].startswith("--")
+            and plain_numbers([words[2].rstrip("ucm")])
+        ):
             out += [_MANY, *words[:3]]
             words = words[3:]
             word = ""
