@@ -74,7 +74,19 @@ _JS = Language(
     curve=lambda i, curve, x: f"cubic({x}, {curve.lower!r}, {curve.upper!r}, CURVES[{i}])",
 )
 # Modules in the order of their dependencies; the languages come after them.
-_MODULES = ("syntax", "flow", "program", "draft", "statement_reader", "language", "rapid_blocks")
+_MODULES = (
+    "syntax",
+    "understood",
+    "flow",
+    "line_flow",
+    "program",
+    "draft",
+    "statement_reader",
+    "language",
+    "fanuc_lines",
+    "jbi_lines",
+    "rapid_blocks",
+)
 # What the page implements itself: files, lark, arrays of numbers, and what only the command needs.
 _OWN = frozenset(
     (

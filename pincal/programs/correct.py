@@ -21,11 +21,15 @@ from pincal.compensate.compensation import compensate_poses
 from pincal.compensate.robot_frames import false_targets
 from pincal.model.conditions import Conditions
 from pincal.programs.arms import ArmSearch, ProgramAxes
+from pincal.programs.flow import OUTSIDE
 from pincal.programs.language import ControllerLanguage
 from pincal.programs.program import Edit, Frame, Point, PointKey, Posture, Program, Skipped
 from pincal.programs.program_numbers import PROGRAM_NUMBERS
 from pincal.robot.se3 import compose, inverse, rotation_vectors, transform
+from pincal.thresholds import Scale
 
+# Difference of two frames with the same values, rounded [m and ratio].
+_ROUNDED: Scale = 1e-9
 _REASONS = {
     "singular": "the arm is singular there: a small correction would need large joint motions",
     "joint_limit": "an axis would leave its limits",
@@ -425,17 +429,25 @@ def _known(
     declared: Mapping[str, np.ndarray | str],
     option: str,
 ) -> np.ndarray | str:
-    """Return the pose of a frame, or why it is not known."""
+    """Return the pose of a frame, or why it is not known.
+
+    What the program itself does to a frame comes before the values of an option; only what a
+    routine in none of the files may do is answered by it.
+    """
     if frame.pose is not None:
         return frame.pose
-    if frame.name in given:
-        return given[frame.name]
+    wanted = given.get(frame.name)
     if frame.reason:
-        return frame.reason
-    if frame.name in declared:
-        pose = declared[frame.name]
-        return f"{option} {frame.name}: {pose}" if isinstance(pose, str) else pose
-    return (
-        f"the values of {frame.name or option} are not known: give --{option} "
-        f"'{frame.name or option}=X,Y,Z,...'"
-    )
+        return wanted if wanted is not None and OUTSIDE in frame.reason else frame.reason
+    pose = declared.get(frame.name)
+    if isinstance(pose, str):
+        return f"{option} {frame.name}: {pose}"
+    if pose is not None and wanted is not None and not np.allclose(pose, wanted, atol=_ROUNDED):
+        return f"{option} {frame.name}: the program states other values than --{option}"
+    found = pose if pose is not None else wanted
+    if found is None:
+        return (
+            f"the values of {frame.name or option} are not known: give --{option} "
+            f"'{frame.name or option}=X,Y,Z,...'"
+        )
+    return found

@@ -127,7 +127,9 @@ def _followed(
         if step.routine:
             saved.append(state)
             state = {}
-        if step.closes or step.is_jump:
+        # The end of a routine is not joined by other paths: what follows does not run behind it.
+        is_end = bool(step.closes) and bool(steps[blocks[i][-1]].routine)
+        if (step.closes and not is_end) or step.is_jump:
             block = blocks[i][-1] if blocks[i] else i
             where = (
                 f"it is set on some paths only through the block of line {statements[block].line}"

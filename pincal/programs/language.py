@@ -18,6 +18,7 @@ from pincal.plugins import Registry
 from pincal.programs.program import Motion, Point, Posture, Program, Turn, number_text
 from pincal.programs.program_numbers import PROGRAM_NUMBERS
 from pincal.programs.syntax import Number, Source
+from pincal.programs.understood import Understood
 from pincal.robot.se3 import exponentials, rotation_matrices, rotation_of_rpy, transform
 from pincal.units import plain_numbers
 
@@ -36,6 +37,7 @@ class ControllerLanguage(ABC):
         digits: decimal places of a position, an orientation and a joint, for a tenth of a
             micrometre.
         can_insert: whether statements can be inserted into a program.
+        understood: the words that change neither a point nor a frame.
         grammars: of its files; the page of ``export --page`` holds their tables.
     """
 
@@ -48,6 +50,7 @@ class ControllerLanguage(ABC):
     in_degrees: ClassVar[bool] = True
     digits: ClassVar[tuple[int, int, int]] = (4, 6, 7)
     can_insert: ClassVar[bool] = False
+    understood: ClassVar[tuple[Understood, ...]] = ()
     grammars: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod

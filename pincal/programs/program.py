@@ -180,6 +180,7 @@ class Motion:
         can_insert: whether a statement can be inserted before it.
         takes_posture: whether the controller obeys the target's posture; else the arm keeps its
             own.
+        displaced: why targets, in joints as well, are not reached; of poses ``base`` says so, too.
     """
 
     path: Path
@@ -192,6 +193,7 @@ class Motion:
     run: int = 0
     can_insert: bool = False
     takes_posture: bool = True
+    displaced: str = ""
 
 
 @dataclass

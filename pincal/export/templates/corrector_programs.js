@@ -3,7 +3,7 @@
 
 const np = { eye: () => [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0], array: (values) => values };
 const ORIENTATIONS = { kuka: CONVENTIONS[0], fanuc: CONVENTIONS[1], abb: CONVENTIONS[2], ur: CONVENTIONS[4] };
-const TURN = 2 * Math.PI, ON_EDGE = 1e-4, SAME = 1e-5, NOTHING = 1e-8, CLEARLY = 0.5, POOL = 6000, MOST_STARTS = 64;
+const TURN = 2 * Math.PI, ON_EDGE = 1e-4, SAME = 1e-5, NOTHING = 1e-8, ROUNDED = 1e-9, CLEARLY = 0.5, POOL = 6000, MOST_STARTS = 64;
 const REASONS = { singular: "the arm is singular there: a small correction would need large joint motions",
   joint_limit: "an axis would leave its limits", unreached: "no joint positions were found" };
 const dot = (a, b) => a.reduce((sum, x, i) => sum + x * b[i], 0), minus = (a, b) => a.map((x, i) => x - b[i]);
@@ -161,14 +161,16 @@ class ProgramCorrector {
   joints(values) { return this.cell.axes.to_robot(values.map((x, i) => x * this.units[i])); }
   frame(frame, option, declared) {
     if (frame.pose) return frame.pose;
-    const given = this.cell[`${option}s`][frame.name];
-    if (given) return given;
+    const given = this.cell[`${option}s`][frame.name], pose = declared.get(frame.name);
     if (frame.reason) {
-      if (frame.reason.includes(MODULES.flow.OUTSIDE)) this.asked.push({ option, name: frame.name });
+      const is_open = frame.reason.includes(MODULES.flow.OUTSIDE);
+      if (is_open && given) return given;
+      if (is_open) this.asked.push({ option, name: frame.name });
       return frame.reason;
     }
-    const pose = declared.get(frame.name);
-    if (pose) return typeof pose === "string" ? `${option} ${frame.name}: ${pose}` : pose;
+    if (typeof pose === "string") return `${option} ${frame.name}: ${pose}`;
+    if (pose && given && largest(minus(pose, given)) > ROUNDED) return `${option} ${frame.name}: the program states other values than those entered below`;
+    if (pose ?? given) return pose ?? given;
     this.asked.push({ option, name: frame.name });
     return `the values of ${option} ${frame.name || "of this motion"} are not known: enter them below`;
   }
