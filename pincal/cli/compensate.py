@@ -5,7 +5,7 @@ and back.
 from __future__ import annotations
 
 import re
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -241,14 +241,14 @@ def _program(
     result, changes = correct_file(
         calibrated, arguments.targets, arguments.out, language, arguments.program, limits
     )
-    notes: list[str] = []
+    notes = list(result["notes"])
     if changes:
-        at = calibrated.conditions_at(
-            np.array([change.commanded for change in changes]), payload=arguments.program.payload
-        )
-        beyond, notes = extrapolation(
+        at = calibrated.conditions_at(np.array([change.commanded for change in changes]))
+        at = replace(at, payload=np.array([change.payload for change in changes]))
+        beyond, more = extrapolation(
             calibrated, at, np.array([change.point.line for change in changes])
         )
+        notes += more
         result |= beyond
     end_progress()
     if arguments.general.as_json:

@@ -148,9 +148,11 @@ def correct_file(
         if language.is_pair and out.stem.lower() != path.stem.lower()
         else "",
     }
-    return result | links | {"inserted": inserted, "out": [str(target) for target in outs]}, list(
-        changes.values()
-    )
+    notes = {"notes": corrector.notes(program)}
+    return result | links | notes | {
+        "inserted": inserted,
+        "out": [str(target) for target in outs],
+    }, list(changes.values())
 
 
 @dataclass(frozen=True)

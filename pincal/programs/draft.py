@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pincal.programs.line_flow import ANY, Line
+from pincal.programs.line_flow import ANY, LOAD, Line
 from pincal.programs.program import FrameKind, Motion, Point, PointKey, Program, Skipped
 from pincal.programs.syntax import Source
 
@@ -32,6 +32,7 @@ class Draft:
         constants: names that nothing can change.
         near: by the name of a pose, the name of joint positions near which the controller searches
             for it.
+        masses: of loads [kg], by their names.
         at_rest: whether the external axes of a position of their own are at 0, by its name.
     """
 
@@ -42,6 +43,7 @@ class Draft:
     constants: set[str] = field(default_factory=set)
     near: dict[str, str] = field(default_factory=dict)
     at_rest: dict[str, bool] = field(default_factory=dict)
+    masses: dict[str, float] = field(default_factory=dict)
     _points: dict[str, list[Point]] = field(default_factory=dict)
     _frames: dict[FrameKind, dict[str, np.ndarray | str]] = field(
         default_factory=lambda: {"tool": {}, "base": {}}
@@ -106,6 +108,8 @@ class Draft:
                 position.
         """
         for what, reason in reasons.items():
+            if what == LOAD:
+                continue
             kind, _, index = what.partition(" ")
             if kind not in ("tool", "base") or (index != ANY and not index.isdigit()):
                 return reason
@@ -168,6 +172,9 @@ class Draft:
                         Skipped(target, motion.source, motion.statement.line, reason)
                     )
                 for point in points:
+                    loads = program.loads.setdefault(point.key, [])
+                    if motion.load not in loads:
+                        loads.append(motion.load)
                     framed = replace(
                         point, tool=point.tool or motion.tool, base=point.base or motion.base
                     )
@@ -282,6 +289,7 @@ def joined(programs: Sequence[Program]) -> Program:
         first.points.update(other.points)
         first.motions += other.motions
         first.skipped += other.skipped
+        first.loads.update(other.loads)
     return first
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pincal.programs.line_flow import ANY, POSITIONS, BlockPart, Line
+from pincal.programs.line_flow import ANY, LOAD, POSITIONS, BlockPart, Line
 from pincal.programs.understood import (
     Understood,
     first_phrase,
@@ -149,7 +149,7 @@ def effect_in_listing(text: str, number: int) -> Line:
     return Line(
         number,
         tuple(_sets(flat, text, number)),
-        ends=(_ENDS[phrase],) if phrase in _ENDS else (),
+        ends=(LOAD,) if phrase == "PAYLOAD" else (_ENDS[phrase],) if phrase in _ENDS else (),
         label=_label(text),
         jumps=jumps,
         calls=calls,
@@ -175,6 +175,8 @@ def _sets(flat: str, text: str, number: int) -> Iterator[tuple[str, str]]:
             yield POSITIONS, f"line {number}: {not_understood(text)}"
     elif phrase in _ENDS:
         return
+    elif phrase == "PAYLOAD":
+        yield LOAD, f"{number} {text}"
     elif phrase in _BEGINS or tokens[0] in _BEGINS:
         found = _BEGINS.get(phrase, _BEGINS.get(tokens[0], ""))
         yield found, f"line {number} displaces positions ({text[:40].strip()})"

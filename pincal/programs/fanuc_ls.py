@@ -20,8 +20,18 @@ from pincal.programs.fanuc_lines import (
     why_moved_by_options,
 )
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.line_flow import Line, Listing, reasons_before, with_outside
-from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped, Turn
+from pincal.programs.line_flow import LOAD, Line, Listing, reasons_before, with_outside
+from pincal.programs.program import (
+    Frame,
+    Load,
+    Motion,
+    Path,
+    Point,
+    Posture,
+    Program,
+    Skipped,
+    Turn,
+)
 from pincal.programs.syntax import Source, Statement, number_at
 
 if TYPE_CHECKING:
@@ -192,7 +202,11 @@ class FanucLs(ControllerLanguage):
             place = one.places[-1]
             span = (place.start_pos or 0, place.end_pos or 0)
             statement = Statement((), *span, place.line or 0)
-            draft.motions.append(Motion(path, tuple(targets), statement, i, span=span, run=run))
+            number, _, text = reasons.get(LOAD, "").partition(" ")
+            load = Load(text, int(number)) if number else None
+            draft.motions.append(
+                Motion(path, tuple(targets), statement, i, span=span, run=run, load=load)
+            )
 
     def _target(
         self,

@@ -11,8 +11,18 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import OUTSIDE, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.line_flow import POSITIONS
-from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped, Turn
+from pincal.programs.line_flow import LOAD, POSITIONS
+from pincal.programs.program import (
+    Frame,
+    Load,
+    Motion,
+    Path,
+    Point,
+    Posture,
+    Program,
+    Skipped,
+    Turn,
+)
 from pincal.programs.statement_reader import EXTERNAL, Entries, Reader
 from pincal.programs.syntax import (
     Brackets,
@@ -122,7 +132,7 @@ _ROBOT = "$ROBROOT"
 _PLACES = ("$ROBROOT", "$ERSYSROOT", "$WORLD", "$ERSYS")
 # Motions of external axes, behind which the robot may stand elsewhere.
 _MOVES = ("ASYPTP", "MASYPTP", "ASYCONT")
-_SETTABLE = ("$TOOL", "$BASE", "FDAT_ACT", "$ORI_TYPE", "LDAT_ACT")
+_SETTABLE = ("$TOOL", "$BASE", "FDAT_ACT", "$ORI_TYPE", "LDAT_ACT", "$LOAD")
 
 
 @LANGUAGES.register
@@ -279,6 +289,9 @@ class _Reader(Reader):
                 continue
             if name in data.frames:
                 data.frames[name] = None
+            mass = self._mass(sides[1])
+            if mass is not None and name.startswith("LOAD_DATA["):
+                self.draft.masses[name] = mass
             self._set(line, name, is_part, sides[1])
 
     def _set(self, line: int, name: str, is_part: bool, value: Sequence[Any]) -> None:
@@ -360,9 +373,30 @@ class _Reader(Reader):
                 known.run,
                 can_insert,
                 takes_posture,
+                self.load(k) or self._load_of_tool(k, tool),
                 displaced,
             )
         )
+
+    def _load_of_tool(self, k: int, tool: Frame) -> Load | None:
+        """Return the load that is set with a tool, if the files contain it in numbers."""
+        name = tool.name.replace("TOOL_", "LOAD_")
+        line = self.statements[k].line
+        return Load(name, line, self.draft.masses[name]) if name in self.draft.masses else None
+
+    def mass(self, statement: Statement) -> float | None:
+        sides = split(statement.items, "=")
+        if len(sides) == 2:
+            mass = self._mass(sides[1])
+            return mass if mass is not None else self.draft.masses.get(text_of_items(sides[1]))
+        return None
+
+    def _mass(self, items: Sequence[Any]) -> float | None:
+        """Return the mass of an aggregate of a load, None if it is none, or not in numbers."""
+        group = aggregate(items, "{")
+        fields = _fields(group) if group is not None else None
+        number = number_of(fields["M"]) if fields is not None and "M" in fields else None
+        return number.value if number is not None and number.value >= 0.0 else None
 
     def _why_moved(self, k: int, is_line: bool, data: _Data) -> str:
         """Return why a motion to a pose ends elsewhere, "" if it does not."""
@@ -550,7 +584,7 @@ def _step(statement: Statement) -> Step:
     changed = _set_by_assignment(items, name) if first not in _MOTIONS else frozenset()
     if len(sides) != 2 or first in _MOTIONS or name not in _SETTABLE:
         return Step(calls=calls, clears=changed)
-    what = frozenset({_ORIENTATION if name == "LDAT_ACT" else name})
+    what = frozenset({{"LDAT_ACT": _ORIENTATION, "$LOAD": LOAD}.get(name, name)})
     if is_part:
         return Step(calls=calls, clears=what)
     return Step(calls=calls, sets=what)

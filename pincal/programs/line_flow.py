@@ -19,6 +19,8 @@ ANY = "*"
 """A label that is computed, and any number of a tool or a base."""
 
 
+LOAD = "load"
+"""What statements that set a load switch."""
 POSITIONS = "positions"
 """What an instruction that is not understood may displace."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Frame, Motion, Point, Posture, Program, Skipped, Turn
+from pincal.programs.program import Frame, Load, Motion, Point, Posture, Program, Skipped, Turn
 from pincal.programs.rapid_blocks import (
     BY_NAME,
     DISPLACES,
@@ -37,6 +37,7 @@ from pincal.programs.syntax import (
     aggregate,
     calls_in,
     element_name,
+    number_of,
     numbers_of,
     place_of,
     split,
@@ -236,12 +237,16 @@ class _Reader(Reader):
         sides = split(items[1:], ":=")
         name = element_name(sides[0])[0]
         value = sides[1] if len(sides) == 2 else ()
+        group = aggregate(value, "[")
+        if kind == "LOADDATA" and group is not None and len(group.parts) == 6:
+            mass = number_of(group.parts[0])
+            if mass is not None:
+                self.draft.masses[name] = mass.value
         if kind not in _DATA or not name:
             self.draft.read(self.words(items))
             return
         if is_constant:
             self.draft.constants.add(name)
-        group = aggregate(value, "[")
         if kind == "TOOLDATA":
             self.draft.frame(name, self.language.tool(group), ["tool"])
             return
@@ -321,6 +326,7 @@ class _Reader(Reader):
                 known.run,
                 can_insert,
                 takes_posture,
+                self._load_of(options, k),
                 displaced if first == "MOVEABSJ" else "",
             )
         )
@@ -332,6 +338,17 @@ class _Reader(Reader):
         is_joint = word(self.statements[k].items[0]) == "MOVEABSJ"
         kinds = JOINTS_TOO if is_joint else DISPLACES
         return self.displaced(k, [name for name in kinds if name in self.switched])
+
+    def _load_of(self, options: Mapping[str, Sequence[Any]], k: int) -> Load | None:
+        """Return the load of a motion: its own (TLoad), or the one in force."""
+        if "TLOAD" not in options:
+            return self.load(k)
+        name = text_of_items(options["TLOAD"])
+        return Load(name, self.statements[k].line, self.draft.masses.get(name))
+
+    def mass(self, statement: Statement) -> float | None:
+        name = text_of_items(statement.items[1:])
+        return 0.0 if name == "LOAD0" else self.draft.masses.get(name)
 
     def _takes_posture(self, known: InForce, switch: str) -> bool:
         """Return whether configurations are monitored: not where that is, or may be,

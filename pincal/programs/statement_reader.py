@@ -10,7 +10,8 @@ from typing import Any, ClassVar
 
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step
-from pincal.programs.program import Frame, Point, Skipped
+from pincal.programs.line_flow import LOAD
+from pincal.programs.program import Frame, Load, Point, Skipped
 from pincal.programs.syntax import (
     Brackets,
     Statement,
@@ -127,6 +128,22 @@ class Reader:
                 if routine in self.entries.displaced_at_start(kind):
                     return f"positions may be displaced ({kind}): another routine does so"
         return ""
+
+    def load(self, k: int) -> Load | None:
+        """Return the load in force at a motion, None if the program states none."""
+        known = self.flow[k]
+        found = known.setters.get(LOAD)
+        if isinstance(found, int):
+            statement = self.statements[found]
+            return Load(text_of_items(statement.items), statement.line, self.mass(statement))
+        routine = self.steps[known.routine].routine if known.routine >= 0 else ""
+        if found is None and routine in self.entries.displaced_at_start(LOAD):
+            found = "it is set by another routine"
+        return Load(found, self.statements[k].line) if found is not None else None
+
+    def mass(self, statement: Statement) -> float | None:
+        """Return the mass [kg] that a statement sets, None if it is not in numbers."""
+        raise NotImplementedError
 
     def left(self, target: str | Point | Skipped, reason: str) -> str | Skipped:
         """Return a target that is left for a reason, by its name if it has one."""

@@ -11,7 +11,7 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.line_flow import POSITIONS
+from pincal.programs.line_flow import LOAD, POSITIONS
 from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped
 from pincal.programs.statement_reader import Entries, Reader
 from pincal.programs.syntax import (
@@ -24,6 +24,7 @@ from pincal.programs.syntax import (
     element_name,
     is_token,
     nested,
+    number_of,
     numbers_of,
     place_of,
     split,
@@ -117,6 +118,9 @@ _HARMLESS = understood_words(_SCRIPT_WORDS, "function")
 # What is set by a call: the tool, the load, or a displacement of all positions.
 _SWITCHES = {
     "set_tcp": "tcp",
+    "set_payload": LOAD,
+    "set_payload_mass": LOAD,
+    "set_target_payload": LOAD,
     "path_offset_enable": "path_offset",
     "path_offset_disable": "path_offset",
     "track_conveyor_linear": "conveyor",
@@ -183,7 +187,7 @@ class UrScript(ControllerLanguage):
         displaced = {
             POSITIONS,
             *(name for _, _, steps in files for step in steps for name in step.sets),
-        } - {"tcp"}
+        } - {"tcp", LOAD}
         entries = Entries(
             [
                 (statements, steps, flow)
@@ -340,9 +344,15 @@ class _Reader(Reader):
                 span,
                 known.run,
                 path == "line",
+                load=self.load(k),
                 displaced=displaced,
             )
         )
+
+    def mass(self, statement: Statement) -> float | None:
+        call = call_of(statement.items)
+        number = number_of(call[1].parts[0]) if call is not None and call[1].parts else None
+        return number.value if number is not None else None
 
     def _tool(self, known: InForce) -> Frame:
         """Return the tool in force before a statement."""

@@ -199,7 +199,9 @@ class ProgramCorrector {
       const q = point.kind === "joints" ? this.joints(point.values) : this.chosen(point, product(product(frames[0], this.language.pose(point.values)), frames[1]), uses.get(key), joints);
       if (typeof q === "string") { leave(point, q); continue; }
       joints.set(key, q);
-      const change = this.corrected(point, q, frames);
+      const payload = this.payload(program, key, q);
+      if (typeof payload === "string") { leave(point, payload); joints.set(key, q); continue; }
+      const change = this.corrected(point, q, frames, payload);
       if (change.reason) leave(point, change.reason);
       changed.push({ point, q, frames, ...change });
     }
@@ -267,8 +269,19 @@ class ProgramCorrector {
   counts(q, turn) {
     return [-ON_EDGE, 0, ON_EDGE].some((aside) => turn.counted(this.cell.axes.to_program(q.map((x, k) => (k === turn.joint ? x + aside : x)))[turn.joint]) === turn.value);
   }
-  corrected(point, q, frames) {
-    const state = ARM.at(q, this.cell.conditions), tip = ARM.tip(q), wanted = product(tip, ARM.target), solved = compensate(calibrated, wanted, state);
+  // The mass at the tip: a load that the program states in numbers, or the one that was entered; or why it is not known.
+  payload(program, key, q) {
+    const free = this.cell.conditions.payload, loads = program.loads.get(key, []);
+    const [light, heavy] = [0, 1].map((payload) => calibrated(ARM.at(q, { ...this.cell.conditions, payload }))[0]);
+    if (!loads.some((load) => load) || largest(minus(light, heavy)) === 0) return free;
+    const texts = new Set(program.loads.values().flat().filter((load) => load).map((load) => load.text));
+    const unknown = loads.find((load) => load && load.mass === null);
+    if (unknown && texts.size > 1) return `line ${unknown.line}: its load is not in numbers, and the program has several`;
+    const masses = new Set(loads.map((load) => load?.mass ?? free));
+    return masses.size === 1 ? [...masses][0] : "motions reach it with different loads";
+  }
+  corrected(point, q, frames, payload) {
+    const state = ARM.at(q, { ...this.cell.conditions, payload }), tip = ARM.tip(q), wanted = product(tip, ARM.target), solved = compensate(calibrated, wanted, state);
     const commanded = times(ABOUT.combination, solved.q), moved = commanded.map((x, i) => Math.abs(x - q[i])), most = moved.indexOf(largest(moved));
     const after = { ...state, q: solved.q }, before = distances(calibrated(state)[0], wanted), sides = this.arm.sides(q);
     let reason = solved.status === "ok" ? "" : REASONS[solved.status] ?? solved.status;
