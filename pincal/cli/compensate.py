@@ -256,7 +256,7 @@ def _program(
     else:
         click.echo("\n".join(summary_of_program(result, language.name)))
     echo_notes(notes, quiet=arguments.general.quiet)
-    is_lost = result["left"] and (arguments.strict or not result["points"])
+    is_lost = not result["points"] or (arguments.strict and result["left"])
     return Exit.UNDECIDED if is_lost else Exit.DONE
 
 

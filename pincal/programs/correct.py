@@ -290,6 +290,8 @@ class Corrector:
             if len(point.numbers) != self.robot.n_joints:
                 return f"{len(point.numbers)} axes; the model has {self.robot.n_joints}"
             q = self.joints(point)
+            if np.abs(q).max() > PROGRAM_NUMBERS.most_turned:
+                return "its numbers are no joint positions"
             beyond = (q < self.robot.lower - 1e-6) | (q > self.robot.upper + 1e-6)
             if self.cell.limits and beyond.any():
                 return (

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pincal.programs.line_flow import ANY, LOAD, Line
+from pincal.programs.line_flow import ANY, STATED_LOAD, Line
 from pincal.programs.program import FrameKind, Motion, Point, PointKey, Program, Skipped
 from pincal.programs.syntax import Source
 
@@ -108,7 +108,7 @@ class Draft:
                 position.
         """
         for what, reason in reasons.items():
-            if what == LOAD:
+            if what == STATED_LOAD:
                 continue
             kind, _, index = what.partition(" ")
             if kind not in ("tool", "base") or (index != ANY and not index.isdigit()):

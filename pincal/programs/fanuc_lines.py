@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pincal.programs.line_flow import ANY, LOAD, POSITIONS, BlockPart, Line
+from pincal.programs.line_flow import ANY, POSITIONS, STATED_LOAD, BlockPart, Line
 from pincal.programs.understood import (
     Understood,
     first_phrase,
@@ -142,14 +142,14 @@ def effect_in_listing(text: str, number: int) -> Line:
         elif first == "ELSE" and "," not in flat:
             block = "else"
         # The action of a condition stands behind its last comma.
-        action = flat.rpartition(",")[2] if "," in flat else ""
+        action = flat.split(",")[-1] if "," in flat else ""
         sets = tuple(_sets(action, text, number))
         return Line(number, sets, jumps=jumps, calls=calls, block=block)
     phrase = first_phrase(tokens, _PHRASES)
     return Line(
         number,
         tuple(_sets(flat, text, number)),
-        ends=(LOAD,) if phrase == "PAYLOAD" else (_ENDS[phrase],) if phrase in _ENDS else (),
+        ends=(STATED_LOAD,) if phrase == "PAYLOAD" else (_ENDS[phrase],) if phrase in _ENDS else (),
         label=_label(text),
         jumps=jumps,
         calls=calls,
@@ -176,7 +176,7 @@ def _sets(flat: str, text: str, number: int) -> Iterator[tuple[str, str]]:
     elif phrase in _ENDS:
         return
     elif phrase == "PAYLOAD":
-        yield LOAD, f"{number} {text}"
+        yield STATED_LOAD, f"{number} {text}"
     elif phrase in _BEGINS or tokens[0] in _BEGINS:
         found = _BEGINS.get(phrase, _BEGINS.get(tokens[0], ""))
         yield found, f"line {number} displaces positions ({text[:40].strip()})"

@@ -20,7 +20,7 @@ from pincal.programs.fanuc_lines import (
     why_moved_by_options,
 )
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.line_flow import LOAD, Line, Listing, reasons_before, with_outside
+from pincal.programs.line_flow import STATED_LOAD, Line, Listing, reasons_before, with_outside
 from pincal.programs.program import (
     Frame,
     Load,
@@ -202,7 +202,7 @@ class FanucLs(ControllerLanguage):
             place = one.places[-1]
             span = (place.start_pos or 0, place.end_pos or 0)
             statement = Statement((), *span, place.line or 0)
-            number, _, text = reasons.get(LOAD, "").partition(" ")
+            number, _, text = reasons.get(STATED_LOAD, "").partition(" ")
             load = Load(text, int(number)) if number else None
             draft.motions.append(
                 Motion(path, tuple(targets), statement, i, span=span, run=run, load=load)
@@ -243,7 +243,7 @@ def _instructions(lines: Sequence[Any]) -> list[_Instruction]:
         # A line whose number is left out continues the one before.
         is_more = str(parts.get("LINE_NUMBER", "")) == ":" and len(found) > 0
         place = parts.get("PLACE")
-        number = next(iter(parts.values())).line or 0
+        number = next(token for token in parts.values()).line or 0
         text = (text.partition(" !")[0] if "(" not in text else text).rstrip("; ")
         is_assignment = line.data == "more" and text.startswith("=")
         places: tuple[Token, ...] = (place,) if place is not None else ()

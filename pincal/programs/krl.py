@@ -11,7 +11,7 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import OUTSIDE, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.line_flow import LOAD, POSITIONS
+from pincal.programs.line_flow import POSITIONS, STATED_LOAD
 from pincal.programs.program import (
     Frame,
     Load,
@@ -299,7 +299,9 @@ class _Reader(Reader):
         point = None if is_part or "*" in name else self.literal(line, name, value)
         is_frame = name.startswith(("TOOL_DATA[", "BASE_DATA[", "$"))
         if isinstance(point, Point) and point.kind == "pose" and not name.startswith("$"):
-            self.draft.frame(name, self.language.pose(point.values), ["tool", "base"])
+            is_pose = self.language.is_pose(point.values)
+            pose = self.language.pose(point.values) if is_pose else "its numbers are no pose"
+            self.draft.frame(name, pose, ["tool", "base"])
         if not is_frame or point is None:
             self.assign(line, name, is_part, value)
         elif isinstance(point, Skipped):
@@ -455,6 +457,8 @@ class _Reader(Reader):
     def _frame_of(self, variable: str, k: int, items: Sequence[Any], data: _Data) -> Frame:
         """Return the frame of an expression."""
         found = self.literal(0, variable, items)
+        if isinstance(found, Point) and not self.language.is_pose(found.values):
+            return Frame(variable, reason=f"{variable}: its numbers are no pose")
         if isinstance(found, Point) and found.kind == "pose":
             return Frame(variable, self.language.pose(found.values))
         call = call_of(items)
@@ -584,7 +588,7 @@ def _step(statement: Statement) -> Step:
     changed = _set_by_assignment(items, name) if first not in _MOTIONS else frozenset()
     if len(sides) != 2 or first in _MOTIONS or name not in _SETTABLE:
         return Step(calls=calls, clears=changed)
-    what = frozenset({{"LDAT_ACT": _ORIENTATION, "$LOAD": LOAD}.get(name, name)})
+    what = frozenset({{"LDAT_ACT": _ORIENTATION, "$LOAD": STATED_LOAD}.get(name, name)})
     if is_part:
         return Step(calls=calls, clears=what)
     return Step(calls=calls, sets=what)

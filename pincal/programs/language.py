@@ -80,7 +80,15 @@ class ControllerLanguage(ABC):
         return transform(R, self.length * np.asarray(values[:3], float))
 
     def is_pose(self, values: np.ndarray) -> bool:
-        """Return whether numbers are a pose: a quaternion has unit length."""
+        """Return whether numbers are a pose: of a length that a robot may have, and a quaternion of
+        unit length.
+        """
+        values = np.asarray(values, float)
+        is_near = np.abs(values[:3]).max() * self.length < PROGRAM_NUMBERS.longest
+        is_turn = np.abs(values[3:]).max() < PROGRAM_NUMBERS.most_turned
+        # The length of a vector of large numbers would not be finite.
+        if not (is_near and is_turn):
+            return False
         return (
             len(values) != 7 or abs(float(np.linalg.norm(values[3:])) - 1.0) < PROGRAM_NUMBERS.unit
         )
@@ -155,11 +163,9 @@ class ControllerLanguage(ABC):
 
     def refusal(self, point: Point) -> str:
         """Return why the values of a point can't be interpreted, or ""."""
-        return (
-            ""
-            if point.kind == "joints" or self.is_pose(point.values)
-            else "its quaternion is not of unit length"
-        )
+        if point.kind == "joints" or self.is_pose(point.values):
+            return ""
+        return "its numbers are no pose: too large, or a quaternion that is not of unit length"
 
     def point_numbers(self, point: Point, values: np.ndarray) -> list[str]:
         """Return the texts that replace a point's numbers."""

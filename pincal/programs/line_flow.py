@@ -19,7 +19,7 @@ ANY = "*"
 """A label that is computed, and any number of a tool or a base."""
 
 
-LOAD = "load"
+STATED_LOAD = "load"
 """What statements that set a load switch."""
 POSITIONS = "positions"
 """What an instruction that is not understood may displace."""
@@ -198,7 +198,7 @@ class _Paths:
         """Return what may be displaced before each line."""
         before: list[dict[str, str]] = [{} for _ in self.lines]
         called = self._effects_of_calls()
-        is_ahead = [True] * len(self.lines)
+        is_ahead = [True for _ in self.lines]
         # The last one is the first one looked at: lines in their order, first to last.
         ahead = list(reversed(range(len(self.lines))))
         while ahead:

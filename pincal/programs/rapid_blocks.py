@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pincal.programs.flow import InForce, Step
-from pincal.programs.line_flow import LOAD
+from pincal.programs.line_flow import STATED_LOAD
 from pincal.programs.program import Path
 from pincal.programs.syntax import (
     Brackets,
@@ -174,9 +174,9 @@ SWITCHES = {
     "EGMRESET": "EGM",
     "CONFL": "CONFL",
     "CONFJ": "CONFJ",
-    "GRIPLOAD": LOAD,
+    "GRIPLOAD": STATED_LOAD,
 }
-DISPLACES = sorted({*SWITCHES.values()} - {"CONFL", "CONFJ", LOAD})
+DISPLACES = sorted({*SWITCHES.values()} - {"CONFL", "CONFJ", STATED_LOAD})
 # Those of positions in joints as well.
 JOINTS_TOO = ("CORR", "CSS", "EGM", "FORCE", "SENSOR", "SOFT")
 _ENDS_IT = (

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step
-from pincal.programs.line_flow import LOAD
+from pincal.programs.line_flow import STATED_LOAD
 from pincal.programs.program import Frame, Load, Point, Skipped
 from pincal.programs.syntax import (
     Brackets,
@@ -132,12 +132,12 @@ class Reader:
     def load(self, k: int) -> Load | None:
         """Return the load in force at a motion, None if the program states none."""
         known = self.flow[k]
-        found = known.setters.get(LOAD)
+        found = known.setters.get(STATED_LOAD)
         if isinstance(found, int):
             statement = self.statements[found]
             return Load(text_of_items(statement.items), statement.line, self.mass(statement))
         routine = self.steps[known.routine].routine if known.routine >= 0 else ""
-        if found is None and routine in self.entries.displaced_at_start(LOAD):
+        if found is None and routine in self.entries.displaced_at_start(STATED_LOAD):
             found = "it is set by another routine"
         return Load(found, self.statements[k].line) if found is not None else None
 

@@ -11,7 +11,7 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.line_flow import LOAD, POSITIONS
+from pincal.programs.line_flow import POSITIONS, STATED_LOAD
 from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped
 from pincal.programs.statement_reader import Entries, Reader
 from pincal.programs.syntax import (
@@ -118,9 +118,9 @@ _HARMLESS = understood_words(_SCRIPT_WORDS, "function")
 # What is set by a call: the tool, the load, or a displacement of all positions.
 _SWITCHES = {
     "set_tcp": "tcp",
-    "set_payload": LOAD,
-    "set_payload_mass": LOAD,
-    "set_target_payload": LOAD,
+    "set_payload": STATED_LOAD,
+    "set_payload_mass": STATED_LOAD,
+    "set_target_payload": STATED_LOAD,
     "path_offset_enable": "path_offset",
     "path_offset_disable": "path_offset",
     "track_conveyor_linear": "conveyor",
@@ -187,7 +187,7 @@ class UrScript(ControllerLanguage):
         displaced = {
             POSITIONS,
             *(name for _, _, steps in files for step in steps for name in step.sets),
-        } - {"tcp", LOAD}
+        } - {"tcp", STATED_LOAD}
         entries = Entries(
             [
                 (statements, steps, flow)
@@ -363,6 +363,8 @@ class _Reader(Reader):
         point = (
             self.literal(0, "tcp", call[1].parts[0]) if call is not None and call[1].parts else None
         )
+        if isinstance(point, Point) and not self.language.is_pose(point.values):
+            return Frame("tcp", reason=f"line {self.statements[found].line} sets what is no pose")
         if isinstance(point, Point) and point.kind == "pose":
             return Frame("tcp", self.language.pose(point.values))
         return Frame("tcp", reason=f"line {self.statements[found].line} sets a computed tool")

@@ -17,7 +17,10 @@ Object.assign(MODULES.language.ControllerLanguage.prototype, {
     const turn = ORIENTATIONS[this.convention], unit = turn.kind === "angles" ? DEGREE : 1;
     return posed(rotationOf(turn, values.slice(3).map((x) => x * unit)), values.slice(0, 3).map((x) => x * this.length));
   },
-  is_pose(values) { return values.length !== 7 || Math.abs(norm(values.slice(3)) - 1) < 2e-3; },
+  is_pose(values) {
+    if (!(largest(values.slice(0, 3)) * this.length < 1e4 && largest(values.slice(3)) < 1e5)) return false;
+    return values.length !== 7 || Math.abs(norm(values.slice(3)) - 1) < 2e-3;
+  },
   // The numbers of a pose, of all that mean it those nearest to others.
   numbers(pose, near) {
     const turn = ORIENTATIONS[this.convention], place = column(pose, 3).map((x) => x / this.length);
@@ -183,6 +186,7 @@ class ProgramCorrector {
     const reason = this.language.refusal(point), n = JOINTS.length;
     if (reason) return reason;
     if (point.kind !== "joints") return n === 6 ? "" : `a pose does not determine the joints of an arm with ${n} joints`;
+    if (!(largest(this.joints(point.values)) <= 1e5)) return "its numbers are no joint positions";
     if (point.numbers.length !== n) return `${point.numbers.length} axes; the model has ${n}`;
     const beyond = this.joints(point.values).findIndex((x, i) => x < (ABOUT.lower[i] ?? -Infinity) - 1e-6 || x > (ABOUT.upper[i] ?? Infinity) + 1e-6);
     return beyond < 0 ? "" : `${JOINTS[beyond]} is beyond its limits in the model`;
