@@ -22,7 +22,19 @@ SCRIPT = Path(__file__).parents[1] / "pincal" / "programs" / "page" / "readers.j
 _HEADER = "// Made of the modules of pincal/programs by tools/page_script.py."
 
 # Modules in the order of their dependencies; the languages come after them.
-_MODULES = ("syntax", "flow", "program", "draft", "statement_reader", "language", "rapid_blocks")
+_MODULES = (
+    "syntax",
+    "understood",
+    "flow",
+    "line_flow",
+    "program",
+    "draft",
+    "statement_reader",
+    "language",
+    "fanuc_lines",
+    "jbi_lines",
+    "rapid_blocks",
+)
 # What the page implements itself: files, lark, arrays of numbers, and what only the command needs.
 _OWN = frozenset(
     (

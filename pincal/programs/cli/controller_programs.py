@@ -5,6 +5,7 @@ left unchanged.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -115,6 +116,8 @@ def correct_file(
             "one in another folder, so that a "
             "second run does not correct it again"
         )
+    if not 0.0 <= options.payload < math.inf:
+        raise click.UsageError(f"--payload {options.payload:g}: expected a mass in kg, 0 or more")
     if options.pulses is not None:
         language = language.with_pulses(options.pulses)
     program = language.read(read_sources([*files, *options.with_files]))
@@ -150,9 +153,11 @@ def correct_file(
         if language.is_pair and out.stem.lower() != path.stem.lower()
         else "",
     }
-    return result | links | {"inserted": inserted, "out": [str(target) for target in outs]}, list(
-        changes.values()
-    )
+    notes = {"notes": corrector.notes(program)}
+    return result | links | notes | {
+        "inserted": inserted,
+        "out": [str(target) for target in outs],
+    }, list(changes.values())
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 
 const np = { eye: () => [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0], array: (values) => values };
 const ORIENTATIONS = { kuka: CONVENTIONS[0], fanuc: CONVENTIONS[1], abb: CONVENTIONS[2], ur: CONVENTIONS[4] };
-const TURN = 2 * Math.PI, ON_EDGE = 1e-4, SAME = 1e-5, NOTHING = 1e-8, CLEARLY = 0.5, POOL = 6000, MOST_STARTS = 64;
+const TURN = 2 * Math.PI, ON_EDGE = 1e-4, SAME = 1e-5, NOTHING = 1e-8, ROUNDED = 1e-9, CLEARLY = 0.5, POOL = 6000, MOST_STARTS = 64;
 const REASONS = { singular: "the arm is singular there: a small correction would need large joint motions",
   joint_limit: "an axis would leave its limits", unreached: "no joint positions were found" };
 const dot = (a, b) => a.reduce((sum, x, i) => sum + x * b[i], 0), minus = (a, b) => a.map((x, i) => x - b[i]);
@@ -17,7 +17,10 @@ Object.assign(MODULES.language.ControllerLanguage.prototype, {
     const turn = ORIENTATIONS[this.convention], unit = turn.kind === "angles" ? DEGREE : 1;
     return posed(rotationOf(turn, values.slice(3).map((x) => x * unit)), values.slice(0, 3).map((x) => x * this.length));
   },
-  is_pose(values) { return values.length !== 7 || Math.abs(norm(values.slice(3)) - 1) < 2e-3; },
+  is_pose(values) {
+    if (!(largest(values.slice(0, 3)) * this.length < 1e4 && largest(values.slice(3)) < 1e5)) return false;
+    return values.length !== 7 || Math.abs(norm(values.slice(3)) - 1) < 2e-3;
+  },
   // The numbers of a pose, of all that mean it those nearest to others.
   numbers(pose, near) {
     const turn = ORIENTATIONS[this.convention], place = column(pose, 3).map((x) => x / this.length);
@@ -161,14 +164,16 @@ class ProgramCorrector {
   joints(values) { return this.cell.axes.to_robot(values.map((x, i) => x * this.units[i])); }
   frame(frame, option, declared) {
     if (frame.pose) return frame.pose;
-    const given = this.cell[`${option}s`][frame.name];
-    if (given) return given;
+    const given = this.cell[`${option}s`][frame.name], pose = declared.get(frame.name);
     if (frame.reason) {
-      if (frame.reason.includes(MODULES.flow.OUTSIDE)) this.asked.push({ option, name: frame.name });
+      const is_open = frame.reason.includes(MODULES.flow.OUTSIDE);
+      if (is_open && given) return given;
+      if (is_open) this.asked.push({ option, name: frame.name });
       return frame.reason;
     }
-    const pose = declared.get(frame.name);
-    if (pose) return typeof pose === "string" ? `${option} ${frame.name}: ${pose}` : pose;
+    if (typeof pose === "string") return `${option} ${frame.name}: ${pose}`;
+    if (pose && given && largest(minus(pose, given)) > ROUNDED) return `${option} ${frame.name}: the program states other values than those entered below`;
+    if (pose ?? given) return pose ?? given;
     this.asked.push({ option, name: frame.name });
     return `the values of ${option} ${frame.name || "of this motion"} are not known: enter them below`;
   }
@@ -181,6 +186,7 @@ class ProgramCorrector {
     const reason = this.language.refusal(point), n = JOINTS.length;
     if (reason) return reason;
     if (point.kind !== "joints") return n === 6 ? "" : `a pose does not determine the joints of an arm with ${n} joints`;
+    if (!(largest(this.joints(point.values)) <= 1e5)) return "its numbers are no joint positions";
     if (point.numbers.length !== n) return `${point.numbers.length} axes; the model has ${n}`;
     const beyond = this.joints(point.values).findIndex((x, i) => x < (ABOUT.lower[i] ?? -Infinity) - 1e-6 || x > (ABOUT.upper[i] ?? Infinity) + 1e-6);
     return beyond < 0 ? "" : `${JOINTS[beyond]} is beyond its limits in the model`;
@@ -197,7 +203,9 @@ class ProgramCorrector {
       const q = point.kind === "joints" ? this.joints(point.values) : this.chosen(point, product(product(frames[0], this.language.pose(point.values)), frames[1]), uses.get(key), joints);
       if (typeof q === "string") { leave(point, q); continue; }
       joints.set(key, q);
-      const change = this.corrected(point, q, frames);
+      const payload = this.payload(program, key, q);
+      if (typeof payload === "string") { leave(point, payload); joints.set(key, q); continue; }
+      const change = this.corrected(point, q, frames, payload);
       if (change.reason) leave(point, change.reason);
       changed.push({ point, q, frames, ...change });
     }
@@ -265,8 +273,19 @@ class ProgramCorrector {
   counts(q, turn) {
     return [-ON_EDGE, 0, ON_EDGE].some((aside) => turn.counted(this.cell.axes.to_program(q.map((x, k) => (k === turn.joint ? x + aside : x)))[turn.joint]) === turn.value);
   }
-  corrected(point, q, frames) {
-    const state = ARM.at(q, this.cell.conditions), tip = ARM.tip(q), wanted = product(tip, ARM.target), solved = compensate(calibrated, wanted, state);
+  // The mass at the tip: a load that the program states in numbers, or the one that was entered; or why it is not known.
+  payload(program, key, q) {
+    const free = this.cell.conditions.payload, loads = program.loads.get(key, []);
+    const [light, heavy] = [0, 1].map((payload) => calibrated(ARM.at(q, { ...this.cell.conditions, payload }))[0]);
+    if (!loads.some((load) => load) || largest(minus(light, heavy)) === 0) return free;
+    const texts = new Set(program.loads.values().flat().filter((load) => load).map((load) => load.text));
+    const unknown = loads.find((load) => load && load.mass === null);
+    if (unknown && texts.size > 1) return `line ${unknown.line}: its load is not in numbers, and the program has several`;
+    const masses = new Set(loads.map((load) => load?.mass ?? free));
+    return masses.size === 1 ? [...masses][0] : "motions reach it with different loads";
+  }
+  corrected(point, q, frames, payload) {
+    const state = ARM.at(q, { ...this.cell.conditions, payload }), tip = ARM.tip(q), wanted = product(tip, ARM.target), solved = compensate(calibrated, wanted, state);
     const commanded = times(ABOUT.combination, solved.q), moved = commanded.map((x, i) => Math.abs(x - q[i])), most = moved.indexOf(largest(moved));
     const after = { ...state, q: solved.q }, before = distances(calibrated(state)[0], wanted), sides = this.arm.sides(q);
     let reason = solved.status === "ok" ? "" : REASONS[solved.status] ?? solved.status;

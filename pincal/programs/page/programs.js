@@ -45,12 +45,13 @@ class Source {
     }
     return found;
   }
-  items(children, words) {
+  items(children, words, depth = 0) {
     return children.map((child) => {
       if (child instanceof Token) return child;
       const [first, last] = [child.children[0], child.children[child.children.length - 1]], closing = { "(": ")", "[": "]", "{": "}" }[first.text];
+      if (depth === 100) throw this.error(`brackets within 100 others; expected fewer in ${words}`, first.start_pos);
       if (closing !== last.text) throw this.error(`'${last.text}'; expected '${closing}' in ${words}`, last.start_pos);
-      return new MODULES.syntax.Brackets(first.text, this.items(child.children.slice(1, -1), words), first.start_pos, last.end_pos);
+      return new MODULES.syntax.Brackets(first.text, this.items(child.children.slice(1, -1), words, depth + 1), first.start_pos, last.end_pos);
     });
   }
 }

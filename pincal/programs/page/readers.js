@@ -9,6 +9,10 @@ GRAMMARS["\nstart: statement*\nstatement: _item* _END\n_item: WORD | NUMBER | BI
 MODULES.syntax = (() => {
 let LARGEST_PROGRAM;
 LARGEST_PROGRAM = 50000000;
+let MOST_WORDS;
+MOST_WORDS = 1000000;
+let DEEPEST;
+DEEPEST = 100;
 let _NESTED;
 _NESTED = "\nstart: statement*\nstatement: _item* _END\n_item: WORD | NUMBER | BITS | TEXT | SIGN | group\ngroup: OPEN _inner* CLOSE\n_inner: _item\nOPEN: \"(\" | \"[\" | \"{\"\nCLOSE: \")\" | \"]\" | \"}\"\nNUMBER.2: /(\\d+(\\.\\d*)?|\\.\\d+)([eE][+-]?\\d+)?/\nWORD.1: /[A-Za-z_$#\\x80-\\xff][A-Za-z0-9_$\\x80-\\xff]*/\n";
 let _END_OF_FILE;
@@ -188,10 +192,71 @@ if (py.truth(py.both((py.add(k, 1) < py.len(items)), () => py.both(py.isinstance
 }
 }
 }
-return { LARGEST_PROGRAM, _NESTED, _END_OF_FILE, _PAIRS, Number, Brackets, Statement, nested, place_of, split, number_of, number_at, numbers_of, aggregate, call_of, is_token, word, text_of_items, element_name, calls_in, words_in };
+return { LARGEST_PROGRAM, MOST_WORDS, DEEPEST, _NESTED, _END_OF_FILE, _PAIRS, Number, Brackets, Statement, nested, place_of, split, number_of, number_at, numbers_of, aggregate, call_of, is_token, word, text_of_items, element_name, calls_in, words_in };
+})();
+MODULES.understood = (() => {
+class Understood {
+constructor(kind = null, source = null, words = null) {
+this.kind = kind;
+this.source = source;
+this.words = words;
+}
+}
+function understood_words(tables, kind) {
+return py.frozenset((() => { const $out = []; for (const table of py.iter(tables)) { if (py.same(table.kind, kind)) for (const word of py.iter(py.call(table.words, "split", ","))) { $out.push(py.call(word, "strip")); } } return $out; })());
+return null;
+}
+function without_brackets(text, quotes = true) {
+let depth, found, is_quoted, letter;
+found = "";
+depth = 0;
+is_quoted = false;
+for (const $each of py.iter(py.call(text, "upper"))) {
+letter = $each;
+depth = py.sub(depth, py.both(py.has(")]", letter), () => (depth > 0)));
+if (py.truth(py.both(quotes, () => py.both(py.same(letter, "'"), () => !py.truth(depth))))) {
+is_quoted = !py.truth(is_quoted);
+} else {
+if (py.truth(py.both(!py.truth(depth), () => !py.truth(is_quoted)))) {
+found = py.add(found, letter);
+}
+}
+depth = py.add(depth, py.has("([", letter));
+}
+return found;
+return null;
+}
+function tokens_of(text) {
+let sign;
+for (const $each of py.iter(["[]", "()", ",", ";", "="])) {
+sign = $each;
+text = py.call(text, "replace", sign, " ");
+}
+return (() => { const $out = []; for (const token of py.iter(py.call(text, "split"))) { $out.push(py.call(token, "strip", "0123456789.+-#%")); } return $out; })();
+return null;
+}
+function first_phrase(tokens, known) {
+let count, phrase;
+for (const $each of py.iter([3, 2])) {
+count = $each;
+phrase = py.call(" ", "join", py.text(tokens).slice(undefined, count));
+if (py.truth(py.both((py.len(tokens) >= count), () => py.has(known, phrase)))) {
+return phrase;
+}
+}
+return (py.truth(tokens) ? py.at(tokens, 0) : "");
+return null;
+}
+function not_understood(text) {
+return (py.repr(py.call(py.text(text).slice(undefined, 40), "strip")) + ", which is not understood and may displace positions");
+return null;
+}
+return { Understood, understood_words, without_brackets, tokens_of, first_phrase, not_understood };
 })();
 MODULES.flow = (() => {
 const { Statement } = MODULES.syntax;
+let _DEEPEST;
+_DEEPEST = 100;
 let OUTSIDE;
 OUTSIDE = "is not in these files and may set it";
 class Step {
@@ -239,7 +304,7 @@ return (() => { const $out = []; for (const [[, statements, steps], around] of p
 return null;
 }
 function _followed(statements, steps, blocks, effects, outside, at_any_time) {
-let block, changed, i, inside, known, line, name, routine, run, saved, state, step, where, why;
+let block, changed, i, inside, is_end, known, line, name, routine, run, saved, state, step, where, why;
 inside = new py.Dict((() => { const $out = []; for (const [i, step] of py.iter(py.enumerate(steps))) { if (py.truth(step.opens)) $out.push([i, py.set()]); } return $out; })());
 for (const $each of py.iter(py.enumerate(steps))) {
 [i, step] = $each;
@@ -260,7 +325,8 @@ if (py.truth(step.routine)) {
 py.call(saved, "append", state);
 state = new py.Dict([]);
 }
-if (py.truth(py.either(step.closes, () => step.is_jump))) {
+is_end = py.both(py.bool(step.closes), () => py.bool(py.at(steps, py.at(py.at(blocks, i), -1)).routine));
+if (py.truth(py.either(py.both(step.closes, () => !py.truth(is_end)), () => step.is_jump))) {
 block = (py.truth(py.at(blocks, i)) ? py.at(py.at(blocks, i), -1) : i);
 where = ("it is set on some paths only through the block of line " + py.str(py.at(statements, block).line));
 state = py.or(state, py.fromkeys(py.call(inside, "get", block, []), where));
@@ -292,7 +358,7 @@ return py.next((() => { const $out = []; for (const i of py.iter(py.reversed(blo
 return null;
 }
 function _effects(files) {
-let _, blocks, called, calls, i, k, name, own, step, steps;
+let ahead, blocks, called, callers, calls, changed, i, k, name, other, own, size, step, steps;
 own = py.dict();
 calls = py.dict();
 for (const $each of py.iter(files)) {
@@ -307,11 +373,24 @@ py.put(calls, name, py.or(py.call(calls, "get", name, py.set()), py.set(step.cal
 }
 }
 }
-for (const $each of py.iter(own)) {
-_ = $each;
+callers = py.dict();
 for (const $each of py.iter(py.call(calls, "items"))) {
 [name, called] = $each;
-py.put(own, name, py.call(py.at(own, name), "union", ...py.iter((() => { const $out = []; for (const other of py.iter(called)) { if (py.has(own, other)) $out.push(py.at(own, other)); } return $out; })())));
+for (const $each of py.iter(called)) {
+other = $each;
+py.call(py.call(callers, "setdefault", other, []), "append", name);
+}
+}
+ahead = py.list(own);
+while (py.truth(ahead)) {
+changed = py.call(ahead, "pop");
+for (const $each of py.iter(py.call(callers, "get", changed, []))) {
+name = $each;
+size = py.len(py.at(own, name));
+py.put(own, name, py.or(py.at(own, name), py.at(own, changed)));
+if ((py.len(py.at(own, name)) > size)) {
+py.call(ahead, "append", name);
+}
 }
 }
 return new py.Dict((() => { const $out = []; for (const [name, found] of py.iter(py.call(own, "items"))) { $out.push([name, py.frozenset(found)]); } return $out; })());
@@ -338,6 +417,9 @@ blocks = py.text(blocks).slice(undefined, -1);
 }
 if (py.truth(step.opens)) {
 blocks = [...py.iter(blocks), i];
+if ((py.len(blocks) > _DEEPEST)) {
+throw source.error(("a block within " + py.str(_DEEPEST) + " others; expected fewer"), py.at(statements, i).start);
+}
 }
 }
 if (py.truth(blocks)) {
@@ -348,7 +430,245 @@ throw source.error(("the end of the file within " + py.str(opens) + " of line " 
 return found;
 return null;
 }
-return { OUTSIDE, Step, InForce, followed, _followed, _routine, _effects, _blocks };
+return { _DEEPEST, OUTSIDE, Step, InForce, followed, _followed, _routine, _effects, _blocks };
+})();
+MODULES.line_flow = (() => {
+const { OUTSIDE } = MODULES.flow;
+let ANY;
+ANY = "*";
+let STATED_LOAD;
+STATED_LOAD = "load";
+let POSITIONS;
+POSITIONS = "positions";
+class Line {
+constructor(number = null, sets = [], ends = [], label = "", jumps = [], calls = [], is_last = false, block = "") {
+this.number = number;
+this.sets = sets;
+this.ends = ends;
+this.label = label;
+this.jumps = jumps;
+this.calls = calls;
+this.is_last = is_last;
+this.block = block;
+}
+}
+class Listing {
+constructor(name = null, lines = null) {
+this.name = name;
+this.lines = lines;
+}
+}
+function with_outside(listings, switched) {
+let found, in_play, known, line, lines, listing, more, outside, used, why;
+known = new Set((() => { const $out = []; for (const listing of py.iter(listings)) { $out.push(listing.name); } return $out; })());
+used = py.set();
+for (const $each of py.iter(listings)) {
+listing = $each;
+for (const $each of py.iter(listing.lines)) {
+line = $each;
+used = py.or(used, new Set([...py.iter(line.ends), ...py.iter((() => { const $out = []; for (const [name, ] of py.iter(line.sets)) { $out.push(name); } return $out; })())]));
+}
+}
+in_play = (() => { const $out = []; for (const name of py.iter(switched)) { if (py.has(used, name)) $out.push(name); } return $out; })();
+found = [];
+for (const $each of py.iter(listings)) {
+listing = $each;
+lines = [];
+for (const $each of py.iter(listing.lines)) {
+line = $each;
+outside = (() => { const $out = []; for (const name of py.iter(line.calls)) { if (!py.has(known, name)) $out.push(name); } return $out; })();
+why = (py.truth(outside) ? ("line " + py.str(line.number) + " calls " + py.str(py.at(outside, 0)) + ", which " + py.str(OUTSIDE)) : "");
+more = (py.truth(outside) ? (() => { const $out = []; for (const name of py.iter(in_play)) { $out.push([name, why]); } return $out; })() : []);
+py.call(lines, "append", py.replace(line, { sets: [...py.iter(line.sets), ...py.iter(more)] }));
+}
+py.call(found, "append", new Listing(listing.name, lines));
+}
+return found;
+return null;
+}
+function reasons_before(listings, lasting = []) {
+let listing, paths, start;
+paths = new _Paths(listings, lasting);
+for (const $each of py.iter(listings)) {
+listing = $each;
+py.call(paths.starts, "append", py.len(paths.lines));
+paths.lines = py.add(paths.lines, listing.lines);
+paths.next = py.add(paths.next, (() => { const $out = []; for (const _ of py.iter(listing.lines)) { $out.push([]); } return $out; })());
+if (py.truth(listing.lines)) {
+py.put(paths.entries, listing.name, py.at(paths.starts, -1));
+}
+}
+for (const $each of py.iter(py.zip(listings, paths.starts))) {
+[listing, start] = $each;
+paths.connect(start, listing.lines);
+}
+return paths.reasons();
+return null;
+}
+class _Paths {
+constructor(listings = null, lasting = null, starts = py.list(), lines = py.list(), next = py.list(), again = py.dict(), entries = py.dict()) {
+this.listings = listings;
+this.lasting = lasting;
+this.starts = starts;
+this.lines = lines;
+this.next = next;
+this.again = again;
+this.entries = entries;
+}
+connect(start, lines) {
+let is_end, k, label, labels, line;
+this._connect_blocks(start, lines);
+labels = py.dict();
+for (const $each of py.iter(py.enumerate(lines))) {
+[k, line] = $each;
+if (py.truth(line.label)) {
+py.call(py.call(labels, "setdefault", line.label, []), "append", py.add(start, k));
+py.call(py.call(labels, "setdefault", ANY, []), "append", py.add(start, k));
+}
+}
+for (const $each of py.iter(py.enumerate(lines))) {
+[k, line] = $each;
+is_end = py.same(py.add(k, 1), py.len(lines));
+if (py.truth(is_end)) {
+py.put(this.again, py.add(start, k), start);
+} else {
+if (py.truth(py.both(!py.truth(py.both(line.is_last, () => py.at(lines, py.add(k, 1)).label)), () => !py.same(py.at(lines, py.add(k, 1)).block, "else")))) {
+py.call(py.at(this.next, py.add(start, k)), "append", py.add(py.add(start, k), 1));
+}
+}
+for (const $each of py.iter(line.jumps)) {
+label = $each;
+py.put(this.next, py.add(start, k), py.add(py.at(this.next, py.add(start, k)), py.call(labels, "get", label, [])));
+}
+}
+return null;
+}
+_connect_blocks(start, lines) {
+let first, k, line, opened, tail, tails;
+opened = py.list();
+tails = py.list();
+for (const $each of py.iter(py.enumerate(lines))) {
+[k, line] = $each;
+if (py.has(["loop", "branch"], line.block)) {
+py.call(opened, "append", k);
+py.call(tails, "append", [k]);
+} else {
+if (py.same(line.block, "else")) {
+if (py.truth(opened)) {
+py.call(py.at(tails, -1), "append", py.sub(k, 1));
+py.call(py.at(this.next, py.add(start, py.at(opened, -1))), "append", py.add(start, k));
+} else {
+if ((k > 0)) {
+py.call(py.at(this.next, py.sub(py.add(start, k), 1)), "append", py.add(start, k));
+}
+}
+} else {
+if (py.truth(py.both(py.same(line.block, "end"), () => opened))) {
+first = py.call(opened, "pop");
+for (const $each of py.iter(py.call(tails, "pop"))) {
+tail = $each;
+py.call(py.at(this.next, py.add(start, tail)), "append", py.add(start, k));
+}
+if (py.same(py.at(lines, first).block, "loop")) {
+py.call(py.at(this.next, py.add(start, k)), "append", py.add(start, first));
+}
+}
+}
+}
+}
+return null;
+}
+_effects_of_calls() {
+let ahead, caller, callers, effects, line, listing, name, reason, size, variable;
+effects = new py.Dict((() => { const $out = []; for (const listing of py.iter(this.listings)) { $out.push([listing.name, py.dict()]); } return $out; })());
+callers = py.dict();
+for (const $each of py.iter(this.listings)) {
+listing = $each;
+for (const $each of py.iter(listing.lines)) {
+line = $each;
+for (const $each of py.iter(line.sets)) {
+[variable, reason] = $each;
+py.call(py.at(effects, listing.name), "setdefault", variable, reason);
+}
+for (const $each of py.iter(line.calls)) {
+name = $each;
+py.call(py.call(callers, "setdefault", name, []), "append", listing.name);
+}
+}
+}
+ahead = (() => { const $out = []; for (const listing of py.iter(this.listings)) { $out.push(listing.name); } return $out; })();
+while (py.truth(ahead)) {
+name = py.call(ahead, "pop");
+for (const $each of py.iter(py.call(callers, "get", name, []))) {
+caller = $each;
+size = py.len(py.at(effects, caller));
+for (const $each of py.iter(py.list(py.call(py.at(effects, name), "items")))) {
+[variable, reason] = $each;
+py.call(py.at(effects, caller), "setdefault", variable, reason);
+}
+if ((py.len(py.at(effects, caller)) > size)) {
+py.call(ahead, "append", caller);
+}
+}
+}
+return effects;
+return null;
+}
+reasons() {
+let after, ahead, before, called, called_here, ends, is_ahead, j, k, lasts, state, targets;
+before = (() => { const $out = []; for (const _ of py.iter(this.lines)) { $out.push(new py.Dict([])); } return $out; })();
+called = this._effects_of_calls();
+is_ahead = (() => { const $out = []; for (const _ of py.iter(this.lines)) { $out.push(true); } return $out; })();
+ahead = py.list(py.reversed(py.range(py.len(this.lines))));
+while (py.truth(ahead)) {
+k = py.call(ahead, "pop");
+py.put(is_ahead, k, false);
+after = this._after(k, py.at(before, k), called);
+lasts = new py.Dict((() => { const $out = []; for (const [name, reason] of py.iter(py.call(after, "items"))) { if (py.has(this.lasting, name)) $out.push([name, reason]); } return $out; })());
+targets = (() => { const $out = []; for (const j of py.iter(py.at(this.next, k))) { $out.push([j, after]); } return $out; })();
+called_here = (() => { const $out = []; for (const n of py.iter(py.at(this.lines, k).calls)) { if (py.has(this.entries, n)) $out.push(py.at(this.entries, n)); } return $out; })();
+targets = py.add(targets, (() => { const $out = []; for (const entry of py.iter(called_here)) { $out.push([entry, py.at(before, k)]); } return $out; })());
+if (py.has(this.again, k)) {
+py.call(targets, "append", [py.at(this.again, k), lasts]);
+}
+for (const $each of py.iter(targets)) {
+[j, state] = $each;
+if (py.truth(py.all((() => { const $out = []; for (const name of py.iter(state)) { $out.push(py.has(py.at(before, j), name)); } return $out; })()))) {
+continue;
+}
+py.put(before, j, new py.Dict([...py.iter(py.call(state, 'items')), ...py.iter(py.call(py.at(before, j), 'items'))]));
+if (!py.truth(py.at(is_ahead, j))) {
+py.put(is_ahead, j, true);
+py.call(ahead, "append", j);
+}
+}
+}
+ends = [...py.iter(py.text(this.starts).slice(1, undefined)), py.len(this.lines)];
+return (() => { const $out = []; for (const [start, end] of py.iter(py.zip(this.starts, ends))) { $out.push(py.text(before).slice(start, end)); } return $out; })();
+return null;
+}
+_after(k, before, called) {
+let after, line, name, new_;
+line = py.at(this.lines, k);
+after = before;
+for (const $each of py.iter(line.calls)) {
+name = $each;
+new_ = py.call(called, "get", name, new py.Dict([]));
+if (py.truth(new_)) {
+after = new py.Dict([...py.iter(py.call(new_, 'items')), ...py.iter(py.call(after, 'items'))]);
+}
+}
+if (py.truth(line.ends)) {
+after = new py.Dict((() => { const $out = []; for (const [name, reason] of py.iter(py.call(after, "items"))) { if (!py.has(line.ends, name)) $out.push([name, reason]); } return $out; })());
+}
+if (py.truth(line.sets)) {
+after = new py.Dict([...py.iter(py.call(after, 'items')), ...py.iter(py.call(new py.Dict((() => { const $out = []; for (const [name, reason] of py.iter(line.sets)) { $out.push([name, reason]); } return $out; })()), 'items'))]);
+}
+return after;
+return null;
+}
+}
+return { ANY, STATED_LOAD, POSITIONS, Line, Listing, with_outside, reasons_before, _Paths };
 })();
 MODULES.program = (() => {
 const { Number, Statement } = MODULES.syntax;
@@ -430,8 +750,15 @@ this.line = line;
 this.reason = reason;
 }
 }
+class Load {
+constructor(text = null, line = null, mass = null) {
+this.text = text;
+this.line = line;
+this.mass = mass;
+}
+}
 class Motion {
-constructor(path = null, targets = null, statement = null, source = null, tool = new Frame(""), base = new Frame(""), span = [0, 0], run = 0, can_insert = false, takes_posture = true) {
+constructor(path = null, targets = null, statement = null, source = null, tool = new Frame(""), base = new Frame(""), span = [0, 0], run = 0, can_insert = false, takes_posture = true, load = null, displaced = "") {
 this.path = path;
 this.targets = targets;
 this.statement = statement;
@@ -442,16 +769,19 @@ this.span = span;
 this.run = run;
 this.can_insert = can_insert;
 this.takes_posture = takes_posture;
+this.load = load;
+this.displaced = displaced;
 }
 }
 class Program {
-constructor(sources = null, tools = null, bases = null, points = py.dict(), motions = py.list(), skipped = py.list()) {
+constructor(sources = null, tools = null, bases = null, points = py.dict(), motions = py.list(), skipped = py.list(), loads = py.dict()) {
 this.sources = sources;
 this.tools = tools;
 this.bases = bases;
 this.points = points;
 this.motions = motions;
 this.skipped = skipped;
+this.loads = loads;
 }
 leave(only_read) {
 let key, point, used;
@@ -488,18 +818,23 @@ digits = py.call(digits, "replace", "0.", ".", 1);
 return py.add(sign, digits);
 return null;
 }
-return { Turn, Posture, Frame, Point, Skipped, Motion, Program, Edit, number_text };
+return { Turn, Posture, Frame, Point, Skipped, Load, Motion, Program, Edit, number_text };
 })();
 MODULES.draft = (() => {
+const { ANY, STATED_LOAD, Line } = MODULES.line_flow;
 const { FrameKind, Motion, Point, PointKey, Program, Skipped } = MODULES.program;
+let EVERY;
+EVERY = "*";
 class Draft {
-constructor(sources = null, by_itself = false, motions = py.list(), skipped = py.list(), constants = py.set(), near = py.dict(), _points = py.dict(), _frames = new py.Dict([["tool", new py.Dict([])], ["base", new py.Dict([])]]), _written = py.dict(), _read = py.set(), _origins = py.dict()) {
+constructor(sources = null, by_itself = false, motions = py.list(), skipped = py.list(), constants = py.set(), near = py.dict(), at_rest = py.dict(), masses = py.dict(), _points = py.dict(), _frames = new py.Dict([["tool", new py.Dict([])], ["base", new py.Dict([])]]), _written = py.dict(), _read = py.set(), _origins = py.dict()) {
 this.sources = sources;
 this.by_itself = by_itself;
 this.motions = motions;
 this.skipped = skipped;
 this.constants = constants;
 this.near = near;
+this.at_rest = at_rest;
+this.masses = masses;
 this._points = _points;
 this._frames = _frames;
 this._written = _written;
@@ -531,6 +866,10 @@ write(name, reason) {
 py.call(this._written, "setdefault", name, reason);
 return null;
 }
+write_any(reason) {
+this.write(EVERY, reason);
+return null;
+}
 pass_to(routine, names, line) {
 let name;
 for (const $each of py.iter(names)) {
@@ -554,9 +893,62 @@ names() {
 return this._points;
 return null;
 }
+why_displaced(name, reasons) {
+let _, frame, index, kind, point, points, reason, what;
+for (const $each of py.iter(py.call(reasons, "items"))) {
+[what, reason] = $each;
+if (py.same(what, STATED_LOAD)) {
+continue;
+}
+[kind, , index] = [...py.iter(py.call(what, "partition", " "))];
+if (py.truth(py.either(!py.has(["tool", "base"], kind), () => py.both(!py.same(index, ANY), () => !py.truth(py.call(index, "isdigit")))))) {
+return reason;
+}
+points = (() => { const $out = []; for (const other of py.iter(this._elements(name, this._points))) { for (const point of py.iter(py.at(this._points, other))) { $out.push(point); } } return $out; })();
+for (const $each of py.iter(points)) {
+point = $each;
+frame = (py.same(kind, "tool") ? point.tool : point.base);
+if (py.truth(py.both(py.same(point.kind, "pose"), () => py.either(py.same(index, ANY), () => py.same(index, py.both(frame, () => frame.name)))))) {
+return (py.str(kind) + " " + py.str(index) + ": " + py.str(reason));
+}
+}
+}
+return "";
+return null;
+}
+leave_unused(lines) {
+let line, name, reason, reasons, used, why;
+used = new Set((() => { const $out = []; for (const motion of py.iter(this.motions)) { for (const target of py.iter(motion.targets)) { if (py.truth(py.isinstance(target, ["str"]))) $out.push(target); } } return $out; })());
+reasons = py.dict();
+for (const $each of py.iter(lines)) {
+line = $each;
+for (const $each of py.iter(line.sets)) {
+[name, reason] = $each;
+py.call(reasons, "setdefault", name, reason);
+}
+}
+for (const $each of py.iter(this._points)) {
+name = $each;
+why = (py.has(used, name) ? "" : this.why_displaced(name, reasons));
+if (py.truth(why)) {
+this.write(name, why);
+}
+}
+return null;
+}
 finish() {
-let ambiguous, before, framed, frames, is_framed, known, motion, point, points, program, reason, stops, target, used;
+let ambiguous, before, frame, framed, frames, is_framed, kind, known, loads, motion, point, points, program, reason, stops, target, used, why;
 frames = new py.Dict((() => { const $out = []; for (const [kind, found] of py.iter(py.call(this._frames, "items"))) { $out.push([kind, new py.Dict((() => { const $out = []; for (const [name, pose] of py.iter(py.call(found, "items"))) { $out.push([name, py.either(this._why(name), () => pose)]); } return $out; })())]); } return $out; })());
+for (const $each of py.iter(this.motions)) {
+motion = $each;
+for (const $each of py.iter([["tool", motion.tool], ["base", motion.base]])) {
+[kind, frame] = $each;
+why = (py.truth(py.both(frame.name, () => ((frame.pose) ?? null) === (null))) ? this._why(frame.name) : "");
+if (py.truth(why)) {
+py.call(py.at(frames, kind), "setdefault", frame.name, why);
+}
+}
+}
 program = new Program(this.sources, py.at(frames, "tool"), py.at(frames, "base"), undefined, undefined, py.list(this.skipped));
 known = this._known(program);
 used = new py.Dict([]);
@@ -577,10 +969,17 @@ py.call(program.skipped, "append", new Skipped(target, motion.source, motion.sta
 }
 for (const $each of py.iter(points)) {
 point = $each;
+loads = py.call(program.loads, "setdefault", point.key, []);
+if (!py.has(loads, motion.load)) {
+py.call(loads, "append", motion.load);
+}
 framed = py.replace(point, { tool: py.either(point.tool, () => motion.tool), base: py.either(point.base, () => motion.base) });
 before = py.call(used, "setdefault", point.key, framed);
 if (py.truth(py.both(py.same(point.kind, "pose"), () => !py.same([before.tool, before.base], [framed.tool, framed.base])))) {
 py.put(ambiguous, point.key, ("used with different frames before and on line " + py.str(motion.statement.line)));
+}
+if (py.truth(py.both(py.same(point.kind, "joints"), () => motion.displaced))) {
+py.put(ambiguous, point.key, motion.displaced);
 }
 }
 py.call(stops, "append", (py.same(py.len(points), 1) ? py.at(points, 0).key : null));
@@ -596,10 +995,14 @@ is_framed = py.both(((point.tool) ?? null) !== (null), () => ((point.base) ?? nu
 if (py.truth(py.either(py.has(this._read, point.name), () => py.has(this._read, _any(point.name))))) {
 py.call(program.skipped, "append", point.skip("other positions are computed from it, and no motion uses it directly"));
 } else {
-if (py.truth(py.either(py.same(point.kind, "joints"), () => py.both(this.by_itself, () => is_framed)))) {
+if (py.truth(py.both(this.by_itself, () => py.either(py.same(point.kind, "joints"), () => is_framed)))) {
 py.put(used, point.key, point);
 } else {
+if (py.same(point.kind, "joints")) {
+py.call(program.skipped, "append", point.skip("no motion uses it here: it may be something else than a position"));
+} else {
 py.call(program.skipped, "append", point.skip("no motion uses it here, so its tool and base are not known"));
+}
 }
 }
 }
@@ -655,7 +1058,12 @@ return found;
 return null;
 }
 _why(name) {
-return py.next((() => { const $out = []; for (const one of py.iter([name, _any(name), _stem(name)])) { if (py.has(this._written, one)) $out.push(py.at(this._written, one)); } return $out; })(), "");
+let names;
+names = [name, _any(name), _stem(name)];
+if (!py.truth(py.and(new Set([name, _stem(name)]), this.constants))) {
+py.call(names, "append", EVERY);
+}
+return py.next((() => { const $out = []; for (const one of py.iter(names)) { if (py.has(this._written, one)) $out.push(py.at(this._written, one)); } return $out; })(), "");
 return null;
 }
 _elements(name, points) {
@@ -673,6 +1081,19 @@ return (py.truth(py.isinstance(target, [Point])) ? [target] : []);
 return null;
 }
 }
+function joined(programs) {
+let first, other;
+first = py.at(programs, 0);
+for (const $each of py.iter(py.text(programs).slice(1, undefined))) {
+other = $each;
+py.call(first.points, "update", other.points);
+first.motions = py.add(first.motions, other.motions);
+first.skipped = py.add(first.skipped, other.skipped);
+py.call(first.loads, "update", other.loads);
+}
+return first;
+return null;
+}
 function _stem(name) {
 return py.at(py.call(py.at(py.call(name, "partition", "["), 0), "partition", "{"), 0);
 return null;
@@ -681,23 +1102,27 @@ function _any(name) {
 return (py.str(_stem(name)) + "[*]");
 return null;
 }
-return { Draft, _stem, _any };
+return { EVERY, Draft, joined, _stem, _any };
 })();
 MODULES.statement_reader = (() => {
 const { Draft } = MODULES.draft;
 const { InForce, Step } = MODULES.flow;
-const { Frame, Point, Skipped } = MODULES.program;
+const { STATED_LOAD } = MODULES.line_flow;
+const { Frame, Load, Point, Skipped } = MODULES.program;
 const { Brackets, Statement, calls_in, element_name, split, text_of_items, words_in } = MODULES.syntax;
 let PARAMETER;
 PARAMETER = "a parameter of the routine";
+let EXTERNAL;
+EXTERNAL = "an external axis is not at 0";
 class Reader {
-constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null) {
+constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null) {
 this.draft = draft;
 this.file = file;
 this.statements = statements;
 this.steps = steps;
 this.flow = flow;
 this.harmless = harmless;
+this.entries = entries;
 }
 literal(line, name, items) {
 throw NotImplementedError;
@@ -763,24 +1188,125 @@ this.draft.pass_to(called, (() => { const $out = []; for (const part of py.iter(
 }
 return null;
 }
-displaced(k, kinds, ended_by) {
-let called, found, kind;
+displaced(k, kinds) {
+let called, found, kind, known, routine;
+known = py.at(this.flow, k);
 for (const $each of py.iter(kinds)) {
 kind = $each;
-found = py.call(py.at(this.flow, k).setters, "get", kind);
-if (!py.truth(py.isinstance(found, ["int"]))) {
-return ("positions may be displaced (" + py.str(kind) + "): " + py.str((((found) ?? null) !== (null) ? found : "another routine does so")));
-}
-called = py.str(py.at(py.at(this.statements, found).items, 0));
-if (!py.has(ended_by, (py.truth(this.case) ? called : py.call(called, "upper")))) {
+found = py.call(known.setters, "get", kind);
+if (py.truth(py.isinstance(found, ["int"]))) {
+if (!py.truth(this.entries.ends(py.at(this.statements, found)))) {
+called = text_of_items(py.text(py.at(this.statements, found).items).slice(undefined, 1), true);
 return ("line " + py.str(py.at(this.statements, found).line) + " displaces positions (" + py.str(called) + ")");
+}
+} else {
+if (((found) ?? null) !== (null)) {
+return ("positions may be displaced (" + py.str(kind) + "): " + py.str(found));
+} else {
+if ((known.routine >= 0)) {
+routine = py.at(this.steps, known.routine).routine;
+if (py.has(this.entries.displaced_at_start(kind), routine)) {
+return ("positions may be displaced (" + py.str(kind) + "): another routine does so");
+}
+}
+}
 }
 }
 return "";
 return null;
 }
+load(k) {
+let found, known, routine, statement;
+known = py.at(this.flow, k);
+found = py.call(known.setters, "get", STATED_LOAD);
+if (py.truth(py.isinstance(found, ["int"]))) {
+statement = py.at(this.statements, found);
+return new Load(text_of_items(statement.items), statement.line, this.mass(statement));
+}
+routine = ((known.routine >= 0) ? py.at(this.steps, known.routine).routine : "");
+if (py.truth(py.both(((found) ?? null) === (null), () => py.has(this.entries.displaced_at_start(STATED_LOAD), routine)))) {
+found = "it is set by another routine";
+}
+return (((found) ?? null) !== (null) ? new Load(found, py.at(this.statements, k).line) : null);
+return null;
+}
+mass(statement) {
+throw NotImplementedError;
+return null;
+}
+left(target, reason) {
+if (py.truth(py.isinstance(target, [Point]))) {
+return target.skip(reason);
+}
+if (py.truth(py.isinstance(target, ["str"]))) {
+this.draft.write(target, reason);
+}
+return target;
+return null;
+}
 }
 Reader.prototype.case = false;
+class Entries {
+constructor(files = null, ends = null, lasting = [], known = py.dict()) {
+this.files = files;
+this.ends = ends;
+this.lasting = lasting;
+this.known = known;
+}
+displaced_at_start(kind) {
+if (!py.has(this.known, kind)) {
+py.put(this.known, kind, this._displaced_at_start(kind));
+}
+return py.at(this.known, kind);
+return null;
+}
+_displaced_at_start(kind) {
+let ahead, called, ended, flow, found, heirs, is_clean, k, name, routine, state, statements, step, steps;
+found = py.set();
+called = py.set();
+heirs = py.dict();
+ended = py.dict();
+for (const $each of py.iter(this.files)) {
+[statements, steps, flow] = $each;
+for (const $each of py.iter(py.enumerate(steps))) {
+[k, step] = $each;
+state = py.call(py.at(flow, k).setters, "get", kind);
+is_clean = py.either(((state) ?? null) === (null), () => py.both(py.isinstance(state, ["int"]), () => this.ends(py.at(statements, state))));
+called = py.or(called, py.set(step.calls));
+found = py.or(found, py.set(step.starts));
+routine = ((py.at(flow, k).routine >= 0) ? py.at(steps, py.at(flow, k).routine).routine : "");
+for (const $each of py.iter(step.calls)) {
+name = $each;
+if (!py.truth(is_clean)) {
+py.call(found, "add", name);
+} else {
+if (((state) ?? null) === (null)) {
+py.call(py.call(heirs, "setdefault", routine, []), "append", name);
+}
+}
+}
+if (py.truth(py.both(step.closes, () => py.at(steps, py.at(py.at(flow, k).blocks, -1)).routine))) {
+py.put(ended, routine, is_clean);
+}
+}
+}
+if (py.has(this.lasting, kind)) {
+found = py.or(found, new Set((() => { const $out = []; for (const [name, is_clean] of py.iter(py.call(ended, "items"))) { if (!py.truth(py.either(is_clean, () => py.has(called, name)))) $out.push(name); } return $out; })()));
+}
+ahead = py.sorted(found);
+while (py.truth(ahead)) {
+for (const $each of py.iter(py.call(heirs, "get", py.call(ahead, "pop"), []))) {
+name = $each;
+if (!py.has(found, name)) {
+py.call(found, "add", name);
+py.call(ahead, "append", name);
+}
+}
+}
+return py.frozenset(found);
+return null;
+}
+}
 function formal_names(statement, kinds = [], case_ = false) {
 let found, item, part, piece, words;
 found = [];
@@ -800,11 +1326,12 @@ py.call(found, "append", py.at(words, -1));
 return found;
 return null;
 }
-return { PARAMETER, Reader, formal_names };
+return { PARAMETER, EXTERNAL, Reader, Entries, formal_names };
 })();
 MODULES.language = (() => {
 const { Motion, Point, Posture, Program, Turn, number_text } = MODULES.program;
 const { Number } = MODULES.syntax;
+const { Understood } = MODULES.understood;
 class ControllerLanguage {
 read(sources) {
 return null;
@@ -822,7 +1349,10 @@ throw new BadInputError(("pulses " + py.repr(text) + ": a program in " + py.str(
 return null;
 }
 refusal(point) {
-return (py.truth(py.either(py.same(point.kind, "joints"), () => this.is_pose(point.values))) ? "" : "its quaternion is not of unit length");
+if (py.truth(py.either(py.same(point.kind, "joints"), () => this.is_pose(point.values)))) {
+return "";
+}
+return "its numbers are no pose: too large, or a quaternion that is not of unit length";
 return null;
 }
 point_numbers(point, values) {
@@ -864,13 +1394,258 @@ ControllerLanguage.prototype.convention = "fanuc";
 ControllerLanguage.prototype.in_degrees = true;
 ControllerLanguage.prototype.digits = [4, 6, 7];
 ControllerLanguage.prototype.can_insert = false;
+ControllerLanguage.prototype.understood = [];
 ControllerLanguage.prototype.grammars = [];
 return { ControllerLanguage };
 })();
+MODULES.fanuc_lines = (() => {
+const { ANY, POSITIONS, STATED_LOAD, BlockPart, Line } = MODULES.line_flow;
+const { Understood, first_phrase, not_understood, tokens_of, understood_words, without_brackets } = MODULES.understood;
+let _MANUAL;
+_MANUAL = "FANUC R-30iA/R-30iB, operator's manual (basic operation), chapter 4";
+let _ARC;
+_ARC = "FANUC R-30iB, arc welding operator's manual, arc and weave instructions";
+let _SPOT;
+_SPOT = "FANUC R-30iB, spot welding operator's manual, program instructions";
+let _GERMAN;
+_GERMAN = "FANUC R-30iA/R-30iB, the same in German system software";
+let LISTING_WORDS;
+LISTING_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": branch, program control, wait and condition monitor instructions"), "LBL, JMP, CALL, RUN, IF, ELSE, ENDIF, SELECT, FOR, ENDFOR, END, WAIT, PAUSE, ABORT, WHEN, MONITOR, MONITOR END, TIMEOUT, RESUME_PROG, ENABLE RESUME_PROG, CLEAR RESUME_PROG, THEN"), new Understood("instruction", (py.str(_MANUAL) + ": conditions of skips and offsets, which act on motions with that option only"), "SKIP CONDITION, OFFSET CONDITION, TOOL_OFFSET CONDITION, VOFFSET CONDITION, LOCK PREG, UNLOCK PREG"), new Understood("instruction", (py.str(_MANUAL) + ": miscellaneous instructions"), "RSR, UALM, TIMER, OVERRIDE, REMARK, MESSAGE, PAYLOAD, COL DETECT ON, COL DETECT OFF, COL GUARD ADJUST, JOINT_MAX_SPEED, LINEAR_MAX_SPEED, DIAG_REC, POINT_LOGIC, STRLEN, SUBSTR, FINDSTR, VISION RUN_FIND, VISION GET_OFFSET, VISION GET_NFOUND, VISION GET_PASSFAIL, SAVE_LOG"), new Understood("instruction", _ARC, "ARC START, ARC END, WEAVE, WEAVE SINE, WEAVE FIGURE, WEAVE CIRCLE, WEAVE L, WEAVE END, WIRE FORWARD, WIRE BACKWARD"), new Understood("instruction", _SPOT, "SPOT, BACKUP, STROKE, BU, SS, SE, HAND OPEN, HAND CLOSE"), new Understood("variable", (py.str(_MANUAL) + ": registers, inputs and outputs, frame numbers, speeds, parameters"), "R, PR, SR, AR, PL, DI, DO, RI, RO, GI, GO, AI, AO, SI, SO, UI, UO, WI, WO, WSI, WSO, SDI, SDO, RDI, RDO, GDI, GDO, M, F, LO, TIMER, OVERRIDE, UFRAME_NUM, UTOOL_NUM, JOINT_MAX_SPEED, LINEAR_MAX_SPEED, UALM, RSR, $MCR.$GENOVERRIDE, $WAITTMOUT, $SPEED, $MCR.$PRGOVERRIDE, $MCR_GRP.$PRGOVERRIDE"), new Understood("variable", _GERMAN, "BENUTZER_NUM, WKZ_NUM"), new Understood("option", (py.str(_MANUAL) + ": speed and positioning path of a motion"), "FINE, CNT, CR, CD, MM/SEC, CM/MIN, INCH/MIN, IN/MIN, DEG/SEC, SEC, MSEC, MM, MAX_SPEED, WELD_SPEED, R, AR, PSPD"), new Understood("option", (py.str(_MANUAL) + ": additional motion instructions without an offset; what they switch or call"), "ACC, WJNT, MROT, PTH, RT_LD, AP_LD, BREAK, EV, IND.EV, TB, TA, DB, CALL, P-SPS, DO, RO, GO, AO, F, ON, OFF, PULSE, POINT_LOGIC, ALIM"), new Understood("option", _ARC, "ARC START, ARC END, WEAVE, WEAVE SINE, WEAVE FIGURE, WEAVE CIRCLE, WEAVE L, WEAVE END"), new Understood("option", _SPOT, "SPOT, SS, SE")];
+let _INSTRUCTIONS;
+_INSTRUCTIONS = understood_words(LISTING_WORDS, "instruction");
+let _VARIABLES;
+_VARIABLES = understood_words(LISTING_WORDS, "variable");
+let _OPTIONS;
+_OPTIONS = understood_words(LISTING_WORDS, "option");
+let COMPUTED;
+COMPUTED = "moved by an offset";
+let _MOVED;
+_MOVED = py.frozenset(["OFFSET", "TOOL_OFFSET", "VOFFSET", "COORD", "RTCP", "PTH_OFFSET", "WKZ_OFFSET"]);
+let _BEGINS;
+_BEGINS = new py.Dict([["TOUCH OFFSET", "touch offset"], ["TRACK", "tracking"], ["SOFTFLOAT", "soft float"]]);
+let _ENDS;
+_ENDS = new py.Dict([["TOUCH OFFSET END", "touch offset"], ["TRACK END", "tracking"], ["SOFTFLOAT END", "soft float"]]);
+let SWITCHED;
+SWITCHED = [...py.iter(py.call(_BEGINS, "values")), POSITIONS];
+let _PHRASES;
+_PHRASES = py.frozenset([...py.iter(_INSTRUCTIONS), ...py.iter(_BEGINS), ...py.iter(_ENDS)]);
+let _FRAMES;
+_FRAMES = new py.Dict([["UTOOL", "tool"], ["UFRAME", "base"]]);
+let _CONDITIONS;
+_CONDITIONS = ["IF", "WHEN", "ELSE", "SELECT"];
+let _BLOCKS;
+_BLOCKS = new py.Dict([["FOR", "loop"], ["ENDFOR", "end"], ["ENDIF", "end"]]);
+function why_moved_by_options(options, line) {
+let k, phrase, tokens;
+tokens = tokens_of(without_brackets(options));
+k = 0;
+while ((k < py.len(tokens))) {
+phrase = first_phrase(py.text(tokens).slice(k, undefined), _OPTIONS);
+if (py.same(phrase, "INC")) {
+return ("a relative motion (INC), line " + py.str(line));
+}
+if (py.same(phrase, "SKIP")) {
+return ("a search (Skip), line " + py.str(line));
+}
+if (py.has(_MOVED, phrase)) {
+return (py.str(COMPUTED) + " (" + py.str(phrase) + ")");
+}
+if (py.truth(py.both(phrase, () => !py.has(_OPTIONS, phrase)))) {
+return ("line " + py.str(line) + ": " + py.repr(phrase) + " is not understood and may displace it");
+}
+k = py.add(k, (py.same(phrase, "CALL") ? 2 : py.len(py.call(phrase, "split", " "))));
+}
+return "";
+return null;
+}
+function effect_of_options(options, number) {
+return new Line(number, undefined, undefined, undefined, _jumps(options), _calls(options));
+return null;
+}
+function effect_in_listing(text, number) {
+let action, block, calls, first, flat, is_condition, jumps, phrase, sets, tokens;
+flat = without_brackets(text);
+tokens = tokens_of(flat);
+first = (py.truth(tokens) ? py.at(tokens, 0) : "");
+is_condition = py.either(py.has(_CONDITIONS, first), () => py.call(flat, "startswith", "="));
+jumps = _jumps(text);
+calls = _calls(text);
+block = py.call(_BLOCKS, "get", first, "");
+if (py.truth(is_condition)) {
+if (py.truth(py.call(py.call(flat, "strip", " ;"), "endswith", "THEN"))) {
+block = "branch";
+} else {
+if (py.truth(py.both(py.same(first, "ELSE"), () => !py.has(flat, ",")))) {
+block = "else";
+}
+}
+action = (py.has(flat, ",") ? py.at(py.call(flat, "split", ","), -1) : "");
+sets = py.tuple(_sets(action, text, number));
+return new Line(number, sets, undefined, undefined, jumps, calls, undefined, block);
+}
+phrase = first_phrase(tokens, _PHRASES);
+return new Line(number, py.tuple(_sets(flat, text, number)), (py.same(phrase, "PAYLOAD") ? [STATED_LOAD] : (py.has(_ENDS, phrase) ? [py.at(_ENDS, phrase)] : [])), _label(text), jumps, calls, py.has(["JMP", "END", "ABORT"], first), block);
+return null;
+}
+function* _sets(flat, text, number) {
+let found, index, left, name, phrase, target, tokens;
+tokens = tokens_of(flat);
+if (!py.truth(py.any(tokens))) {
+return null;
+}
+left = tokens_of(py.at(py.call(flat, "partition", "="), 0));
+phrase = first_phrase(tokens, _PHRASES);
+target = (py.truth(left) ? py.at(left, 0) : "");
+if (py.truth(py.both(py.has(flat, "="), () => py.has(_FRAMES, target)))) {
+index = py.call(py.at(py.call(py.at(py.call(py.at(py.call(py.call(text, "upper"), "partition", (py.str(target) + "[")), 2), "partition", "]"), 0), "partition", ":"), 0), "strip");
+name = (py.str(py.at(_FRAMES, target)) + " " + py.str((py.truth(py.call(index, "isdigit")) ? index : ANY)));
+(yield [name, ("line " + py.str(number) + " sets it while the program runs")]);
+} else {
+if (py.truth(py.both(py.has(flat, "="), () => !py.has(_INSTRUCTIONS, phrase)))) {
+if (!py.has(_VARIABLES, target)) {
+(yield [POSITIONS, ("line " + py.str(number) + ": " + py.str(not_understood(text)))]);
+}
+} else {
+if (py.has(_ENDS, phrase)) {
+return null;
+} else {
+if (py.same(phrase, "PAYLOAD")) {
+(yield [STATED_LOAD, (py.str(number) + " " + py.str(text))]);
+} else {
+if (py.truth(py.either(py.has(_BEGINS, phrase), () => py.has(_BEGINS, py.at(tokens, 0))))) {
+found = py.call(_BEGINS, "get", phrase, py.call(_BEGINS, "get", py.at(tokens, 0), ""));
+(yield [found, ("line " + py.str(number) + " displaces positions (" + py.str(py.call(py.text(text).slice(undefined, 40), "strip")) + ")")]);
+} else {
+if (!py.has(_INSTRUCTIONS, phrase)) {
+(yield [POSITIONS, ("line " + py.str(number) + ": " + py.str(not_understood(text)))]);
+}
+}
+}
+}
+}
+}
+}
+function _label(text) {
+let upper;
+upper = py.call(py.call(text, "upper"), "strip");
+return (py.truth(py.call(upper, "startswith", "LBL[")) ? py.at(_indices(upper), 0) : "");
+return null;
+}
+function _jumps(text) {
+let upper;
+upper = py.call(py.call(text, "upper"), "strip");
+return (py.truth(py.call(upper, "startswith", "LBL[")) ? [] : _indices(upper));
+return null;
+}
+function _indices(text) {
+let found;
+found = (() => { const $out = []; for (const piece of py.iter(py.text(py.call(text, "split", "LBL[")).slice(1, undefined))) { $out.push(py.call(py.at(py.call(py.at(py.call(piece, "partition", "]"), 0), "partition", ":"), 0), "strip")); } return $out; })();
+return py.tuple((() => { const $out = []; for (const index of py.iter(found)) { $out.push((py.truth(py.call(index, "isdigit")) ? index : ANY)); } return $out; })());
+return null;
+}
+function _calls(text) {
+let found, name, piece, word;
+found = [];
+for (const $each of py.iter(["CALL ", "RUN "])) {
+word = $each;
+for (const $each of py.iter(py.text(py.call(py.call(text, "upper"), "split", word)).slice(1, undefined))) {
+piece = $each;
+name = py.call(py.at(py.call(py.at(py.call(py.at(py.call(py.call(piece, "strip"), "partition", "("), 0), "partition", ","), 0), "partition", ";"), 0), "split");
+py.call(found, "append", (py.truth(py.either(!py.truth(name), () => py.has(py.at(name, 0), "["))) ? ANY : py.at(name, 0)));
+}
+}
+return py.tuple(found);
+return null;
+}
+return { _MANUAL, _ARC, _SPOT, _GERMAN, LISTING_WORDS, _INSTRUCTIONS, _VARIABLES, _OPTIONS, COMPUTED, _MOVED, _BEGINS, _ENDS, SWITCHED, _PHRASES, _FRAMES, _CONDITIONS, _BLOCKS, why_moved_by_options, effect_of_options, effect_in_listing, _sets, _label, _jumps, _indices, _calls };
+})();
+MODULES.jbi_lines = (() => {
+const { ANY, POSITIONS, BlockPart, Line } = MODULES.line_flow;
+const { Understood, not_understood, understood_words, without_brackets } = MODULES.understood;
+let _MANUAL;
+_MANUAL = "Yaskawa DX200, INFORM language manual, chapter 2";
+let JOB_WORDS;
+JOB_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": control instructions"), "NOP, END, JUMP, CALL, RET, TIMER, WAIT, LABEL, COMM, IF, IFTHEN, IFTHENEXP, ELSEIF, ELSEIFEXP, ELSE, ENDIF, UNTIL, PAUSE, ABORT, CWAIT, ADVINIT, ADVSTOP, MSG, CLS, DIALOG, WHILE, WHILEEXP, ENDWHILE, FOR, NEXT, SWITCH, CASE, DEFAULT, ENDSWITCH, PSTART, PWAIT, TSYNC, SETUALM, SHCKSET, SHCKRST, NWAIT, SPEED, RETURN"), new Understood("instruction", (py.str(_MANUAL) + ": input and output instructions"), "DOUT, DIN, AOUT, ARATION, ARATIOF, PULSE, SETOUT"), new Understood("instruction", (py.str(_MANUAL) + ": operating instructions; a position variable that they set is left"), "SET, SETE, GETE, GETS, GETPOS, GETARG, INC, DEC, ADD, SUB, MUL, DIV, CNVRT, CLEAR, SIN, COS, ATAN, SQRT, AND, OR, NOT, XOR, MULMAT, INVMAT, SETFILE, GETFILE, SETREG, GETREG, MSHIFT, CNVR, VAL, ASC, CHR$, MID$, LEN, CAT$, VAL2STR, PRINT, SWAP"), new Understood("instruction", (py.str(_MANUAL) + ": work instructions (arc and spot welding, handling)"), "ARCON, ARCOF, ARCSET, ARCCTS, ARCCTE, AWELD, VWELD, WVON, WVOF, REFP, ANTSTICK, SPOT, SVSPOT, SVSPOTMOV, SVGUNCL, GUNCL, STROKE, HAND, HSEN, TOOLON, TOOLOF, PALACT, CUTON, CUTOF"), new Understood("option", (py.str(_MANUAL) + ": move instructions (speed, position level, acceleration, no wait)"), "VJ, V, VR, VE, PL, CR, ACC, DEC, NWAIT, FPT, CV, EC, EX")];
+let _INSTRUCTIONS;
+_INSTRUCTIONS = understood_words(JOB_WORDS, "instruction");
+let _OPTIONS;
+_OPTIONS = understood_words(JOB_WORDS, "option");
+let SHIFT;
+SHIFT = "shift";
+let _BEGINS;
+_BEGINS = ["SFTON", "MFRAME", "PMTON", "SYSTART"];
+let _ENDS;
+_ENDS = ["SFTOF", "PMTOF", "SYEND"];
+let _BLOCKS;
+_BLOCKS = new py.Dict([["WHILE", "loop"], ["WHILEEXP", "loop"], ["FOR", "loop"], ["IFTHEN", "branch"], ["IFTHENEXP", "branch"], ["SWITCH", "branch"], ["ELSEIF", "else"], ["ELSEIFEXP", "else"], ["ELSE", "else"], ["CASE", "else"], ["DEFAULT", "else"], ["ENDIF", "end"], ["ENDSWITCH", "end"], ["ENDWHILE", "end"], ["NEXT", "end"]]);
+function effect_in_job(text, number) {
+let first, is_always, is_call, jobs, labels, rest, words;
+words = py.call(py.call(without_brackets(text, false), "replace", "=", " = "), "split");
+first = (py.truth(words) ? py.at(words, 0) : "");
+if (py.truth(py.call(first, "startswith", "*"))) {
+return new Line(number, undefined, undefined, first);
+}
+rest = py.text(words).slice(1, undefined);
+labels = py.tuple((() => { const $out = []; for (const word of py.iter(rest)) { if (py.truth(py.call(word, "startswith", "*"))) $out.push(word); } return $out; })());
+is_call = py.has(["CALL", "PSTART"], first);
+jobs = (() => { const $out = []; for (const word of py.iter(rest)) { if (py.truth(py.call(word, "startswith", "JOB:"))) $out.push(py.call(word, "removeprefix", "JOB:")); } return $out; })();
+is_always = !py.has(rest, "IF");
+return new Line(number, _sets(first, text, number), (py.truth(py.both(py.has(_ENDS, first), () => is_always)) ? [SHIFT] : []), undefined, labels, py.either(py.tuple(jobs), () => (py.truth(is_call) ? [ANY] : [])), py.both(py.has(["JUMP", "RET", "END"], first), () => is_always), py.call(_BLOCKS, "get", first, ""));
+return null;
+}
+function _sets(first, text, number) {
+if (py.has(_BEGINS, first)) {
+return [[SHIFT, ("line " + py.str(number) + " shifts positions, or computes a frame from them")]];
+}
+if (py.truth(py.either(!py.truth(first), () => py.either(py.call(first, "startswith", "/"), () => py.either(py.has(_INSTRUCTIONS, first), () => py.has(_ENDS, first)))))) {
+return [];
+}
+return [[POSITIONS, ("line " + py.str(number) + ": " + py.str(not_understood(text)))]];
+return null;
+}
+function why_not_reached(options, number) {
+let name, word;
+for (const $each of py.iter(py.call(py.call(without_brackets(py.at(py.call(options, "partition", "+"), 0), false), "replace", "=", " = "), "split"))) {
+word = $each;
+name = py.call(word, "strip", "0123456789.#");
+if (py.same(name, "UNTIL")) {
+return ("a search (UNTIL), line " + py.str(number));
+}
+if (py.has(["=", "", "I", "B", "D", "R", "LI", "LB", "LD", "LR", "BC", "BP"], name)) {
+continue;
+}
+if (!py.has(_OPTIONS, name)) {
+return ("line " + py.str(number) + ": " + py.repr(name) + " is not understood and may displace it");
+}
+}
+return "";
+return null;
+}
+function named_in(text) {
+let found, kind, sign, word;
+found = [];
+for (const $each of py.iter([",", "(", ")", "="])) {
+sign = $each;
+text = py.call(text, "replace", sign, " ");
+}
+for (const $each of py.iter(py.call(py.call(text, "upper"), "split"))) {
+word = $each;
+kind = py.call(word, "rstrip", "0123456789");
+if (py.truth(py.both(py.has(["C", "P", "PX", "BC", "BP", "EC", "EX"], kind), () => !py.same(kind, word)))) {
+py.call(found, "append", (py.str((py.same(kind, "PX") ? "P" : kind)) + py.str(py.call(word, "removeprefix", kind))));
+}
+}
+return found;
+return null;
+}
+return { _MANUAL, JOB_WORDS, _INSTRUCTIONS, _OPTIONS, SHIFT, _BEGINS, _ENDS, _BLOCKS, effect_in_job, _sets, why_not_reached, named_in };
+})();
 MODULES.rapid_blocks = (() => {
 const { InForce, Step } = MODULES.flow;
+const { STATED_LOAD } = MODULES.line_flow;
 const { Path } = MODULES.program;
 const { Brackets, Statement, calls_in, is_token, nested, place_of, split, text_of_items, word, words_in } = MODULES.syntax;
+const { Understood, understood_words } = MODULES.understood;
 let _TOKENS;
 _TOKENS = "\nTEXT: /\"([^\"\\r\\n]|\"\")*\"/\nBITS.3: /\\x05/\nSIGN: /:=|[\u003c\u003e]=|[^\\x04\\s\\w()\\[\\]{}\"!;$#]/\n_END: \";\" | \"\\x04\"\nCOMMENT.5: /![^\\r\\n]*/\n%ignore COMMENT\n%ignore /[ \\t\\f\\r\\n\\xa0]+/\n";
 let GRAMMAR;
@@ -893,6 +1668,8 @@ let _ALONE;
 _ALONE = [...py.iter(_CLOSES), "ELSE", "ERROR", "UNDO", "BACKWARD"];
 let ONCE;
 ONCE = "IF without THEN";
+let _STORAGE;
+_STORAGE = ["CONST", "PERS", "VAR", "LOCAL", "TASK", "ALIAS"];
 let _PLAIN;
 _PLAIN = new py.Dict([["MOVEL", "line"], ["MOVEJ", "joint"], ["MOVEC", "circle"], ["MOVEABSJ", "joint"]]);
 _PLAIN = py.or(_PLAIN, new py.Dict((() => { const $out = []; for (const [name, path] of py.iter(py.call(_PLAIN, "items"))) { for (const more of py.iter(["DO", "AO", "GO", "SYNC"])) { if (!py.same(name, "MOVEABSJ")) $out.push([(py.str(name) + py.str(more)), path]); } } return $out; })()));
@@ -900,10 +1677,32 @@ let OF_OPTIONS;
 OF_OPTIONS = new py.Dict((() => { const $out = []; for (const [name, kinds, ends] of py.iter([["TRIGG", "LJC", [""]], ["ARC", "LC", ["", "START", "END", "1", "2"]], ["SPOT", "LJ", [""]], ["CAP", "LC", [""]], ["DISP", "LC", [""]], ["PAINT", "LC", [""]]])) { for (const kind of py.iter(kinds)) { for (const more of py.iter(ends)) { $out.push([(py.str(name) + py.str(kind) + py.str(more)), py.at(new py.Dict([["L", "line"], ["J", "joint"], ["C", "circle"]]), kind)]); } } } return $out; })());
 let MOTIONS;
 MOTIONS = new py.Dict([...py.iter(py.call(_PLAIN, 'items')), ...py.iter(py.call(OF_OPTIONS, 'items'))]);
+let _MANUAL;
+_MANUAL = "ABB, technical reference manual: RAPID instructions, functions and data types";
+let RAPID_WORDS;
+RAPID_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": program flow, waiting, errors, interrupts"), "IF, ELSEIF, ELSE, ENDIF, FOR, ENDFOR, WHILE, ENDWHILE, TEST, CASE, DEFAULT, ENDTEST, GOTO, RETURN, EXIT, EXITCYCLE, STOP, BREAK, RAISE, RETRY, TRYNEXT, RESETRETRYCOUNT, WAITTIME, WAITUNTIL, WAITDI, WAITDO, WAITGI, WAITGO, WAITAI, WAITAO, WAITROB, WAITSYNCTASK, CONNECT, IDELETE, IDISABLE, IENABLE, ISLEEP, IWATCH, ISIGNALDI, ISIGNALDO, ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE"), new Understood("instruction", (py.str(_MANUAL) + ": motion settings that keep target and tool"), "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, WZENABLE, WZDISABLE, WZFREE, ARCREFRESH"), new Understood("instruction", (py.str(_MANUAL) + ": inputs, outputs, operator, files, clocks, numbers"), "SETDO, SETGO, SETAO, SET, RESET, INVERTDO, PULSEDO, IOENABLE, IODISABLE, ALIASIO, TPWRITE, TPERASE, TPREADNUM, TPREADDNUM, TPREADFK, TPSHOW, UIMSGBOX, UIMSGWRITE, UISHOW, OPEN, CLOSE, WRITE, WRITEBIN, WRITEANYBIN, WRITESTRBIN, WRITERAWBYTES, READRAWBYTES, PACKRAWBYTES, UNPACKRAWBYTES, CLEARRAWBYTES, COPYRAWBYTES, CLEARIOBUFF, REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT"), new Understood("function", (py.str(_MANUAL) + ": functions, none of which changes an argument"), "OFFS, RELTOOL, POSEMULT, POSEINV, POSEVECT, DEFFRAME, DEFACCFRAME, CROBT, CJOINTT, CPOS, CTOOL, CWOBJ, CALCJOINTT, CALCROBT, ORIENTZYX, EULERZYX, DISTANCE, VECTMAGN, DOTPROD, CROSSPROD, NORIENT, MIRPOS, ROBOS, ABS, SQRT, SIN, COS, TAN, ACOS, ASIN, ATAN, ATAN2, ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, STRTOVAL, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE"), new Understood("option", (py.str(_MANUAL) + ": optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL"), "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT")];
+let _INSTRUCTIONS;
+_INSTRUCTIONS = understood_words(RAPID_WORDS, "instruction");
+let RAPID_FUNCTIONS;
+RAPID_FUNCTIONS = understood_words(RAPID_WORDS, "function");
+let MOTION_OPTIONS;
+MOTION_OPTIONS = understood_words(RAPID_WORDS, "option");
 let SWITCHES;
-SWITCHES = new py.Dict([["PDISPON", "PDISP"], ["PDISPSET", "PDISP"], ["PDISPOFF", "PDISP"], ["EOFFSON", "EOFFS"], ["EOFFSSET", "EOFFS"], ["EOFFSOFF", "EOFFS"], ["CORRCON", "CORR"], ["CORRDISCON", "CORR"], ["CORRCLEAR", "CORR"], ["CONFL", "CONFL"], ["CONFJ", "CONFJ"]]);
-let ENDS_IT;
-ENDS_IT = ["PDISPOFF", "EOFFSOFF", "CORRCLEAR"];
+SWITCHES = new py.Dict([["PDISPON", "PDISP"], ["PDISPSET", "PDISP"], ["PDISPOFF", "PDISP"], ["EOFFSON", "EOFFS"], ["EOFFSSET", "EOFFS"], ["EOFFSOFF", "EOFFS"], ["CORRCON", "CORR"], ["CORRWRITE", "CORR"], ["CORRDISCON", "CORR"], ["CORRCLEAR", "CORR"], ["SINGAREA", "SINGAREA"], ["SOFTACT", "SOFT"], ["SOFTDEACT", "SOFT"], ["CSSACT", "CSS"], ["CSSOFFSETTUNE", "CSS"], ["CSSFORCEOFFSETACT", "CSS"], ["CSSDEACT", "CSS"], ["SYNCMOVEON", "SYNCMOVE"], ["SYNCMOVERESUME", "SYNCMOVE"], ["SYNCMOVEOFF", "SYNCMOVE"], ["SYNCMOVESUSPEND", "SYNCMOVE"], ["WAITWOBJ", "CONVEYOR"], ["DROPWOBJ", "CONVEYOR"], ["WAITSENSOR", "SENSOR"], ["SYNCTOSENSOR", "SENSOR"], ["DROPSENSOR", "SENSOR"], ["FCACT", "FORCE"], ["FCPRESSLSTART", "FORCE"], ["FCPRESSEND", "FORCE"], ["FCDEACT", "FORCE"], ["EGMACTMOVE", "EGM"], ["EGMRUNJOINT", "EGM"], ["EGMRUNPOSE", "EGM"], ["EGMSTOP", "EGM"], ["EGMRESET", "EGM"], ["CONFL", "CONFL"], ["CONFJ", "CONFJ"], ["GRIPLOAD", STATED_LOAD]]);
+let DISPLACES;
+DISPLACES = py.sorted(py.sub(new Set([...py.iter(py.call(SWITCHES, "values"))]), new Set(["CONFL", "CONFJ", STATED_LOAD])));
+let JOINTS_TOO;
+JOINTS_TOO = ["CORR", "CSS", "EGM", "FORCE", "SENSOR", "SOFT"];
+let _ENDS_IT;
+_ENDS_IT = ["PDISPOFF", "EOFFSOFF", "CORRCLEAR", "SOFTDEACT", "CSSDEACT", "SYNCMOVEOFF", "DROPWOBJ", "DROPSENSOR", "FCDEACT", "EGMRESET"];
+let BY_NAME;
+BY_NAME = ["SETDATAVAL", "SETALLDATAVAL"];
+function ends_displacement(statement) {
+let first;
+first = word(py.at(statement.items, 0));
+return py.either(py.has(_ENDS_IT, first), () => py.both(py.same(first, "SINGAREA"), () => py.has(words_in(statement.items), "OFF")));
+return null;
+}
 function statements_of(source) {
 return (() => { const $out = []; for (const whole of py.iter(source.statements(_TOKENS, _WORDS))) { for (const part of py.iter(_divided(whole))) { $out.push(part); } } return $out; })();
 return null;
@@ -955,7 +1754,7 @@ k = end;
 }
 function* _once(whole, items) {
 let condition, k, motions, sides, statement;
-motions = (() => { const $out = []; for (const k of py.iter(py.range(1, py.len(items)))) { if (py.has(MOTIONS, word(py.at(items, k)))) $out.push(k); } return $out; })();
+motions = (() => { const $out = []; for (const k of py.iter(py.range(1, py.len(items)))) { if (py.truth(py.either(py.has(MOTIONS, word(py.at(items, k))), () => py.either(py.has(SWITCHES, word(py.at(items, k))), () => py.has(BY_NAME, word(py.at(items, k))))))) $out.push(k); } return $out; })();
 k = (py.truth(motions) ? py.at(motions, -1) : 1);
 sides = split(items, ":=");
 if (py.truth(py.both(!py.truth(motions), () => py.same(py.len(sides), 2)))) {
@@ -979,7 +1778,7 @@ return new Statement(py.tuple(items), ...py.iter(place_of(items)), line);
 return null;
 }
 function _step(statement, opening, is_label) {
-let calls, first, items, names;
+let calls, first, is_known, items, names, own;
 items = statement.items;
 first = word(py.at(statement.items, 0));
 if (py.has(_BLOCKS, opening)) {
@@ -995,7 +1794,10 @@ return new Step(undefined, undefined, undefined, undefined, true);
 if (py.same(first, "CONNECT")) {
 return new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, py.tuple(words_in(py.text(items).slice(1, undefined))));
 }
-calls = [first, ...py.iter((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(py.call(name, "upper")); } return $out; })())];
+own = (py.truth(py.both(first, () => !py.truth(py.any((() => { const $out = []; for (const item of py.iter(items)) { $out.push(is_token(item, "SIGN", ":=")); } return $out; })())))) ? first : "");
+names = [own, ...py.iter((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(py.call(name, "upper")); } return $out; })())];
+is_known = py.either(py.has(MOTIONS, first), () => py.has(_STORAGE, first));
+calls = py.tuple((() => { const $out = []; for (const name of py.iter(names)) { if (py.truth(py.both(name, () => py.both(!py.truth(py.both(is_known, () => py.same(name, first))), () => py.both(!py.has(_INSTRUCTIONS, name), () => py.both(!py.has(RAPID_FUNCTIONS, name), () => !py.has(SWITCHES, name))))))) $out.push(name); } return $out; })());
 return new Step(undefined, undefined, undefined, undefined, undefined, (py.has(SWITCHES, first) ? py.frozenset(new Set([py.at(SWITCHES, first)])) : py.frozenset()), undefined, calls);
 return null;
 }
@@ -1018,12 +1820,14 @@ throw source.error((py.repr(found) + " within another routine; expected " + py.s
 }
 return null;
 }
-return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, ONCE, _PLAIN, OF_OPTIONS, MOTIONS, SWITCHES, ENDS_IT, statements_of, _divided, _once, _part, _step, check_blocks };
+return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, BY_NAME, ends_displacement, statements_of, _divided, _once, _part, _step, check_blocks };
 })();
 MODULES.fanuc_ls = (() => {
-const { Draft } = MODULES.draft;
+const { Draft, joined } = MODULES.draft;
+const { COMPUTED, LISTING_WORDS, SWITCHED, effect_in_listing, effect_of_options, why_moved_by_options } = MODULES.fanuc_lines;
 const { ControllerLanguage } = MODULES.language;
-const { Frame, Motion, Point, Posture, Program, Skipped, Turn } = MODULES.program;
+const { STATED_LOAD, Line, Listing, reasons_before, with_outside } = MODULES.line_flow;
+const { Frame, Load, Motion, Path, Point, Posture, Program, Skipped, Turn } = MODULES.program;
 const { Statement, number_at } = MODULES.syntax;
 let _LINES;
 _LINES = "\nstart: _NL* PROG _NL (HEAD? _NL)* MN _NL (line? _NL)* POS _NL (BODY? _NL)* END (_NL | _EOT)*\nline: LINE_NUMBER? KIND PLACE REST? -\u003e motion\n    | LINE_NUMBER? PLACE REST?      -\u003e more\n    | LINE_NUMBER? OTHER            -\u003e other\n    | LINE_NUMBER                   -\u003e other\nPROG.5: /\\/PROG[^\\r\\n]*/\nMN.5: /\\/MN(?![^\\s])/\nPOS.5: /\\/POS(?![^\\s])/\nEND.5: /\\/END(?![^\\s])/\nLINE_NUMBER.4: /\\d*:/\nKIND.3: /[JLCA](?=[ \\t]*PR?\\[)/\nPLACE.2: /PR?\\[[^\\]\\r\\n]*\\]/\nREST: /[^\\s\\x04][^\\r\\n\\x04]*/\nOTHER: /([^\\s\\/\\x04]|\\/\\/)[^\\r\\n\\x04]*/\nHEAD: /[^\\s\\x04][^\\r\\n\\x04]*/\nBODY: /[^\\s\\x04\\/][^\\r\\n\\x04]*/\n_NL: /\\r\\n|\\r|\\n/\n_EOT: \"\\x04\"\n%ignore /[ \\t\\f\\xa0]+/\n";
@@ -1033,15 +1837,40 @@ let _WORDS;
 _WORDS = "a FANUC listing: /PROG, /MN with motions, /POS with positions, /END";
 let _JUMPS;
 _JUMPS = ["LBL", "JMP", "IF", "ELSE", "SELECT", "FOR", "CALL", "END", "SKIP"];
-let _MOVED;
-_MOVED = ["OFFSET", "TOOL_OFFSET", "VOFFSET", "COORD", "RTCP", "PTH_OFFSET"];
+let _PATHS;
+_PATHS = new py.Dict([["J", "joint"], ["L", "line"]]);
+class _Instruction {
+constructor(number = null, kind = null, places = null, text = null, is_assignment = false) {
+this.number = number;
+this.kind = kind;
+this.places = places;
+this.text = text;
+this.is_assignment = is_assignment;
+}
+get is_half_an_arc() {
+return py.both(py.same(this.kind, "C"), () => py.both(py.same(py.len(this.places), 1), () => !py.truth(this.text)));
+return null;
+}
+get effect() {
+if (py.truth(this.is_assignment)) {
+return new Line(this.number);
+}
+if (py.truth(this.places)) {
+return effect_of_options(this.text, this.number);
+}
+return effect_in_listing(this.text, this.number);
+return null;
+}
+}
 class FanucLs extends ControllerLanguage {
 read(sources) {
-let begin, block, draft, end, groups, i, line, lines, name, place, point, source;
-draft = new Draft(sources, true);
-draft.frame("0", np.eye(4), ["tool", "base"]);
+let _, begin, block, displaced, draft, drafts, end, groups, i, instructions, line, lines, listings, name, parts, place, point, source, title;
+drafts = [];
+parts = [];
 for (const $each of py.iter(py.enumerate(sources))) {
 [i, source] = $each;
+draft = new Draft(sources, true);
+draft.frame("0", np.eye(4), ["tool", "base"]);
 lines = source.parse(_LINES, _WORDS).children;
 begin = py.next((() => { const $out = []; for (const token of py.iter(lines)) { if (py.same(py.getattr(token, "type", ""), "POS")) $out.push(token); } return $out; })()).end_pos;
 end = py.next((() => { const $out = []; for (const token of py.iter(lines)) { if (py.same(py.getattr(token, "type", ""), "END")) $out.push(token); } return $out; })()).start_pos;
@@ -1053,9 +1882,18 @@ line = py.at(source.place(place.start_pos), 0);
 point = this._point(i, name, line, py.at(groups, 0).children);
 draft.take((py.truth(py.isinstance(point, ["str"])) ? new Skipped(name, i, line, point) : point));
 }
-this._move(draft, i, (() => { const $out = []; for (const line of py.iter(lines)) { if (py.truth(py.hasattr(line, "data"))) $out.push(line); } return $out; })());
+title = py.str(py.next((() => { const $out = []; for (const token of py.iter(lines)) { if (py.same(py.getattr(token, "type", ""), "PROG")) $out.push(token); } return $out; })()));
+py.call(drafts, "append", draft);
+py.call(parts, "append", [py.text(py.call(py.call(title, "upper"), "split")).slice(1, undefined), _instructions(lines)]);
 }
-return draft.finish();
+listings = (() => { const $out = []; for (const [title, instructions] of py.iter(parts)) { $out.push(new Listing((py.truth(title) ? py.at(title, 0) : ""), (() => { const $out = []; for (const one of py.iter(instructions)) { $out.push(one.effect); } return $out; })())); } return $out; })();
+displaced = reasons_before(with_outside(listings, SWITCHED));
+for (const $each of py.iter(py.enumerate(py.zip(drafts, parts)))) {
+[i, [draft, [, instructions]]] = $each;
+this._move(draft, i, instructions, py.at(displaced, i));
+draft.leave_unused(py.at(listings, i).lines);
+}
+return joined((() => { const $out = []; for (const draft of py.iter(drafts)) { $out.push(draft.finish()); } return $out; })());
 return null;
 }
 _point(i, name, line, group) {
@@ -1086,78 +1924,92 @@ return new Point(name, i, line, "joints", py.tuple((() => { const $out = []; for
 return "neither X Y Z W P R nor joints";
 return null;
 }
-_move(draft, i, lines) {
-let at, kind, line, moved, name, number, parts, path, place, rest, run, span, statement, stops, target, text, via, words;
+_move(draft, i, instructions, displaced) {
+let _, load, names, number, one, path, place, reasons, run, span, statement, targets, text;
 run = 0;
-via = "";
-for (const $each of py.iter(lines)) {
-line = $each;
-parts = new py.Dict((() => { const $out = []; for (const token of py.iter(line.children)) { if (!py.truth(py.hasattr(token, "data"))) $out.push([token.type, token]); } return $out; })());
-rest = py.str(py.call(parts, "get", "REST", py.call(parts, "get", "OTHER", "")));
-if (py.same(line.data, "other")) {
-via = "";
-if (py.truth(py.call(py.call(rest, "lstrip"), "startswith", ["!", "//", "--"]))) {
+for (const $each of py.iter(py.zip(instructions, displaced))) {
+[one, reasons] = $each;
+names = (() => { const $out = []; for (const place of py.iter(one.places)) { $out.push(_place(py.str(place))); } return $out; })();
+if (!py.truth(names)) {
+draft.read(_places_in(py.call(one.text, "upper")));
+run = py.add(run, py.call(py.call(one.text, "upper"), "startswith", _JUMPS));
 continue;
 }
-text = py.call(py.at(py.call(rest, "partition", "!"), 0), "upper");
-draft.read(_places_in(text));
-for (const $each of py.iter([["UTOOL[", "tool"], ["UFRAME[", "base"]])) {
-[name, kind] = $each;
-if (py.truth(py.call(text, "startswith", name))) {
-number = py.call(py.at(py.call(py.at(py.call(py.text(text).slice(py.len(name), undefined), "partition", "]"), 0), "partition", ":"), 0), "strip");
-draft.frame(number, ("line " + py.str(py.at(parts, "OTHER").line) + " sets it while the program runs"), [kind]);
-}
-}
-run = py.add(run, py.call(text, "startswith", _JUMPS));
+if (py.truth(one.is_assignment)) {
+draft.write(py.at(names, 0), ("line " + py.str(one.number) + " sets it while the program runs"));
+draft.read(_places_in(one.text));
 continue;
 }
-place = py.at(parts, "PLACE");
-kind = py.str(py.call(parts, "get", "KIND", ""));
-name = _place(py.str(place));
-at = py.either(place.line, () => 0);
-if (py.truth(py.both(py.same(line.data, "more"), () => py.call(py.call(rest, "lstrip"), "startswith", "=")))) {
-draft.write(name, ("line " + py.str(at) + " sets it while the program runs"));
-draft.read(_places_in(rest));
+draft.read(py.sub(py.set(_places_in(one.text)), py.set(names)));
+if (!py.truth(one.kind)) {
 continue;
 }
-words = (() => { const $out = []; for (const word of py.iter(py.call(py.call(py.call(py.call(rest, "replace", ",", " "), "replace", ";", " "), "upper"), "split"))) { $out.push(py.at(py.call(word, "partition", "["), 0)); } return $out; })();
-moved = py.next((() => { const $out = []; for (const word of py.iter(words)) { if (py.has(_MOVED, word)) $out.push(word); } return $out; })(), "");
-target = name;
-if (py.truth(py.call(name, "startswith", "PR["))) {
-target = new Skipped(name, i, at, "a position register");
-} else {
-if (py.has(words, "INC")) {
-target = new Skipped(name, i, at, ("a relative motion (INC), line " + py.str(at)));
-draft.write(name, target.reason);
-} else {
-if (py.truth(moved)) {
-target = new Skipped(name, i, at, ("moved by an offset (" + py.str(moved) + ")"));
-draft.read([name]);
-}
-}
-}
-draft.read(py.sub(py.set(_places_in(rest)), new Set([name])));
-if (py.truth(py.both(py.same(kind, "C"), () => !py.truth(words)))) {
-via = name;
-continue;
-}
-if (py.truth(py.both(py.same(line.data, "more"), () => !py.truth(via)))) {
-continue;
-}
-path = (py.truth(via) ? "circle" : py.call(new py.Dict([["J", "joint"], ["L", "line"]]), "get", kind, "joint"));
+targets = (() => { const $out = []; for (const name of py.iter(names)) { $out.push(this._target(draft, i, name, one, reasons)); } return $out; })();
+path = ((py.len(names) > 1) ? "circle" : py.call(_PATHS, "get", one.kind, "joint"));
+place = py.at(one.places, -1);
 span = [py.either(place.start_pos, () => 0), py.either(place.end_pos, () => 0)];
-stops = (py.truth(via) ? [via, target] : [target]);
-statement = new Statement([], ...py.iter(span), at);
-py.call(draft.motions, "append", new Motion(path, stops, statement, i, undefined, undefined, span, run));
-via = "";
+statement = new Statement([], ...py.iter(span), py.either(place.line, () => 0));
+[number, , text] = [...py.iter(py.call(py.call(reasons, "get", STATED_LOAD, ""), "partition", " "))];
+load = (py.truth(number) ? new Load(text, py.int(number)) : null);
+py.call(draft.motions, "append", new Motion(path, py.tuple(targets), statement, i, undefined, undefined, span, run, undefined, undefined, load));
 }
+return null;
+}
+_target(draft, i, name, one, reasons) {
+let moved, why;
+if (py.truth(py.call(name, "startswith", "PR["))) {
+return new Skipped(name, i, one.number, "a position register");
+}
+moved = why_moved_by_options(one.text, one.number);
+if (py.truth(py.call(moved, "startswith", COMPUTED))) {
+draft.read([name]);
+return new Skipped(name, i, one.number, moved);
+}
+why = py.either(moved, () => draft.why_displaced(name, reasons));
+if (py.truth(why)) {
+draft.write(name, why);
+}
+return name;
 return null;
 }
 }
 FanucLs.prototype.name = "FANUC LS";
 FanucLs.prototype.suffixes = [".ls"];
 FanucLs.prototype.grammars = [_LINES, _POSITIONS];
+FanucLs.prototype.understood = LISTING_WORDS;
 LANGUAGES.register(FanucLs);
+function _instructions(lines) {
+let before, found, is_arc, is_assignment, is_more, kind, line, number, parts, place, places, text;
+found = py.list();
+for (const $each of py.iter(lines)) {
+line = $each;
+if (!py.truth(py.hasattr(line, "data"))) {
+continue;
+}
+parts = new py.Dict((() => { const $out = []; for (const token of py.iter(line.children)) { if (!py.truth(py.hasattr(token, "data"))) $out.push([token.type, token]); } return $out; })());
+text = py.call(py.str(py.call(parts, "get", "REST", py.call(parts, "get", "OTHER", ""))), "lstrip", "] ");
+if (py.truth(py.both(py.same(line.data, "other"), () => py.call(text, "startswith", ["!", "//", "--"])))) {
+continue;
+}
+is_more = py.both(py.same(py.str(py.call(parts, "get", "LINE_NUMBER", "")), ":"), () => (py.len(found) > 0));
+place = py.call(parts, "get", "PLACE");
+number = py.either(py.next((() => { const $out = []; for (const token of py.iter(py.call(parts, "values"))) { $out.push(token); } return $out; })()).line, () => 0);
+text = py.call((!py.has(text, "(") ? py.at(py.call(text, "partition", " !"), 0) : text), "rstrip", "; ");
+is_assignment = py.both(py.same(line.data, "more"), () => py.call(text, "startswith", "="));
+places = (((place) ?? null) !== (null) ? [place] : []);
+is_arc = py.both(py.same(line.data, "more"), () => py.both((py.len(found) > 0), () => py.at(found, -1).is_half_an_arc));
+if (py.truth(py.either(is_more, () => py.both(is_arc, () => !py.truth(is_assignment))))) {
+before = py.call(found, "pop");
+places = (py.same(before.kind, "C") ? [...py.iter(before.places), ...py.iter(places)] : before.places);
+py.call(found, "append", py.replace(before, { places: places, text: py.call((py.str(before.text) + " " + py.str(text)), "strip") }));
+continue;
+}
+kind = py.str(py.call(parts, "get", "KIND", ""));
+py.call(found, "append", new _Instruction(number, kind, places, text, is_assignment));
+}
+return found;
+return null;
+}
 function _place(text) {
 let _, first, index, kind, more, number;
 [kind, , index] = [...py.iter(py.call(text, "partition", "["))];
@@ -1187,11 +2039,13 @@ function _side(sides, yes, no) {
 return (py.same(py.has(sides, yes), py.has(sides, no)) ? null : py.has(sides, yes));
 return null;
 }
-return { _LINES, _POSITIONS, _WORDS, _JUMPS, _MOVED, FanucLs, _place, _places_in, _posture, _side };
+return { _LINES, _POSITIONS, _WORDS, _JUMPS, _PATHS, _Instruction, FanucLs, _instructions, _place, _places_in, _posture, _side };
 })();
 MODULES.jbi = (() => {
-const { Draft } = MODULES.draft;
+const { Draft, joined } = MODULES.draft;
+const { JOB_WORDS, SHIFT, effect_in_job, named_in, why_not_reached } = MODULES.jbi_lines;
 const { ControllerLanguage } = MODULES.language;
+const { Line, Listing, reasons_before, with_outside } = MODULES.line_flow;
 const { Frame, Motion, Path, Point, Posture, Program, Skipped, Turn } = MODULES.program;
 const { Number, Statement, number_at } = MODULES.syntax;
 let _GRAMMAR;
@@ -1200,8 +2054,6 @@ let _WORDS;
 _WORDS = "a job: /JOB, //POS with positions, //INST with motions, END";
 let _PATHS;
 _PATHS = new py.Dict([["MOVL", "line"], ["MOVJ", "joint"], ["MOVS", "joint"], ["MOVC", "joint"]]);
-let _SHIFTS;
-_SHIFTS = ["SFTON", "MSHIFT", "MFRAME", "PMTON", "CNVR", "SYSTART"];
 let _JUMPS;
 _JUMPS = ["*", "JUMP", "CALL", "IF", "ELSE", "ENDIF", "FOR", "NEXT", "WHILE", "ENDWHILE", "RET", "PSTART"];
 class Jbi extends ControllerLanguage {
@@ -1233,10 +2085,12 @@ return "";
 return null;
 }
 read(sources) {
-let draft, i, others, parts, source, tree;
-draft = new Draft(sources, true);
+let displaced, draft, drafts, i, jobs, other, others, parts, source, tree, trees;
+drafts = [];
+trees = [];
 for (const $each of py.iter(py.enumerate(sources))) {
 [i, source] = $each;
+draft = new Draft(sources, true);
 tree = source.parse(_GRAMMAR, _WORDS);
 parts = (() => { const $out = []; for (const part of py.iter(tree.children)) { if (py.truth(py.hasattr(part, "data"))) $out.push(part); } return $out; })();
 others = (() => { const $out = []; for (const part of py.iter(parts)) { if (py.same(part.data, "other")) $out.push(py.call(py.str(py.at(part.children, 0)), "split")); } return $out; })();
@@ -1244,9 +2098,21 @@ if (py.truth(py.either(!py.truth(others), () => !py.same(py.text(py.at(others, -
 throw source.error("the end of the file without END: is it truncated?", py.len(source.content));
 }
 this._positions(draft, i, source, parts);
-this._motions(draft, i, parts);
+py.call(drafts, "append", draft);
+py.call(trees, "append", parts);
 }
-return draft.finish();
+jobs = (() => { const $out = []; for (const parts of py.iter(trees)) { $out.push(_listing(parts)); } return $out; })();
+displaced = reasons_before(with_outside(jobs, [SHIFT]), [SHIFT]);
+for (const $each of py.iter(py.enumerate(py.zip(drafts, trees)))) {
+[i, [draft, parts]] = $each;
+this._motions(draft, i, parts, py.at(displaced, i));
+for (const $each of py.iter(trees)) {
+other = $each;
+_note_changes(draft, other, ((other) ?? null) !== (parts));
+}
+draft.leave_unused(py.at(jobs, i).lines);
+}
+return joined((() => { const $out = []; for (const draft of py.iter(drafts)) { $out.push(draft.finish()); } return $out; })());
 return null;
 }
 _positions(draft, i, source, parts) {
@@ -1267,7 +2133,7 @@ if (py.same(part.data, "position")) {
 seen = py.add(seen, 1);
 [place, ...values] = [...py.iter(part.children)];
 name = _name(py.str(place));
-point = this._point(i, name, place.line, (() => { const $out = []; for (const token of py.iter(values)) { $out.push(number_at(token)); } return $out; })(), tags, posture);
+point = this._point(draft, i, name, place.line, (() => { const $out = []; for (const token of py.iter(values)) { $out.push(number_at(token)); } return $out; })(), tags, posture);
 if (py.truth(point)) {
 draft.take((py.truth(py.isinstance(point, ["str"])) ? new Skipped(name, i, place.line, point) : point));
 }
@@ -1282,11 +2148,12 @@ throw source.error((py.str(seen) + " positions; expected the " + py.str(expected
 }
 return null;
 }
-_point(i, name, line, values, tags, posture) {
+_point(draft, i, name, line, values, tags, posture) {
 let base, kind, numbers;
 numbers = py.tuple((() => { const $out = []; for (const number of py.iter(values)) { if (((number) ?? null) !== (null)) $out.push(number); } return $out; })());
 kind = py.at(tags, "POSTYPE");
 if (py.truth(py.call(name, "startswith", ["BC", "EC", "BP", "EX"]))) {
+py.put(draft.at_rest, name, py.all((() => { const $out = []; for (const number of py.iter(numbers)) { $out.push(py.same(number.value, 0.0)); } return $out; })()));
 return "";
 }
 if (py.same(kind, "PULSE")) {
@@ -1302,30 +2169,14 @@ base = (py.same(kind, "USER") ? new Frame(py.either(py.at(tags, "USER"), () => "
 return new Point(name, i, line, "pose", py.text(numbers).slice(undefined, 6), posture, new Frame(py.either(py.at(tags, "TOOL"), () => "TOOL")), base);
 return null;
 }
-_motions(draft, i, parts) {
-let arc, kind, line, name, part, path, place, run, span, target, targets, text, word;
+_motions(draft, i, parts, displaced) {
+let arc, kind, name, part, path, place, reasons, run, span, target, targets, why;
 run = 0;
 arc = py.list();
-for (const $each of py.iter(parts)) {
-part = $each;
-if (py.same(part.data, "other")) {
-text = py.call(py.str(py.at(part.children, 0)), "upper");
-run = py.add(run, py.call(text, "startswith", _JUMPS));
-line = py.at(part.children, 0).line;
-for (const $each of py.iter(py.call(py.call(py.call(text, "replace", ",", " "), "replace", "(", " "), "split"))) {
-word = $each;
-if (py.truth(py.both(py.same(py.text(word).slice(undefined, 1), "P"), () => py.call(py.call(word, "lstrip", "PX"), "isdigit")))) {
-draft.write(_name(("P" + py.str(py.call(word, "lstrip", "PX")))), ("line " + py.str(line) + " may set it"));
-}
-}
-if (py.truth(py.call(text, "startswith", _SHIFTS))) {
-for (const $each of py.iter(draft.names())) {
-name = $each;
-draft.write(name, ("line " + py.str(line) + " shifts positions, or computes a frame from them"));
-}
-}
-}
+for (const $each of py.iter(py.zip(_instructions(parts), displaced))) {
+[part, reasons] = $each;
 if (!py.same(part.data, "motion")) {
+run = py.add(run, py.call(py.call(py.str(py.at(part.children, 0)), "upper"), "startswith", _JUMPS));
 continue;
 }
 kind = py.str(py.at(part.children, 0));
@@ -1339,6 +2190,10 @@ target = new Skipped(name, i, place.line, "a relative motion");
 } else {
 if (py.has(name, "[")) {
 target = new Skipped(name, i, place.line, "a computed position");
+} else {
+if (py.truth((why = _why_left(draft, name, part, reasons)))) {
+draft.write(name, why);
+}
 }
 }
 arc = (py.same(kind, "MOVC") ? [...py.iter(arc), name] : []);
@@ -1365,7 +2220,57 @@ Jbi.prototype.name = "JBI";
 Jbi.prototype.suffixes = [".jbi"];
 Jbi.prototype.grammars = [_GRAMMAR];
 Jbi.prototype.digits = [4, 6, 0];
+Jbi.prototype.understood = JOB_WORDS;
 LANGUAGES.register(Jbi);
+function _instructions(parts) {
+return (() => { const $out = []; for (const part of py.iter(parts)) { if (py.has(["motion", "other"], part.data)) $out.push(part); } return $out; })();
+return null;
+}
+function _listing(parts) {
+let lines, names;
+names = (() => { const $out = []; for (const part of py.iter(parts)) { if (py.truth(py.both(py.same(part.data, "tag"), () => py.both(py.same(py.str(py.at(part.children, 0)), "//NAME"), () => (py.len(part.children) > 1))))) $out.push(py.call(py.call(py.str(py.at(part.children, 1)), "strip"), "upper")); } return $out; })();
+lines = (() => { const $out = []; for (const part of py.iter(_instructions(parts))) { $out.push((py.same(part.data, "other") ? effect_in_job(py.str(py.at(part.children, 0)), py.at(part.children, 0).line) : new Line(py.at(part.children, 0).line))); } return $out; })();
+return new Listing((py.truth(names) ? py.at(names, 0) : ""), lines);
+return null;
+}
+function _why_left(draft, name, part, reasons) {
+let axis, line, options, rest;
+options = ((py.len(part.children) > 2) ? py.str(py.at(part.children, 2)) : "");
+line = py.at(part.children, 0).line;
+for (const $each of py.iter(named_in(py.at(py.call(options, "partition", "+"), 0)))) {
+axis = $each;
+if (py.truth(py.call(axis, "startswith", "B"))) {
+rest = py.call(draft.at_rest, "get", _name(axis), false);
+if (!py.truth(rest)) {
+return ("its base axis is not at 0 (" + py.str(axis) + ", line " + py.str(line) + ")");
+}
+}
+}
+return py.either(why_not_reached(options, line), () => draft.why_displaced(name, reasons));
+return null;
+}
+function _note_changes(draft, parts, only_variables) {
+let is_read, is_variable, name, names, part, text, token;
+for (const $each of py.iter(_instructions(parts))) {
+part = $each;
+token = py.at(part.children, -1);
+text = py.str(token);
+if (py.same(part.data, "motion")) {
+names = ((py.len(part.children) > 2) ? named_in(py.at(py.call(text, "partition", "+"), 2)) : []);
+} else {
+names = named_in(text);
+}
+for (const $each of py.iter(names)) {
+name = $each;
+is_variable = py.call(name, "startswith", "P");
+is_read = py.both(py.same(part.data, "other"), () => py.call(py.call(text, "upper"), "startswith", "REFP"));
+if (py.truth(py.both(py.either(is_variable, () => !py.truth(only_variables)), () => !py.truth(is_read)))) {
+draft.write(_name(name), ("line " + py.str(token.line) + " may set it"));
+}
+}
+}
+return null;
+}
 function _name(text) {
 let number;
 number = py.call(text, "lstrip", "BCEPX");
@@ -1383,15 +2288,17 @@ turns = py.tuple((() => { const $out = []; for (const [k, j] of py.iter([[3, 3],
 return new Posture(!py.truth(py.at(flags, 2)), !py.truth(py.at(flags, 1)), py.at(flags, 0), turns);
 return null;
 }
-return { _GRAMMAR, _WORDS, _PATHS, _SHIFTS, _JUMPS, Jbi, _name, _posture };
+return { _GRAMMAR, _WORDS, _PATHS, _JUMPS, Jbi, _instructions, _listing, _why_left, _note_changes, _name, _posture };
 })();
 MODULES.krl = (() => {
 const { Draft } = MODULES.draft;
 const { OUTSIDE, Step, followed } = MODULES.flow;
 const { ControllerLanguage } = MODULES.language;
-const { Frame, Motion, Path, Point, Posture, Program, Skipped, Turn } = MODULES.program;
-const { Reader } = MODULES.statement_reader;
+const { POSITIONS, STATED_LOAD } = MODULES.line_flow;
+const { Frame, Load, Motion, Path, Point, Posture, Program, Skipped, Turn } = MODULES.program;
+const { EXTERNAL, Entries, Reader } = MODULES.statement_reader;
 const { Brackets, Number, Statement, aggregate, call_of, calls_in, element_name, is_token, nested, number_of, place_of, split, text_of_items, word } = MODULES.syntax;
+const { Understood, understood_words } = MODULES.understood;
 let _TOKENS;
 _TOKENS = "\nTEXT: /\"[^\"\\r\\n]*\"/\nBITS.2: /'[BbHh][0-9A-Fa-f]+'/\nSIGN: /[=\u003c\u003e]=|[^\\x04\\s\\w()\\[\\]{}\"';&$#]|'/\n_END: /\\r\\n|\\r|\\n|\\x04/\nCOMMENT.5: /;[^\\r\\n]*/\nHEADER.5: /&[^\\r\\n]*/\n%ignore COMMENT\n%ignore HEADER\n%ignore /[ \\t\\f\\xa0]+/\n";
 let _WORDS;
@@ -1426,13 +2333,31 @@ let _BY_DATA;
 _BY_DATA = ["#PTP_PARAMS", "#CP_PARAMS", "#FRAMES", "#PTP_DAT", "#CP_DAT"];
 let _SPEEDS;
 _SPEEDS = ["#VEL_PTP", "#VEL_CP", "#ACC_PTP", "#ACC_CP", "#OUT_SYNC"];
-let _HARMLESS_WORDS;
-_HARMLESS_WORDS = "IF WHILE UNTIL FOR WHEN SWITCH CASE AND OR NOT EXOR B_AND B_OR B_NOT B_EXOR RETURN WAIT SEC TO STEP DO DEF DEFFCT EXT EXTFCT BAS STOOL STOOL2 SBASE SIPO_MODE SVEL_JOINT SVEL_CP SACC_JOINT SACC_CP SAPO SAPO_PTP SGEAR_JERK SJERK SORI_TYP SLOAD ABS SQRT SIN COS TAN ACOS ATAN2 INVERSE FORWARD INV_POS VARSTATE PULSE SIGN ROUND CAST_TO CAST_FROM SREAD SWRITE CREAD CWRITE COPEN CCLOSE CIOCTL STRLEN STRDECLLEN STRCLEAR STRADD STRFIND STRCOMP STRCOPY MSGNOTIFY MSGSTATE MSGQUIT MSGACKNOWLEDGE MSGDIALOG MSGLOOP SET_KRLMSG EXISTS_KRLMSG CLEAR_KRLMSG SET_KRLDLG EXISTS_KRLDLG IR_STOPM";
+let _MANUAL;
+_MANUAL = "KUKA System Software 8, operating and programming instructions for system integrators";
+let _KRL_WORDS;
+_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRLEN, STRDECLLEN, STRCLEAR, STRADD, STRFIND, STRCOMP, STRCOPY, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ACT_TOOL, $ACT_BASE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
+let _INSTRUCTIONS;
+_INSTRUCTIONS = understood_words(_KRL_WORDS, "instruction");
 let _HARMLESS;
-_HARMLESS = py.frozenset(py.call(_HARMLESS_WORDS, "split"));
+_HARMLESS = understood_words(_KRL_WORDS, "function");
+let _VARIABLES;
+_VARIABLES = understood_words(_KRL_WORDS, "variable");
+let _TURNING;
+_TURNING = ["#VAR", "#JOINT"];
+let _ORIENTATION;
+_ORIENTATION = "$ORI_TYPE";
+let _ROBOT;
+_ROBOT = "$ROBROOT";
+let _PLACES;
+_PLACES = ["$ROBROOT", "$ERSYSROOT", "$WORLD", "$ERSYS"];
+let _MOVES;
+_MOVES = ["ASYPTP", "MASYPTP", "ASYCONT"];
+let _SETTABLE;
+_SETTABLE = ["$TOOL", "$BASE", "FDAT_ACT", "$ORI_TYPE", "LDAT_ACT", "$LOAD"];
 class Krl extends ControllerLanguage {
 read(sources) {
-let by_value, data, draft, files, flows, i, k, outside, reader, readers, source, statements, steps;
+let by_value, data, draft, entries, files, flows, i, k, outside, reader, readers, source, statements, steps;
 draft = new Draft(sources);
 files = [];
 for (const $each of py.iter(sources)) {
@@ -1442,6 +2367,8 @@ py.call(files, "append", [source, statements, (() => { const $out = []; for (con
 }
 flows = followed(files, _FRAMES);
 by_value = new Set((() => { const $out = []; for (const [, statements, steps] of py.iter(files)) { for (const [statement, step] of py.iter(py.zip(statements, steps))) { if (py.truth(_takes_values(statement, step))) $out.push(step.routine); } } return $out; })());
+data = new _Data();
+entries = new Entries((() => { const $out = []; for (const [[, statements, steps], flow] of py.iter(py.zip(files, flows))) { $out.push([statements, steps, flow]); } return $out; })(), ((statement) => data.turns(statement)));
 readers = [];
 for (const $each of py.iter(py.enumerate(files))) {
 [i, [source, statements, steps]] = $each;
@@ -1449,9 +2376,8 @@ outside = (() => { const $out = []; for (const [k, s] of py.iter(py.enumerate(st
 if (py.truth(py.either(outside, () => !py.truth(statements)))) {
 throw source.error(py.add("a statement outside DEF or DEFDAT; expected ", _WORDS), (py.truth(outside) ? py.at(outside, 0).start : 0));
 }
-py.call(readers, "append", new _Reader(draft, i, statements, steps, py.at(flows, i), py.or(_HARMLESS, by_value), this));
+py.call(readers, "append", new _Reader(draft, i, statements, steps, py.at(flows, i), py.or(_HARMLESS, by_value), entries, this));
 }
-data = new _Data();
 for (const $each of py.iter(readers)) {
 reader = $each;
 for (const $each of py.iter(py.range(py.len(reader.statements)))) {
@@ -1496,15 +2422,44 @@ Krl.prototype.reads_others = true;
 Krl.prototype.convention = "kuka";
 Krl.prototype.can_insert = true;
 Krl.prototype.grammars = [nested(_TOKENS)];
+Krl.prototype.understood = _KRL_WORDS;
 LANGUAGES.register(Krl);
 class _Data {
-constructor(frames = py.dict(), is_fixed = false) {
+constructor(frames = py.dict(), is_fixed = false, constant = py.set()) {
 this.frames = frames;
 this.is_fixed = is_fixed;
+this.constant = constant;
+}
+turns(statement) {
+let sides;
+if (py.truth(_by_bas(statement.items))) {
+return true;
+}
+sides = split(statement.items, "=");
+if (!py.same(py.len(sides), 2)) {
+return false;
+}
+if (py.same(text_of_items(py.at(sides, 0)), "LDAT_ACT")) {
+return !py.has(this.constant, text_of_items(py.at(sides, 1)));
+}
+return this.is_turning(py.at(sides, 1));
+return null;
+}
+is_turning(value) {
+let _, call, is_data, name, part, text;
+call = call_of(value);
+text = text_of_items((((call) ?? null) === (null) ? value : py.at(call, 1).items));
+if (py.truth(py.call(text, "startswith", "#"))) {
+return py.has(_TURNING, text);
+}
+[name, , part] = [...py.iter(py.call(text, "partition", "."))];
+is_data = py.either(((call) ?? null) !== (null), () => py.same(part, "ORI_TYP"));
+return py.both(is_data, () => !py.has(this.constant, name));
+return null;
 }
 }
 class _Reader extends Reader {
-constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, language = null, displacements = null) {
+constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null, displacements = null) {
 super();
 this.draft = draft;
 this.file = file;
@@ -1512,11 +2467,12 @@ this.statements = statements;
 this.steps = steps;
 this.flow = flow;
 this.harmless = harmless;
+this.entries = entries;
 this.language = language;
 this.displacements = displacements;
 }
 declare(k, data) {
-let fields, first, group, is_part, items, line, name, part, sides, statement;
+let fields, first, group, is_part, items, line, mass, name, part, sides, statement, turning;
 statement = py.at(this.statements, k);
 items = statement.items;
 line = statement.line;
@@ -1541,6 +2497,10 @@ continue;
 }
 group = aggregate(py.at(sides, 1), "{");
 fields = (((group) ?? null) !== (null) ? _fields(group) : null);
+turning = (((fields) ?? null) !== (null) ? py.call(fields, "get", "ORI_TYP", []) : []);
+if (py.truth(py.both(turning, () => !py.has(_TURNING, text_of_items(turning))))) {
+py.call(data.constant, "add", name);
+}
 if (py.truth(py.both(py.same(name, "$IPO_MODE"), () => py.same(text_of_items(py.at(sides, 1)), "#TCP")))) {
 data.is_fixed = true;
 }
@@ -1551,16 +2511,22 @@ continue;
 if (py.has(data.frames, name)) {
 py.put(data.frames, name, null);
 }
+mass = this._mass(py.at(sides, 1));
+if (py.truth(py.both(((mass) ?? null) !== (null), () => py.call(name, "startswith", "LOAD_DATA[")))) {
+py.put(this.draft.masses, name, mass);
+}
 this._set(line, name, is_part, py.at(sides, 1));
 }
 return null;
 }
 _set(line, name, is_part, value) {
-let is_frame, point;
+let is_frame, is_pose, point, pose;
 point = (py.truth(py.either(is_part, () => py.has(name, "*"))) ? null : this.literal(line, name, value));
 is_frame = py.call(name, "startswith", ["TOOL_DATA[", "BASE_DATA[", "$"]);
 if (py.truth(py.both(py.isinstance(point, [Point]), () => py.both(py.same(point.kind, "pose"), () => !py.truth(py.call(name, "startswith", "$")))))) {
-this.draft.frame(name, this.language.pose(point.values), ["tool", "base"]);
+is_pose = this.language.is_pose(point.values);
+pose = (py.truth(is_pose) ? this.language.pose(point.values) : "its numbers are no pose");
+this.draft.frame(name, pose, ["tool", "base"]);
 }
 if (py.truth(py.either(!py.truth(is_frame), () => ((point) ?? null) === (null)))) {
 this.assign(line, name, is_part, value);
@@ -1584,12 +2550,12 @@ found = py.tuple((() => { const $out = []; for (const number of py.iter(numbers)
 if ((py.len(found) < py.len(keys))) {
 return this.skip(name, line, ("not all of " + py.str(py.call(" ", "join", keys)) + " are given as numbers"));
 }
-if (py.same(keys, _JOINTS)) {
-return new Point(name, this.file, line, "joints", found);
-}
 external = (() => { const $out = []; for (const key of py.iter(_EXTERNAL)) { if (py.has(fields, key)) $out.push(number_of(py.at(fields, key))); } return $out; })();
 if (py.truth(py.any((() => { const $out = []; for (const number of py.iter(external)) { $out.push(py.either(((number) ?? null) === (null), () => !py.same(number.value, 0.0))); } return $out; })()))) {
-return this.skip(name, line, "an external axis is not at 0");
+return this.skip(name, line, EXTERNAL);
+}
+if (py.same(keys, _JOINTS)) {
+return new Point(name, this.file, line, "joints", found);
 }
 posture = _posture(fields);
 if (((posture) ?? null) === (null)) {
@@ -1599,7 +2565,7 @@ return new Point(name, this.file, line, "pose", found, posture);
 return null;
 }
 move(k, data) {
-let arcs, base, can_insert, first, items, known, lost, parts, path, span, statement, stop, takes_posture, targets, tool;
+let arcs, base, can_insert, displaced, first, items, known, lost, parts, path, span, statement, stop, takes_posture, targets, tool, why;
 statement = py.at(this.statements, k);
 known = py.at(this.flow, k);
 items = statement.items;
@@ -1621,13 +2587,64 @@ if (!py.truth(parts)) {
 return null;
 }
 tool = this._frame("$TOOL", k, data);
-base = this._frame("$BASE", k, data);
+displaced = this.displaced(k, [POSITIONS]);
+why = py.either(displaced, () => this._why_moved(k, !py.same(py.at(_MOTIONS, first), "joint"), data));
+base = (py.truth(why) ? new Frame("$BASE", undefined, why) : this._frame("$BASE", k, data));
 targets = py.tuple((() => { const $out = []; for (const part of py.iter(parts)) { $out.push(this.target(k, part)); } return $out; })());
 path = (py.truth(py.either(arcs, () => !py.same(py.len(parts), py.add(1, py.same(py.at(_MOTIONS, first), "circle"))))) ? "joint" : py.at(_MOTIONS, first));
 can_insert = py.both(py.same(path, "line"), () => !py.truth(py.any((() => { const $out = []; for (const j of py.iter(known.blocks)) { $out.push(py.call(py.at(this.steps, j).opens, "endswith", "SPLINE")); } return $out; })())));
 span = place_of(py.at(parts, -1));
 takes_posture = py.has(_BY_POSTURE, first);
-py.call(this.draft.motions, "append", new Motion(path, targets, statement, this.file, tool, base, span, known.run, can_insert, takes_posture));
+py.call(this.draft.motions, "append", new Motion(path, targets, statement, this.file, tool, base, span, known.run, can_insert, takes_posture, py.either(this.load(k), () => this._load_of_tool(k, tool)), displaced));
+return null;
+}
+_load_of_tool(k, tool) {
+let line, name;
+name = py.call(tool.name, "replace", "TOOL_", "LOAD_");
+line = py.at(this.statements, k).line;
+return (py.has(this.draft.masses, name) ? new Load(name, line, py.at(this.draft.masses, name)) : null);
+return null;
+}
+mass(statement) {
+let mass, sides;
+sides = split(statement.items, "=");
+if (py.same(py.len(sides), 2)) {
+mass = this._mass(py.at(sides, 1));
+return (((mass) ?? null) !== (null) ? mass : py.call(this.draft.masses, "get", text_of_items(py.at(sides, 1))));
+}
+return null;
+return null;
+}
+_mass(items) {
+let fields, group, number;
+group = aggregate(items, "{");
+fields = (((group) ?? null) !== (null) ? _fields(group) : null);
+number = (py.truth(py.both(((fields) ?? null) !== (null), () => py.has(fields, "M"))) ? number_of(py.at(fields, "M")) : null);
+return (py.truth(py.both(((number) ?? null) !== (null), () => (number.value >= 0.0))) ? number.value : null);
+return null;
+}
+_why_moved(k, is_line, data) {
+let is_part, is_turning, items, kinds, name, part, sides, with_;
+items = py.at(this.statements, k).items;
+with_ = py.next((() => { const $out = []; for (const [j, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "WITH")) $out.push(py.add(j, 1)); } return $out; })(), py.len(items));
+is_turning = false;
+for (const $each of py.iter(split(py.text(items).slice(with_, undefined)))) {
+part = $each;
+sides = split(part, "=");
+[name, is_part] = [...py.iter(element_name(py.at(sides, 0)))];
+name = py.at(py.call(name, "partition", "["), 0);
+if (py.truth(py.both(py.same(py.len(sides), 2), () => py.either(!py.has(_VARIABLES, name), () => py.both(is_part, () => py.has(_FRAMES, name)))))) {
+return ("line " + py.str(py.at(this.statements, k).line) + " sets " + py.str(name));
+}
+if (py.truth(py.both(py.same(py.len(sides), 2), () => py.same(name, _ORIENTATION)))) {
+is_turning = data.is_turning(py.at(sides, 1));
+if (!py.truth(is_turning)) {
+return ("line " + py.str(py.at(this.statements, k).line) + " does not turn the tool ($ORI_TYPE)");
+}
+}
+}
+kinds = (py.truth(py.both(is_line, () => !py.truth(is_turning))) ? [_ROBOT, _ORIENTATION] : [_ROBOT]);
+return this.displaced(k, kinds);
 return null;
 }
 _frame(variable, k, data) {
@@ -1674,6 +2691,9 @@ return null;
 _frame_of(variable, k, items, data) {
 let call, found, frame;
 found = this.literal(0, variable, items);
+if (py.truth(py.both(py.isinstance(found, [Point]), () => !py.truth(this.language.is_pose(found.values))))) {
+return new Frame(variable, undefined, (py.str(variable) + ": its numbers are no pose"));
+}
 if (py.truth(py.both(py.isinstance(found, [Point]), () => py.same(found.kind, "pose")))) {
 return new Frame(variable, this.language.pose(found.values));
 }
@@ -1769,7 +2789,7 @@ return (py.truth(py.both(((call) ?? null) !== (null), () => py.both(py.same(py.c
 return null;
 }
 function _step(statement) {
-let calls, first, is_part, items, name, one, opens, sides, what;
+let action, calls, changed, done, first, is_part, items, name, opens, sides, what;
 items = statement.items;
 first = word(py.at(statement.items, 0));
 opens = (py.truth(py.both(py.same(first, "GLOBAL"), () => (py.len(items) > 1))) ? word(py.at(items, 1)) : first);
@@ -1777,8 +2797,12 @@ if (py.has(_ROUTINES, opens)) {
 return new Step(opens, undefined, py.at((() => { const $out = []; for (const item of py.iter(items)) { if (py.truth(word(item))) $out.push(word(item)); } return $out; })(), -1));
 }
 calls = py.tuple((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { if (!py.has(_HARMLESS, py.call(name, "upper"))) $out.push(py.call(name, "upper")); } return $out; })());
-if (py.truth(py.any((() => { const $out = []; for (const item of py.iter(items)) { $out.push(py.same(word(item), "DO")); } return $out; })()))) {
-return new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, calls);
+done = (() => { const $out = []; for (const [k, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "DO")) $out.push(k); } return $out; })();
+if (py.truth(done)) {
+action = py.text(items).slice(py.add(py.at(done, -1), 1), undefined);
+name = py.at(element_name(py.at(split(action, "="), 0)), 0);
+changed = (py.truth(action) ? _set_by_assignment(action, name) : py.frozenset());
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, py.or(changed, py.and(new Set([name]), _FRAMES)), undefined, calls);
 }
 if (py.truth(py.either(py.has(_LOOPS, first), () => py.has(_BLOCKS, first)))) {
 return new Step(first, undefined, undefined, py.has(_LOOPS, first), undefined, undefined, undefined, calls);
@@ -1790,28 +2814,58 @@ if (py.truth(py.either(py.has(["ELSE", "CASE", "DEFAULT"], first), () => py.both
 return new Step(undefined, undefined, undefined, undefined, true);
 }
 if (py.same(first, "BAS")) {
-what = _by_bas(items);
-one = new py.Dict([["#TOOL", py.frozenset(new Set(["$TOOL"]))], ["#BASE", py.frozenset(new Set(["$BASE"]))]]);
-return new Step(undefined, undefined, undefined, undefined, undefined, py.call(one, "get", what, (py.has(_SPEEDS, what) ? py.frozenset() : _FRAMES)));
+return new Step(undefined, undefined, undefined, undefined, undefined, _set_by_bas(items));
 }
 sides = split(items, "=");
 [name, is_part] = [...py.iter(element_name(py.at(sides, 0)))];
-if (py.truth(py.either(!py.same(py.len(sides), 2), () => py.either(py.has(_MOTIONS, first), () => !py.has(["$TOOL", "$BASE", "FDAT_ACT"], name))))) {
-return new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, calls);
+changed = (!py.has(_MOTIONS, first) ? _set_by_assignment(items, name) : py.frozenset());
+if (py.truth(py.either(!py.same(py.len(sides), 2), () => py.either(py.has(_MOTIONS, first), () => !py.has(_SETTABLE, name))))) {
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, changed, calls);
 }
-return (py.truth(is_part) ? new Step(undefined, undefined, undefined, undefined, undefined, undefined, py.frozenset(new Set([name])), calls) : new Step(undefined, undefined, undefined, undefined, undefined, py.frozenset(new Set([name])), undefined, calls));
+what = py.frozenset(new Set([py.call(new py.Dict([["LDAT_ACT", _ORIENTATION], ["$LOAD", STATED_LOAD]]), "get", name, name)]));
+if (py.truth(is_part)) {
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, what, calls);
+}
+return new Step(undefined, undefined, undefined, undefined, undefined, what, undefined, calls);
 return null;
 }
-return { _TOKENS, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _MOTIONS, _BY_POSTURE, _RELATIVE, _AFTER, _POSE, _JOINTS, _EXTERNAL, _NULL, _FRAMES, _BY_DATA, _SPEEDS, _HARMLESS_WORDS, _HARMLESS, Krl, _Data, _Reader, _takes_values, _frame_named, _frame_of_data, _frame_data, _fields, _bits, _posture, _by_bas, _step };
+function _set_by_bas(items) {
+let one, what;
+what = _by_bas(items);
+if (py.same(what, "#INITMOV")) {
+return py.or(_FRAMES, new Set([_ORIENTATION]));
+}
+one = new py.Dict([["#TOOL", py.frozenset(new Set(["$TOOL"]))], ["#BASE", py.frozenset(new Set(["$BASE"]))]]);
+return py.call(one, "get", what, (py.has(_SPEEDS, what) ? py.frozenset() : _FRAMES));
+return null;
+}
+function _set_by_assignment(items, name) {
+let first, is_assignment, is_call, is_declaration, is_known, stem;
+first = word(py.at(items, 0));
+stem = py.at(py.call(name, "partition", "["), 0);
+is_assignment = py.any((() => { const $out = []; for (const item of py.iter(items)) { $out.push(is_token(item, "SIGN", "=")); } return $out; })());
+if (py.truth(is_assignment)) {
+if (py.truth(py.either(!py.truth(py.call(stem, "startswith", "$")), () => py.has(_VARIABLES, stem)))) {
+return py.frozenset();
+}
+return py.frozenset(new Set([(py.has(_PLACES, stem) ? _ROBOT : POSITIONS)]));
+}
+is_declaration = py.both((py.len(items) > 1), () => py.both(py.bool(word(py.at(items, 1))), () => py.both(!py.has(_MOVES, first), () => !py.truth(py.any((() => { const $out = []; for (const item of py.iter(items)) { $out.push(py.both(py.isinstance(item, [Brackets]), () => py.same(item.kind, "{"))); } return $out; })())))));
+is_call = py.both((py.len(items) > 1), () => py.both(py.isinstance(py.at(items, 1), [Brackets]), () => py.same(py.at(items, 1).kind, "(")));
+is_known = py.either(py.has(_INSTRUCTIONS, first), () => py.either(py.has(_RELATIVE, first), () => py.either(is_declaration, () => is_call)));
+return (py.truth(py.either(is_known, () => !py.truth(first))) ? py.frozenset() : py.frozenset(new Set([POSITIONS])));
+return null;
+}
+return { _TOKENS, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _MOTIONS, _BY_POSTURE, _RELATIVE, _AFTER, _POSE, _JOINTS, _EXTERNAL, _NULL, _FRAMES, _BY_DATA, _SPEEDS, _MANUAL, _KRL_WORDS, _INSTRUCTIONS, _HARMLESS, _VARIABLES, _TURNING, _ORIENTATION, _ROBOT, _PLACES, _MOVES, _SETTABLE, Krl, _Data, _Reader, _takes_values, _frame_named, _frame_of_data, _frame_data, _fields, _bits, _posture, _by_bas, _step, _set_by_bas, _set_by_assignment };
 })();
 MODULES.rapid = (() => {
 const { Draft } = MODULES.draft;
 const { InForce, Step, followed } = MODULES.flow;
 const { ControllerLanguage } = MODULES.language;
-const { Frame, Motion, Point, Posture, Program, Skipped, Turn } = MODULES.program;
-const { ENDS_IT, GRAMMAR, MOTIONS, OF_OPTIONS, ONCE, SWITCHES, check_blocks, statements_of } = MODULES.rapid_blocks;
-const { Reader, formal_names } = MODULES.statement_reader;
-const { Brackets, Number, Statement, aggregate, calls_in, element_name, numbers_of, place_of, split, text_of_items, word, words_in } = MODULES.syntax;
+const { Frame, Load, Motion, Point, Posture, Program, Skipped, Turn } = MODULES.program;
+const { BY_NAME, DISPLACES, GRAMMAR, JOINTS_TOO, MOTION_OPTIONS, MOTIONS, OF_OPTIONS, ONCE, RAPID_FUNCTIONS, RAPID_WORDS, SWITCHES, check_blocks, ends_displacement, statements_of } = MODULES.rapid_blocks;
+const { EXTERNAL, Entries, Reader, formal_names } = MODULES.statement_reader;
+const { Brackets, Number, Statement, aggregate, calls_in, element_name, number_of, numbers_of, place_of, split, text_of_items, word, words_in } = MODULES.syntax;
 let _SEARCHES;
 _SEARCHES = ["SEARCHL", "SEARCHJ", "SEARCHC"];
 let _STORAGE;
@@ -1820,38 +2874,37 @@ let _TARGETS;
 _TARGETS = ["ROBTARGET", "JOINTTARGET"];
 let _DATA;
 _DATA = [...py.iter(_TARGETS), "TOOLDATA", "WOBJDATA"];
-let _HARMLESS_WORDS;
-_HARMLESS_WORDS = "OFFS RELTOOL POSEMULT POSEINV POSEVECT DEFFRAME DEFACCFRAME CROBT CJOINTT CPOS CTOOL CWOBJ CALCJOINTT CALCROBT ORIENTZYX EULERZYX DISTANCE VECTMAGN DOTPROD NORIENT MIRPOS ROBOS ABS SQRT SIN COS TAN ACOS ASIN ATAN ATAN2 ROUND TRUNC POW EXP NUMTOSTR VALTOSTR DIM AND OR NOT XOR DIV MOD RETURN IF WHILE";
-let _HARMLESS;
-_HARMLESS = py.frozenset(py.call(_HARMLESS_WORDS, "split"));
+let _CHANGEABLE;
+_CHANGEABLE = ["INOUT", "PERS", "VAR", "REF"];
 let _NONE;
 _NONE = 8900000000.0;
 class Rapid extends ControllerLanguage {
 read(sources) {
-let _, changing, draft, files, flow, flows, i, k, parts, reader, routines, source, statements, steps, switched;
+let _, changing, draft, entries, files, flow, flows, i, k, parts, reader, routines, source, statements, steps, switched;
 draft = new Draft(sources);
 draft.frame("TOOL0", np.eye(4), ["tool"]);
 draft.frame("WOBJ0", np.eye(4), ["base"]);
+py.call(draft.constants, "update", ["TOOL0", "WOBJ0"]);
 files = [];
 for (const $each of py.iter(sources)) {
 source = $each;
 parts = statements_of(source);
 py.call(files, "append", [source, (() => { const $out = []; for (const [statement, ] of py.iter(parts)) { $out.push(statement); } return $out; })(), (() => { const $out = []; for (const [, step] of py.iter(parts)) { $out.push(step); } return $out; })()]);
 }
-flows = followed(files);
+switched = py.call(py.set(), "union", ...py.iter((() => { const $out = []; for (const [, , steps] of py.iter(files)) { for (const step of py.iter(steps)) { $out.push(step.sets); } } return $out; })()));
+flows = followed(files, py.and(py.frozenset(switched), py.set(DISPLACES)));
 changing = py.set();
 routines = py.set();
-switched = py.set();
 for (const $each of py.iter(py.zip(files, flows))) {
 [[source, statements, steps], flow] = $each;
 check_blocks(source, statements, steps, flow);
 changing = py.or(changing, py.set(_that_change_parameters(statements, steps, flow)));
 routines = py.or(routines, new Set((() => { const $out = []; for (const step of py.iter(steps)) { if (py.truth(step.routine)) $out.push(step.routine); } return $out; })()));
-switched = py.call(switched, "union", ...py.iter((() => { const $out = []; for (const step of py.iter(steps)) { $out.push(step.sets); } return $out; })()));
 }
+entries = new Entries((() => { const $out = []; for (const [[, statements, steps], flow] of py.iter(py.zip(files, flows))) { $out.push([statements, steps, flow]); } return $out; })(), ends_displacement, DISPLACES);
 for (const $each of py.iter(py.enumerate(files))) {
 [i, [, statements, steps]] = $each;
-reader = new _Reader(draft, i, statements, steps, py.at(flows, i), py.or(_HARMLESS, py.sub(routines, changing)), this, switched);
+reader = new _Reader(draft, i, statements, steps, py.at(flows, i), py.or(RAPID_FUNCTIONS, py.sub(routines, changing)), entries, this, switched);
 for (const $each of py.iter(py.range(py.len(statements)))) {
 k = $each;
 reader.statement(k);
@@ -1912,9 +2965,10 @@ Rapid.prototype.convention = "abb";
 Rapid.prototype.digits = [4, 9, 7];
 Rapid.prototype.can_insert = true;
 Rapid.prototype.grammars = [GRAMMAR];
+Rapid.prototype.understood = RAPID_WORDS;
 LANGUAGES.register(Rapid);
 class _Reader extends Reader {
-constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, language = null, displacements = null) {
+constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null, displacements = null) {
 super();
 this.draft = draft;
 this.file = file;
@@ -1922,6 +2976,7 @@ this.statements = statements;
 this.steps = steps;
 this.flow = flow;
 this.harmless = harmless;
+this.entries = entries;
 this.language = language;
 this.displacements = displacements;
 }
@@ -1936,11 +2991,14 @@ sizes = (((lists) ?? null) !== (null) ? (() => { const $out = []; for (const eac
 if (py.truth(py.either(((lists) ?? null) === (null), () => !py.has([[3, 4, 4, 6], [6, 6]], sizes)))) {
 return this.skip(name, line, "not all of its values are numbers");
 }
+if (py.truth(py.both(py.same(sizes, [6, 6]), () => !py.truth(_at_rest(py.at(lists, 1)))))) {
+return this.skip(name, line, EXTERNAL);
+}
 if (py.same(sizes, [6, 6])) {
 return new Point(name, this.file, line, "joints", py.at(lists, 0));
 }
-if (py.truth(py.any((() => { const $out = []; for (const number of py.iter(py.at(lists, 3))) { $out.push(py.both(!py.same(number.value, 0.0), () => (number.value < _NONE))); } return $out; })()))) {
-return this.skip(name, line, "an external axis is not at 0");
+if (!py.truth(_at_rest(py.at(lists, 3)))) {
+return this.skip(name, line, EXTERNAL);
 }
 posture = _posture(py.at(lists, 2));
 if (((posture) ?? null) === (null)) {
@@ -1958,6 +3016,7 @@ line = statement.line;
 first = word(py.at(statement.items, 0));
 if (py.truth(py.either(step.opens, () => py.either(step.closes, () => step.is_jump)))) {
 if (!py.truth(step.routine)) {
+this.pass_arguments(line, items);
 this.draft.read(this.words(items));
 }
 return null;
@@ -1983,6 +3042,9 @@ this.draft.pass_to(first, (() => { const $out = []; for (const part of py.iter(p
 this.draft.read(this.words(items));
 py.call(this.draft.motions, "append", new Motion("joint", [], statement, this.file, undefined, undefined, undefined, -1));
 } else {
+if (py.has(BY_NAME, first)) {
+this.draft.write_any(("line " + py.str(line) + " sets data by their names (" + py.str(first) + ")"));
+}
 if (py.has(SWITCHES, first)) {
 this.draft.derive("displacement", this.words(py.text(items).slice(1, undefined)));
 } else {
@@ -1997,11 +3059,18 @@ this.draft.read(this.words(items));
 return null;
 }
 _declare(line, items, is_constant) {
-let bracket, group, index, kind, name, part, sides, size, stem, value;
+let bracket, group, index, kind, mass, name, part, sides, size, stem, value;
 kind = (py.truth(items) ? word(py.at(items, 0)) : "");
 sides = split(py.text(items).slice(1, undefined), ":=");
 name = py.at(element_name(py.at(sides, 0)), 0);
 value = (py.same(py.len(sides), 2) ? py.at(sides, 1) : []);
+group = aggregate(value, "[");
+if (py.truth(py.both(py.same(kind, "LOADDATA"), () => py.both(((group) ?? null) !== (null), () => py.same(py.len(group.parts), 6))))) {
+mass = number_of(py.at(group.parts, 0));
+if (((mass) ?? null) !== (null)) {
+py.put(this.draft.masses, name, mass.value);
+}
+}
 if (py.truth(py.either(!py.has(_DATA, kind), () => !py.truth(name)))) {
 this.draft.read(this.words(items));
 return null;
@@ -2009,7 +3078,6 @@ return null;
 if (py.truth(is_constant)) {
 py.call(this.draft.constants, "add", name);
 }
-group = aggregate(value, "[");
 if (py.same(kind, "TOOLDATA")) {
 this.draft.frame(name, this.language.tool(group), ["tool"]);
 return null;
@@ -2047,7 +3115,7 @@ this.draft.write(name, (py.truth(value) ? "a computed value" : "it is set while 
 return null;
 }
 _move(k) {
-let base, can_insert, count, displaced, first, known, name, options, part, path, piece, pieces, places, plain, sides, span, statement, takes_posture, targets, tool, tools;
+let base, can_insert, count, displaced, first, known, name, options, part, path, piece, pieces, places, plain, sides, span, statement, takes_posture, targets, tool, tools, unknown, why;
 statement = py.at(this.statements, k);
 known = py.at(this.flow, k);
 first = word(py.at(statement.items, 0));
@@ -2077,14 +3145,44 @@ targets = py.tuple((() => { const $out = []; for (const part of py.iter(places))
 tools = (py.has(OF_OPTIONS, first) ? py.text(plain).slice(-1, undefined) : py.text(plain).slice(py.add(count, 2), py.add(count, 3)));
 tool = this.frame(k, (py.truth(tools) ? py.at(tools, 0) : []), "its tool is computed");
 base = (py.has(options, "WOBJ") ? this.frame(k, py.at(options, "WOBJ"), "its work object is computed") : new Frame("WOBJ0"));
-displaced = this.displaced(k, (() => { const $out = []; for (const name of py.iter(["PDISP", "EOFFS", "CORR"])) { if (py.has(this.switched, name)) $out.push(name); } return $out; })(), ENDS_IT);
-if (py.truth(py.either(py.has(options, "CORR"), () => displaced))) {
-base = new Frame("displacement", undefined, py.either(displaced, () => "the motion is corrected by a sensor (Corr)"));
+displaced = this._displaced(k, options);
+if (py.truth(displaced)) {
+base = new Frame("displacement", undefined, displaced);
+}
+unknown = py.next((() => { const $out = []; for (const name of py.iter(options)) { if (!py.has(MOTION_OPTIONS, name)) $out.push(name); } return $out; })(), "");
+if (py.truth(unknown)) {
+why = ("line " + py.str(statement.line) + ": \\" + py.str(unknown) + " is not understood and may displace it");
+targets = py.tuple((() => { const $out = []; for (const target of py.iter(targets)) { $out.push(this.left(target, why)); } return $out; })());
 }
 can_insert = py.both(py.same(first, "MOVEL"), () => !py.same(py.at(this.steps, py.sub(k, 1)).opens, ONCE));
 span = place_of(py.at(places, -1));
 takes_posture = this._takes_posture(known, (py.same(path, "joint") ? "CONFJ" : "CONFL"));
-py.call(this.draft.motions, "append", new Motion(path, targets, statement, this.file, tool, base, span, known.run, can_insert, takes_posture));
+py.call(this.draft.motions, "append", new Motion(path, targets, statement, this.file, tool, base, span, known.run, can_insert, takes_posture, this._load_of(options, k), (py.same(first, "MOVEABSJ") ? displaced : "")));
+return null;
+}
+_displaced(k, options) {
+let is_joint, kinds;
+if (py.has(options, "CORR")) {
+return "the motion is corrected by a sensor (Corr)";
+}
+is_joint = py.same(word(py.at(py.at(this.statements, k).items, 0)), "MOVEABSJ");
+kinds = (py.truth(is_joint) ? JOINTS_TOO : DISPLACES);
+return this.displaced(k, (() => { const $out = []; for (const name of py.iter(kinds)) { if (py.has(this.switched, name)) $out.push(name); } return $out; })());
+return null;
+}
+_load_of(options, k) {
+let name;
+if (!py.has(options, "TLOAD")) {
+return this.load(k);
+}
+name = text_of_items(py.at(options, "TLOAD"));
+return new Load(name, py.at(this.statements, k).line, py.call(this.draft.masses, "get", name));
+return null;
+}
+mass(statement) {
+let name;
+name = text_of_items(py.text(statement.items).slice(1, undefined));
+return (py.same(name, "LOAD0") ? 0.0 : py.call(this.draft.masses, "get", name));
 return null;
 }
 _takes_posture(known, switch_) {
@@ -2105,22 +3203,33 @@ for (const $each of py.iter(py.enumerate(statements))) {
 step = py.at(steps, k);
 routine = py.at(flow, k).routine;
 first = word(py.at(statement.items, 0));
-if (py.truth(py.either((routine < 0), () => py.either(step.opens, () => py.either(step.closes, () => py.either(step.is_jump, () => py.has(MOTIONS, first))))))) {
+if (py.truth(py.either((routine < 0), () => step.routine))) {
 continue;
 }
 sides = split(statement.items, ":=");
-touched = (py.same(py.len(sides), 2) ? new Set([py.at(element_name(py.at(sides, 0)), 0)]) : py.set(words_in(py.text(statement.items).slice(1, undefined))));
+touched = py.set();
+if (py.truth(py.both(py.same(py.len(sides), 2), () => !py.has(MOTIONS, first)))) {
+py.call(touched, "add", py.at(element_name(py.at(sides, 0)), 0));
+} else {
+if (!py.truth(py.either(step.opens, () => py.either(step.closes, () => py.either(step.is_jump, () => py.has(MOTIONS, first)))))) {
+touched = py.or(touched, py.set(words_in(py.text(statement.items).slice(1, undefined))));
+}
+}
 for (const $each of py.iter(calls_in(statement.items))) {
 [name, group] = $each;
-if (!py.has(_HARMLESS, py.call(name, "upper"))) {
+if (!py.has(RAPID_FUNCTIONS, py.call(name, "upper"))) {
 touched = py.or(touched, new Set((() => { const $out = []; for (const part of py.iter(group.parts)) { $out.push(py.at(element_name(part), 0)); } return $out; })()));
 }
 }
-if (py.truth(py.and(touched, py.set(formal_names(py.at(statements, routine), _DATA))))) {
+if (py.truth(py.and(touched, py.set(formal_names(py.at(statements, routine), _CHANGEABLE))))) {
 py.call(found, "append", py.at(steps, routine).routine);
 }
 }
 return found;
+return null;
+}
+function _at_rest(external) {
+return py.all((() => { const $out = []; for (const number of py.iter(external)) { $out.push(py.either(py.same(number.value, 0.0), () => (number.value >= _NONE))); } return $out; })());
 return null;
 }
 function _lists(group) {
@@ -2160,15 +3269,17 @@ end = py.at(commas, 2);
 return py.add(py.add(py.text(text).slice(undefined, start), " z0"), py.text(text).slice(end, undefined));
 return null;
 }
-return { _SEARCHES, _STORAGE, _TARGETS, _DATA, _HARMLESS_WORDS, _HARMLESS, _NONE, Rapid, _Reader, _that_change_parameters, _lists, _posture, _in_zone };
+return { _SEARCHES, _STORAGE, _TARGETS, _DATA, _CHANGEABLE, _NONE, Rapid, _Reader, _that_change_parameters, _at_rest, _lists, _posture, _in_zone };
 })();
 MODULES.urscript = (() => {
 const { Draft } = MODULES.draft;
 const { InForce, Step, followed } = MODULES.flow;
 const { ControllerLanguage } = MODULES.language;
+const { POSITIONS, STATED_LOAD } = MODULES.line_flow;
 const { Frame, Motion, Path, Point, Posture, Program, Skipped } = MODULES.program;
-const { Reader } = MODULES.statement_reader;
-const { Brackets, Statement, aggregate, call_of, calls_in, element_name, is_token, nested, numbers_of, place_of, split } = MODULES.syntax;
+const { Entries, Reader } = MODULES.statement_reader;
+const { Brackets, Statement, aggregate, call_of, calls_in, element_name, is_token, nested, number_of, numbers_of, place_of, split, text_of_items } = MODULES.syntax;
+const { Understood, understood_words } = MODULES.understood;
 let _TOKENS;
 _TOKENS = "\nTEXT: /\"[^\"\\r\\n]*\"/ | /'[^'\\r\\n]*'/\nBITS.3: /0[xXbB][0-9a-fA-F]+/\nSIGN: /[=\u003c\u003e!]=|[^\\x04\\s\\w()\\[\\]{}\"'#$]/\n_END: /\\r\\n|\\r|\\n|\\x04/\nCOMMENT.5: /#[^\\r\\n]*/\n%ignore COMMENT\n%ignore /[ \\t\\f\\xa0]+/\n";
 let _WORDS;
@@ -2177,15 +3288,23 @@ let _MOTIONS;
 _MOTIONS = new py.Dict([["movej", "joint"], ["movel", "line"], ["movep", "line"], ["movec", "circle"]]);
 let _ENDLESS;
 _ENDLESS = ["servoj", "servoc", "servol", "speedj", "speedl"];
+let _MANUAL;
+_MANUAL = "Universal Robots, script manual (PolyScope 5)";
+let _SCRIPT_WORDS;
+_SCRIPT_WORDS = [new Understood("function", (py.str(_MANUAL) + ": module motion (ends of motions, kinematics; no motion of its own)"), "stopj, stopl, stops, get_conveyor_tick_count, set_conveyor_tick_count, conveyor_pulse_decode, encoder_enable_pulse_decode, encoder_enable_set_tick_count, encoder_get_tick_count, encoder_set_tick_count, encoder_unwind_delta_tick_count, position_deviation_warning, is_within_safety_limits, is_steady"), new Understood("function", (py.str(_MANUAL) + ": module internals"), "get_actual_joint_positions, get_actual_joint_positions_history, get_actual_joint_speeds, get_actual_tcp_pose, get_actual_tcp_speed, get_actual_tool_flange_pose, get_controller_temp, get_forward_kin, get_inverse_kin, get_inverse_kin_has_solution, get_joint_temp, get_joint_torques, get_steptime, get_target_joint_positions, get_target_joint_speeds, get_target_payload, get_target_payload_cog, get_target_payload_inertia, get_target_tcp_pose, get_target_tcp_speed, get_target_waypoint, get_tcp_force, get_tcp_offset, get_tool_accelerometer_reading, get_tool_current, popup, powerdown, sleep, str_at, str_cat, str_empty, str_find, str_len, str_sub, sync, textmsg, to_num, to_str, assert, time, set_payload, set_payload_cog, set_payload_mass, set_target_payload, set_gravity, set_flag, get_flag, halt, rtde_set_watchdog, request_boolean_from_primary_client, request_float_from_primary_client, request_integer_from_primary_client, request_string_from_primary_client"), new Understood("function", (py.str(_MANUAL) + ": module urmath"), "acos, asin, atan, atan2, binary_list_to_integer, ceil, cos, d2r, floor, get_list_length, length, integer_to_binary_list, interpolate_pose, inv, list_append, list_insert, list_remove, list_extend, list_clear, log, norm, normalize, point_dist, pose_add, pose_dist, pose_inv, pose_sub, pose_trans, pow, r2d, random, rotvec2rpy, rpy2rotvec, sin, size, sqrt, tan, transpose, wrench_trans, struct, True, False, and, or, not, xor, mod, if, elif, while, return, p, run, join, kill"), new Understood("function", (py.str(_MANUAL) + ": module interfaces"), "get_analog_in, get_analog_out, get_configurable_digital_in, get_configurable_digital_out, get_digital_in, get_digital_out, get_euromap_input, get_euromap_output, get_standard_analog_in, get_standard_analog_out, get_standard_digital_in, get_standard_digital_out, get_tool_analog_in, get_tool_digital_in, get_tool_digital_out, modbus_add_signal, modbus_delete_signal, modbus_get_signal_status, modbus_send_custom_command, modbus_set_output_register, modbus_set_output_signal, modbus_set_runstate_dependent_choice, modbus_set_signal_update_frequency, read_input_boolean_register, read_input_float_register, read_input_integer_register, read_output_boolean_register, read_output_float_register, read_output_integer_register, read_port_bit, read_port_register, set_analog_inputrange, set_analog_out, set_analog_outputdomain, set_configurable_digital_out, set_digital_out, set_euromap_output, set_euromap_runstate_dependent_choice, set_runstate_configurable_digital_output_to_value, set_runstate_standard_analog_output_to_value, set_runstate_standard_digital_output_to_value, set_runstate_tool_digital_output_to_value, set_standard_analog_input_domain, set_standard_analog_out, set_standard_digital_out, set_tool_analog_input_domain, set_tool_communication, set_tool_digital_out, set_tool_digital_output_mode, set_tool_output_mode, set_tool_voltage, socket_close, socket_get_var, socket_open, socket_read_ascii_float, socket_read_binary_integer, socket_read_byte_list, socket_read_line, socket_read_string, socket_send_byte, socket_send_int, socket_send_line, socket_send_string, socket_set_var, write_output_boolean_register, write_output_float_register, write_output_integer_register, write_port_bit, write_port_register, zero_ftsensor, set_input_actions_to_default, set_standard_digital_input_action, set_tool_digital_input_action, set_configurable_digital_input_action, set_gp_boolean_input_action, enter_critical, exit_critical, set_safety_mode_transition_hardness")];
+let _HARMLESS;
+_HARMLESS = understood_words(_SCRIPT_WORDS, "function");
 let _SWITCHES;
-_SWITCHES = new py.Dict([["set_tcp", "tcp"], ["path_offset_enable", "path_offset"], ["path_offset_disable", "path_offset"], ["track_conveyor_linear", "conveyor"], ["track_conveyor_circular", "conveyor"], ["stop_conveyor_tracking", "conveyor"]]);
+_SWITCHES = new py.Dict([["set_tcp", "tcp"], ["set_payload", STATED_LOAD], ["set_payload_mass", STATED_LOAD], ["set_target_payload", STATED_LOAD], ["path_offset_enable", "path_offset"], ["path_offset_disable", "path_offset"], ["track_conveyor_linear", "conveyor"], ["track_conveyor_circular", "conveyor"], ["stop_conveyor_tracking", "conveyor"], ["force_mode", "force"], ["end_force_mode", "force"], ["freedrive_mode", "freedrive"], ["end_freedrive_mode", "freedrive"], ["teach_mode", "freedrive"], ["end_teach_mode", "freedrive"], ["screw_driving", "force"], ["end_screw_driving", "force"]]);
 let _ENDS_IT;
-_ENDS_IT = ["path_offset_disable", "stop_conveyor_tracking"];
+_ENDS_IT = ["path_offset_disable", "stop_conveyor_tracking", "end_force_mode", "end_freedrive_mode", "end_teach_mode", "end_screw_driving"];
+let _MODE;
+_MODE = 5;
 let _OPENS;
 _OPENS = new py.Dict([["def", "routine"], ["thread", "routine"], ["sec", "routine"], ["while", "loop"], ["for", "loop"], ["if", "branch"]]);
 class UrScript extends ControllerLanguage {
 read(sources) {
-let _, displaced, draft, files, flows, harmless, i, k, reader, source, statements, steps;
+let _, displaced, draft, entries, files, flows, harmless, i, k, reader, source, statements, steps;
 draft = new Draft(sources);
 files = [];
 for (const $each of py.iter(sources)) {
@@ -2197,12 +3316,13 @@ throw source.error(("no statement that calls or defines anything; expected " + p
 }
 py.call(files, "append", [source, statements, steps]);
 }
-flows = followed(files);
-displaced = new Set((() => { const $out = []; for (const [, , steps] of py.iter(files)) { for (const step of py.iter(steps)) { for (const name of py.iter(step.sets)) { if (!py.same(name, "tcp")) $out.push(name); } } } return $out; })());
+flows = followed(files, py.frozenset(new Set([POSITIONS])));
+displaced = py.sub(new Set([POSITIONS, ...py.iter((() => { const $out = []; for (const [, , steps] of py.iter(files)) { for (const step of py.iter(steps)) { for (const name of py.iter(step.sets)) { $out.push(name); } } } return $out; })())]), new Set(["tcp", STATED_LOAD]));
+entries = new Entries((() => { const $out = []; for (const [[, statements, steps], flow] of py.iter(py.zip(files, flows))) { $out.push([statements, steps, flow]); } return $out; })(), _ends_displacement);
 for (const $each of py.iter(py.enumerate(files))) {
 [i, [, statements, steps]] = $each;
 harmless = py.frozenset((() => { const $out = []; for (const statement of py.iter(statements)) { for (const [name, ] of py.iter(calls_in(statement.items))) { $out.push(name); } } return $out; })());
-reader = new _Reader(draft, i, statements, steps, py.at(flows, i), harmless, this, py.sorted(displaced));
+reader = new _Reader(draft, i, statements, steps, py.at(flows, i), harmless, entries, this, py.sorted(displaced));
 for (const $each of py.iter(py.range(py.len(statements)))) {
 k = $each;
 reader.statement(k);
@@ -2231,9 +3351,10 @@ UrScript.prototype.in_degrees = false;
 UrScript.prototype.digits = [7, 8, 9];
 UrScript.prototype.can_insert = true;
 UrScript.prototype.grammars = [nested(_TOKENS, true)];
+UrScript.prototype.understood = _SCRIPT_WORDS;
 LANGUAGES.register(UrScript);
 class _Reader extends Reader {
-constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, language = null, displacements = null) {
+constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null, displacements = null) {
 super();
 this.draft = draft;
 this.file = file;
@@ -2241,6 +3362,7 @@ this.statements = statements;
 this.steps = steps;
 this.flow = flow;
 this.harmless = harmless;
+this.entries = entries;
 this.language = language;
 this.displacements = displacements;
 }
@@ -2318,7 +3440,7 @@ return found;
 return null;
 }
 _move(k, called, arguments_) {
-let base, count, displaced, known, named, part, path, places, plain, span, statement, targets;
+let base, count, displaced, known, mode, named, part, path, places, plain, span, statement, targets, why;
 statement = py.at(this.statements, k);
 known = py.at(this.flow, k);
 named = py.dict();
@@ -2344,10 +3466,22 @@ py.call(this.draft.skipped, "append", this.skip((py.str(called) + " of line " + 
 return null;
 }
 targets = py.tuple((() => { const $out = []; for (const part of py.iter(places)) { $out.push(this.target(k, part)); } return $out; })());
-displaced = this.displaced(k, this.displacements, _ENDS_IT);
+displaced = this.displaced(k, this.displacements);
 base = (py.truth(displaced) ? new Frame("", undefined, displaced) : new Frame("base", np.eye(4)));
+mode = ((py.len(plain) > _MODE) ? py.text(py.at(plain, _MODE)).slice(undefined, undefined) : py.call(named, "get", "mode", []));
+if (py.truth(py.both(py.same(path, "circle"), () => !py.has(["", "0"], text_of_items(mode))))) {
+why = ("line " + py.str(statement.line) + " does not turn the tool to its orientation (mode)");
+targets = [py.at(targets, 0), this.left(py.at(targets, 1), why)];
+}
 span = place_of(py.at(places, -1));
-py.call(this.draft.motions, "append", new Motion(path, targets, statement, this.file, this._tool(known), base, span, known.run, py.same(path, "line")));
+py.call(this.draft.motions, "append", new Motion(path, targets, statement, this.file, this._tool(known), base, span, known.run, py.same(path, "line"), undefined, this.load(k), displaced));
+return null;
+}
+mass(statement) {
+let call, number;
+call = call_of(statement.items);
+number = (py.truth(py.both(((call) ?? null) !== (null), () => py.at(call, 1).parts)) ? number_of(py.at(py.at(call, 1).parts, 0)) : null);
+return (((number) ?? null) !== (null) ? number.value : null);
 return null;
 }
 _tool(known) {
@@ -2358,6 +3492,9 @@ return new Frame("tcp", undefined, (((found) ?? null) !== (null) ? ("set_tcp: " 
 }
 call = call_of(py.at(this.statements, found).items);
 point = (py.truth(py.both(((call) ?? null) !== (null), () => py.at(call, 1).parts)) ? this.literal(0, "tcp", py.at(py.at(call, 1).parts, 0)) : null);
+if (py.truth(py.both(py.isinstance(point, [Point]), () => !py.truth(this.language.is_pose(point.values))))) {
+return new Frame("tcp", undefined, ("line " + py.str(py.at(this.statements, found).line) + " sets what is no pose"));
+}
 if (py.truth(py.both(py.isinstance(point, [Point]), () => py.same(point.kind, "pose")))) {
 return new Frame("tcp", this.language.pose(point.values));
 }
@@ -2366,12 +3503,16 @@ return null;
 }
 }
 _Reader.prototype.case = true;
+function _ends_displacement(statement) {
+return py.has(_ENDS_IT, py.str(py.at(statement.items, 0)));
+return null;
+}
 function _step(statement) {
 let calls, first, items, kind, name;
 items = statement.items;
 first = (py.truth(is_token(py.at(items, 0), "WORD")) ? py.str(py.at(items, 0)) : "");
 kind = py.call(_OPENS, "get", first, "");
-calls = py.tuple((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(name); } return $out; })());
+calls = py.tuple((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { if (py.truth(py.both(!py.has(_HARMLESS, name), () => py.both(!py.has(_SWITCHES, name), () => py.both(!py.has(_MOTIONS, name), () => !py.has(_ENDLESS, name)))))) $out.push(name); } return $out; })());
 if (py.same(kind, "routine")) {
 name = py.next((() => { const $out = []; for (const item of py.iter(py.text(items).slice(1, undefined))) { if (py.truth(is_token(item, "WORD"))) $out.push(py.str(item)); } return $out; })(), first);
 return new Step(first, undefined, name, undefined, undefined, undefined, undefined, undefined, (py.same(first, "thread") ? [name] : []));
@@ -2388,5 +3529,5 @@ return new Step(undefined, undefined, undefined, undefined, true, undefined, und
 return new Step(undefined, undefined, undefined, undefined, undefined, (py.has(_SWITCHES, first) ? py.frozenset(new Set([py.at(_SWITCHES, first)])) : py.frozenset()), undefined, calls);
 return null;
 }
-return { _TOKENS, _WORDS, _MOTIONS, _ENDLESS, _SWITCHES, _ENDS_IT, _OPENS, UrScript, _Reader, _step };
+return { _TOKENS, _WORDS, _MOTIONS, _ENDLESS, _MANUAL, _SCRIPT_WORDS, _HARMLESS, _SWITCHES, _ENDS_IT, _MODE, _OPENS, UrScript, _Reader, _ends_displacement, _step };
 })();
