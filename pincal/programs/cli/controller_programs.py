@@ -14,7 +14,10 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import option, pair
+from pincal.cli.outputs import echo_notes, extrapolation, print_json
 from pincal.cli.quantities import LENGTH
+from pincal.cli.target_files import FileCorrection, TargetFiles
+from pincal.errors import Exit
 
 if TYPE_CHECKING:
     from pincal.calibration.fitted_robot import FittedRobot
@@ -34,7 +37,7 @@ def _named(text: str) -> tuple[str, str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProgramOptions:
+class ProgramOptions(TargetFiles):
     """Properties of the cell that a controller's program does not contain."""
 
     tools: tuple[tuple[str, str], ...] = option(
@@ -79,6 +82,38 @@ class ProgramOptions:
     path_error: float | None = option(
         "Insert points into lines where the tool deviates by more than this.", type=LENGTH
     )
+
+    def reads(self, path: Path) -> bool:
+        """Return whether a file is a program of a known language."""
+        from pincal.programs.language import language_of
+
+        return language_of(path) is not None
+
+    def correct(self, calibrated: FittedRobot, wanted: FileCorrection) -> Exit:
+        """Correct a controller's program, and print what was done."""
+        from pincal.cli.progress import end_progress
+        from pincal.programs.language import language_of
+
+        language = language_of(wanted.path)
+        assert language is not None
+        limits = Allowed(wanted.seed, wanted.keeps_limits, wanted.max_change)
+        result, changes = correct_file(calibrated, wanted.path, wanted.out, language, self, limits)
+        notes: list[str] = []
+        if changes:
+            at = calibrated.conditions_at(
+                np.array([change.commanded for change in changes]), payload=self.payload
+            )
+            lines = np.array([change.point.line for change in changes])
+            beyond, notes = extrapolation(calibrated, at, lines)
+            result |= beyond
+        end_progress()
+        if wanted.as_json:
+            print_json(result)
+        else:
+            click.echo("\n".join(summary_of_program(result, language.name)))
+        echo_notes(notes, quiet=wanted.quiet)
+        is_lost = result["left"] and (wanted.is_strict or not result["points"])
+        return Exit.UNDECIDED if is_lost else Exit.DONE
 
 
 def correct_file(
