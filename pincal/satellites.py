@@ -95,7 +95,7 @@ class Place(Generic[_T]):
 def lacking(wanted: str, part: str) -> BadInputError:
     """Return the error that what the user wants, such as an option, needs an absent satellite."""
     return BadInputError(
-        f"{wanted}: this installation of pincal lacks {part}, which does this; leave {wanted} "
+        f"{wanted}: this installation lacks {part}, which does this; leave {wanted} "
         "out, or install pincal as a whole"
     )
 
