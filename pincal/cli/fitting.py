@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 # The view in three dimensions that accompanies the report.
 VIEW = "view3d.html"
-# What writes the view of a calibration to a folder.
+# What writes views of a calibration to a folder.
 _VIEWS: Place[Callable[[Path, Calibration], None]] = Place("views")
 # Times within which a cluster has to answer, and then to have a worker [s].
 _ANSWER: Scale = 5.0
@@ -219,7 +219,8 @@ def write_results(
     (folder / "calibrated.urdf").write_bytes(export.text)
     _write_residuals(folder / "residuals.csv", calibration)
     if view:
-        _VIEWS.only("--view", "pincal.viewer")(folder, calibration)
+        for write in _VIEWS.all():
+            write(folder, calibration)
     page = report_page(
         Subject(calibration, origin, export.notes, output.search, view=VIEW if view else None)
     )
