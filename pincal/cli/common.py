@@ -23,9 +23,9 @@ from pincal.cli.quantities import (
     station_links,
     xacro_argument,
 )
+from pincal.cli.streams import MOTION, Streams
 from pincal.errors import BadInputError
 from pincal.measure.fields import TABLE_ENDINGS, TableOptions
-from pincal.motion.cli.motion_options import MotionOptions
 from pincal.robot.cell import Beside
 from pincal.units import GRAVITIES, is_gravity
 
@@ -247,7 +247,7 @@ class InputOptions:
     couplings: tuple[str, ...] = coupling_option()
     signs: tuple[str, ...] = sign_option()
     table: TableArguments = group("Tables")
-    motion: MotionOptions = group("Motion")
+    motion: Streams = group(MOTION, is_handed_in=True)
 
 
 @dataclass(frozen=True, kw_only=True)

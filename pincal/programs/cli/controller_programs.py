@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,10 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import NumberType, option, pair
+from pincal.cli.outputs import echo_notes, extrapolation, print_json
 from pincal.cli.quantities import LENGTH
+from pincal.cli.target_files import FileCorrection, TargetFiles
+from pincal.errors import Exit
 
 if TYPE_CHECKING:
     from pincal.calibration.fitted_robot import FittedRobot
@@ -35,7 +38,7 @@ def _named(text: str) -> tuple[str, str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProgramOptions:
+class ProgramOptions(TargetFiles):
     """Properties of the cell that a controller's program does not contain."""
 
     tools: tuple[tuple[str, str], ...] = option(
@@ -82,6 +85,38 @@ class ProgramOptions:
     path_error: float | None = option(
         "Insert points into lines where the tool deviates by more than this.", type=LENGTH
     )
+
+    def reads(self, path: Path) -> bool:
+        """Return whether a file is a program of a known language."""
+        from pincal.programs.language import language_of
+
+        return language_of(path) is not None
+
+    def correct(self, calibrated: FittedRobot, wanted: FileCorrection) -> Exit:
+        """Correct a controller's program, and print what was done."""
+        from pincal.cli.progress import end_progress
+        from pincal.programs.language import language_of
+
+        language = language_of(wanted.path)
+        assert language is not None
+        limits = Allowed(wanted.seed, wanted.keeps_limits, wanted.max_change)
+        result, changes = correct_file(calibrated, wanted.path, wanted.out, language, self, limits)
+        notes = list(result["notes"])
+        if changes:
+            at = calibrated.conditions_at(np.array([change.commanded for change in changes]))
+            at = replace(at, payload=np.array([change.payload for change in changes]))
+            lines = np.array([change.point.line for change in changes])
+            beyond, more = extrapolation(calibrated, at, lines)
+            notes += more
+            result |= beyond
+        end_progress()
+        if wanted.as_json:
+            print_json(result)
+        else:
+            click.echo("\n".join(summary_of_program(result, language.name)))
+        echo_notes(notes, quiet=wanted.quiet)
+        is_lost = not result["points"] or (wanted.is_strict and result["left"])
+        return Exit.UNDECIDED if is_lost else Exit.DONE
 
 
 def correct_file(
