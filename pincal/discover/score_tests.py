@@ -276,7 +276,7 @@ class _Products:
         return cls(inner, np.zeros((n_blocks, c)), np.zeros((n_blocks, p, c)))
 
     def add(self, piece: _Piece, added: Jacobian, groups: np.ndarray) -> None:
-        """Add a piece of the rows in place; products of columns of different groups may be omitted."""
+        """Add a piece of the rows in place; columns of different groups need no products."""
         for k, some in piece.blocks:
             part = added.poses(some)
             part.add_gram(piece.residuals[:, some], self.inner[k], self.g[k], groups)
