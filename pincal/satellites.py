@@ -1,4 +1,4 @@
-"""Satellites: packages of pincal beside its kernel, which hand in verbs, readers, sections, schemas.
+"""Satellites: packages beside pincal's kernel, which hand in verbs, readers, sections, schemas.
 
 The kernel (robot, model, tables, fits, validation, compensation, export, report and their verbs)
 names none of them and works without them. A satellite is a package of pincal, or of another

@@ -618,7 +618,8 @@ class StopNumbers:
     agrees: float = number(
         0.99,
         "probability",
-        "test_visit_weights.py::test_few_poses_that_were_visited_often_have_the_noise_of_their_visits",
+        "test_visit_weights.py"
+        "::test_few_poses_that_were_visited_often_have_the_noise_of_their_visits",
         "of the interval of an estimated noise within which a declared one agrees with it",
         "one sound table in a hundred",
     )
