@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,14 +30,15 @@ from table_forms import (
 )
 from test_table_kinds import JOINTS, KINDS, MATRICES, TURNED, XYZ, K, Kind, Q, headed, read
 
+from pincal.compensate.returned_table import write_returned
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.fields import TableOptions
+from pincal.measure.fields import Field, Schema, TableOptions
 from pincal.measure.flat_matrices import order_of_matrix, quaternions_of
 from pincal.measure.nameless import has_numbers_for_names, with_poses_in_rows
 from pincal.measure.nested_labels import vector_labels
 from pincal.measure.nested_values import by_path
 from pincal.measure.opencv_storage import matrix
-from pincal.measure.reader import links_of_rows
+from pincal.measure.reader import links_of_rows, read_table
 from pincal.measure.reading_numbers import LAYOUT
 from pincal.measure.table import read_measurements
 
@@ -212,6 +214,20 @@ def test_some_columns_by_number_leave_the_others_out(tmp_path: Path) -> None:
         read_measurements(path, JOINTS, columns=BY_NUMBER | {"11": "x"})
     with pytest.raises(MeasurementError, match=r"10 columns of numbers and no names; expected .* the arm has 6 joints"):
         read_measurements(path, JOINTS)
+
+
+def test_a_table_without_names_is_returned_without(tmp_path: Path) -> None:
+    """Numbers change in their cells, also below a comment; no line of names is added."""
+    (tmp_path / "in.csv").write_text("# by hand\n0.1;0.2;1.5\n0.3;0.4;2.5\n")
+    schema = Schema((Field("distance", ("distance",), "length"),), joint_names=("a", "b"))
+    named = replace(schema, options=TableOptions(columns={"1": "a", "2": "b", "3": "distance"}))
+    found = read_table(tmp_path / "in.csv", named)
+    new = {"a": np.array([0.7, 0.8]), "b": np.array([0.9, 1.0]), "distance": np.array([1.5, 2.5])}
+    write_returned(tmp_path / "out.csv", found, new, ("a", "b"))
+
+    lines = (tmp_path / "out.csv").read_text().splitlines()
+    assert lines[0] == "# by hand"
+    assert [[float(cell) for cell in line.split(";")] for line in lines[1:]] == [[0.7, 0.9, 1.5], [0.8, 1.0, 2.5]]
 
 
 def test_pickled_arrays_are_not_read(tmp_path: Path) -> None:
