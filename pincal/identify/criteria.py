@@ -686,6 +686,14 @@ class AgreementNumbers:
         "by which undoing a mistake has to reduce the error before it is named",
         "chosen",
     )
+    chance: float = number(
+        1e-4,
+        "probability",
+        "test_mistakes.py::test_what_is_left_counts_by_its_degrees_of_freedom",
+        "that any of all hypotheses that are tried leaves as little by chance, below which one is "
+        "named",
+        "a thousand sound tables, each with its own search, are then refused once in ten thousand",
+    )
     rival: float = number(
         2.0,
         "ratio",

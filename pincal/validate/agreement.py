@@ -172,16 +172,19 @@ def _is_same(sign: Mistake, zero: Mistake) -> bool:
 
 
 def _pulled(fit: ModelFit) -> frozenset[str]:
-    """Return the joints whose zeros the data have pulled far outside their priors."""
-    offsets = [
-        (p, fit.values[i])
-        for i, p in enumerate(fit.problem.parameters)
-        if p.effect == JointOffset.name
-    ]
+    """Return the joints whose zeros the data have pulled far outside their priors, or outside what
+    an earlier fit, or the robot's type, says of them.
+    """
+    expected = fit.problem.beliefs.with_earlier(np.zeros(len(fit.values)))
+    sizes = np.array([p.size for p in fit.problem.parameters])
+    for term in fit.problem.beliefs.terms:
+        if term.sigma is not None:
+            sizes[term.places] = np.maximum(sizes[term.places], term.sigma)
+    is_far = np.abs(fit.values - expected) > AGREEMENT.pulled * sizes
     return frozenset(
         p.name.split(".")[0]
-        for p, value in offsets
-        if p.unit == "rad" and abs(value) > AGREEMENT.pulled * p.size
+        for p, is_pulled in zip(fit.problem.parameters, is_far, strict=True)
+        if is_pulled and p.effect == JointOffset.name and p.unit == "rad"
     )
 
 

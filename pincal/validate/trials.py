@@ -12,11 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.special import fdtr
 
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.criteria import AGREEMENT
 from pincal.identify.fit import ModelFit
+from pincal.identify.initial import starts_of
 from pincal.identify.options import Options
+from pincal.identify.station import Station
 from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
@@ -60,6 +63,43 @@ class PlausibleResiduals:
 
 
 @dataclass(frozen=True)
+class Remainder:
+    """What a fit leaves of some readings.
+
+    With as many unknowns as readings any hypothesis leaves nothing, and with a few readings more
+    one of many does so by chance: what is left counts by its degrees of freedom.
+
+    Attributes:
+        size: of the residuals, in any unit.
+        readings: their number, all components.
+        unknowns: that were fitted to them.
+    """
+
+    size: float
+    readings: int
+    unknowns: int
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Readings and unknowns."""
+        return self.readings, self.unknowns
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the residuals, 0 if there are none."""
+        return max(self.readings - self.unknowns, 0)
+
+    def chance(self, before: Remainder) -> float:
+        """Return how likely a wrong hypothesis, which makes no error smaller than it was
+        ``before``, leaves as little by chance; 1 where nothing could be left.
+        """
+        if not self.freedom or not before.freedom:
+            return 1.0
+        variances = [one.size**2 * one.readings / one.freedom for one in (self, before)]
+        return float(fdtr(self.freedom, before.freedom, variances[0] / variances[1]))
+
+
+@dataclass(frozen=True)
 class Cure:
     """A mistake, and what remains of the residuals with it undone on some rows.
 
@@ -67,11 +107,15 @@ class Cure:
         mistake: the hypothesis.
         case: some rows of the table, with the mistake undone.
         left: typical residuals of position [m] and orientation [rad].
+        readings: number of readings of these rows, all components.
+        unknowns: number of unknowns that were fitted to them, those of base and tool.
     """
 
     mistake: Mistake
     case: Case
     left: Residuals = (np.inf, np.inf)
+    readings: int = 0
+    unknowns: int = 0
 
 
 @dataclass(frozen=True)
@@ -94,15 +138,30 @@ class Trials:
         """
         case = replace(self.case, table=self.case.table.select(slice(0, _MOST_ROWS)))
         rows = _few(case.table)
-        possible = mistakes(case.robot, case.table, TOPICS)
+        possible = list(mistakes(case.robot, case.table, TOPICS))
         found = self._placed([_undone(one, case, rows) for one in possible])
         if lengths := lengths_of(case.table):
             found.append(self._best_scale(lengths, case, rows))
         # Of equivalent mistakes, such as one mirror or another, the first.
         found.sort(key=lambda cure: float(f"{self.limits.exceeded(cure.left):.2g}"))
+        before = self._as_is(error, case.table.select(rows))
         return [
-            cure for cure in found if self.limits.exceeded(cure.left) * AGREEMENT.cured < error
+            cure
+            for cure in found
+            if self.limits.exceeded(cure.left) * AGREEMENT.cured < error
+            and self._left_by(cure).chance(before) * len(possible) < AGREEMENT.chance
         ][:_FITTED]
+
+    def _left_by(self, cure: Cure) -> Remainder:
+        """Return what a cure leaves, relative to the limits."""
+        return Remainder(self.limits.exceeded(cure.left), cure.readings, cure.unknowns)
+
+    def _as_is(self, error: float, few: Measurements) -> Remainder:
+        """Return an error, relative to the limits, as what base and tool leave of some rows."""
+        with suppress(*UNFIT):
+            station, _ = starts_of(self.case.robot, few, self.options)[0]
+            return Remainder(error, *_counts(station))
+        return Remainder(error, 0, 0)
 
     def _placed(self, undone: list[Cure]) -> list[Cure]:
         """Return the likeliest of some mistakes with base and tool fitted, in their own order: of
@@ -118,8 +177,10 @@ class Trials:
     def _fitted(self, cure: Cure) -> Cure:
         """Return a cure with base and tool fitted."""
         with suppress(*UNFIT):
-            placed = roughly_placed(cure.case.robot, cure.case.table, self.options)
-            return replace(cure, left=typical_residuals(*placed))
+            station, values = roughly_placed(cure.case.robot, cure.case.table, self.options)
+            readings, unknowns = _counts(station)
+            left = typical_residuals(station, values)
+            return replace(cure, left=left, readings=readings, unknowns=unknowns)
         return cure
 
     def _best_scale(self, lengths: tuple[str, ...], case: Case, rows: np.ndarray) -> Cure:
@@ -169,6 +230,11 @@ class Trials:
         )
         mistake = Correction(shifts).mistake(f"joints appear to be shifted: {words}")
         return Cure(mistake, mistake.undo(few), left)
+
+
+def _counts(station: Station) -> tuple[int, int]:
+    """Return the number of readings of a station, and of the unknowns of its base and tool."""
+    return len(station) * station.reading_size, int(station.is_own.sum())
 
 
 def _undone(mistake: Mistake, case: Case, rows: np.ndarray) -> Cure:
