@@ -31,7 +31,9 @@ from pincal.measure.labels import (
 )
 from pincal.measure.orientation import (
     CONVENTIONS,
+    NO_ORIENTATION,
     Convention,
+    columns_of_orientations,
     find_orientation,
     looks_like_orientation,
     looks_like_place,
@@ -114,8 +116,17 @@ def _labels(sheet: Sheet, schema: Schema, quantities: dict[str, str]) -> list[La
     options = schema.options
     named = renamed(sheet.labels, options.columns, source=sheet.path.name)
     labels = with_joints(unignored(named, options.ignore), schema, quantities, sheet=sheet)
+    if options.orientation == NO_ORIENTATION:
+        labels = _unturned(labels, taken=schema.joint_names)
     timed = _timed_stream if schema.is_stream else _timed
     return _with_vectors(timed(labels, sheet, quantities), sheet, quantities, schema)
+
+
+def _unturned(labels: Sequence[Label], *, taken: Collection[str]) -> list[Label]:
+    """Return labels without those of an orientation in any convention; ``taken`` are joints."""
+    names = {without_unit(label.meant) for label in labels} - {*taken}
+    turned = columns_of_orientations(names)
+    return [label for label in labels if without_unit(label.meant) not in turned]
 
 
 @dataclass(frozen=True)
@@ -433,6 +444,8 @@ def _orientation(
     there is none.
     """
     names = [without_unit(label.meant) for label in labels]
+    if schema.options.orientation == NO_ORIENTATION:
+        return None
     declared = schema.options.orientation
     usual = rotations(schema.fields).columns
     found = find_orientation(

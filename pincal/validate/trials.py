@@ -25,6 +25,7 @@ from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.thresholds import Count, Scale
 from pincal.validate.cures import TOPICS, Case, Correction, Mistake, lengths_of, mistakes, scaled
+from pincal.validate.descriptions import DescriptionSearch
 from pincal.validate.rough_fit import (
     UNFIT,
     least_size,
@@ -197,6 +198,14 @@ class Trials:
         )
         return tried(best.x)
 
+    def of_positions(self) -> Trials:
+        """Return the trials of the positions of poses alone."""
+        table = self.case.table
+        position = table.readings["position"]
+        alone = replace(table, readings={"position": position})
+        options = replace(self.options, sigma_orientation=None)
+        return replace(self, case=replace(self.case, table=alone), options=options)
+
     def calibrated(self, case: Case) -> tuple[ModelFit | None, Residuals]:
         """Return a calibration of the geometry by some rows, and its residuals; None if it
         fails.
@@ -219,17 +228,50 @@ class Trials:
         }
         if max(map(abs, shifts.values()), default=0.0) < AGREEMENT.shift:
             return None
-        fit, left = self.calibrated(Correction(shifts).undone(few))
+        refined = self._refined(Correction(shifts), few)
+        if refined is None:
+            return None
+        correction, left = refined
+        words = " and ".join(
+            f"{name!r} by {np.rad2deg(shift):+.1f} deg" for name, shift in correction.shifts.items()
+        )
+        mistake = correction.mistake(f"joints appear to be shifted: {words}")
+        return Cure(mistake, mistake.undo(few), left)
+
+    def described(self, error: float) -> Cure | None:
+        """Return the description in which most differs at once, with the residuals of a
+        calibration; None if none leaves less of an error [m] than chance does.
+        """
+        few = replace(self.case, table=self.case.table.select(_few(self.case.table)))
+        search = DescriptionSearch.of(few, self.options, self.limits.position)
+        found = None if search is None else search.found()
+        if search is None or found is None or not found.correction.size:
+            return None
+        before = Remainder(error, *self._as_is(error, few.table).counts)
+        after = Remainder(found.left, found.readings, found.unknowns)
+        if after.chance(before) * len(search.combinations) >= AGREEMENT.chance:
+            return None
+        refined = self._refined(found.correction, few)
+        if refined is None:
+            return None
+        correction, left = refined
+        mistake = correction.mistake(f"the description appears to differ: {correction.words}")
+        return Cure(mistake, mistake.undo(few), left)
+
+    def _refined(self, correction: Correction, few: Case) -> tuple[Correction, Residuals] | None:
+        """Return a correction with the zeros of its shifted joints as a calibration has them, and
+        the residuals of that; None if it fails.
+        """
+        fit, left = self.calibrated(correction.undone(few))
         if fit is None:
             return None
         pairs = zip(fit.problem.parameters, fit.values, strict=True)
         offsets = {p.name: value for p, value in pairs}
-        shifts = {name: shift + float(offsets[f"{name}.theta"]) for name, shift in shifts.items()}
-        words = " and ".join(
-            f"{name!r} by {np.rad2deg(shift):+.1f} deg" for name, shift in shifts.items()
-        )
-        mistake = Correction(shifts).mistake(f"joints appear to be shifted: {words}")
-        return Cure(mistake, mistake.undo(few), left)
+        shifts = {
+            name: shift + float(offsets.get(f"{name}.theta", 0.0))
+            for name, shift in correction.shifts.items()
+        }
+        return replace(correction, shifts=shifts), left
 
 
 def _counts(station: Station) -> tuple[int, int]:
