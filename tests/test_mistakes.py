@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mistakes_study import FIRST, ORIENTATIONS, Task, is_right, machine_of, poses_of, robot_of, said_of
+from mistakes_study import FIRST, ORIENTATIONS, Task, draw, is_right, machine_of, poses_of, robot_of, said_of
 from placed_arms import measured, run
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
@@ -18,7 +18,7 @@ from pincal.measure.orientation import columns_of_orientations
 from pincal.measure.table import read_measurements
 from pincal.robot.mastering import resized
 from pincal.robot.robot import Robot
-from pincal.validate.cures import Case, Correction
+from pincal.validate.cures import Case, Correction, from_hand
 from pincal.validate.descriptions import DescriptionSearch
 from pincal.validate.orientations import OrientationSearch
 from pincal.validate.trials import Remainder
@@ -62,6 +62,7 @@ def test_a_sound_table_of_few_poses_is_not_accused(kind: str) -> None:
         ("A1", "orientations appear to be in radians, not degrees", 3),
         ("A2", "angles about x, the new y and the new z, not angles about fixed x, y and z", 3),
         ("A4", "in another frame than the positions, turned by 90.0 deg about z", 3),
+        ("D1", "seen from 'tool0'", 3),
         ("E1", "counts in the opposite sense", 0),
         ("E3", "is shifted by -90", 0),
         ("J1", "the length a of j2 (to the next axis) is 24.9 mm longer", 0),
@@ -159,6 +160,16 @@ def test_signs_zeros_couplings_and_lengths_are_searched_together() -> None:
     left = search._left_of_linear(search.combinations)
     assert np.sort(left)[0] == pytest.approx(left[search.combinations.index(true)], rel=0.5)
     np.testing.assert_allclose(true.of_urdf(robot, reported.q), table.q, atol=1e-12)
+
+
+def test_what_a_camera_on_the_hand_sees_is_a_hypothesis() -> None:
+    """Rows become those of the path from the hand to the base; where links are stated there is none."""
+    case = draw(Task("sound", 1))
+    (mistake,) = from_hand(case.robot, case.table)
+    undone = mistake.undo(Case(case.robot, case.table)).table
+    assert {*undone.from_link.tolist()} == {"tool0"} and {*undone.to_link.tolist()} == {case.robot.base}
+    assert f"--from tool0 --to {case.robot.base}" in mistake.advice
+    assert not list(from_hand(case.robot, undone))
 
 
 def test_orientations_can_be_left_out(tmp_path: Path) -> None:

@@ -264,6 +264,26 @@ def _of_readings(
     return undone
 
 
+def from_hand(robot: Robot, table: Measurements) -> Iterator[Mistake]:
+    """Yield that a camera on the hand saw an object beside the robot, not an instrument there the
+    hand.
+    """
+    sensor = table.sensor
+    if sensor is None or not sensor.reads_pose or table.from_link is not None:
+        return
+    if table.to_link is not None or table.moving is not None:
+        return
+    words = f"the rows appear to be of an object beside the robot, seen from {robot.tip!r}"
+    advice = f"if a camera is on the hand, state it (--from {robot.tip} --to {robot.base})"
+
+    def undone(case: Case) -> Case:
+        links = (np.full(len(case.table), link) for link in (robot.tip, robot.base))
+        from_link, to_link = links
+        return replace(case, table=replace(case.table, from_link=from_link, to_link=to_link))
+
+    yield Mistake(words, undone, f"{advice} and run again")
+
+
 def records(robot: Robot, table: Measurements) -> Iterator[Mistake]:
     """Yield the other positions of the joints, where a table has both commanded and
     read-back ones.
@@ -333,6 +353,7 @@ TOPICS: tuple[Topic, ...] = (
     exchanges,
     descriptions,
     misreadings,
+    from_hand,
     records,
     delays,
     others,
