@@ -165,10 +165,12 @@ class TableArguments:
         metavar=COLUMNS,
         words="by the names of the columns",
     )
-    orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz"] | None = option(
-        "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, "
-        "or a quaternion in this order.",
-        words="from the names of its columns",
+    orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz", "none"] | None = (
+        option(
+            "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, "
+            "or a quaternion in this order; none leaves orientations out.",
+            words="from the names of its columns",
+        )
     )
     joints: Path | None = option(
         "Log of the joint positions, if the table lacks them: joined by a common column, "

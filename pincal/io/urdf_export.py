@@ -135,7 +135,7 @@ def _segments(tree: UrdfTree, robot: Robot, ends: Collection[str]) -> dict[str, 
     """
     known = {joint.name: joint for joint in tree.joints}
     missing = [name for name in robot.joint_names if name not in known]
-    if robot.is_serial and not robot.links:
+    if robot.is_serial and not robot.links and robot.path.start == robot.base:
         names = tuple(
             joint.name for joint in tree.path(robot.base, robot.tip) if joint.kind in MOVING_TYPES
         )

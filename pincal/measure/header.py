@@ -35,7 +35,9 @@ from pincal.measure.nameless import check_named, is_counter, unit_of_joints
 from pincal.measure.orientation import (
     CONVENTIONS,
     MATRIX,
+    NO_ORIENTATION,
     Convention,
+    columns_of_orientations,
     find_orientation,
     looks_like_orientation,
     looks_like_place,
@@ -127,7 +129,16 @@ def _labels(sheet: Sheet, schema: Schema, quantities: dict[str, str]) -> list[La
         labels = _timed(labels, sheet, quantities)
         if any(part.is_unit for part in schema.fields):
             labels = with_matrix(labels, sheet, quantities, source=sheet.path.name)
+    if options.orientation == NO_ORIENTATION:
+        labels = _unturned(labels, taken=schema.joint_names)
     return _with_vectors(labels, sheet, quantities, schema)
+
+
+def _unturned(labels: Sequence[Label], *, taken: Collection[str]) -> list[Label]:
+    """Return labels without those of an orientation in any convention; ``taken`` are joints."""
+    names = {without_unit(label.meant) for label in labels} - {*taken}
+    turned = columns_of_orientations(names)
+    return [label for label in labels if without_unit(label.meant) not in turned]
 
 
 @dataclass(frozen=True)
@@ -455,6 +466,8 @@ def _orientation(
     there is none.
     """
     names = [without_unit(label.meant) for label in labels]
+    if schema.options.orientation == NO_ORIENTATION:
+        return None
     declared = schema.options.orientation
     usual = rotations(schema.fields).columns
     found = find_orientation(

@@ -156,6 +156,8 @@ _ALL = (
 )
 CONVENTIONS: Mapping[str, Convention] = {convention.name: convention for convention in _ALL}
 """The conventions by the values of the option ``--orientation``."""
+NO_ORIENTATION = "none"
+"""Its value for leaving orientations out."""
 
 MATRIX = Convention(
     "matrix",
@@ -219,6 +221,20 @@ def looks_like_orientation(names: Collection[str]) -> bool:
     """Return whether columns include those of an orientation, in upper or lower case."""
     folded = {name.casefold() for name in names}
     return any({name.casefold() for name in convention.columns} <= folded for convention in _ALL)
+
+
+def columns_of_orientations(names: Collection[str]) -> set[str]:
+    """Return those columns among some, without units, that are of a whole orientation, in any
+    convention and in upper or lower case.
+
+    Example:
+        >>> sorted(columns_of_orientations(["x", "Roll", "Pitch", "Yaw", "A"]))
+        ['Pitch', 'Roll', 'Yaw']
+    """
+    folded = {name.casefold() for name in names}
+    whole = [{name.casefold() for name in of.columns} for of in (*_ALL, MATRIX)]
+    found = {name for columns in whole if columns <= folded for name in columns}
+    return {name for name in names if name.casefold() in found}
 
 
 def _known(free: Collection[str], convention: Convention) -> tuple[str, ...] | None:
