@@ -264,9 +264,9 @@ def programs() -> Iterator[str]:
     yield "# Words of programs"
     yield (
         "`pincal compensate` corrects the points of a [program](../guide/programs.md) behind these words: by their manuals "
-        "they change neither where a point is reached nor a tool or a base. Any other instruction, option of a motion, or "
-        "system variable leaves the points that it can reach. What displaces points by its manual, and what ends that, is in "
-        "the guide."
+        "they change neither where a point is reached nor a tool or a base. Any other instruction, option of a motion or "
+        "system variable leaves the points that it can reach. What displaces points by its manual, and what ends that, is "
+        "in the guide."
     )
     kinds = {
         "instruction": "instructions",
