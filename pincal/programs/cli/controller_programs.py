@@ -82,6 +82,7 @@ class ProgramOptions(TargetFiles):
     payload: float = option(
         "Mass at the tip while the program runs [kg].", 0.0, type=NumberType(least=0.0)
     )
+    explain: bool = option("Also say of each corrected point why it could be.", False)
     path_error: float | None = option(
         "Insert points into lines where the tool deviates by more than this.", type=LENGTH
     )
@@ -134,6 +135,7 @@ def correct_file(
     """
     from pincal.atomic import write_atomic
     from pincal.programs.correct import Corrector
+    from pincal.programs.explanation import explanations
     from pincal.programs.language import files_of, read_sources
     from pincal.programs.paths import Follower, legs_of
     from pincal.programs.program import spliced
@@ -189,6 +191,10 @@ def correct_file(
         else "",
     }
     notes = {"notes": corrector.notes(program)}
+    if options.explain:
+        reasons = explanations(program, changes).values()
+        for point, reason in zip(result["points"], reasons, strict=True):
+            point["because"] = reason
     return result | links | notes | {
         "inserted": inserted,
         "out": [str(target) for target in outs],
@@ -306,6 +312,8 @@ def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
     for point in points:
         name = f"{point['file']} line {point['line']}, {point['name']}"
         yield f"  {name:{width}s} {point['shift_mm']:9.4f} mm {point['turn_mrad']:9.4f} mrad"
+        if "because" in point:
+            yield f"    {point['because']}"
     path = result["path"]
     if "largest_mm" in path:
         yield (
