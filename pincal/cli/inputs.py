@@ -326,8 +326,9 @@ def load_table(
         )
         chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
         pairs = pairs if chosen is None else [chosen]
-        # Rows with the joints of all hands may be of any of them: what they fit decides.
-        chosen = None if chosen == ways[0] else chosen
+        # Between two hands, rows with the joints of both may be of either: what they fit decides.
+        if chosen == ways[0] and robot.path.start != robot.base:
+            chosen = None
     needed = {name for pair in pairs for name in robot.joints_between(*pair)}
     own = [robot.joint_names[i] for i in robot.own_joints]
     resting = {name: 0.0 for name in own if name not in needed} | dict(links.rest)
