@@ -5,7 +5,6 @@ the same places.
 from __future__ import annotations
 
 import io
-import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from pincal.io.file_numbers import IN_FILES
 from pincal.robot.arm_of_tree import arm_model
 from pincal.robot.robot import Robot
 from pincal.robot.tree import UrdfTree
-from pincal.robot.urdf_file import arm_text, parse_urdf
+from pincal.robot.urdf_file import arm_text, parse_urdf, silent_yourdfpy
 from pincal.thresholds import Count
 
 _POSES: Count = 5
@@ -119,18 +118,12 @@ def _by_yourdfpy(tree: UrdfTree, robot: Robot, q: np.ndarray, links: list[str]) 
 
     # It does not close loops; of these files it reads the tree.
     text = arm_text(tree.text, robot.joint_names, tree.source).encode() if tree.closures else None
-    logger = logging.getLogger("yourdfpy.urdf")
-    before = logger.disabled
-    # Of colours and textures that a file does not declare.
-    logger.disabled = True
-    try:
+    with silent_yourdfpy():
         arm = yourdfpy.URDF.load(io.BytesIO(text or tree.text), load_meshes=False)
         found = []
         for row in q:
             arm.update_cfg(dict(zip(robot.joint_names, row.tolist(), strict=True)))
             found.append([arm.get_transform(link, tree.root)[:3] for link in links])
-    finally:
-        logger.disabled = before
     return np.array(found)
 
 
