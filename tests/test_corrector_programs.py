@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import subprocess
@@ -19,6 +20,7 @@ from test_corrector import answered
 from test_program_safety import CASES as UNSAFE
 from test_programs import calibrated, mutated, run
 
+import pincal.programs
 from pincal.export import export_model
 from pincal.programs.krl import Krl
 
@@ -169,6 +171,14 @@ def test_files_are_dropped_and_what_is_missing_is_asked_for(made: tuple[Path, st
     assert buttons == [["Save test.src", False], ["Save test.dat", False]]
     assert "between corrected points lines and circles are not checked" in notes
     assert head == ["line", "point", "moved bymm", "moved bymrad"]
+
+
+def test_no_class_of_the_readers_has_the_name_of_another() -> None:
+    """The translation knows the fields of a class by its name: those of a namesake would silently be taken for them."""
+    trees = [ast.parse(path.read_text("utf-8")) for path in sorted(Path(pincal.programs.__path__[0]).glob("*.py"))]
+    names = [node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)]
+
+    assert len(set(names)) == len(names) > 20
 
 
 def test_what_is_not_translated_is_refused_with_its_line() -> None:

@@ -180,7 +180,9 @@ class Krl(ControllerLanguage):
                     outside[0].start if outside else 0,
                 )
             readers.append(
-                _Reader(draft, i, statements, steps, flows[i], _HARMLESS | by_value, entries, self)
+                _SourceReader(
+                    draft, i, statements, steps, flows[i], _HARMLESS | by_value, entries, self
+                )
             )
         for reader in readers:
             for k in range(len(reader.statements)):
@@ -255,7 +257,7 @@ class _Data:
 
 
 @dataclass(frozen=True)
-class _Reader(Reader):
+class _SourceReader(Reader):
     language: Krl
 
     def declare(self, k: int, data: _Data) -> None:

@@ -99,7 +99,7 @@ class Rapid(ControllerLanguage):
             DISPLACES,
         )
         for i, (_, statements, steps) in enumerate(files):
-            reader = _Reader(
+            reader = _ModuleReader(
                 draft,
                 i,
                 statements,
@@ -165,7 +165,7 @@ class Rapid(ControllerLanguage):
 
 
 @dataclass(frozen=True)
-class _Reader(Reader):
+class _ModuleReader(Reader):
     """Reads one file; ``switched`` are the values of ``SWITCHES`` that any of the files sets."""
 
     language: Rapid

@@ -200,7 +200,7 @@ class UrScript(ControllerLanguage):
             harmless = frozenset(
                 name for statement in statements for name, _ in calls_in(statement.items)
             )
-            reader = _Reader(
+            reader = _ScriptReader(
                 draft,
                 i,
                 statements,
@@ -231,7 +231,7 @@ class UrScript(ControllerLanguage):
 
 
 @dataclass(frozen=True)
-class _Reader(Reader):
+class _ScriptReader(Reader):
     """Reads one file; ``displacements`` are the kinds that any of the files uses."""
 
     language: UrScript
