@@ -61,17 +61,9 @@ def check_agreement(
         suspect = _Suspect(trials, error, left, pulled, bounded)
         if suspect.is_sound:
             continue
-        is_held = fit.options.earlier is not None
-        found = suspect.likeliest()
-        if found is not None:
-            return suspect.believed(found, is_held=is_held)
-        by_positions = suspect.by_positions()
-        if by_positions is not None:
-            if by_positions.is_plausible:
-                suspect.refuse_orientations(by_positions)
-            if not by_positions.is_sound and (found := by_positions.likeliest()) is not None:
-                return by_positions.believed(found, is_held=is_held)
-        suspect.refuse_another_robot()
+        correction = suspect.correction(is_held=fit.options.earlier is not None)
+        if correction is not None:
+            return correction
     return None
 
 
@@ -153,6 +145,27 @@ class _Suspect:
     @staticmethod
     def _of(explanations: list[Explanation[Cure]]) -> Likeliest[Cure] | None:
         return likeliest(explanations, lambda least: AGREEMENT.rival * least)
+
+    def correction(self, *, is_held: bool) -> Correction | None:
+        """Return the correction of the robot's description that explains the residuals; None if
+        nothing does and they may be a robot's.
+
+        ``is_held`` says that the description is that of an earlier calibration.
+
+        Raises:
+            MeasurementError: naming another mistake, or that the table is of another robot.
+        """
+        found = self.likeliest()
+        if found is not None:
+            return self.believed(found, is_held=is_held)
+        by_positions = self.by_positions()
+        if by_positions is not None:
+            if by_positions.is_plausible:
+                self.refuse_orientations(by_positions)
+            if not by_positions.is_sound and (found := by_positions.likeliest()) is not None:
+                return by_positions.believed(found, is_held=is_held)
+        self.refuse_another_robot()
+        return None
 
     def by_positions(self) -> _Suspect | None:
         """Return the same table without its orientations; None if it has none, or no fit."""
