@@ -18,7 +18,7 @@ from pincal.identify.initial import base_seen
 from pincal.identify.options import Options
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
-from pincal.model.effects import JointOffset
+from pincal.model.effects import JointOffset, LinkGeometry
 from pincal.robot.robot import Robot
 from pincal.validate.cures import Case, Correction, Mistake, shift_words
 from pincal.validate.orientations import NONE, OrientationSearch
@@ -46,6 +46,7 @@ def check_agreement(
             explain it equally well.
     """
     pulled = _pulled(fit)
+    bounded = _bounded(fit)
     for k, (station, places, table) in enumerate(
         zip(fit.problem.stations, fit.problem.places, tables, strict=True)
     ):
@@ -57,20 +58,12 @@ def check_agreement(
             for values in (fit.nominal.values, fit.values)
         )
         trials = Trials(Case(robot, table), _limits(fit, k, table), fit.options.at(station.name))
-        suspect = _Suspect(trials, error, left, pulled)
+        suspect = _Suspect(trials, error, left, pulled, bounded)
         if suspect.is_sound:
             continue
-        is_held = fit.options.earlier is not None
-        found = suspect.likeliest()
-        if found is not None:
-            return suspect.believed(found, is_held=is_held)
-        by_positions = suspect.by_positions()
-        if by_positions is not None:
-            if by_positions.is_plausible:
-                suspect.refuse_orientations(by_positions)
-            if not by_positions.is_sound and (found := by_positions.likeliest()) is not None:
-                return by_positions.believed(found, is_held=is_held)
-        suspect.refuse_another_robot()
+        correction = suspect.correction(is_held=fit.options.earlier is not None)
+        if correction is not None:
+            return correction
     return None
 
 
@@ -83,12 +76,14 @@ class _Suspect:
         error: residuals with only base and tool fitted: position [m], orientation [rad].
         left: residuals of the calibration.
         pulled: joints whose zeros the data have pulled far from their priors.
+        bounded: lengths that a bound stopped, by their parameters.
     """
 
     trials: Trials
     error: Residuals
     left: Residuals
     pulled: frozenset[str]
+    bounded: frozenset[str]
 
     @cached_property
     def exceeded(self) -> float:
@@ -108,7 +103,7 @@ class _Suspect:
     @property
     def is_sound(self) -> bool:
         """Whether nothing is to be explained."""
-        return self.is_plausible and not self.pulled
+        return self.is_plausible and not self.pulled and not self.bounded
 
     @property
     def found(self) -> str:
@@ -135,15 +130,42 @@ class _Suspect:
         """Return the mistake that explains the residuals best, or else the description that differs
         most ways at once; None if nothing does.
         """
-        found = likeliest(list(self.explanations()), lambda least: AGREEMENT.rival * least)
-        if found is not None:
+        explanations = list(self.explanations())
+        found = self._of(explanations)
+        if found is not None and found.best.mistake.correction is not None:
             return found
-        described = self.trials.described(self.error[0])
+        # A frame that is left-handed and three signs of joints may be the same.
+        described = self.trials.described(self.error[0], resizes=bool(self.bounded))
         if described is None:
-            return None
+            return found
         exceeded = self.trials.limits.exceeded(described.left)
         is_enough = exceeded < min(1.0, self.exceeded / AGREEMENT.improved)
-        return likeliest([Explanation(described, exceeded, is_enough)], lambda least: least)
+        return self._of([*explanations, Explanation(described, exceeded, is_enough)])
+
+    @staticmethod
+    def _of(explanations: list[Explanation[Cure]]) -> Likeliest[Cure] | None:
+        return likeliest(explanations, lambda least: AGREEMENT.rival * least)
+
+    def correction(self, *, is_held: bool) -> Correction | None:
+        """Return the correction of the robot's description that explains the residuals; None if
+        nothing does and they may be a robot's.
+
+        ``is_held`` says that the description is that of an earlier calibration.
+
+        Raises:
+            MeasurementError: naming another mistake, or that the table is of another robot.
+        """
+        found = self.likeliest()
+        if found is not None:
+            return self.believed(found, is_held=is_held)
+        by_positions = self.by_positions()
+        if by_positions is not None:
+            if by_positions.is_plausible:
+                self.refuse_orientations(by_positions)
+            if not by_positions.is_sound and (found := by_positions.likeliest()) is not None:
+                return by_positions.believed(found, is_held=is_held)
+        self.refuse_another_robot()
+        return None
 
     def by_positions(self) -> _Suspect | None:
         """Return the same table without its orientations; None if it has none, or no fit."""
@@ -155,7 +177,7 @@ class _Suspect:
         if fit is None:
             return None
         error = typical_residuals(fit.station, fit.nominal.values)
-        return _Suspect(trials, error, left, _pulled(fit))
+        return _Suspect(trials, error, left, _pulled(fit), _bounded(fit))
 
     def _enough(self, shifts: Mistake) -> float:
         """Return the residuals, relative to plausible ones, below which shifts of zeros explain
@@ -176,17 +198,18 @@ class _Suspect:
         """
         mistake = found.best.mistake
         rivals = [
-            other.mistake.words
+            other.mistake
             for other in found.rivals
             if (other.mistake.correction is not None or mistake.correction is not None)
             and not _is_same(mistake, other.mistake)
         ]
         if mistake.correction is not None and not rivals and not is_held:
             return mistake.correction
-        words = f"{mistake.words}, or {rivals[0]}" if rivals else mistake.words
+        words = f"{mistake.words}, or {rivals[0].words}" if rivals else mistake.words
+        advice = "; ".join(dict.fromkeys([mistake.advice, *(one.advice for one in rivals[:1])]))
         raise MeasurementError(
             f"{self.trials.case.table.source}: {words}: {self.found}, "
-            f"with this corrected {found.best.left[0] * 1e3:.1f} mm; {mistake.advice}"
+            f"with this corrected {found.best.left[0] * 1e3:.1f} mm; {advice}"
         )
 
     def refuse_orientations(self, by_positions: _Suspect) -> None:
@@ -256,6 +279,16 @@ def _pulled(fit: ModelFit) -> frozenset[str]:
         p.name.split(".")[0]
         for p, is_pulled in zip(fit.problem.parameters, is_far, strict=True)
         if is_pulled and p.effect == JointOffset.name and p.unit == "rad"
+    )
+
+
+def _bounded(fit: ModelFit) -> frozenset[str]:
+    """Return the lengths that data would have changed by more than the bound, by their parameters."""
+    pairs = zip(fit.problem.parameters, fit.solution.at_bound.tolist(), strict=True)
+    return frozenset(
+        p.name
+        for p, is_held in pairs
+        if is_held and p.effect == LinkGeometry.name and p.unit == "m"
     )
 
 

@@ -39,6 +39,8 @@ _FITTED: Count = 24
 _RESIZED: Count = 3
 # Lengths that may be wrong at once.
 _LENGTHS: Count = 2
+# Angles between these, from which a zero of any angle converges; they are tried of single joints.
+_BETWEEN: tuple[Scale, ...] = (np.pi / 4, -np.pi / 4, 3 * np.pi / 4, -3 * np.pi / 4)
 _RIGHT_ANGLES: tuple[Scale, ...] = (np.pi / 2, -np.pi / 2, np.pi)
 
 
@@ -67,20 +69,24 @@ class DescriptionSearch:
         case: the robot as described, and some rows.
         options: of the fits.
         enough: typical residual below which nothing more has to be wrong [m].
+        resizes: whether a length is suspected even below it.
     """
 
     case: Case
     options: Options
     enough: float
+    resizes: bool = False
 
     @classmethod
-    def of(cls, case: Case, options: Options, enough: float) -> DescriptionSearch | None:
+    def of(
+        cls, case: Case, options: Options, enough: float, *, resizes: bool = False
+    ) -> DescriptionSearch | None:
         """Return the search for a case; None if its robot or readings allow none."""
         table = case.table
         is_plain = case.robot.is_serial and table.from_link is None and table.to_link is None
         if table.kind != "position" or not is_plain or table.moving is not None:
             return None
-        found = cls(case, options, enough)
+        found = cls(case, options, enough, resizes)
         return found if len(found.rows) > _UNKNOWNS + case.robot.n_joints else None
 
     @cached_property
@@ -107,14 +113,16 @@ class DescriptionSearch:
         inner = [name for name in turning if 0 < robot.joint_names.index(name) < robot.n_joints - 1]
         shifts = list(_right_angles(inner, _MOST // len(signs)))
         found = [Correction(shift, names) for shift in shifts for names in signs]
-        single = [shift for shift in shifts if len(shift) <= 1]
+        between = [{name: angle} for name in inner for angle in _BETWEEN]
+        found += [Correction(shift, names) for shift in between for names in signs]
+        single = [shift for shift in shifts if len(shift) == 1] + between
         for coupling in couplings_of(robot):
             found += [Correction({}, names, (coupling,)) for names in signs]
             found += [
                 Correction(shift, names, (coupling,))
                 for shift in single
                 for names in signs
-                if shift and len(names) <= 1
+                if len(names) <= 1
             ]
         return sorted(found, key=lambda one: one.size)
 
@@ -124,8 +132,10 @@ class DescriptionSearch:
         order = np.argsort(self._left_of_linear(tried), kind="stable")[:_FITTED]
         # Ties, such as a mirrored arm, are fitted in the order of their simplicity.
         fitted = [one for k in sorted(order) if (one := self._fitted(tried[k])) is not None]
-        for _ in range(_LENGTHS):
-            if not fitted or min(one.left for one in fitted) < self.enough:
+        for count in range(_LENGTHS):
+            is_suspected = self.resizes and count == 0
+            least = min((one.left for one in fitted), default=0.0)
+            if least < self.enough and not is_suspected:
                 break
             fitted += list(self._resized(sorted(fitted, key=_preference)[:_RESIZED]))
         if not fitted:

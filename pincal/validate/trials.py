@@ -238,12 +238,14 @@ class Trials:
         mistake = correction.mistake(f"joints appear to be shifted: {words}")
         return Cure(mistake, mistake.undo(few), left)
 
-    def described(self, error: float) -> Cure | None:
+    def described(self, error: float, *, resizes: bool) -> Cure | None:
         """Return the description in which most differs at once, with the residuals of a
         calibration; None if none leaves less of an error [m] than chance does.
+
+        ``resizes`` says that lengths are suspected though what is left without them is plausible.
         """
         few = replace(self.case, table=self.case.table.select(_few(self.case.table)))
-        search = DescriptionSearch.of(few, self.options, self.limits.position)
+        search = DescriptionSearch.of(few, self.options, self.limits.position, resizes=resizes)
         found = None if search is None else search.found()
         if search is None or found is None or not found.correction.size:
             return None
