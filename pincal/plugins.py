@@ -78,8 +78,7 @@ class Registry(Generic[_T]):
         if there is not None and there.__qualname__ != cls.__qualname__:
             raise TypeError(
                 f"{self.kind} {name!r} of {cls.__module__} has the name of "
-                f"{there.__module__}.{there.__qualname__}; "
-                "choose another name"
+                f"{there.__module__}.{there.__qualname__}; choose another name"
             )
         self._classes[name] = cls
         _origins.append(cls.__module__)
@@ -129,11 +128,26 @@ def load_plugin(name: str) -> ModuleType:
     folder, module = (
         (path.parent.resolve(), path.stem) if path.suffix == ".py" else (Path.cwd(), name)
     )
+    found = _imported(name, module, folder)
+    # A module that was already imported has registered its classes before.
+    if not any(
+        i >= before or f"{origin}.".startswith(f"{module}.") for i, origin in enumerate(_origins)
+    ):
+        raise BadInputError(
+            f"plugin {name!r}: registers neither an effect nor a sensor; expected a "
+            "module with a class under @register_effect or @register_sensor"
+        )
+    _loaded[os.fspath(path.resolve()) if path.suffix == ".py" else name] = None
+    return found
+
+
+def _imported(name: str, module: str, folder: Path) -> ModuleType:
+    """Return the module of a plug-in, found in a folder if nowhere else on Python's path."""
     # After all other places, as modules of the same name there have precedence.
     sys.path.append(os.fspath(folder))
     importlib.invalidate_caches()
     try:
-        found = importlib.import_module(module)
+        return importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name is None or not (module == error.name or module.startswith(error.name + ".")):
             raise BadInputError(
@@ -147,17 +161,6 @@ def load_plugin(name: str) -> ModuleType:
         raise BadInputError(f"plugin {name!r} fails: {type(error).__name__}: {error}") from error
     finally:
         sys.path.remove(os.fspath(folder))
-    # A module that was already imported has registered its classes before.
-    if not any(
-        i >= before or f"{origin}.".startswith(f"{module}.") for i, origin in enumerate(_origins)
-    ):
-        raise BadInputError(
-            f"plugin {name!r}: registers neither an effect nor a sensor; expected a "
-            "module with a class under "
-            "@register_effect or @register_sensor"
-        )
-    _loaded[os.fspath(path.resolve()) if path.suffix == ".py" else name] = None
-    return found
 
 
 def loaded_plugins() -> tuple[str, ...]:

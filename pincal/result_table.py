@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
     from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.table import Table as RichTable
 
 
 Cell = str | float | int | Quantity | None
@@ -235,55 +236,73 @@ def _html_row(tag: str, tone: str, columns: Sequence[Column], texts: Sequence[st
     return f'<tr class="{tone}">{cells}</tr>' if tone else f"<tr>{cells}</tr>"
 
 
-def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[RenderableType]:
+def _broken_headings(
+    columns: Sequence[Column], cells: Sequence[Sequence[str]], width: int
+) -> list[str]:
+    """Return the headings of columns with the texts of their cells, perhaps of several lines.
+
+    Headings of many columns, such as one per joint, are broken at underscores rather than
+    truncated, and before units where the cells need the space.
+    """
+    headings = [column.heading for column in columns]
+    is_wide = sum(len(heading) + 2 for heading in headings) > width
+    needed = [max(map(len, [of, *own])) + 3 for of, own in zip(headings, cells, strict=True)]
+    is_full = sum(needed) > width
+    if is_wide:
+        headings = [heading.replace("_", "_\n") for heading in headings]
+    return [heading.replace(" [", "\n[") for heading in headings] if is_full else headings
+
+
+def _footnotes(remarks: Sequence[str]) -> dict[str, str]:
+    """Return the mark of each remark, numbered in the order of first occurrence."""
+    different = dict.fromkeys(filter(None, remarks))
+    return {remark: f"({i})" for i, remark in enumerate(different, 1)}
+
+
+def _frame(title: str, *, is_terminal: bool) -> RichTable:
+    """Return a table for a terminal or for plain text, still without columns."""
     from rich.box import HEAVY_HEAD, Box
     from rich.table import Table as RichTable
     from rich.text import Text
 
     # Head and body separated by hyphens only, so that other programs can read the text.
     plain = Box("    \n    \n -- \n    \n    \n -- \n    \n    \n", ascii=True)
-    drawn = RichTable(
-        title=Text("\n" + one_line(table.title)),
+    return RichTable(
+        title=Text("\n" + one_line(title)),
         title_justify="left",
         box=HEAVY_HEAD if is_terminal else plain,
         show_edge=is_terminal,
         pad_edge=is_terminal,
     )
+
+
+def _rendered(table: Table, *, width: int, is_terminal: bool) -> Iterator[RenderableType]:
+    from rich.text import Text
+
+    drawn = _frame(table.title, is_terminal=is_terminal)
     shown = [i for i, column in enumerate(table.columns) if column.kind is not Kind.REMARK]
     texts = table.texts()
-    # Headings of many columns, such as one per joint, are broken at underscores rather than
-    # truncated, and before units where the cells need the space.
-    is_wide = sum(len(table.columns[i].heading) + 2 for i in shown) > width
-    is_full = (
-        sum(
-            max(map(len, [table.columns[i].heading, *(row[i] for row in texts)])) + 3 for i in shown
-        )
-        > width
-    )
-    for i in shown:
-        column = table.columns[i]
-        heading = column.heading.replace("_", "_\n") if is_wide else column.heading
-        words = (len(word) for row in texts for word in row[i].split())
+    columns = [table.columns[i] for i in shown]
+    cells_of = [[row[i] for row in texts] for i in shown]
+    headings = _broken_headings(columns, cells_of, width)
+    for column, heading, cells in zip(columns, headings, cells_of, strict=True):
+        words = (len(word) for cell in cells for word in cell.split())
+        narrowest = min(max(words, default=0), width // _NARROWEST)
         drawn.add_column(
-            Text(heading.replace(" [", "\n[") if is_full else heading),
+            Text(heading),
             justify="right" if column.kind is Kind.NUMBER else "left",
             no_wrap=column.kind in (Kind.LABEL, Kind.NUMBER, Kind.STATUS),
-            min_width=min(max(words, default=0), width // _NARROWEST)
-            if column.kind is Kind.NAME
-            else None,
+            min_width=narrowest if column.kind is Kind.NAME else None,
             overflow="fold",
         )
-    # Footnotes, numbered in the order of first occurrence.
     remarks = [
         " ".join(row[i] for i in range(len(row)) if i not in shown and row[i]) for row in texts
     ]
-    footnotes = {
-        remark: f"({i})" for i, remark in enumerate(dict.fromkeys(filter(None, remarks)), 1)
-    }
+    footnotes = _footnotes(remarks)
     for row, remark, tone in zip(texts, remarks, table.tones or [""] * len(table), strict=True):
-        cells = [Text(one_line(row[i])) for i in shown]
-        cells[-1].append(f" {footnotes[remark]}" if remark else "")
-        drawn.add_row(*cells, style=_STYLES[tone])
+        line = [Text(one_line(row[i])) for i in shown]
+        line[-1].append(f" {footnotes[remark]}" if remark else "")
+        drawn.add_row(*line, style=_STYLES[tone])
     yield drawn
     yield from (hanging(f"{mark:>5s}", text) for text, mark in footnotes.items())
     yield from (hanging("", note) for note in table.notes)

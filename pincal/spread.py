@@ -291,9 +291,8 @@ def _received(sent: _Sent) -> Callable[[Any], Any]:
         content = sent.content if isinstance(sent.content, bytes) else sent.content.read_bytes()
     except FileNotFoundError as error:
         raise BadInputError(
-            f"{platform.node()}: no file {error.filename}; workers on other machines need "
-            "a shared folder for temporary "
-            "files: set TMPDIR"
+            f"{platform.node()}: no file {error.filename}; workers on other machines need a shared "
+            "folder for temporary files: set TMPDIR"
         ) from error
     found: Callable[[Any], Any] = pickle.loads(content)
     return found

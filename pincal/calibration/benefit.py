@@ -29,7 +29,7 @@ all s, the one whose expected error is least.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -140,63 +140,41 @@ def benefit_of(fit: ModelFit) -> Benefit | None:
     robot is fitted, and where no instrument observes positions, as priors are then estimated
     anyway.
     """
-    options = fit.options
     problem = fit.problem
-    is_judged = options.earlier is None and options.prior_scale is None and observes_places(fit)
     scaled = _deviating(fit) & fit.solution.free
-    if not is_judged or not scaled.any():
+    if not _is_judged(fit) or not scaled.any():
         return None
     shared = fit.solution.free & problem.is_shared
     found = _Evidence.of(fit, shared, scaled).compared
-    scales = np.array([given.scale for given in found])
-    evidences = np.array([given.log_evidence for given in found])
     at = next(station for station in problem.stations if station.sensor.reads_place)
     W = _weight(fit, shared, at, random_conditions(at))
+    # A plan may show what matters at its poses, such as those of three joints, and little of the
+    # rest.
+    measured = at.conditions.select(sample_rows(len(at), _MEASURED))
+    averaged = _Averaged(found, W, _weight(fit, shared, at, measured))
     x = (fit.values - fit.nominal.values)[shared]
-    losses = np.array([[given.loss(W, 0.0 * x), given.loss(W, x)] for given in found])
-    weights = _weights(evidences)
-    mean_squares = weights @ losses
+    mean_squares = averaged.mean_squares(x)
     nominal, calibrated = 1e3 * np.sqrt(mean_squares)
-    scale = float(np.sqrt(weights @ scales**2))
     # Deviations that are left at zero though readings move their means are off by these means as
     # well.
     spread = next(
         (given.scale for given in found if given.uncertainty(W) >= mean_squares[0]), found[-1].scale
     )
-    # To leave a robot as it is costs a gain; to make it worse costs trust.
-    odds = np.zeros(len(found))
-    odds[0] = np.log(CRITERIA.as_described * (len(found) - 1))
-    doubted = _weights(evidences + odds)
-    # A plan may show what matters at its poses, such as those of three joints, and little of the
-    # rest.
-    measured = at.conditions.select(sample_rows(len(at), _MEASURED))
-    W_measured = _weight(fit, shared, at, measured)
-
-    def expected(W: np.ndarray, deviations: np.ndarray) -> float:
-        """Return the expected rms error of deviations, shape (F,)."""
-        losses = np.array([given.loss(W, deviations) for given in found])
-        return float(np.sqrt(doubted @ losses))
-
-    def is_worth_it(deviations: np.ndarray) -> bool:
-        anywhere = expected(W, deviations) / expected(W, 0.0 * x)
-        at_measured = expected(W_measured, deviations) / expected(W_measured, 0.0 * x)
-        return anywhere < CRITERIA.worth_it or (
-            at_measured < CRITERIA.worth_it and anywhere < CRITERIA.no_worse
-        )
-
-    def cautious() -> float | None:
-        nearest = min(found, key=lambda given: expected(W, given.mean))
-        return nearest.scale if is_worth_it(nearest.mean) else None
-
-    is_enough = is_worth_it(x)
+    is_enough = averaged.is_worth_it(x)
     return Benefit(
         nominal_mm=float(nominal),
         calibrated_mm=float(calibrated),
-        scale=scale,
+        scale=averaged.scale,
         spread=spread,
         is_worth_it=is_enough,
-        cautious=None if is_enough else cautious(),
+        cautious=None if is_enough else averaged.cautious,
     )
+
+
+def _is_judged(fit: ModelFit) -> bool:
+    """Return whether only the readings say how far the robot deviates."""
+    options = fit.options
+    return options.earlier is None and options.prior_scale is None and observes_places(fit)
 
 
 def _weights(logarithms: np.ndarray) -> np.ndarray:
@@ -261,6 +239,67 @@ class _Given(NamedTuple):
     def uncertainty(self, W: np.ndarray) -> float:
         """Return the mean square error of the most probable robot."""
         return float(np.sum(W * self.covariance))
+
+
+class _Averaged(NamedTuple):
+    """Expected errors of a robot, averaged over the scales of the priors.
+
+    Attributes:
+        given: the deviations at each scale; the first is the URDF as it is.
+        W: shape (F, F), of the errors within the joint limits [m^2].
+        W_measured: shape (F, F), of those at measured poses [m^2].
+    """
+
+    given: Sequence[_Given]
+    W: np.ndarray
+    W_measured: np.ndarray
+
+    @property
+    def evidences(self) -> np.ndarray:
+        """The log evidence of each scale."""
+        return np.array([given.log_evidence for given in self.given])
+
+    @property
+    def scale(self) -> float:
+        """Factor on the usual priors, rms over its evidence."""
+        scales = np.array([given.scale for given in self.given])
+        return float(np.sqrt(_weights(self.evidences) @ scales**2))
+
+    @property
+    def doubted(self) -> np.ndarray:
+        """The weights of the scales for those who expect the URDF to be right."""
+        # To leave a robot as it is costs a gain; to make it worse costs trust.
+        odds = np.zeros(len(self.given))
+        odds[0] = np.log(CRITERIA.as_described * (len(self.given) - 1))
+        return _weights(self.evidences + odds)
+
+    def mean_squares(self, x: np.ndarray) -> np.ndarray:
+        """Return the expected mean squares within the joint limits [m^2] of the URDF and of a robot
+        with deviations ``x``, shape (F,).
+        """
+        losses = [[given.loss(self.W, 0.0 * x), given.loss(self.W, x)] for given in self.given]
+        return np.asarray(_weights(self.evidences) @ np.array(losses))
+
+    def expected(self, W: np.ndarray, x: np.ndarray) -> float:
+        """Return the rms error of deviations ``x``, shape (F,), that doubters expect."""
+        losses = np.array([given.loss(W, x) for given in self.given])
+        return float(np.sqrt(self.doubted @ losses))
+
+    def is_worth_it(self, x: np.ndarray) -> bool:
+        """Return whether doubters expect a robot with deviations ``x`` to be better."""
+        anywhere = self.expected(self.W, x) / self.expected(self.W, 0.0 * x)
+        at_measured = self.expected(self.W_measured, x) / self.expected(self.W_measured, 0.0 * x)
+        return anywhere < CRITERIA.worth_it or (
+            at_measured < CRITERIA.worth_it and anywhere < CRITERIA.no_worse
+        )
+
+    @property
+    def cautious(self) -> float | None:
+        """The scale whose most probable robot doubters expect to be nearest; None where that one is
+        not worth it either.
+        """
+        nearest = min(self.given, key=lambda given: self.expected(self.W, given.mean))
+        return nearest.scale if self.is_worth_it(nearest.mean) else None
 
 
 class _Evidence(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import logging
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -219,14 +219,11 @@ def fit_admitted(
 ) -> FittedTables:
     """Check tables and fit them; arguments and errors as for :func:`run_calibration`."""
     options = Options() if options is None else options
-
-    def setup_of(name: str) -> Setup:
-        return options.at(name).setup
-
     tables = tables_of(measurements)
     held = () if holdout is None else tuple(tables_of(holdout).values())
     if split == "station":
         require_several(tables)
+    setup_of = _setups(options)
     admitted = admit(robot, tables, setup_of, holdout=held)
     with noted() as split_notes:
         if holdout is None:
@@ -237,33 +234,45 @@ def fit_admitted(
             parts = with_holdout(robot, admitted.tables, holdout, setup_of)
     trained = {part.name: part.measured[0] for part in parts}
     agreed = fit_agreed(robot, admitted.tables, options, trained=trained)
-    robot = agreed.robot
     fit = agreed.fit
-    corrected = agreed.notes
-    for text in corrected:
+    for text in agreed.notes:
         warn(text)
-    parts = screened(fit, parts)
-    rows = tuple(
-        replace(part, name=at.name) for part, at in zip(parts, fit.problem.stations, strict=True)
-    )
+    pairs = zip(screened(fit, parts), fit.problem.stations, strict=True)
+    rows = tuple(replace(part, name=at.name) for part, at in pairs)
     notes = [
-        *corrected,
-        *robot.notes,
+        *agreed.notes,
+        *agreed.robot.notes,
         *dict.fromkeys((*admitted.notes, *split_notes)),
         *admitted.idle,
+        *unobservable(trained, options),
+        *_on_moment_frame(fit, options.first_frame),
     ]
-    # What the sensor of one station can't observe, that of another may.
-    unseen = [list(unobservable_notes(train, setup_of(name))) for name, train in trained.items()]
-    notes += [note for note in unseen[0] if all(note in other for other in unseen)]
+    divides = holdout is None and not test_fraction
+    folds = Folds.of(fit.problem, WAYS[split], seed=seed) if divides else None
+    return FittedTables(
+        agreed.robot, rows, fit, doubts_first(notes), folds, admitted.tables, options
+    )
+
+
+def _setups(options: Options) -> Callable[[str], Setup]:
+    """Return the function that gives the setup of a station by its name."""
+    return lambda name: options.at(name).setup
+
+
+def unobservable(tables: Mapping[str, Measurements], options: Options) -> list[str]:
+    """Return the notes on what no station can observe: the sensor of another may observe what that
+    of one can't.
+    """
+    unseen = [
+        list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()
+    ]
+    return [note for note in unseen[0] if all(note in other for other in unseen)]
+
+
+def _on_moment_frame(fit: ModelFit, first: str) -> Iterator[str]:
+    """Yield that another convention of moments than the first one was chosen, as it fits better."""
     chosen = fit.options.moment_frame
-    first = options.first_frame
     if chosen != first:
-        notes.append(
+        yield (
             f"moments are computed as with --moment-frame {chosen}, which fits better than {first}"
         )
-    folds = (
-        Folds.of(fit.problem, WAYS[split], seed=seed)
-        if holdout is None and not test_fraction
-        else None
-    )
-    return FittedTables(robot, rows, fit, doubts_first(notes), folds, admitted.tables, options)

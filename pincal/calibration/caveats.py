@@ -35,23 +35,19 @@ class CaveatKind(Enum):
     """What is noteworthy; the values are the messages, with their figures in braces."""
 
     FEW_READINGS = (
-        "{poses} training poses give {readings} readings for {parameters} parameters, "
-        "{left:.0f} more than "
-        "they determine: too few to detect residuals of twice the noise, and the result "
-        "is dominated by the prior; "
-        "measure more poses"
+        "{poses} training poses give {readings} readings for {parameters} parameters, {left:.0f} "
+        "more than they determine: too few to detect residuals of twice the noise, and the result "
+        "is dominated by the prior; measure more poses"
     )
     SPARE_READINGS = (
-        "{poses} training poses give {readings} readings for {parameters} parameters: the "
-        "result relies on "
-        "the prior; measure more poses"
+        "{poses} training poses give {readings} readings for {parameters} parameters: the result "
+        "relies on the prior; measure more poses"
     )
     NOT_IMPROVED = (
-        "these readings are too few or too noisy to improve the robot safely: within the "
-        "joint limits its URDF is expected "
-        "to be off by {nominal:.2g} mm rms, the geometry that they suggest by "
-        "{calibrated:.2g} mm. It stays as in its URDF; "
-        "only instrument and target are calibrated. Measure more poses, or with less noise"
+        "these readings are too few or too noisy to improve the robot safely: within the joint "
+        "limits its URDF is expected to be off by {nominal:.2g} mm rms, the geometry that they "
+        "suggest by {calibrated:.2g} mm. It stays as in its URDF; only instrument and target are "
+        "calibrated. Measure more poses, or with less noise"
     )
     NARROWED = (
         "these readings determine little of the robot away from their poses, and a plain fit would "
@@ -64,33 +60,27 @@ class CaveatKind(Enum):
         "belong to this robot"
     )
     NOISE_EXCEEDED = (
-        "the residuals are {ratio:.2f} times the declared noise (p {p_value:.1g}): the "
-        "model is incomplete or the declared "
-        "noise is too small; uncertainties are scaled up accordingly"
+        "the residuals are {ratio:.2f} times the declared noise (p {p_value:.1g}): the model is "
+        "incomplete or the declared noise is too small; uncertainties are scaled up accordingly"
     )
     ARRIVALS = (
-        "the residuals are {ratio:.2f} times the declared noise of the instrument, as of "
-        "drives that all stop to "
-        "{size} from pose to pose (one standard deviation): neighbouring poses have "
-        "unrelated errors. No "
-        "calibration improves this; measure ten poses three times each, arriving anew, to "
-        "judge the model by it"
+        "the residuals are {ratio:.2f} times the declared noise of the instrument, as of drives "
+        "that all stop to {size} from pose to pose (one standard deviation): neighbouring poses "
+        "have unrelated errors. No calibration improves this; measure ten poses three times each, "
+        "arriving anew, to judge the model by it"
     )
     NOISE_OVERSTATED = (
         "the residuals are smaller than the declared noise allows: the declared noise is too large"
     )
     NO_INSTRUMENT = (
-        "no instrument measured the robot, so what its readings do not determine keeps "
-        "its nominal value; priors are as "
-        "wide as the readings require: {lengths:g} times the usual for lengths, "
-        "{angles:g} for angles, {drives:g} for drive "
-        "compliances, {bearings:g} for others. Elsewhere the standard deviation of a "
-        "predicted position falls {how}"
+        "no instrument measured the robot, so what its readings do not determine keeps its nominal "
+        "value; priors are as wide as the readings require: {lengths:g} times the usual for "
+        "lengths, {angles:g} for angles, {drives:g} for drive compliances, {bearings:g} for "
+        "others. Elsewhere the standard deviation of a predicted position falls {how}"
     )
     UNSEEN_DIRECTION = (
-        "all readings are within 10 degrees of {where} in the axes of {base}: nothing was "
-        "measured perpendicular to it; "
-        "vary the directions of contact"
+        "all readings are within 10 degrees of {where} in the axes of {base}: nothing was measured "
+        "perpendicular to it; vary the directions of contact"
     )
     BLIND = (
         "these readings hardly determine {link}: the standard deviation of its predicted "
@@ -103,10 +93,9 @@ class CaveatKind(Enum):
         "do not determine it. Measure in more directions and at more places, or with an instrument"
     )
     MASSES_FOUND = (
-        "the robot description has no usable masses for {links} links: they were "
-        "estimated with the compliances, "
-        "{mass:.3g} kg in total (standard deviation {percent:.0f} %); predictions do not "
-        "depend on their common factor"
+        "the robot description has no usable masses for {links} links: they were estimated with "
+        "the compliances, {mass:.3g} kg in total (standard deviation {percent:.0f} %); predictions "
+        "do not depend on their common factor"
     )
     IMPLAUSIBLE = (
         "{how}: too large for any calibrated arm, so this is not a model of this robot; "
@@ -114,22 +103,19 @@ class CaveatKind(Enum):
         "the instrument is that noisy, declare it (--noise, or a column sigma)"
     )
     OWN_POSE = (
-        "with only base and tool fitted, {left} remain: no instrument is that accurate, "
-        "so these are the controller's own "
-        "poses, computed from the joints (or simulated without noise). They contain "
-        "nothing about the robot's errors; "
-        "supply the readings of an instrument, or name their columns (--columns)"
+        "with only base and tool fitted, {left} remain: no instrument is that accurate, so these "
+        "are the controller's own poses, computed from the joints (or simulated without noise). "
+        "They contain nothing about the robot's errors; supply the readings of an instrument, or "
+        "name their columns (--columns)"
     )
     OWN_MODEL = (
-        "the calibration leaves {left}: no instrument is that accurate, so these are "
-        "poses that a controller computed with "
-        "its own parameters (or simulated without noise). The result is these parameters, "
-        "not the robot's errors"
+        "the calibration leaves {left}: no instrument is that accurate, so these are poses that a "
+        "controller computed with its own parameters (or simulated without noise). The result is "
+        "these parameters, not the robot's errors"
     )
     MANY_OUTLIERS = (
-        "{count} of {rows} rows do not fit the others, so the calibration is rejected: "
-        "{common}; find the cause "
-        "before using the model. Lines {lines}"
+        "{count} of {rows} rows do not fit the others, so the calibration is rejected: {common}; "
+        "find the cause before using the model. Lines {lines}"
     )
     STEP = (
         "from line {line} on {what} If so, make the rows before and after it two stations "
@@ -137,35 +123,28 @@ class CaveatKind(Enum):
     )
     BETWEEN_VISITS = "{what}; the means of poses do not show it, and intervals do not include it"
     VISITS_APART = (
-        "visits of the same pose differ by more than the means of poses about the model "
-        "allow ({test}): something changed "
-        "between visits, such as a load, the direction of approach, or the set-up; "
-        "measure in one set-up, or record it in "
-        "a column"
+        "visits of the same pose differ by more than the means of poses about the model allow "
+        "({test}): something changed between visits, such as a load, the direction of approach, or "
+        "the set-up; measure in one set-up, or record it in a column"
     )
     VISITS_SCATTER = (
-        "visits of the same pose differ by {scatter}, which is more than the declared "
-        "noise of {declared} and drives that "
-        "arrive within {arrival:g} mrad explain (p {p_value:.1g}): the robot repeats "
-        "poorly, the target is loose, or the "
-        "declared noise is too small"
+        "visits of the same pose differ by {scatter}, which is more than the declared noise of "
+        "{declared} and drives that arrive within {arrival:g} mrad explain (p {p_value:.1g}): the "
+        "robot repeats poorly, the target is loose, or the declared noise is too small"
     )
     NOISY_REPEATS = (
-        "repeated readings within a stop differ by {scatter} and the declared noise is "
-        "{declared} (p {p_value:.1g}): the "
-        "declared noise is too small, or the arm was not yet at rest"
+        "repeated readings within a stop differ by {scatter} and the declared noise is {declared} "
+        "(p {p_value:.1g}): the declared noise is too small, or the arm was not yet at rest"
     )
     DEPENDENT_ROWS = (
-        "the residuals depend on the order of the rows: {what}; rows were weighted "
-        "accordingly; look for what changed "
-        "during the measurement: the instrument's set-up, temperature, the clamping of "
-        "robot and target"
+        "the residuals depend on the order of the rows: {what}; rows were weighted accordingly; "
+        "look for what changed during the measurement: the instrument's set-up, temperature, the "
+        "clamping of robot and target"
     )
     LEFT_IN_MOTION = (
-        "the residuals follow the motion: {what}; rows were weighted accordingly; the "
-        "model lacks an effect of the arm, "
-        "which pincal discover can identify, or the instrument's set-up or a clock "
-        "changed during the session"
+        "the residuals follow the motion: {what}; rows were weighted accordingly; the model lacks "
+        "an effect of the arm, which pincal discover can identify, or the instrument's set-up or a "
+        "clock changed during the session"
     )
     UNLIKE_ITS_SCATTER = (
         "residuals of the {what} are {ratio:.2g} times the scatter within a tenth of a "
@@ -173,9 +152,8 @@ class CaveatKind(Enum):
         "instead of measured, was the IMU polled or its range too small, or is its filter too slow?"
     )
     BLOCKS = (
-        "the errors of consecutive rows are correlated: standard deviations are "
-        "{factor:.3g} times those of independent "
-        "rows; look for what changed during the measurement"
+        "the errors of consecutive rows are correlated: standard deviations are {factor:.3g} times "
+        "those of independent rows; look for what changed during the measurement"
     )
     SORTED = (
         "{joint} moved steadily along the rows, so drift with time can't be distinguished "
@@ -183,27 +161,22 @@ class CaveatKind(Enum):
         "measure the poses in random order, or repeat some of them at the end"
     )
     GATHERED = (
-        "{count} of the {rows} rows rejected as outliers cluster {where}: the robot has "
-        "an error there that the model does "
-        "not describe, or the instrument misread; lines {lines}"
+        "{count} of the {rows} rows rejected as outliers cluster {where}: the robot has an error "
+        "there that the model does not describe, or the instrument misread; lines {lines}"
     )
     BUMP = (
         "where {joint} is {low:.4g} to {high:.4g} {unit}, {count} rows share an error of "
-        "{size:.3g} m{per} of this joint: "
-        "its drive has a local error that the model does not describe; measure more poses "
-        "there. Lines {lines}"
+        "{size:.3g} m{per} of this joint: its drive has a local error that the model does not "
+        "describe; measure more poses there. Lines {lines}"
     )
     MOVED = (
-        "{what} since the first station: a single value for all stations is wrong at "
-        "each; calibrate each separately, or "
-        "run pincal discover on all of them, which names what changed"
+        "{what} since the first station: a single value for all stations is wrong at each; "
+        "calibrate each separately, or run pincal discover on all of them, which names what changed"
     )
     MISREAD = (
-        "the residuals depend on the instrument's own axes ({effect}, p {p_value:.1g}): "
-        "it misreads, or the robot has an "
-        "equivalent error, and intervals do not include it; run pincal discover, or "
-        "measure the same poses with the "
-        "instrument elsewhere"
+        "the residuals depend on the instrument's own axes ({effect}, p {p_value:.1g}): it "
+        "misreads, or the robot has an equivalent error, and intervals do not include it; run "
+        "pincal discover, or measure the same poses with the instrument elsewhere"
     )
     OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
     NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
@@ -215,9 +188,8 @@ class CaveatKind(Enum):
     )
     LACK_OF_FIT = "lack of fit against replicates: {test}"
     NOISY_REPLICATES = (
-        "replicates scatter as much as the residuals do ({test}): the declared noise is "
-        "too small or the robot repeats "
-        "poorly; the model is not at fault"
+        "replicates scatter as much as the residuals do ({test}): the declared noise is too small "
+        "or the robot repeats poorly; the model is not at fault"
     )
 
 
@@ -406,27 +378,29 @@ def findings_on_order(station: Station) -> list[Caveat]:
         what = (
             f"{100 * np.max(serial.share):.0f} % of their variance is {error} that persists {lasts}"
         )
-        kind = (
-            CaveatKind.LEFT_IN_MOTION
-            if station.conditions.are_in_motion
-            else CaveatKind.DEPENDENT_ROWS
-        )
+        is_in_motion = station.conditions.are_in_motion
+        kind = CaveatKind.LEFT_IN_MOTION if is_in_motion else CaveatKind.DEPENDENT_ROWS
         found.append(Caveat(kind, {"what": what}, station.name))
     if station.position is not None and n >= DOUBTED.rows:
-        # Blocks of different loads are judged separately: what differs between them may be elastic.
-        loads = (
-            station.conditions.payload == load for load in np.unique(station.conditions.payload)
-        )
-        parts = [station.select(rows) for rows in loads if rows.sum() >= DOUBTED.rows] or [station]
-        steady = np.full(station.conditions.q.shape[1], np.inf)
-        for q, position in ((part.conditions.q, part.position) for part in parts):
-            rank = np.argsort(np.argsort([*q.T, position], axis=1), axis=1)
-            correlation = np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1])
-            steady = np.minimum(steady, np.where(np.ptp(q, axis=0) > 0.0, correlation, 0.0))
+        steady = _steadiness(station)
         if steady.max() > DOUBTED.steady:
             joint = station.model.chain.robot.joint_names[int(np.argmax(steady))]
             found.append(Caveat(CaveatKind.SORTED, {"joint": joint}, station.name))
     return found
+
+
+def _steadiness(station: Station) -> np.ndarray:
+    """Return the rank correlation of each joint with the order of the rows, shape (n,)."""
+    payload = station.conditions.payload
+    # Blocks of different loads are judged separately: what differs between them may be elastic.
+    loads = (payload == load for load in np.unique(payload))
+    parts = [station.select(rows) for rows in loads if rows.sum() >= DOUBTED.rows] or [station]
+    steady = np.full(station.conditions.q.shape[1], np.inf)
+    for q, position in ((part.conditions.q, part.position) for part in parts):
+        rank = np.argsort(np.argsort([*q.T, position], axis=1), axis=1)
+        correlation = np.abs(np.atleast_2d(np.corrcoef(rank))[-1, :-1])
+        steady = np.minimum(steady, np.where(np.ptp(q, axis=0) > 0.0, correlation, 0.0))
+    return steady
 
 
 def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> list[Caveat]:
@@ -468,33 +442,37 @@ def findings_on_outliers(
         common = in_common(station, values, table, rejected) or "no common cause was found"
         found = [about(CaveatKind.MANY_OUTLIERS, rejected, rows=len(table), common=common)]
     elif (gathered := gathering_of(station, rejected)) is not None:
-        where = "in one stretch of the table"
-        unit = _unit_of(station, gathered)
-        if unit:
-            low, high = (
-                (np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high)
-            )
-            where = (
-                f"where {gathered.variable} is {low:.4g} to {high:.4g} "
-                f"{'deg' if unit == 'rad' else unit}"
-            )
-        found.append(
-            about(CaveatKind.GATHERED, gathered.rows, rows=int(rejected.sum()), where=where)
-        )
+        where = _where(gathered, _unit_of(station, gathered))
+        count = int(rejected.sum())
+        found.append(about(CaveatKind.GATHERED, gathered.rows, rows=count, where=where))
     if (bump := bump_in(station, values)) is not None:
         assert bump.size is not None
         per = _unit_of(station, bump)
-        turns = _unit_of(station, bump) == "rad"
-        low, high = ((float(np.degrees(x)) if turns else 1e3 * x) for x in (bump.low, bump.high))
-        span = {"joint": bump.variable, "low": low, "high": high, "unit": "deg" if turns else "mm"}
-        found.append(about(CaveatKind.BUMP, bump.rows, size=1e3 * abs(bump.size), per=per, **span))
-    if change := change_in(station, values, free, table.rows):
         found.append(
-            Caveat(
-                CaveatKind.STEP, {"line": change.line, "what": change}, station.name, (change.line,)
+            about(
+                CaveatKind.BUMP, bump.rows, size=1e3 * abs(bump.size), per=per, **_span(bump, per)
             )
         )
+    if change := change_in(station, values, free, table.rows):
+        figures = {"line": change.line, "what": change}
+        found.append(Caveat(CaveatKind.STEP, figures, station.name, (change.line,)))
     return found
+
+
+def _where(gathered: Gathering, unit: str) -> str:
+    """Return where rejected rows lie, in words; ``unit`` is of the joint, empty if it is none."""
+    if not unit:
+        return "in one stretch of the table"
+    low, high = ((np.degrees(x) if unit == "rad" else x) for x in (gathered.low, gathered.high))
+    shown = "deg" if unit == "rad" else unit
+    return f"where {gathered.variable} is {low:.4g} to {high:.4g} {shown}"
+
+
+def _span(bump: Gathering, unit: str) -> dict[str, Any]:
+    """Return the figures of the joint and the range in which its drive has a bump."""
+    turns = unit == "rad"
+    low, high = ((float(np.degrees(x)) if turns else 1e3 * x) for x in (bump.low, bump.high))
+    return {"joint": bump.variable, "low": low, "high": high, "unit": "deg" if turns else "mm"}
 
 
 def _unit_of(station: Station, gathered: Gathering) -> str:

@@ -226,10 +226,9 @@ def read_model(path: str | os.PathLike[str]) -> ModelFile:
         )
     if mixed := not_written_with(Path(path), head.files or {}):
         raise MODEL_FILE.error(
-            f"{file}: {mixed} in the same folder was not written by the same run: a run "
-            "was stopped while it wrote this "
-            "folder, or files of two runs were mixed; calibrate again, or move the model "
-            "to a separate folder"
+            f"{file}: {mixed} in the same folder was not written by the same run: a run was "
+            "stopped while it wrote this folder, or files of two runs were mixed; calibrate again, "
+            "or move the model to a separate folder"
         )
     if head.format_version == FORMAT_VERSION:
         return built(content, ModelFile, MODEL_FILE, file=file, hook=restoring())

@@ -487,9 +487,8 @@ class FittedRobot:
         """
         if not self.reads(measurements):
             raise MeasurementError(
-                f"{measurements.source}: measurements of kind {measurements.kind}; "
-                f"expected {self.sensor_kind}, "
-                "as this model was calibrated with"
+                f"{measurements.source}: measurements of kind {measurements.kind}; expected "
+                f"{self.sensor_kind}, as this model was calibrated with"
             )
         rows = self.of_its_day(measurements)
         return station_of(self.model, rows, self.payload_centre, self.setup)

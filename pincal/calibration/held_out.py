@@ -188,10 +188,9 @@ def with_holdout(
         held = dict(zip(tables, held.values(), strict=True))
     for name in held.keys() - tables.keys():
         raise BadInputError(
-            f"{held[name].source}: validation rows of an unknown station, {name!r}; "
-            "expected one of "
-            f"{', '.join(map(repr, tables))}: name it in a column station, or hold rows "
-            "out by --test-fraction"
+            f"{held[name].source}: validation rows of an unknown station, {name!r}; expected one "
+            f"of {', '.join(map(repr, tables))}: name it in a column station, or hold rows out by "
+            "--test-fraction"
         )
     tests = {
         name: admit_test(robot, held[name], setup_of(name).over(tables[name]))

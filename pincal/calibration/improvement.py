@@ -10,8 +10,9 @@ placement, the positions have the covariances :math:`J_\perp P J_\perp^T` and
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.options import PriorScale
 from pincal.identify.station import Station
 from pincal.model.chain import MOUNT_SYMBOLS
+from pincal.model.model import Model
+from pincal.robot.robot import Robot
 from pincal.thresholds import Count
 from pincal.validate.outcome import Improvement
 
@@ -83,13 +86,7 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
     robot = fit.problem.chain.robot
     falls = list[str]()
     for link in dict.fromkeys(region.link for region in improved):
-        regions = [
-            region
-            for region in improved
-            if region.link == link and region.region != _MEASURED_POSES
-        ]
-        sizes = np.array([(region.before_mm, region.after_mm) for region in regions])
-        before, after = (float(size) for size in np.sqrt(np.mean(sizes**2, axis=0)))
+        before, after = _rms_elsewhere(region for region in improved if region.link == link)
         falls.append(f"from {before:.2g} to {after:.2g} mm at {link}")
         if after > CRITERIA.not_improved * before:
             yield Caveat(CaveatKind.BLIND, {"link": link, "before": before, "after": after})
@@ -97,18 +94,28 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
     yield Caveat(CaveatKind.NO_INSTRUMENT, {**scales._asdict(), "how": ", ".join(falls)})
     if unseen := unseen_directions(fit):
         yield Caveat(CaveatKind.UNSEEN_DIRECTION, {"where": _within(unseen), "base": robot.base})
+    yield from _moved_mounts(fit)
+
+
+def _rms_elsewhere(regions: Iterable[Improvement]) -> tuple[float, float]:
+    """Return the rms of the errors before and after [mm] over the regions but the measured poses."""
+    sizes = np.array(
+        [(one.before_mm, one.after_mm) for one in regions if one.region != _MEASURED_POSES]
+    )
+    before, after = np.sqrt(np.mean(sizes**2, axis=0))
+    return float(before), float(after)
+
+
+def _moved_mounts(fit: ModelFit) -> Iterator[Caveat]:
+    """Yield the mounts that were moved though readings hardly hold them."""
     estimate = fit.estimate
     for joint in dict.fromkeys(name.partition(".")[0] for name in fit.problem.chain.mounts):
-        lengths = [
-            k
-            for k, name in enumerate(estimate.names)
-            if name in {f"{joint}.{symbol}" for symbol in (*MOUNT_SYMBOLS, "d")}
-        ]
+        of_mount = {f"{joint}.{symbol}" for symbol in (*MOUNT_SYMBOLS, "d")}
+        lengths = [k for k, name in enumerate(estimate.names) if name in of_mount]
         moved, sigma = (float(np.linalg.norm(of[lengths])) for of in (fit.values, estimate.sigma))
         if moved > CRITERIA.mount_moved and sigma > CRITERIA.mount_held * moved:
-            yield Caveat(
-                CaveatKind.MOUNT_MOVED, {"joint": joint, "moved": 1e3 * moved, "sigma": 1e3 * sigma}
-            )
+            figures = {"joint": joint, "moved": 1e3 * moved, "sigma": 1e3 * sigma}
+            yield Caveat(CaveatKind.MOUNT_MOVED, figures)
 
 
 def _within(unseen: tuple[np.ndarray, ...]) -> str:
@@ -125,41 +132,45 @@ def _within(unseen: tuple[np.ndarray, ...]) -> str:
 def _of_link(fit: ModelFit, link: str) -> Iterator[Improvement]:
     """Yield the improvement of the predicted positions of a link, region by region."""
     found = FittedRobot.of(fit).each[0]
-    robot = fit.problem.chain.robot
-    rng = np.random.default_rng(_SEED)
-    stations = fit.problem.stations
-    measured = np.vstack(
-        [
-            s.conditions.q
-            for s in stations
-            if link in (s.model.chain.path.start, s.model.chain.path.tip)
-        ]
-    )
-    q = np.vstack([rng.permutation(measured)[:_MEASURED], robot.random_configurations(_DRAWN, rng)])
-    seen = np.arange(len(q)) < len(q) - _DRAWN
-    chain = replace(found.model.chain, ends=robot.between(robot.base, link, at_rest=True))
-    model = found.model.with_chain(
-        chain.with_references(np.eye(3), np.tile(np.eye(3), (len(chain.targets), 1, 1)))
-    )
+    q, seen = _poses_of_link(fit, link)
+    model = _model_of_link(found, fit.problem.chain.robot, link)
     robots = ~model.of_station
-    names = model.names
     tips, J = model.linearise(
         np.where(robots, found.model_values, 0.0), found.of_its_day(found.conditions_at(q))
     )
     J = unplaced(J[:, :3, robots], tips)
-    estimate = fit.estimate.names
-    places = [estimate.index(name) for name, own in zip(names, robots, strict=True) if own]
+    names = fit.estimate.names
+    own = list(compress(model.names, robots))
+    places = [names.index(name) for name in own]
     free = fit.solution.free[places]
     prior = fit.priors.sizes[places]
     known = np.where(free & np.isfinite(prior), prior, 0.0)
-    covariance = found.estimate.take(
-        name for name, own in zip(names, robots, strict=True) if own
-    ).dense_covariance()
+    covariance = found.estimate.take(own).dense_covariance()
     before = np.sum((J * known) ** 2, axis=(1, 2))
     after = np.einsum("nip,pq,niq->n", J, covariance, J)
     for region, rows in _regions(tips[:, :, 3], seen):
         sizes = [1e3 * float(np.sqrt(np.mean(np.maximum(of[rows], 0.0)))) for of in (before, after)]
         yield Improvement(link, region, int(rows.sum()), *sizes)
+
+
+def _poses_of_link(fit: ModelFit, link: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return joint positions at which a link is judged, shape (N, n), and which were measured."""
+    rng = np.random.default_rng(_SEED)
+    paths = ((station, station.model.chain.path) for station in fit.problem.stations)
+    measured = np.vstack(
+        [station.conditions.q for station, path in paths if link in (path.start, path.tip)]
+    )
+    drawn = rng.permutation(measured)[:_MEASURED]
+    anywhere = fit.problem.chain.robot.random_configurations(_DRAWN, rng)
+    q = np.vstack([drawn, anywhere])
+    return q, np.arange(len(q)) < len(q) - _DRAWN
+
+
+def _model_of_link(found: FittedRobot, robot: Robot, link: str) -> Model:
+    """Return the fitted model whose tip is a link, its targets turned as that."""
+    chain = replace(found.model.chain, ends=robot.between(robot.base, link, at_rest=True))
+    unturned = np.tile(np.eye(3), (len(chain.targets), 1, 1))
+    return found.model.with_chain(chain.with_references(np.eye(3), unturned))
 
 
 def unplaced(J: np.ndarray, tips: np.ndarray) -> np.ndarray:
@@ -168,7 +179,8 @@ def unplaced(J: np.ndarray, tips: np.ndarray) -> np.ndarray:
     """
     n = len(J)
     parts = np.zeros((len(J), 3, 9))
-    parts[:, :, :3], parts[:, :, 6:] = np.eye(3), tips[:, :, :3]
+    parts[:, :, :3] = np.eye(3)
+    parts[:, :, 6:] = tips[:, :, :3]
     for k, axis in enumerate(np.eye(3)):
         parts[:, :, 3 + k] = np.cross(axis, tips[:, :, 3])
     B = np.linalg.qr(parts.reshape(3 * n, 9))[0]

@@ -156,9 +156,8 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         """
         if self.geometry != other.geometry:
             raise BadInputError(
-                f"information on {self.robot!r} and on {other.robot!r} can't be added: "
-                "their nominal geometries differ; "
-                "calibrate both with the same URDF, base and tip"
+                f"information on {self.robot!r} and on {other.robot!r} can't be added: their "
+                "nominal geometries differ; calibrate both with the same URDF, base and tip"
             )
         return self.of_form(
             self.form + other.form, self.robot, self.geometry, {**other.known, **self.known}

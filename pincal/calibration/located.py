@@ -12,8 +12,9 @@ to be searched for.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -66,17 +67,9 @@ def _seen(
     """Return the pose of a robot, shape (4, 4), if an instrument sees it and another one, or
     contacts join them.
     """
-    tree = parse_urdf(robot.urdf, source=robot.source)
-    holders = {link: {joint.name for joint in tree.above(link)} for link in tree.links}
-    nowhere = {one.joint for one in unknown}
-
-    def robot_of(link: str) -> bool | None:
-        """Return whether a link belongs to this robot, None if to another robot of unknown pose."""
-        its = holders[link] & nowhere
-        return None if its - {of.joint} else bool(its)
-
     setups = dict[str, dict[bool, str]]()
     contacts = list[tuple[Station, list[str]]]()
+    robot_of = _ownership(robot, of, unknown)
     for name, table in tables.items():
         links = links_of(table, robot.path)
         sensor = table.sensor
@@ -96,9 +89,77 @@ def _seen(
                 base_seen(robot, {both[k]: tables[both[k]]}, options) for k in (False, True)
             )
             return np.asarray(np.linalg.inv(first) @ second)
-    return (
-        _touched(robot, *max(contacts, key=lambda contact: len(contact[0]))) if contacts else None
-    )
+    if not contacts:
+        return None
+    return _touched(robot, *max(contacts, key=lambda contact: len(contact[0])))
+
+
+def _ownership(robot: Robot, of: Beside, unknown: Sequence[Beside]) -> Callable[[str], bool | None]:
+    """Return the function that says whether a link belongs to a robot of the cell, None if to
+    another one of unknown pose.
+    """
+    tree = parse_urdf(robot.urdf, source=robot.source)
+    holders = {link: {joint.name for joint in tree.above(link)} for link in tree.links}
+    nowhere = {one.joint for one in unknown}
+
+    def robot_of(link: str) -> bool | None:
+        its = holders[link] & nowhere
+        return None if its - {of.joint} else bool(its)
+
+    return robot_of
+
+
+@dataclass(frozen=True, eq=False)
+class _Touches:
+    """Contacts of points p on a hand with points s on another robot's hand.
+
+    Attributes:
+        T: shape (N, 4, 4), poses of the first hand.
+        S: shape (N, 4, 4), poses of the other's.
+        p: shape (N, k), 1 for the point of a contact on the first hand, 0 for the rest.
+        s: shape (N, m), the same on the other's.
+    """
+
+    T: np.ndarray
+    S: np.ndarray
+    p: np.ndarray
+    s: np.ndarray
+
+    @classmethod
+    def of(cls, robot: Robot, station: Station, links: Sequence[str]) -> _Touches:
+        of_sensor = isinstance(station.sensor, Coincidences) and station.sensor.index
+        is_tip = station.model.chain.path.tip == links[0]
+        points = [
+            np.unique(of, return_inverse=True)[1] for of in (station.conditions.target, of_sensor)
+        ][:: 1 if is_tip else -1]
+        T, S = (
+            robot.forward_kinematics(
+                station.conditions.q, robot.between(robot.base, link, at_rest=True)
+            )
+            for link in links
+        )
+        return cls(T, S, *(np.eye(of.max() + 1)[of] for of in points))
+
+    @property
+    def spare(self) -> int:
+        """Equations beyond the unknowns."""
+        return 3 * len(self.T) - (6 + 3 * int(self.p.shape[1] + self.s.shape[1]))
+
+    @cached_property
+    def of_other(self) -> np.ndarray:
+        """How the points of the other hand enter the equations, shape (3 N, 3 m)."""
+        turned = np.einsum("nij,nk->nikj", self.S[:, :3, :3], self.s)
+        return np.asarray(turned.reshape(3 * len(self.S), -1))
+
+    def solved(self, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the residuals, shape (3 N,), and t, p and s for R as a rotation vector."""
+        n = len(self.T)
+        R = Rotation.from_rotvec(turn).as_matrix()
+        own = np.einsum("il,nlj,nk->nikj", R, self.T[:, :3, :3], self.p).reshape(3 * n, -1)
+        A = np.hstack([np.tile(np.eye(3), (n, 1)), own, -self.of_other])
+        b = (self.S[:, :3, 3] - self.T[:, :3, 3] @ R.T).ravel()
+        x = np.linalg.lstsq(A, b)[0]
+        return b - A @ x, x
 
 
 def _touched(robot: Robot, station: Station, links: Sequence[str]) -> np.ndarray | None:
@@ -106,33 +167,11 @@ def _touched(robot: Robot, station: Station, links: Sequence[str]) -> np.ndarray
     undetermined.
     """
     rows = np.unique(np.linspace(0, len(station) - 1, _MOST).astype(int))
-    few = station.select(rows)
-    of_sensor = isinstance(few.sensor, Coincidences) and few.sensor.index
-    is_tip = few.model.chain.path.tip == links[0]
-    points = [np.unique(of, return_inverse=True)[1] for of in (few.conditions.target, of_sensor)][
-        :: 1 if is_tip else -1
-    ]
-    T, S = (
-        robot.forward_kinematics(few.conditions.q, robot.between(robot.base, link, at_rest=True))
-        for link in links
-    )
-    onehot = [np.eye(of.max() + 1)[of] for of in points]
-    n = len(rows)
-    of_other = np.einsum("nij,nk->nikj", S[:, :3, :3], onehot[1]).reshape(3 * len(rows), -1)
-    free = np.tile(np.eye(3), (n, 1))
-
-    def solved(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        R = Rotation.from_rotvec(turn).as_matrix()
-        own = np.einsum("il,nlj,nk->nikj", R, T[:, :3, :3], onehot[0]).reshape(3 * n, -1)
-        A = np.hstack([free, own, -of_other])
-        b = (S[:, :3, 3] - T[:, :3, 3] @ R.T).ravel()
-        x = np.linalg.lstsq(A, b)[0]
-        return b - A @ x, x
-
-    if 3 * n < 6 + 3 * sum(of.shape[1] for of in onehot) + OTHER_ROWS.spare:
+    touches = _Touches.of(robot, station.select(rows), links)
+    if touches.spare < OTHER_ROWS.spare:
         return None
     found = [
-        least_squares(lambda turn: solved(turn)[0], start)
+        least_squares(lambda turn: touches.solved(turn)[0], start)
         for start in Rotation.create_group("O").as_rotvec()
     ]
     best = min(found, key=lambda one: float(one.cost))
@@ -144,4 +183,4 @@ def _touched(robot: Robot, station: Station, links: Sequence[str]) -> np.ndarray
     ]
     if others and best.cost > OTHER_ROWS.clear * min(others):
         return None
-    return transform(here.as_matrix(), solved(best.x)[1][:3])
+    return transform(here.as_matrix(), touches.solved(best.x)[1][:3])

@@ -26,6 +26,7 @@ from pincal.identify.fit import Priors, Solution
 from pincal.identify.initial import place_arm
 from pincal.identify.noise import Noise
 from pincal.identify.normal import accumulate
+from pincal.identify.options import Options
 from pincal.identify.posterior import eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
@@ -176,6 +177,100 @@ class Placed:
         return self.misfit_of(self.solution.weights > 0.0)
 
 
+@dataclass(frozen=True, eq=False)
+class _Visit:
+    """A calibrated robot and the rows of a new station.
+
+    Attributes:
+        known: the calibrated model for their kind of readings.
+        stops: the rows, and the single readings behind them.
+        setup: of the station.
+    """
+
+    known: FittedRobot
+    stops: StopRows
+    setup: Setup
+
+    @classmethod
+    def of(cls, calibrated: FittedRobot, measurements: Measurements | StopRows) -> _Visit:
+        if isinstance(measurements, StopRows):
+            stops = measurements
+        else:
+            robot = calibrated.robot_model().model.chain.robot
+            stops = StopRows.of(measurements.in_order_of(robot))
+        known = calibrated.robot_model(stops.table.kind)
+        named = stops.table.point_names
+        # Other named points belong to other stations.
+        points = () if named is None else map(str, np.unique(named))
+        kept = {name: known.setup.points.get(name) for name in points}
+        return cls(known, stops, replace(known.setup, points=kept))
+
+    @cached_property
+    def rows(self) -> Measurements:
+        """The rows on the day of the calibration."""
+        return self.known.of_its_day(self.stops.table)
+
+    @cached_property
+    def arm(self) -> FittedRobot:
+        """The calibrated robot without the effects that are not transferred."""
+        reads = self.rows.position is not None
+
+        def comes_along(effect: Effect) -> bool:
+            return effect.scope == "robot" or (
+                reads and effect.is_sighted and effect.locus.station is None
+            )
+
+        return self.known.with_effects(comes_along)
+
+    @cached_property
+    def options(self) -> Options:
+        """Of the fit of the station's own parameters."""
+        return self.known.fitting_options(setup=self.setup)
+
+    @cached_property
+    def located(self) -> tuple[Station, np.ndarray]:
+        """The station, and the initial values of its parameters, shape (P,)."""
+        arm = self.arm
+        rows = {"": self.rows}
+        (found,) = place_arm(arm.model, arm.model_values, rows, options=self.options)
+        return found
+
+    def noise(self, sigma_orientation: float | None) -> RowNoise:
+        """Return the noise of the rows in the session of the calibration."""
+        station, start = self.located
+        return noise_of_rows(
+            self.known,
+            self.rows.kind,
+            station.sensor.blocks,
+            declared=self.rows.sigma,
+            scatter=_scatter(self.known, station, start, self.stops, self.setup),
+            sigma_orientation=sigma_orientation,
+        )
+
+    def solution(self, noise: RowNoise) -> Solution:
+        """Return the fit of the station's own parameters."""
+        station, start = self.located
+        problem = Problem((station,))
+        free = station.is_own.copy()
+        station.split(free)[1][:] = ~station.sensor.fixed
+        sizes = np.array([parameter.size for parameter in station.parameters])
+        priors = Priors(sizes, bounds_of(problem, self.options))
+        return solve(problem, start, free, priors, Noise(noise.declared))
+
+    def model(self, solution: Solution, noise: RowNoise) -> FittedRobot:
+        """Return the calibrated model at the station."""
+        station, _ = self.located
+        at_station = replace(
+            self.known.station,
+            sensor_kind=self.rows.kind,
+            sigma=noise.estimated(solution.estimated),
+            setup=self.setup,
+            repeatability=noise.repeatability,
+        )
+        estimate = _estimate(station, solution, self.arm.estimate)
+        return self.known.with_station(at_station).with_model(station.model, estimate)
+
+
 def place_station(
     calibrated: FittedRobot,
     measurements: Measurements | StopRows,
@@ -209,65 +304,19 @@ def place_station(
         >>> round(found.moved.instrument, 6), found.moved.target < 1e-9
         (0.866025, True)
     """
-    if isinstance(measurements, StopRows):
-        stops = measurements
-    else:
-        robot = calibrated.robot_model().model.chain.robot
-        stops = StopRows.of(measurements.in_order_of(robot))
-    measurements = stops.table
-    known = calibrated.robot_model(measurements.kind)
-    # Other named points belong to other stations.
-    points = (
-        () if measurements.point_names is None else map(str, np.unique(measurements.point_names))
-    )
-    setup = replace(known.setup, points={name: known.setup.points.get(name) for name in points})
-    check_placeable(measurements, setup)
-    as_recorded = measurements
-    measurements = known.of_its_day(measurements)
-    reads = measurements.position is not None
-
-    def comes_along(effect: Effect) -> bool:
-        return effect.scope == "robot" or (
-            reads and effect.is_sighted and effect.locus.station is None
-        )
-
-    arm = known.with_effects(comes_along)
-    options = known.fitting_options(setup=setup)
-    ((station, start),) = place_arm(
-        arm.model, arm.model_values, {"": measurements}, options=options
-    )
-    problem = Problem((station,))
-    free = station.is_own.copy()
-    station.split(free)[1][:] = ~station.sensor.fixed
-    unknown, notes = _of_another_session(known, station, as_recorded, set(arm.model.effects))
-    in_metres = [block.unit == "m" for block in station.sensor.blocks]
-    scatter = _scatter(known, station, start, stops, setup)
-    noise = noise_of_rows(
-        known,
-        measurements.kind,
-        station.sensor.blocks,
-        declared=measurements.sigma,
-        scatter=scatter,
-        sigma_orientation=sigma_orientation,
-    )
+    visit = _Visit.of(calibrated, measurements)
+    known = visit.known
+    stops = visit.stops
+    check_placeable(stops.table, visit.setup)
+    station, _ = visit.located
+    along = set(visit.arm.model.effects)
+    unknown, notes = _of_another_session(known, station, stops.table, along)
+    noise = visit.noise(sigma_orientation)
     if unknown:
-        noise = replace(
-            noise, sigma=np.where(in_metres, np.hypot(noise.sigma, unknown), noise.sigma)
-        )
-    priors = Priors(
-        np.array([parameter.size for parameter in station.parameters]), bounds_of(problem, options)
-    )
-    solution = solve(problem, start, free, priors, Noise(noise.declared))
-    at_station = replace(
-        known.station,
-        sensor_kind=measurements.kind,
-        sigma=noise.estimated(solution.estimated),
-        setup=setup,
-        repeatability=noise.repeatability,
-    )
-    estimate = _estimate(station, solution, arm.estimate)
-    model = known.with_station(at_station).with_model(station.model, estimate)
-    _refuse_undetermined(model, station, solution, source=measurements.source)
+        noise = noise.with_unknown(unknown, station.sensor.blocks)
+    solution = visit.solution(noise)
+    model = visit.model(solution, noise)
+    _refuse_undetermined(model, station, solution, source=stops.table.source)
     for block in np.flatnonzero(~noise.is_known):
         sigma = _beyond_uncertainty(model, station, solution, int(block))
         model = model.with_station(replace(model.station, sigma=sigma))
@@ -435,11 +484,9 @@ def _refuse_undetermined(
     )
     if worst > OTHER_ROWS.undetermined * solution.sigma[0]:
         raise BadInputError(
-            f"{source}: {len(station)} rows do not determine the pose of instrument and "
-            "target: predictions in other "
-            f"poses are uncertain by {1e3 * worst:.3g} mm; add rows in different poses "
-            "and with the tool turned in "
-            "different ways"
+            f"{source}: {len(station)} rows do not determine the pose of instrument and target: "
+            f"predictions in other poses are uncertain by {1e3 * worst:.3g} mm; add rows in "
+            "different poses and with the tool turned in different ways"
         )
 
 

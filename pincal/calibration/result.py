@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -46,14 +47,13 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import has_instrument
 from pincal.notes import Note, doubts_first, doubts_of
 from pincal.thresholds import Count
-from pincal.validate.accuracy import (
-    error_statistics,
-)
+from pincal.validate.accuracy import error_statistics
 from pincal.validate.misfit import NoiseTest, Verdict, is_informative, judge
 from pincal.validate.outcome import (
     ClockRecord,
     Correlation,
     Errors,
+    Improvement,
     MovedParameter,
     Outcome,
     RowCounts,
@@ -181,6 +181,62 @@ class ResultFile(Outcome):
     verdict: Verdict = Verdict.NOT_JUDGED
 
 
+@dataclass(frozen=True, eq=False)
+class _Assessed:
+    """A calibration with its stations assessed.
+
+    Attributes:
+        fit: the fit of all stations.
+        stations: what was assessed at each.
+        is_left_out: whether stations were predicted by models of the others.
+    """
+
+    fit: ModelFit
+    stations: Sequence[AssessedStation]
+    is_left_out: bool
+
+    @property
+    def p_value(self) -> float | None:
+        """Chance of larger residuals by the declared noise; None where it was estimated."""
+        solution = self.fit.solution
+        return float(chdtrc(solution.degrees, solution.chi2)) if self.fit.is_declared else None
+
+    @cached_property
+    def read(self) -> Readings:
+        """What was read, of distinct poses."""
+        return Readings.of(self.fit, [station.poses[0] for station in self.stations])
+
+    @cached_property
+    def improved(self) -> tuple[Improvement, ...]:
+        """Improvement of predictions; empty with an instrument, which measures it."""
+        return () if has_instrument(self.fit) else improvements(self.fit)
+
+    @cached_property
+    def moves(self) -> tuple[tuple[MovedParameter, ...], ...]:
+        """Parameters that differ between stations; empty of one station."""
+        return moves_of(self.fit) if len(self.stations) > 1 else ()
+
+    def findings(self, arrivals: float | None) -> list[Caveat]:
+        """Return the findings, without those that others explain."""
+        fit = self.fit
+        stations = self.stations
+        found = [
+            *findings_on_plausibility(fit, [station.rows.train for station in stations]),
+            *findings_on_benefit(fit),
+            *findings_on_fit(fit, self.p_value, arrivals),
+            *findings_on_scatter(fit),
+            *findings_on_data(fit, self.read),
+            *findings_without_instrument(fit, self.improved),
+            *_on_rows(stations, is_left_out=self.is_left_out),
+            *(one for station in stations for one in station.on_replicates(self.p_value)),
+            *(one for station in stations for one in station.on_visits()),
+            *findings_on_moves(fit, self.moves),
+        ]
+        found = joined_with_means(found)
+        found += _on_misreading(stations, found)
+        return _without_explained(found, len(stations))
+
+
 def result_of(
     fit: ModelFit,
     rows: Sequence[StationRows],
@@ -198,29 +254,10 @@ def result_of(
     the held-out errors. ``arrivals`` is to what all drives stop, if a search has shown that this
     explains what exceeds the declared noise [rad].
     """
-    parts = zip(rows, left_out or [LeftOut(part.name) for part in rows], strict=True)
-    stations = [
-        AssessedStation(fit, k, part, validated, apart) for k, (part, apart) in enumerate(parts)
-    ]
-    p_value = float(chdtrc(fit.solution.degrees, fit.solution.chi2)) if fit.is_declared else None
-    read = Readings.of(fit, [station.poses[0] for station in stations])
-    improved = () if has_instrument(fit) else improvements(fit)
-    moves = moves_of(fit) if len(stations) > 1 else ()
-    found = [
-        *findings_on_plausibility(fit, [part.train for part in rows]),
-        *findings_on_benefit(fit),
-        *findings_on_fit(fit, p_value, arrivals),
-        *findings_on_scatter(fit),
-        *findings_on_data(fit, read),
-        *findings_without_instrument(fit, improved),
-        *_on_rows(stations, is_left_out=bool(left_out)),
-        *(one for station in stations for one in station.on_replicates(p_value)),
-        *(one for station in stations for one in station.on_visits()),
-        *findings_on_moves(fit, moves),
-    ]
-    found = joined_with_means(found)
-    found += _on_misreading(stations, found)
-    found = _without_explained(found, len(stations))
+    parts = enumerate(zip(rows, left_out or [LeftOut(part.name) for part in rows], strict=True))
+    stations = [AssessedStation(fit, k, part, validated, apart) for k, (part, apart) in parts]
+    assessed = _Assessed(fit, stations, is_left_out=bool(left_out))
+    found = assessed.findings(arrivals)
     error = _errors(stations)
     parameters = parameter_rows(fit)
     solution = fit.solution
@@ -231,7 +268,7 @@ def result_of(
         rank=solution.posterior.identifiable_rank,
         condition=solution.posterior.condition,
         chi2_reduced=solution.cost,
-        chi2_p_value=p_value,
+        chi2_p_value=assessed.p_value,
         iterations=fit.iterations,
         seconds=seconds,
         converged=solution.converged,
@@ -240,15 +277,15 @@ def result_of(
         stages=fit.stages,
         error=error,
         warnings=doubts_first([*notes, *(n.note for n in found)]),
-        degrees=read.degrees,
+        degrees=assessed.read.degrees,
         doubt=next((str(n) for n in found if n.kind in UNUSABLE), ""),
         arrivals=arrivals,
         shift=next((str(n) for n in found if n.kind is CaveatKind.STEP), ""),
         validation=_validation(validated, error),
-        improvement=improved or UNSET,
+        improvement=assessed.improved or UNSET,
         clocks=tuple(_clocks(fit, rows)) or UNSET,
         elsewhere=elsewhere_of(fit) or UNSET,
-        **_by_station(stations, moves),
+        **_by_station(stations, assessed.moves),
     )
 
 

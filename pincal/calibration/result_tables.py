@@ -4,7 +4,7 @@ and repeatability.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -108,19 +108,6 @@ class ParameterRow(ParameterRecord):
 
 def parameter_rows(fit: ModelFit) -> tuple[ParameterRow, ...]:
     """Return the rows of the parameter table; orientations of base and tool as rotation vectors."""
-    values = fit.values + np.array([p.nominal for p in fit.problem.parameters])
-    for station, local in zip(fit.problem.stations, fit.problem.places, strict=True):
-        chain = station.model.chain
-        references = {
-            "base": chain.base_rotation,
-            **dict(zip(chain.targets, chain.tool_rotations, strict=True)),
-        }
-        for element, rotation in references.items():
-            names = {f"{element}.r{axis}" for axis in "xyz"}
-            places = [i for i, p in zip(local, station.parameters, strict=True) if p.name in names]
-            if len(places) == 3:
-                turned = placed(rotation, np.concatenate([np.zeros(3), values[places]]))
-                values[places] = rotation_vectors(turned[None, :3, :3])[0]
     return tuple(
         ParameterRow(
             name=parameter.name,
@@ -135,13 +122,33 @@ def parameter_rows(fit: ModelFit) -> tuple[ParameterRow, ...]:
         )
         for parameter, value, sigma, is_free, finding in zip(
             fit.problem.parameters,
-            values,
+            _with_whole_turns(fit),
             fit.estimate.sigma,
             fit.solution.free,
             explain(fit),
             strict=True,
         )
     )
+
+
+def _with_whole_turns(fit: ModelFit) -> np.ndarray:
+    """Return the values of all parameters, shape (P,), orientations of base and tool not relative
+    to references.
+    """
+    values = fit.values + np.array([p.nominal for p in fit.problem.parameters])
+    for station, local in zip(fit.problem.stations, fit.problem.places, strict=True):
+        chain = station.model.chain
+        references = {
+            "base": chain.base_rotation,
+            **dict(zip(chain.targets, chain.tool_rotations, strict=True)),
+        }
+        for element, rotation in references.items():
+            names = {f"{element}.r{axis}" for axis in "xyz"}
+            places = [i for i, p in zip(local, station.parameters, strict=True) if p.name in names]
+            if len(places) == 3:
+                turned = placed(rotation, np.concatenate([np.zeros(3), values[places]]))
+                values[places] = rotation_vectors(turned[None, :3, :3])[0]
+    return np.asarray(values)
 
 
 def residuals_by_name(
@@ -221,41 +228,43 @@ def station_table(stations: Sequence[StationRecord]) -> Table:
     """Return the table of mean errors at each station, before and after, and left out where that
     was computed.
     """
-    heads = (
+    is_left_out = any("left_out" in station for station in stations)
+    units = {leading_unit(station["error"]["calibrated"]["train"]) for station in stations}
+    is_in_mm = units == {"mm"}
+    heads = [
         Column("station", kind=Kind.NAME),
         Column("measured", kind=Kind.LABEL),
         Column("poses", kind=Kind.LABEL),
+        *([] if is_in_mm else [Column("unit", kind=Kind.LABEL)]),
+        Column("rows", kind=Kind.NUMBER, show=str),
+    ]
+    left_out = ("left out, geometry alone", "left out") if is_left_out else ()
+    heads += [
+        Column(name, kind=Kind.NUMBER, show=fixed(4))
+        for name in ("nominal", *left_out, "calibrated")
+    ]
+    rows = tuple(
+        row
+        for station in stations
+        for row in _rows_of_station(station, is_left_out=is_left_out, has_unit=not is_in_mm)
     )
-    is_left_out = any("left_out" in station for station in stations)
-    names = [
-        "rows",
-        "nominal",
-        *(["left out, geometry alone", "left out"] if is_left_out else []),
-        "calibrated",
-    ]
-    columns = [
-        Column(name, kind=Kind.NUMBER, show=str if name == "rows" else fixed(4)) for name in names
-    ]
-    units = [leading_unit(station["error"]["calibrated"]["train"]) for station in stations]
-    one = set(units) == {"mm"}
-    all_heads = heads if one else (*heads, Column("unit", kind=Kind.LABEL))
-    rows = []
-    for station, unit in zip(stations, units, strict=True):
-        found = (
-            (station.get("left_out_geometric", {}), station.get("left_out", {}))
-            if is_left_out
-            else ()
-        )
-        mean = f"mean_{unit}"
-        others = [errors.get(mean) for errors in found]
-        for part, error in station["error"]["calibrated"].items():
-            before = station["error"]["nominal"][part][mean]
-            count = station["rows"]["train" if part == "train" else "test"]
-            numbers = (count, before, *others, error[mean])
-            rows.append(
-                (station["name"], station["kind"], PARTS[part], *(() if one else (unit,)), *numbers)
-            )
-    return Table(f"Mean error at each station{' [mm]' * one}", (*all_heads, *columns), tuple(rows))
+    return Table(f"Mean error at each station{' [mm]' * is_in_mm}", tuple(heads), rows)
+
+
+def _rows_of_station(
+    station: StationRecord, *, is_left_out: bool, has_unit: bool
+) -> Iterator[tuple[Cell, ...]]:
+    """Yield the mean errors of a station, a row for each part of its rows."""
+    errors = station["error"]
+    unit = leading_unit(errors["calibrated"]["train"])
+    mean = f"mean_{unit}"
+    left_out = (station.get("left_out_geometric", {}), station.get("left_out", {}))
+    others = [found.get(mean) for found in left_out] if is_left_out else []
+    for part, error in errors["calibrated"].items():
+        before = errors["nominal"][part][mean]
+        count = station["rows"]["train" if part == "train" else "test"]
+        about = (station["name"], station["kind"], PARTS[part], *((unit,) if has_unit else ()))
+        yield (*about, count, before, *others, error[mean])
 
 
 def clock_words(clock: ClockRecord) -> str:
@@ -297,9 +306,8 @@ def clock_table(clocks: Sequence[ClockRecord]) -> Table:
             (at.station or "instrument", at.offset_s, sigmas[0], at.drift_ppm, sigmas[1], *delay)
         )
     note = (
-        "correction to the time stamps of a station at the middle of its session; for a "
-        "gyroscope in addition to its "
-        "accelerometer's; +- 95 %"
+        "correction to the time stamps of a station at the middle of its session; for a gyroscope "
+        "in addition to its accelerometer's; +- 95 %"
     )
     return Table("Clocks relative to that of the joints", columns, tuple(rows), (note,))
 
@@ -337,41 +345,32 @@ def moved_table(stations: Sequence[StationRecord]) -> Table | None:
         for entry in station.get("parameters", ())
         if entry["name"] == name and entry["sigma"] > 0.0
     ]
-    shown = (
-        found
-        if len(found) <= _MOST_MOVED
-        else [(at, entry) for at, entry in found if entry["moved"]]
-    )
-    rows = []
-    for at, entry in shown:
-        change = entry["change"]
-        half = INTERVAL * entry["sigma"]
-        numbers = (
-            Quantity(number, entry["unit"]) for number in (change, change - half, change + half)
-        )
-        rows.append((entry["name"], entry["unit"], at, *numbers, "moved" if entry["moved"] else ""))
-    heads = (Column("parameter", kind=Kind.NAME), Column("unit", kind=Kind.LABEL, show=show_unit))
-    numbers_of = (
-        Column(name, kind=Kind.NUMBER, show=show_value)
-        for name in ("since the first", "95 %: from", "to")
-    )
+    is_short = len(found) <= _MOST_MOVED
+    rows = [_moved_row(at, entry) for at, entry in found if is_short or entry["moved"]]
+    if not rows:
+        return None
     columns = (
-        *heads,
+        Column("parameter", kind=Kind.NAME),
+        Column("unit", kind=Kind.LABEL, show=show_unit),
         Column("station", kind=Kind.NAME),
-        *numbers_of,
+        Column("since the first", kind=Kind.NUMBER, show=show_value),
+        Column("95 %: from", kind=Kind.NUMBER, show=show_value),
+        Column("to", kind=Kind.NUMBER, show=show_value),
         Column("since the previous", kind=Kind.LABEL),
     )
     hidden = len(found) - len(rows)
-    notes = (
-        (f"{hidden} rows without a change are omitted here; result.json has them.",)
-        if hidden
-        else ()
-    )
-    return (
-        Table("Parameters that moved between stations", columns, tuple(rows), notes)
-        if rows
-        else None
-    )
+    omitted = f"{hidden} rows without a change are omitted here; result.json has them."
+    notes = (omitted,) if hidden else ()
+    return Table("Parameters that moved between stations", columns, tuple(rows), notes)
+
+
+def _moved_row(at: str, entry: Mapping[str, Any]) -> tuple[Cell, ...]:
+    """Return the row of a parameter at a station."""
+    change = entry["change"]
+    half = INTERVAL * entry["sigma"]
+    bounds = (change, change - half, change + half)
+    numbers = (Quantity(number, entry["unit"]) for number in bounds)
+    return (entry["name"], entry["unit"], at, *numbers, "moved" if entry["moved"] else "")
 
 
 def station_changes(stations: Sequence[StationRecord]) -> str:

@@ -64,6 +64,21 @@ class RowNoise:
         """
         return np.where(self.is_known, self.sigma, sigma)
 
+    def with_unknown(self, uncertainty: float, blocks: Sequence[Block]) -> RowNoise:
+        """Return it with a further uncertainty of each coordinate [m] of these blocks."""
+        is_length = np.array([block.unit == "m" for block in blocks])
+        widened = np.hypot(self.sigma, uncertainty)
+        return replace(self, sigma=np.where(is_length, widened, self.sigma))
+
+    def with_declared(self, size: float, blocks: Sequence[Block], unit: str) -> RowNoise:
+        """Return it with noise that is declared for the blocks in a unit, which takes precedence
+        if it is larger.
+        """
+        is_declared = np.array([block.unit == unit for block in blocks])
+        at_least = np.where(self.is_known, np.maximum(self.sigma, size), size)
+        sigma = np.where(is_declared, at_least, self.sigma)
+        return replace(self, sigma=sigma, is_known=self.is_known | is_declared)
+
 
 def noise_of_rows(
     known: FittedRobot,
@@ -94,45 +109,56 @@ def noise_of_rows(
     square = before.row_variance(of_calibration)
     shown = np.minimum(before.of_row(own.readings, own.stops), square)
     is_shown = shown > 0.0
-    degrees = _degrees(known, blocks)
+    lacking = _lacking(square, shown, _degrees(known, blocks), before.within_degrees)
+    variance = np.where(is_shown, lacking + best.of_row(here.readings), of_calibration**2)
+    positive = np.maximum(variance, 1e-300)
+    has_visits = best.between_degrees > 0.0
+    of_pose = np.where(has_visits & is_shown, lacking / positive, 0.0)
+    # Noise of readings within a stop does not follow the levers.
+    of_stops = 1.0 - best.within / here.readings / positive
+    of_drives = _following(own, square, before.within) * of_stops
+    of_drives = np.where(own.drives > 0.0, np.clip(of_drives, 0.0, 1.0), 0.0)
+    sigma = np.where(is_known, np.sqrt(variance), of_calibration)
+    drives = float(of_drives[0])
+    of_one_stop = replace(
+        best, readings=here.readings, stops=1.0, shared=own.shared, drives=drives, of_single=False
+    )
+    found = RowNoise(sigma, is_known, of_pose, of_drives, of_one_stop)
+    if sigma_orientation is not None:
+        found = found.with_declared(sigma_orientation, blocks, "rad")
+    if declared is not None:
+        found = found.with_declared(float(np.sqrt(np.mean(declared**2))), blocks, "m")
+    return found
+
+
+def _lacking(
+    square: np.ndarray, shown: np.ndarray, degrees: float, of_scatter: np.ndarray
+) -> np.ndarray:
+    """Return the upper limit of the variance that the model lacks at a pose, shape (blocks,); 0
+    where no repeats show the scatter of the rows.
+
+    Args:
+        square: shape (blocks,), variance of the calibration's rows.
+        shown: shape (blocks,), that of it which repeats show as scatter.
+        degrees: of freedom of the first.
+        of_scatter: shape (blocks,), of the second.
+    """
     doubt = (
         np.sqrt(2.0 / degrees) * square
-        + np.sqrt(2.0 / np.maximum(before.within_degrees, STOPS.fewest)) * shown
+        + np.sqrt(2.0 / np.maximum(of_scatter, STOPS.fewest)) * shown
     )
-    lacking = np.where(is_shown, np.clip(square - shown + STOPS.sure * doubt, 0.0, square), 0.0)
-    of_stop = best.of_row(here.readings)
-    variance = np.where(is_shown, lacking + of_stop, of_calibration**2)
-    has_visits = best.between_degrees > 0.0
-    of_pose = np.where(has_visits & is_shown, lacking / np.maximum(variance, 1e-300), 0.0)
-    # Noise of readings within a stop does not follow the levers; of the rest, drives have the part
-    # that they had.
-    read = before.within / (own.readings * own.stops)
-    apart = np.clip((1.0 - own.drives) * square - read, 0.0, None) / np.maximum(
-        square - read, 1e-300
-    )
-    of_stops = 1.0 - best.within / here.readings / np.maximum(variance, 1e-300)
-    of_drives = np.where(own.drives > 0.0, np.clip((1.0 - apart) * of_stops, 0.0, 1.0), 0.0)
-    sigma = np.where(is_known, np.sqrt(variance), of_calibration)
-    is_angle = np.array([block.unit == "rad" for block in blocks])
-    is_length = np.array([block.unit == "m" for block in blocks])
-    if sigma_orientation is not None:
-        at_least = np.where(is_known, np.maximum(sigma, sigma_orientation), sigma_orientation)
-        sigma = np.where(is_angle, at_least, sigma)
-        is_known = is_known | is_angle
-    if declared is not None:
-        size = float(np.sqrt(np.mean(declared**2)))
-        at_least = np.where(is_known, np.maximum(sigma, size), size)
-        sigma = np.where(is_length, at_least, sigma)
-        is_known = is_known | is_length
-    of_one_stop = replace(
-        best,
-        readings=here.readings,
-        stops=1.0,
-        shared=own.shared,
-        drives=float(of_drives[0]),
-        of_single=False,
-    )
-    return RowNoise(sigma, is_known, of_pose, of_drives, of_one_stop)
+    limit = np.clip(square - shown + STOPS.sure * doubt, 0.0, square)
+    return np.where(shown > 0.0, limit, 0.0)
+
+
+def _following(own: StopScatter, square: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """Return which fraction of a calibration's variance beyond that of readings within a stop
+    followed the levers of the drives, shape (blocks,).
+    """
+    read = within / (own.readings * own.stops)
+    rest = np.maximum(square - read, 1e-300)
+    apart = np.clip((1.0 - own.drives) * square - read, 0.0, None) / rest
+    return np.asarray(1.0 - apart)
 
 
 def calibrated_noise(

@@ -15,7 +15,7 @@ squares by
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -29,6 +29,8 @@ from pincal.identify.posterior import Posterior, eliminate
 from pincal.identify.problem import extended
 from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.selection import Scored, select_stepwise
+from pincal.identify.station import Station
+from pincal.model.chain import Chain
 from pincal.model.effect import Effect, Family
 from pincal.parameters import Parameter
 from pincal.thresholds import Count, Scale
@@ -112,7 +114,6 @@ class SharedInformation:
         of rows in order.
         """
         problem = fit.problem
-        solution = fit.solution
         shared = shared_places(fit)
         K = parts * len(problem.stations)
         F = len(shared)
@@ -120,34 +121,10 @@ class SharedInformation:
         g = np.zeros((K, F))
         whole = np.zeros((K, F))
         for k, station in enumerate(problem.stations):
-            rows = problem.rows[k]
-            blocks = problem.block_spans[k]
-            if (
-                station.serial is not None
-                and station.sensor.reads_place
-                and station.conditions.are_in_motion
-            ):
-                # Unmodelled errors follow the motion, which differs between stations.
+            if _follows_motion(station):
                 continue
-            weights = solution.weights[rows]
-            # So many rejected rows are no outliers: the robot changed there.
-            weights = (
-                weights if np.mean(weights == 0.0) <= CHANGES.wrong_rows else np.ones_like(weights)
-            )
-            every = np.arange(len(weights))
-            split = (
-                np.array_split(every, parts)
-                if in_order
-                else [every[i::parts] for i in range(parts)]
-            )
-            each = [
-                information_at(fit, k, weights, rows=None if parts == 1 else some) for some in split
-            ]
-            together = replace(
-                each[0], form=sum((one.form for one in each[1:]), start=each[0].form)
-            )
-            declared = fit.noise.declared[blocks.start] or 0.0
-            noise = max(together.noise_squared, (declared / solution.sigma[blocks.start]) ** 2)
+            each = _of_parts(fit, k, parts, in_order=in_order)
+            noise = _noise_at(fit, k, each)
             for i, one in enumerate(each, start=parts * k):
                 at = one.places
                 form = one.form
@@ -160,13 +137,7 @@ class SharedInformation:
         )
         lasting = (e for e in model.effects if e.is_constant)
         parameters = tuple(problem.parameters[place] for place in shared)
-        marks = (
-            {p.name for effect in some for p in effect.parameters(model.chain)}
-            for some in (zeros, lasting)
-        )
-        marked = (
-            np.array([parameter.name in names for parameter in parameters], bool) for names in marks
-        )
+        marked = (_are_of(parameters, effects, model.chain) for effects in (zeros, lasting))
         return cls(parameters, G, g, whole, fit.priors.sizes[shared], fit.values[shared], *marked)
 
     def joined(self, parts: int) -> Self:
@@ -193,6 +164,41 @@ class SharedInformation:
         return StationsInformation(
             G, b, seen, found.covariance, CHANGES.wide * sizes, self.usual[main], explained
         )
+
+
+def _follows_motion(station: Station) -> bool:
+    """Return whether unmodelled errors follow a station's motion, which differs between stations."""
+    is_in_motion = station.sensor.reads_place and station.conditions.are_in_motion
+    return station.serial is not None and is_in_motion
+
+
+def _of_parts(fit: ModelFit, k: int, parts: int, *, in_order: bool) -> list[StationInformation]:
+    """Return the information of parts of the k-th station."""
+    weights = fit.solution.weights[fit.problem.rows[k]]
+    if np.mean(weights == 0.0) > CHANGES.wrong_rows:
+        # So many rejected rows are no outliers: the robot changed there.
+        weights = np.ones_like(weights)
+    if parts == 1:
+        return [information_at(fit, k, weights)]
+    every = np.arange(len(weights))
+    interleaved = [every[i::parts] for i in range(parts)]
+    split = np.array_split(every, parts) if in_order else interleaved
+    return [information_at(fit, k, weights, rows=some) for some in split]
+
+
+def _noise_at(fit: ModelFit, k: int, each: Sequence[StationInformation]) -> float:
+    """Return the variance of the noise of the k-th station from its parts, in units of the fit's."""
+    first, *others = each
+    together = replace(first, form=sum((one.form for one in others), start=first.form))
+    block = fit.problem.block_spans[k].start
+    declared = fit.noise.declared[block] or 0.0
+    return max(together.noise_squared, float((declared / fit.solution.sigma[block]) ** 2))
+
+
+def _are_of(parameters: Sequence[Parameter], effects: Iterable[Effect], chain: Chain) -> np.ndarray:
+    """Return which parameters are of some of the effects, a mask of shape (F,)."""
+    names = {p.name for effect in effects for p in effect.parameters(chain)}
+    return np.array([parameter.name in names for parameter in parameters], bool)
 
 
 @dataclass(frozen=True)

@@ -83,10 +83,9 @@ class Validation:
                 "beyond the loads of the calibration" if self.misfit.is_far() else "on another day"
             )
             doubts.append(
-                f"{source}: residuals are {self.misfit.ratio:.3g} times what noise and "
-                "the uncertainty of the calibration "
-                f"allow, as happens {why}; run pincal diagnose to test whether something "
-                "has changed"
+                f"{source}: residuals are {self.misfit.ratio:.3g} times what noise and the "
+                f"uncertainty of the calibration allow, as happens {why}; run pincal diagnose to "
+                "test whether something has changed"
             )
         if self.fitted_rows:
             doubts.append(
@@ -224,58 +223,25 @@ def _judged(
         if not refit:
             raise BadInputError(
                 f"{measurements.source}: these rows do not match the chosen station: "
-                "sensor, target, points or columns "
-                "differ"
+                "sensor, target, points or columns differ"
             )
-        return refitted(
-            next((m for m in models if m.sensor_kind == measurements.kind), _anywhere(models))
-        )
-    _, model, table, station, sigma = min(stands, key=lambda stand: stand[0])
-
-    def misfit(sigma: np.ndarray, robust: np.ndarray) -> Misfit:
-        means = model.readings(StopRows.of(table).table)
-        return misfit_at(
-            means, model.values, covariance=model.covariance, sigma=sigma, robust=robust
-        )
-
-    def as_calibrated(found: Misfit, **reservations: Any) -> Validation:
-        still = FrameShift(0.0, 0.0, 0.0)
-        none = np.zeros(len(model.values), bool)
-        # Of other readings than those of the calibration, with their noise.
-        own = (
-            model
-            if model.sensor_kind == table.kind
-            else model.with_station(replace(model.station, sensor_kind=table.kind, sigma=sigma))
-        )
-        return Validation(
-            name, "as calibrated", table, own, station, none, still, found, **reservations
-        )
-
+        of_kind = (model for model in models if model.sensor_kind == measurements.kind)
+        return refitted(next(of_kind, _anywhere(models)))
+    stand = min(stands, key=lambda stand: stand.off)
+    table = stand.table
     try:
-        placed = place_station(model, table, sigma_orientation=angle)
+        placed = place_station(stand.model, table, sigma_orientation=angle)
     except BadInputError as error:
-        # These rows do not determine another pose.
-        before = misfit(sigma, np.ones(len(StopRows.of(table).table)))
-        if refit and before.is_far():
-            unit, errors = next(iter(pose_error_sizes(station, model.values).items()))
-            raise BadInputError(
-                f"{error}; as calibrated, their mean error is {errors.mean():.4g} {unit}"
-            ) from None
-        return as_calibrated(before)
-    before = misfit(placed.model.sigma, (placed.solution.weights > 0.0).astype(float))
+        return stand.unplaced(name, error, refit=refit)
+    before = stand.misfit(placed.model.sigma, (placed.solution.weights > 0.0).astype(float))
     is_moved = has_moved(before, placed.misfit)
+    is_part = len(table) < len(measurements)
     if is_moved and refit:
-        return refitted(model) if len(table) < len(measurements) else _refitted(name, table, placed)
-    if len(table) < len(measurements):
+        return refitted(stand.model) if is_part else _refitted(name, table, placed)
+    if is_part:
         # Called for its warning about rows left out.
-        scorable_rows(measurements, model.setup)
-    note = (
-        f"{name or table.source}: these rows fit a different pose of instrument and target: "
-        f"{placed.moved}"
-    )
-    return as_calibrated(
-        before, doubt=doubt_of(placed), note=note if is_moved else "", of_day=placed.notes
-    )
+        scorable_rows(measurements, stand.model.setup)
+    return stand.judged_with(name, before, placed, is_moved=is_moved)
 
 
 def _anywhere(models: Sequence[FittedRobot]) -> FittedRobot:
@@ -289,53 +255,121 @@ def _anywhere(models: Sequence[FittedRobot]) -> FittedRobot:
     return first.with_station(replace(first.station, covered=covered))
 
 
+@dataclass(frozen=True, eq=False)
+class _Stand:
+    """A station that rows may be of.
+
+    Attributes:
+        off: median residual in units of the noise.
+        model: of the robot at the station.
+        table: the rows that can be judged.
+        station: these under the model.
+        sigma: shape (blocks,), their noise.
+    """
+
+    off: float
+    model: FittedRobot
+    table: Measurements
+    station: Station
+    sigma: np.ndarray
+
+    @classmethod
+    def of(cls, model: FittedRobot, table: Measurements, angle: float | None) -> _Stand:
+        station = model.readings(table)
+        blocks = station.sensor.blocks
+        noise = noise_of_rows(
+            model, table.kind, blocks, declared=table.sigma, sigma_orientation=angle
+        )
+        residuals = station.residuals(model.values)
+        squares = [np.median(np.sum(residuals[rows] ** 2, axis=0)) for rows in station.block_rows]
+        usual = np.sqrt(squares / chdtri(station.block_sizes, 0.5))
+        sigma = noise.estimated(usual)
+        off = residuals / np.repeat(sigma, station.block_sizes)[:, None]
+        return cls(float(np.median(np.linalg.norm(off, axis=0))), model, table, station, sigma)
+
+    def misfit(self, sigma: np.ndarray, robust: np.ndarray) -> Misfit:
+        """Return the misfit of the means of the stops where the station was calibrated."""
+        model = self.model
+        means = model.readings(StopRows.of(self.table).table)
+        return misfit_at(
+            means, model.values, covariance=model.covariance, sigma=sigma, robust=robust
+        )
+
+    def as_calibrated(self, name: str, found: Misfit) -> Validation:
+        """Return the judgement where the station was calibrated."""
+        own = self.model
+        if own.sensor_kind != self.table.kind:
+            # Of other readings than those of the calibration, with their noise.
+            here = replace(own.station, sensor_kind=self.table.kind, sigma=self.sigma)
+            own = own.with_station(here)
+        none = np.zeros(len(own.values), bool)
+        still = FrameShift(0.0, 0.0, 0.0)
+        at = self.table, own, self.station, none, still, found
+        return Validation(name, "as calibrated", *at)
+
+    def unplaced(self, name: str, error: BadInputError, *, refit: bool) -> Validation:
+        """Return the judgement of rows that do not determine another pose of the instrument.
+
+        Raises:
+            BadInputError: if these rows are far off and may be located anew.
+        """
+        before = self.misfit(self.sigma, np.ones(len(StopRows.of(self.table).table)))
+        if refit and before.is_far():
+            sizes = pose_error_sizes(self.station, self.model.values)
+            unit, errors = next(iter(sizes.items()))
+            raise BadInputError(
+                f"{error}; as calibrated, their mean error is {errors.mean():.4g} {unit}"
+            ) from None
+        return self.as_calibrated(name, before)
+
+    def judged_with(
+        self, name: str, found: Misfit, placed: Placed, *, is_moved: bool
+    ) -> Validation:
+        """Return the judgement where the station was calibrated, with the reservations that a pose
+        of the instrument located from the rows gives.
+        """
+        note = (
+            f"{name or self.table.source}: these rows fit a different pose of instrument and "
+            f"target: {placed.moved}"
+        )
+        return replace(
+            self.as_calibrated(name, found),
+            doubt=doubt_of(placed),
+            note=note if is_moved else "",
+            of_day=placed.notes,
+        )
+
+
 def _stands(
     models: Sequence[FittedRobot], measurements: Measurements, angle: float | None
-) -> Iterator[tuple[float, FittedRobot, Measurements, Station, np.ndarray]]:
-    """Yield the stations that rows may be of: same sensor, targets and points, and the columns that
-    their effects need.
-
-    Each with the median residual in units of the noise, its model, the rows that can be judged,
-    these under the model, and their noise.
-    """
+) -> Iterator[_Stand]:
+    """Yield the stations that rows may be of, each with the rows that can be judged."""
     for model in models:
-        chain = model.model.chain
-        if links_of(measurements, chain.robot.path) != (chain.path.start, chain.path.tip):
+        if not _may_have_measured(model, measurements):
             continue
-        if len(chain.targets) > 1 and not set(map(str, measurements.target)) <= set(chain.targets):
-            continue
-        needs = {
-            column
-            for effect in model.model.effects
-            if effect.scope == "station"
-            for column in effect.needs
-        }
-        if any(getattr(measurements, column) is None for column in needs):
-            continue
-        if not model.reads(measurements) or (
-            measurements.point_names is not None and model.sensor_kind != measurements.kind
-        ):
-            continue
-        kept = (
-            scorable(measurements, model.setup)
-            if model.setup.points
-            else np.ones(len(measurements), bool)
-        )
+        points = model.setup.points
+        kept = scorable(measurements, model.setup) if points else np.ones(len(measurements), bool)
         if kept.any():
             table = measurements if kept.all() else measurements.select(kept)
-            station = model.readings(table)
-            blocks = station.sensor.blocks
-            noise = noise_of_rows(
-                model, table.kind, blocks, declared=table.sigma, sigma_orientation=angle
-            )
-            residuals = station.residuals(model.values)
-            squares = [
-                np.median(np.sum(residuals[rows] ** 2, axis=0)) for rows in station.block_rows
-            ]
-            usual = np.sqrt(squares / chdtri(station.block_sizes, 0.5))
-            sigma = noise.estimated(usual)
-            off = residuals / np.repeat(sigma, station.block_sizes)[:, None]
-            yield float(np.median(np.linalg.norm(off, axis=0))), model, table, station, sigma
+            yield _Stand.of(model, table, angle)
+
+
+def _may_have_measured(model: FittedRobot, measurements: Measurements) -> bool:
+    """Return whether rows are of the links, targets, points and sensor of a station, and have the
+    columns that its effects need.
+    """
+    chain = model.model.chain
+    if links_of(measurements, chain.robot.path) != (chain.path.start, chain.path.tip):
+        return False
+    if len(chain.targets) > 1 and not set(map(str, measurements.target)) <= set(chain.targets):
+        return False
+    of_station = (effect for effect in model.model.effects if effect.scope == "station")
+    needs = {column for effect in of_station for column in effect.needs}
+    if any(getattr(measurements, column) is None for column in needs):
+        return False
+    has_own_points = measurements.point_names is not None
+    is_of_kind = model.sensor_kind == measurements.kind
+    return model.reads(measurements) and (is_of_kind or not has_own_points)
 
 
 def _refitted(name: str, table: Measurements, placed: Placed) -> Validation:
@@ -352,39 +386,48 @@ def doubt_of(placed: Placed) -> str:
     Where drive curves were not determined the limit is wider, and beyond the calibrated loads rows
     only show whether the calibration is better than none.
     """
-    table = placed.table
     known = placed.model
-    station = placed.station
-    values = placed.values
+    conditions = placed.station.conditions
     used = placed.solution.weights > 0.0
-    inside = knows(known, station.conditions)
-    sound = used & known.covered.carries(station.conditions.payload)
-    for rows, factor in (
+    inside = knows(known, conditions)
+    sound = used & known.covered.carries(conditions.payload)
+    limits = (
         (sound & inside, 1.0),
         (sound, OTHER_ROWS.unseen),
         (used & inside, np.inf),
-    ):
-        misfit = placed.misfit_of(rows)
-        if not misfit.is_significant:
-            continue
-        unit, errors = next(iter(pose_error_sizes(station.select(rows), values).items()))
-        off = (
-            f"{table.source}: mean error {errors.mean():.3g} {unit} for any pose of "
-            "instrument and target"
+    )
+    doubts = (_doubt_of_rows(placed, rows, factor) for rows, factor in limits)
+    return next(filter(None, doubts), "")
+
+
+def _doubt_of_rows(placed: Placed, rows: np.ndarray, factor: float) -> str:
+    """Return why some of the rows, a mask of shape (N,), can't be of the robot as it was
+    calibrated, their residuals allowed a factor more; empty if they can.
+    """
+    misfit = placed.misfit_of(rows)
+    if not misfit.is_significant:
+        return ""
+    table = placed.table
+    station = placed.station
+    unit, errors = next(iter(pose_error_sizes(station.select(rows), placed.values).items()))
+    off = (
+        f"{table.source}: mean error {errors.mean():.3g} {unit} for any pose of "
+        "instrument and target"
+    )
+    if misfit.is_far(factor):
+        options = placed.model.fitting_options(effects=())
+        mixed = mix_up(table, station, placed.values, options=options)
+        beyond = (
+            f"{off}, {misfit.ratio:.3g} times what noise and the uncertainty of the "
+            "calibration allow"
         )
-        if misfit.is_far(factor):
-            mixed = mix_up(table, station, values, options=known.fitting_options(effects=()))
-            beyond = (
-                f"{off}, {misfit.ratio:.3g} times what noise and the uncertainty of the "
-                "calibration allow"
-            )
-            return f"{beyond}; {mixed}" if mixed else beyond
-        if (
-            factor != OTHER_ROWS.unseen
-            and (nominal := _as_good(table, placed, misfit=misfit, rows=rows)) is not None
-        ):
-            return f"{off}, no better than the nominal robot ({1e3 * nominal:.3g} mm)"
-    return ""
+        return f"{beyond}; {mixed}" if mixed else beyond
+    if factor == OTHER_ROWS.unseen:
+        return ""
+    nominal = _as_good(table, placed, misfit=misfit, rows=rows)
+    if nominal is None:
+        return ""
+    return f"{off}, no better than the nominal robot ({1e3 * nominal:.3g} mm)"
 
 
 def _as_good(

@@ -8,6 +8,7 @@ model the robot reaches the intended poses.
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -74,6 +75,11 @@ class Compensation:
         return np.asarray(self.status == "ok")
 
 
+def _require_one_of(name: str, value: str, known: Sequence[str]) -> None:
+    if value not in known:
+        raise BadInputError(f"{name} {value!r}; expected one of {', '.join(known)}")
+
+
 def compensate_poses(
     calibrated: FittedRobot,
     wanted: np.ndarray,
@@ -126,12 +132,8 @@ def compensate_poses(
         >>> found.status.tolist(), float((found.q - program.q)[0, 2].round(9))
         (['ok'], -0.002)
     """
-    for name, value, known in (
-        ("frame", frame, PoseFrame),
-        ("orientation", orientation, KeptOrientation),
-    ):
-        if value not in get_args(known):
-            raise BadInputError(f"{name} {value!r}; expected one of {', '.join(get_args(known))}")
+    _require_one_of("frame", frame, get_args(PoseFrame))
+    _require_one_of("orientation", orientation, get_args(KeptOrientation))
     _require_seeds(conditions.q, calibrated.model.chain.robot.n_joints)
     conditions = calibrated.of_its_day(conditions)
     poses = _as_poses(wanted, len(conditions))

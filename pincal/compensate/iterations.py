@@ -129,26 +129,21 @@ def bounded_search(
         if not len(rows):
             break
         limits = bounds.select(rows)
+        left = residuals[rows] * weight
         step = _bounded_step(
-            J[rows] * weight[:, None],
-            residuals[rows] * weight,
-            damping=damping[rows],
-            q=q[rows],
-            bounds=limits,
+            J[rows] * weight[:, None], left, damping=damping[rows], q=q[rows], bounds=limits
         )
         trial = np.clip(q[rows] + _shortened(step), limits.lower, limits.upper)
         tried, slope = problem.select(rows).linearise(trial)
-        before, after = (
-            np.einsum("ni,ni->n", r, r) for r in (residuals[rows] * weight, tried * weight)
-        )
+        before, after = (np.einsum("ni,ni->n", r, r) for r in (left, tried * weight))
         better = after < before
-        moves = np.abs(step).max(axis=1) > _STILL
         idle[rows] = np.where(after < (1.0 - _ARRIVED) * before, 0, idle[rows] + better)
         damping[rows] = np.maximum(damping[rows] * np.where(better, _SHRINK, _GROW), _LEAST_DAMPING)
         at = rows[better]
         q[at] = trial[better]
         residuals[at] = tried[better]
         J[at] = slope[better]
+        moves = np.abs(step).max(axis=1) > _STILL
         goes_on = moves & (idle[rows] < _PATIENCE) & (damping[rows] < _MOST_DAMPING)
         rows = rows[goes_on & ~problem.is_reached(residuals[rows])]
     return q, problem.is_reached(residuals)

@@ -85,6 +85,18 @@ def write_returned(
         write_table(out, columns)
 
 
+def _with_cells(
+    body: str, spans: Sequence[tuple[int, int]], cells: Mapping[SheetColumn, float]
+) -> str:
+    """Return a line with other numbers in some of its cells, which are at these spans."""
+    # From the end, as a new number may be longer.
+    for column in sorted(cells, key=lambda column: -column.index):
+        start, stop = spans[column.index]
+        cell = _cell(cells[column], column.unit, body[start:stop])
+        body = body[:start] + cell + body[stop:]
+    return body
+
+
 def _text(
     sheet: TextSheet,
     rows: np.ndarray,
@@ -106,17 +118,13 @@ def _text(
         if number == sheet.header_line:
             lines[number - 1] = _extended(body, separator, more) + end
         elif (k := places.get(number)) is not None:
-            for column in sorted(changed, key=lambda column: -column.index):
-                start, stop = spans[column.index]
-                commas |= sheet.decimal_comma and "," in body[start:stop]
-                body = (
-                    body[:start]
-                    + _cell(changed[column][k], column.unit, body[start:stop])
-                    + body[stop:]
-                )
-            new = [_plain(values[k]) for values in more.values()]
-            if commas:
-                new = [text.replace(".", ",") for text in new]
+            commas |= sheet.decimal_comma and any(
+                "," in body[slice(*spans[column.index])] for column in changed
+            )
+            cells = {column: values[k] for column, values in changed.items()}
+            body = _with_cells(body, spans, cells)
+            point = "," if commas else "."
+            new = [_plain(values[k]).replace(".", point) for values in more.values()]
             lines[number - 1] = _extended(body, separator, new) + end
         elif (
             number > sheet.header_line

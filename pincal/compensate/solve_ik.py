@@ -66,9 +66,8 @@ def solve_ik(
         )
     far = np.flatnonzero(~near)
     if len(far):
-        q[far], done[far] = _from_afar(
-            problem.select(far), q[far], done=done[far], seed=seed[far], limits=limits
-        )
+        part = problem.select(far)
+        q[far], done[far] = _from_afar(part, q[far], done=done[far], seed=seed[far], limits=limits)
     has_position = done.copy()
     rows = np.flatnonzero(~done)
     if len(rows):
@@ -78,12 +77,8 @@ def solve_ik(
         )
         beyond[rows] |= _is_beyond(part, q[rows], limits=limits)
         done[rows] = part.is_reached(part.residuals(q[rows]))
-    status = np.where(
-        done,
-        "ok",
-        np.where(beyond, "joint_limit", np.where(near & has_position, "singular", "unreachable")),
-    )
-    return q, status
+    missed = np.where(near & has_position, "singular", "unreachable")
+    return q, np.where(done, "ok", np.where(beyond, "joint_limit", missed))
 
 
 def _from_afar(

@@ -225,8 +225,7 @@ def _check_unit(
     away = float(np.median(np.linalg.norm(places, axis=1)))
     if away > COMPENSATION.other_unit * reach and "x" not in targets.rows.units:
         raise MeasurementError(
-            f"{targets.rows.source}: desired positions lie {away:.4g} m from the robot's "
-            "base, whose reach is "
-            f"{reach:.3g} m; this looks like millimetres: write `x [mm]` in the header, "
-            "or `x [m]` if it is correct"
+            f"{targets.rows.source}: desired positions lie {away:.4g} m from the robot's base, "
+            f"whose reach is {reach:.3g} m; this looks like millimetres: write `x [mm]` in the "
+            "header, or `x [m]` if it is correct"
         )

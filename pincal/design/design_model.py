@@ -296,9 +296,8 @@ def check_rig(rig: SensorSetup) -> None:
         )
     if known[rig.sensor].needs_places and not rig.held_at:
         raise BadInputError(
-            f"sensor {rig.sensor}: no socket for the target; expected one or, better, two "
-            "within reach: "
-            f"--{rig.sensor} X Y Z for each"
+            f"sensor {rig.sensor}: no socket for the target; expected one or, better, two within "
+            f"reach: --{rig.sensor} X Y Z for each"
         )
     if rig.held_at and not known[rig.sensor].needs_places:
         raise BadInputError(

@@ -124,6 +124,14 @@ class MotionDesign:
         }
 
 
+def _require_moves(moves: _Moves) -> None:
+    if not moves.allowed.any():
+        raise BadInputError(
+            "constraints leave no move between any two poses; expected a lower floor or a "
+            "wider box or span"
+        )
+
+
 def design_motion(
     robot: Robot,
     duration: float,
@@ -161,11 +169,7 @@ def design_motion(
     reach = Reach(robot, SensorSetup(), limits or Limits())
     drawn = _poses_to_move_between(reach, rng)
     moves = _Moves.of(reach, drawn.q, speed, acceleration)
-    if not moves.allowed.any():
-        raise BadInputError(
-            "constraints leave no move between any two poses; expected a lower floor or a "
-            "wider box or span"
-        )
+    _require_moves(moves)
     cared = Conditions.at(robot.random_configurations(_CARED, rng))
     design = DesignModel.of(robot, cared, options, SensorSetup())
     worth = _worth(robot, moves, options, design, cared)
@@ -236,9 +240,8 @@ def _times(moves: _Moves, walk: Sequence[int], duration: float) -> np.ndarray:
     times = np.array([0.0, *accumulate(moves.seconds[walk].tolist())])
     if times[-1] < duration:
         warn(
-            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s, as all moves "
-            f"between its {_POSES} poses are "
-            "used; expected fewer constraints or a shorter duration"
+            f"the motion ends after {times[-1]:.0f} s of {duration:.0f} s, as all moves between "
+            f"its {_POSES} poses are used; expected fewer constraints or a shorter duration"
         )
     return times
 

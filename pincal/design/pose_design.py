@@ -319,10 +319,9 @@ def _check_count(study: Study, n: int) -> None:
         fewest = -(-rank // size)
         good = int(np.ceil(DESIGN_NUMBERS.comfortable * rank / size))
         warn(
-            f"{count} poses give {size * count} readings for {rank} directions of the "
-            "parameters that such poses can "
-            f"identify, so the rest relies on the priors; expected {fewest} poses or "
-            f"more, better {good}"
+            f"{count} poses give {size * count} readings for {rank} directions of the parameters "
+            f"that such poses can identify, so the rest relies on the priors; expected {fewest} "
+            f"poses or more, better {good}"
         )
 
 
@@ -331,12 +330,10 @@ def _check_limit(study: Study, n: int) -> None:
     error, limit = (study.quality(study.H + count * study.mean).error for count in (n, _MANY))
     if limit > DESIGN_NUMBERS.mostly * error:
         warn(
-            f"{1e3 * limit:.3g} mm of the predicted error remain however many such poses "
-            "are measured: they do not "
-            "determine all that the task depends on (contacts without a known length do "
-            "not determine the scale); expected "
-            "a known length or an instrument as well, or --criterion determinant for the "
-            "best of what they do determine"
+            f"{1e3 * limit:.3g} mm of the predicted error remain however many such poses are "
+            "measured: they do not determine all that the task depends on (contacts without a "
+            "known length do not determine the scale); expected a known length or an instrument as "
+            "well, or --criterion determinant for the best of what they do determine"
         )
 
 

@@ -20,6 +20,7 @@ from pincal.diagnosis.robot_diagnosis import (
 )
 from pincal.errors import BadInputError, ChangedRobotError, IdentificationError, nearest_first
 from pincal.identify.calibrate import fit_tables
+from pincal.identify.options import Options
 from pincal.identify.station import together
 from pincal.identify.stop_scatter import shared_in_fit
 from pincal.measure.measurements import Measurements
@@ -81,10 +82,9 @@ def update(
     if verdict.changed:
         raise ChangedRobotError(
             f"{measurements.source}: the robot no longer matches its model (p = "
-            f"{verdict.p_value:.2g}), so its old "
-            "rows and these can't be combined; pincal diagnose identifies what has "
-            "changed and re-estimates it. With --anew "
-            "EFFECT:JOINT the rows are added nevertheless, and that effect is re-estimated"
+            f"{verdict.p_value:.2g}), so its old rows and these can't be combined; pincal diagnose "
+            "identifies what has changed and re-estimates it. With --anew EFFECT:JOINT the rows "
+            "are added nevertheless, and that effect is re-estimated"
         )
     wrong = some.readings.rows[np.isin(some.row_of, verdict.wrong_rows)]
     kept = measurements.select(~np.isin(measurements.rows, wrong))
@@ -194,8 +194,6 @@ def _taken_in(
     Without the information ``before`` of the earlier rows, as for a robot that has changed, its own
     is of the new rows.
     """
-    arm = model.model
-    gx, gy, gz = map(float, arm.chain.gravity)
     noise = _Declared.of(model, measurements.kind, declared)
     means = by_pose(measurements)
     if means is not measurements:
@@ -205,21 +203,12 @@ def _taken_in(
     factor = _shared(placed)
     if factor > 1.0:
         noise = noise.widened(placed, factor**0.5)
-    options = model.fitting_options(
-        effects=tuple(effect for effect in arm.effects if effect.scope == "robot"),
-        sigma=noise.sigma,
-        sigma_orientation=noise.sigma_orientation,
-        moment_frame=arm.chain.moment_frame,
-        equilibrium=arm.equilibrium,
-        gravity=(gx, gy, gz),
-        setup=replace(model.setup, points={}),
-        earlier=earlier,
-    )
-    fit = fit_tables(arm.chain.robot, model.of_its_day(measurements), options)
+    options = _as_fitted(model, noise, earlier)
+    robot = model.model.chain.robot
+    fit = fit_tables(robot, model.of_its_day(measurements), options)
     found = FittedRobot.of(fit, model.provenance)
-    information = RobotInformation.of(fit)
-    if before is not None:
-        information = before + information
+    new = RobotInformation.of(fit)
+    information = new if before is None else before + new
     station = replace(
         found.station,
         covered=model.covered.over(found.covered),
@@ -235,6 +224,22 @@ def _taken_in(
         )
     found = found.with_station(station)
     return replace(found, evidence=KeptEvidence(information=information))
+
+
+def _as_fitted(model: FittedRobot, noise: _Declared, earlier: Estimate) -> Options:
+    """Return the options of a fit of the same robot with an earlier estimate as prior."""
+    arm = model.model
+    gx, gy, gz = map(float, arm.chain.gravity)
+    return model.fitting_options(
+        effects=tuple(effect for effect in arm.effects if effect.scope == "robot"),
+        sigma=noise.sigma,
+        sigma_orientation=noise.sigma_orientation,
+        moment_frame=arm.chain.moment_frame,
+        equilibrium=arm.equilibrium,
+        gravity=(gx, gy, gz),
+        setup=replace(model.setup, points={}),
+        earlier=earlier,
+    )
 
 
 def _shared(placed: Placed) -> float:

@@ -23,6 +23,7 @@ from pincal.identify.split import row_groups
 from pincal.io.diagnosis_file import CurveEntry, CurvesEntry
 from pincal.measure.measurements import Measurements
 from pincal.model.effect import Curve
+from pincal.model.model import Model
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,18 @@ class _Rows:
         return float(np.concatenate(errors).mean())
 
 
+def _believed_curves(model: Model) -> list[tuple[Curve, slice, np.ndarray]]:
+    """Return the curves of a model, each with the places of its parameters and the information of
+    its prior.
+    """
+    return [
+        (effect, span, belief)
+        for effect, span in zip(model.effects, model.spans, strict=True)
+        if isinstance(effect, Curve)
+        and (belief := effect.belief(effect.parameters(model.chain))) is not None
+    ]
+
+
 def redrawn_curves(
     placed: Placed, table: Measurements, *, kept: np.ndarray, session: str
 ) -> CurvesEntry | None:
@@ -75,23 +88,14 @@ def redrawn_curves(
     with too few rows.
     """
     model = placed.station.model
-    curves = [
-        (effect, span, belief)
-        for effect, span in zip(model.effects, model.spans, strict=True)
-        if isinstance(effect, Curve)
-        and (belief := effect.belief(effect.parameters(model.chain))) is not None
-    ]
+    curves = _believed_curves(model)
     if not curves or kept.sum() < CHANGES.curve_rows:
         return None
     own = np.flatnonzero(placed.solution.free)
     places = [np.arange(span.start, span.stop) for _, span, _ in curves]
     free = np.unique(np.concatenate([own, *places]))
-    rows = _rows(
-        placed,
-        free,
-        block=row_groups(table, split="blocked", seed=0) % CHANGES.curve_blocks,
-        kept=kept,
-    )
+    block = row_groups(table, split="blocked", seed=0) % CHANGES.curve_blocks
+    rows = _rows(placed, free, block=block, kept=kept)
 
     def reestimated(some: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         at = np.searchsorted(free, np.concatenate([own, *(places[i] for i in some)]))

@@ -95,6 +95,14 @@ class Diagnosis:
         return msgspec.to_builtins(self.found)  # type: ignore[no-any-return]
 
 
+def _require_chance(alpha: float) -> None:
+    if not 0.0 < alpha < 0.5:
+        raise BadInputError(
+            f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and "
+            "0.5, such as 0.01"
+        )
+
+
 def diagnose(
     calibrated: FittedRobot,
     measurements: Measurements,
@@ -142,11 +150,7 @@ def diagnose(
         >>> diagnose(fit, measured(15, 0.0)).changed
         False
     """
-    if not 0.0 < alpha < 0.5:
-        raise BadInputError(
-            f"alpha is {alpha:g}; expected a probability of a false alarm between 0 and "
-            "0.5, such as 0.01"
-        )
+    _require_chance(alpha)
     model = calibrated.robot_model(measurements.kind)
     measurements = measurements.in_order_of(model.model.chain.robot)
     whole = StopRows.of(measurements)
@@ -330,9 +334,8 @@ def _estimated(placed: Placed) -> Iterator[str]:
             option = "; --noise-angle declares it" if block.unit == "rad" else ""
             yield (
                 f"the calibration had no {block.name}: its noise, "
-                f"{format_readable(sigma, block.unit, '.3g')}, is estimated "
-                "from these rows, so that a change that shows in it alone may be taken "
-                f"for noise{option}"
+                f"{format_readable(sigma, block.unit, '.3g')}, is estimated from these rows, so "
+                f"that a change that shows in it alone may be taken for noise{option}"
             )
 
 
@@ -380,10 +383,9 @@ def relocated(
     measurements = stops.table
     if measurements.sensor is not None and not measurements.sensor.reads_place:
         raise MeasurementError(
-            f"{measurements.source}: readings of an {measurements.sensor.kind} alone do "
-            "not determine positions of the "
-            "tool; expected rows of an instrument that measures positions, such as a "
-            "session with tracker.csv"
+            f"{measurements.source}: readings of an {measurements.sensor.kind} alone do not "
+            "determine positions of the tool; expected rows of an instrument that measures "
+            "positions, such as a session with tracker.csv"
         )
     check_table(model.model.chain.robot, measurements, minimum=1)
     _check_noise(sigma, sigma_orientation)
@@ -422,10 +424,9 @@ def _refuse_strange(
     """Refuse rows whose median error exceeds this fraction of the robot's reach."""
     if median_mm > 1e3 * limit * model.model.chain.robot.reach:
         raise MeasurementError(
-            f"{measurements.source}: no change in the catalogue brings the model closer "
-            f"than {median_mm:.3g} mm to these "
-            "rows; expected rows of the calibrated robot. Are units, joint zeros and tip "
-            "those of its table?"
+            f"{measurements.source}: no change in the catalogue brings the model closer than "
+            f"{median_mm:.3g} mm to these rows; expected rows of the calibrated robot. Are units, "
+            "joint zeros and tip those of its table?"
         )
 
 
@@ -441,11 +442,10 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
         and best.seen < CHANGES.worth_a_note
     ):
         yield (
-            f"the mean error falls from {curves.as_it_was_mm:.3g} to {best.error_mm:.3g} "
-            "mm with a re-estimated "
-            f"curve of {best.joint}, which the calibration had determined in "
-            f"{100 * best.seen:.0f} % of these rows: "
-            "elsewhere this is not a change; pincal update --anew adds the rows"
+            f"the mean error falls from {curves.as_it_was_mm:.3g} to {best.error_mm:.3g} mm with a "
+            f"re-estimated curve of {best.joint}, which the calibration had determined in "
+            f"{100 * best.seen:.0f} % of these rows: elsewhere this is not a change; pincal update "
+            "--anew adds the rows"
         )
 
 
@@ -521,17 +521,15 @@ def _notes(
         change = verdict.lineup.changes[i]
         where = "" if change.joint is None else f" of {change.joint}"
         yield (
-            f"{change.name}{where} is present in these rows, but judging by its size it "
-            "was already present at the "
-            "calibration and is not modelled, so it is not a change; discover identifies "
-            "missing effects"
+            f"{change.name}{where} is present in these rows, but judging by its size it was "
+            "already present at the calibration and is not modelled, so it is not a change; "
+            "discover identifies missing effects"
         )
     if len(verdict.steps) >= CHANGES.many:
         yield Note(
             Severity.DOUBT,
-            f"{len(verdict.steps)} changes at once are rare: make sure that the rows are "
-            "of this robot, not of another one "
-            "of its type; if they are, calibrate it again",
+            f"{len(verdict.steps)} changes at once are rare: make sure that the rows are of this "
+            "robot, not of another one of its type; if they are, calibrate it again",
         )
     if verdict.wrong_rows:
         lines = ", ".join(str(measurements.rows[i]) for i in verdict.wrong_rows)

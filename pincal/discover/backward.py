@@ -40,7 +40,7 @@ from pincal.discover.decisions import (
 from pincal.discover.elastic import with_features
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_from, situation_of
-from pincal.discover.policy import CURVES, TESTING, WAVES
+from pincal.discover.policy import CURVES, TESTING, WAVES, Policy
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
 from pincal.discover.steps import SearchState, SearchStep, listed, named_step
 from pincal.identify.calibrate import refit
@@ -71,22 +71,10 @@ def name_again(state: SearchState, search: Search) -> SearchState:
         if decision is None:
             continue
         if decision.effect.identity == effect.identity:
-            # A rival that has entered since may be removed again.
-            rivals = [
-                *decision.equivalent,
-                *(other for other in step.equivalent if not missing_from(state.fit, [other])),
-            ]
-            equivalent = each_heading_once(rivals, effect, search.policy)
-            state = state.with_replaced(
-                step, replace(step, equivalent=equivalent, together=decision.together)
-            )
+            state = _with_rivals(state, step, decision, search)
             continue
         new = named_step(rest, decision, search)
-        tests = score_test_given_nuisances(rest, [effect, new.effect], search.groups)
-        if (
-            standard_errors(tests.gains_by_block([0]) - tests.gains_by_block([1]))
-            > TESTING.predicts
-        ):
+        if _predicts_better(effect, new.effect, rest, search):
             continue
         decisions = None
         if is_near(effect, new.effect, WAVES.close):
@@ -96,6 +84,29 @@ def name_again(state: SearchState, search: Search) -> SearchState:
         steps = state.with_replaced(step, replace(new, before=step.before, after=step.after)).steps
         state = state.changed(new.after, steps, (decision.effect,), (effect,))
     return state
+
+
+def _with_rivals(
+    state: SearchState, step: SearchStep, decision: Decision, search: Search
+) -> SearchState:
+    """Return the search with the rivals of a step that keeps its name."""
+    # A rival that has entered since may be removed again.
+    rivals = [
+        *decision.equivalent,
+        *(other for other in step.equivalent if not missing_from(state.fit, [other])),
+    ]
+    equivalent = each_heading_once(rivals, step.effect, search.policy)
+    named = replace(step, equivalent=equivalent, together=decision.together)
+    return state.with_replaced(step, named)
+
+
+def _predicts_better(effect: Effect, other: Effect, rest: ModelFit, search: Search) -> bool:
+    """Return whether held-out blocks are predicted better with an effect than with another, given
+    the rest.
+    """
+    tests = score_test_given_nuisances(rest, [effect, other], search.groups)
+    gained = tests.gains_by_block([0]) - tests.gains_by_block([1])
+    return standard_errors(gained) > TESTING.predicts
 
 
 def drop_unneeded(state: SearchState, search: Search) -> SearchState:
@@ -112,12 +123,9 @@ def drop_unneeded(state: SearchState, search: Search) -> SearchState:
     while state.steps:
         worth = _worths(state, search)
         for step in [step for step in failed if worth[step] > TESTING.predicts]:
-            by = replace(
-                step,
-                equivalent=each_heading_once(
-                    [*removed[:1], *step.equivalent], step.effect, search.policy
-                ),
-            )
+            rivals = [*removed[:1], *step.equivalent]
+            equivalent = each_heading_once(rivals, step.effect, search.policy)
+            by = replace(step, equivalent=equivalent)
             state = state.with_replaced(step, by)
             worth[by] = worth[step]
         without_it = cache(partial(_refitted_without, state.fit))
@@ -164,27 +172,22 @@ def _fails(
     least = 0.0 if step.is_elastic else max(map(enough_errors, step.effects))
     is_one_of_many = len(state.steps) > 1
     is_rest = _may_be_remainder(state, step)
-    if worth > least and not is_rest:
-        # A step that predicts and is far from zero (Wald's test) is not tested further.
-        found = fit.estimate.take(fit.names_of(step.effects))
-        values = found.values[found.free]
-        wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
-        if not is_one_of_many or wald > policy.sure * len(values):
-            return False
+    # A step that predicts and is far from zero is not tested further.
+    predicts = worth > least and not is_rest
+    if predicts and (not is_one_of_many or _is_far_from_zero(fit, step, policy)):
+        return False
     rest = without_it(step)
     question: Question = "elastic" if step.is_elastic else "stay"
-    tests = score_test_given_nuisances(
-        rest, own, search.groups, wider=1.0 if step.is_elastic else TESTING.wider
-    )
+    wider = 1.0 if step.is_elastic else TESTING.wider
+    tests = score_test_given_nuisances(rest, own, search.groups, wider=wider)
     every = range(len(own))
     held_out = Unfitted(standard_errors(tests.gains_by_block(every)))
-    score = replace(
-        tests.score(every, 1), p_value=tests.p_value_of_any(every) if is_one_of_many else 0.0
-    )
+    score = tests.score(every, 1)
+    chance = tests.p_value_of_any(every) if is_one_of_many else 0.0
     trials = len({effect.identity for effect in addable(fit, search)}) if is_rest else 1
     row = Row(
         step.effect,
-        score,
+        replace(score, p_value=chance),
         score.ebic,
         every,
         question,
@@ -193,6 +196,14 @@ def _fails(
         enough=least,
     )
     return not accepted(row, policy)
+
+
+def _is_far_from_zero(fit: ModelFit, step: SearchStep, policy: Policy) -> bool:
+    """Return whether the parameters of a step differ from zero beyond doubt (Wald's test)."""
+    found = fit.estimate.take(fit.names_of(step.effects))
+    values = found.values[found.free]
+    wald = values @ np.linalg.pinv(found.covariance.dense(), hermitian=True) @ values
+    return bool(wald > policy.sure * len(values))
 
 
 def _may_be_remainder(state: SearchState, step: SearchStep) -> bool:

@@ -193,15 +193,6 @@ def table_of(
     """
     policy = search.policy
     costs = costs or {}
-
-    def left_out(effect: Effect) -> Unfitted:
-        # Blocks of rows take a multiple of the memory, so only the few candidates that need them
-        # are tested by blocks.
-        tests = test([effect], search.groups)
-        return Unfitted(
-            standard_errors(tests.gains_by_block([0])), partial(p_value_of_uneven_noise, fit, tests)
-        )
-
     is_small = is_small_table(fit, policy)
     spare = spare_compliances(fit, effects, policy)
     tests = test([*effects, *spare])
@@ -210,17 +201,17 @@ def table_of(
     count = {
         kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)
     }
+    left_out = partial(_left_out, fit, test, search.groups)
+    compliances = range(len(effects), len(effects) + len(spare))
     rows = []
     for i, effect in enumerate(effects):
         n = among or count[effect.is_nameless]
-        given = range(len(effects), len(effects) + len(spare)) if effect.is_of_loads else range(0)
+        given = compliances if effect.is_of_loads else range(0)
         score = tests.score_given([i], given, n) if given else tests.score([i], n)
-        across = 0.0 if effect.locus.acts_on == "drive" else policy.across
-        surcharge = policy.without_name + across if effect.is_nameless else 0.0
         row = Row(
             effect,
             score,
-            costs.get(id(effect), score.ebic + surcharge),
+            costs.get(id(effect), score.ebic + _surcharge(effect, policy)),
             (i,),
             among=n,
             least=least,
@@ -232,6 +223,24 @@ def table_of(
             row = replace(row, evidence=_evidence(tests, i, given))
         rows.append(row)
     return CandidateTable(rows, tests)
+
+
+def _left_out(fit: ModelFit, test: Tester, groups: np.ndarray, effect: Effect) -> Unfitted:
+    """Return what an effect gains on held-out blocks of rows.
+
+    Blocks of rows take a multiple of the memory, so only the few candidates that need them are
+    tested by blocks.
+    """
+    tests = test([effect], groups)
+    return Unfitted(
+        standard_errors(tests.gains_by_block([0])), partial(p_value_of_uneven_noise, fit, tests)
+    )
+
+
+def _surcharge(effect: Effect, policy: Policy) -> float:
+    """Return what a candidate without a name costs beyond its parameters."""
+    across = 0.0 if effect.locus.acts_on == "drive" else policy.across
+    return policy.without_name + across if effect.is_nameless else 0.0
 
 
 def _evidence(tests: ScoreTests, candidate: int, given: range) -> float:

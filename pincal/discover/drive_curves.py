@@ -15,7 +15,7 @@ follows from the residuals. One pass over the data serves all iterations.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,9 @@ from pincal.discover.policy import CURVES
 from pincal.discover.score_tests import GivenNuisances
 from pincal.identify.beliefs import priors_of
 from pincal.identify.equations import Linearised
-from pincal.identify.fit import Ending, ModelFit, carried
+from pincal.identify.fit import Ending, ModelFit, Solution, carried
+from pincal.identify.posterior import Posterior
+from pincal.identify.problem import Problem
 from pincal.identify.quadratic import ROUNDING, Factor, Form
 from pincal.model.catalogue.transmission import most_pieces
 from pincal.model.conditions import distinct_values, moves
@@ -54,29 +56,13 @@ def smoothed(
         fit.problem.with_effects([by.get(e, e) if isinstance(e, Curve) else e for e in every])
         for by in (fine, smooth)
     )
-    start = carried(fit.solution, fit.problem, problem)
+    start = _with_curves(fit, problem, fine)
     places = [problem.places_at(curve) for curve in fine.values()]
     sizes = priors_of(problem_smooth, fit.options).sizes
-    for curve, at in zip(curves, places, strict=True):
-        heights = (
-            fit.values[fit.problem.places_at(curve)]
-            if curve in present
-            else np.zeros(curve.resolution)
-        )
-        start.values[at] = _resampled(curve, heights, fine[curve])
-        start.free[at] = True
     here = Linearised(problem, start.values, start.free, start.weights, sizes)
     found = here.posterior(sigma)
     kept = np.flatnonzero(start.free & problem.is_shared)
-    believed = problem.beliefs.beyond_priors(kept, start.values, sizes)
-    quadratic = CurveSquares(
-        rows=Form.of(found.form.H - believed.H, found.form.g - believed.g),
-        believed=believed,
-        sizes=sizes[kept],
-        values=start.values[kept],
-        squares=here.chi2(sigma),
-        readings=int(problem.readings(start.weights).sum()),
-    )
+    quadratic = _squares(here, found, kept, sigma)
     columns = [np.searchsorted(kept, at) for at in places]
     bends = [np.asarray(curve.smoothness()) for curve in smooth.values()]
     roughness, step, noise = quadratic.likeliest(columns, bends)
@@ -85,14 +71,46 @@ def smoothed(
         waves = _pieces(fine[curve], found.form.H[np.ix_(own, own)] / noise, float(w))
         # Beyond many pieces, a finer curve costs time and adds little.
         pieces = max(waves, min(finer * waves, CURVES.enough_pieces))
-        smooth[curve] = curve.smooth(situation, float(w), int(np.ceil(pieces)))
-        chosen[curve] = (
-            smooth[curve],
-            _resampled(fine[curve], start.values[at] + step[own], smooth[curve]),
-        )
+        resolved = curve.smooth(situation, float(w), int(np.ceil(pieces)))
+        heights = _resampled(fine[curve], start.values[at] + step[own], resolved)
+        chosen[curve] = (resolved, heights)
     start.values[kept] += step
     others = problem.carried_over(start.values, fit.problem)
     return chosen, replace(fit, solution=replace(fit.solution, values=others))
+
+
+def _with_curves(fit: ModelFit, problem: Problem, fine: Mapping[Curve, Curve]) -> Solution:
+    """Return a fit's solution carried over to a problem with its curves, and new ones, resampled to
+    fine ones, which are free.
+    """
+    start = carried(fit.solution, fit.problem, problem)
+    present = fit.options.effects
+    for curve, resolved in fine.items():
+        heights = (
+            fit.values[fit.problem.places_at(curve)]
+            if curve in present
+            else np.zeros(curve.resolution)
+        )
+        at = problem.places_at(resolved)
+        start.values[at] = _resampled(curve, heights, resolved)
+        start.free[at] = True
+    return start
+
+
+def _squares(
+    here: Linearised, found: Posterior, kept: np.ndarray, sigma: np.ndarray
+) -> CurveSquares:
+    """Return the sum of squares as a function of the curves, about the point of linearisation."""
+    problem = here.problem
+    believed = problem.beliefs.beyond_priors(kept, here.values, here.sizes)
+    return CurveSquares(
+        rows=Form.of(found.form.H - believed.H, found.form.g - believed.g),
+        believed=believed,
+        sizes=here.sizes[kept],
+        values=here.values[kept],
+        squares=here.chi2(sigma),
+        readings=int(problem.readings(here.robust).sum()),
+    )
 
 
 def _pieces(curve: Curve, information: np.ndarray, roughness: float) -> float:
@@ -240,11 +258,9 @@ def notes_on_repeats(robot: Robot, q: np.ndarray) -> Iterator[str]:
             step = 2.0 * float(np.ptp(x)) / (values - 1)
             wave = f"{step:.3g} m" if kind == "prismatic" else f"{np.degrees(step):.3g} deg"
             yield (
-                f"{joint} takes {values} distinct positions in {len(x)} rows: its drive "
-                "error between them is not "
-                f"observable, and a period shorter than {wave} is aliased to a longer "
-                "one; choose positions that don't "
-                "repeat, as pincal design does"
+                f"{joint} takes {values} distinct positions in {len(x)} rows: its drive error "
+                f"between them is not observable, and a period shorter than {wave} is aliased to a "
+                "longer one; choose positions that don't repeat, as pincal design does"
             )
 
 

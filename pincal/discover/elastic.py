@@ -37,6 +37,14 @@ from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family
 from pincal.model.effects import Compliance
 from pincal.parameters import Estimate
+from pincal.robot.robot import Robot
+
+
+def _alone(chain: Chain, part: Effect) -> tuple[Effect, ...]:
+    """Return a compliance as it enters alone: a single bearing has its own principal directions; its
+    place is not observable before it is compliant.
+    """
+    return (part, *(e for e in bearing_features(chain, (part,)) if e.uses_moments))
 
 
 def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
@@ -51,11 +59,7 @@ def elastic_way(fit: ModelFit, policy: Policy) -> Decision | None:
     if not block:
         return None
     parts = [part for effect in block for part in effect.parts(chain)]
-    # A single bearing has its own principal directions; its place is not observable before it is
-    # compliant.
-    forms = [
-        (part, *(e for e in bearing_features(chain, (part,)) if e.uses_moments)) for part in parts
-    ]
+    forms = [_alone(chain, part) for part in parts]
     starts = np.cumsum([0, *map(len, forms)])
     # All arms are compliant, so geometric errors beyond their priors are not preferred to
     # deflection by gravity.
@@ -425,6 +429,13 @@ def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) ->
     )
 
 
+def _second_load(robot: Robot, c: Conditions) -> float:
+    """Return a payload that differs well from that of these poses [kg]."""
+    if not np.any(c.payload):
+        return 0.1 * float(robot.masses.sum())
+    return 2.0 * float(c.payload.max())
+
+
 def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
     """Return further runs that a user could make instead of these poses, cheapest first; cached."""
     runs: dict[str, Conditions] = chain.kept.about("further runs", c, most=16)
@@ -439,11 +450,9 @@ def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
         runs[
             "the same poses with the instrument on another side of the robot, as a second station"
         ] = away
-    load = (
-        0.1 * float(robot.masses.sum()) if not np.any(c.payload) else 2.0 * float(c.payload.max())
-    )
     if np.ptp(c.payload) == 0.0:
-        runs["the same poses with a second payload"] = replace(c, payload=np.full(len(c), load))
+        load = np.full(len(c), _second_load(robot, c))
+        runs["the same poses with a second payload"] = replace(c, payload=load)
     if c.approach is None or not np.ptp(c.approach):
         sides = replace(c, approach=rng.choice([-1.0, 1.0], c.q.shape))
         runs[

@@ -128,9 +128,8 @@ def note_on_joints(fit: ModelFit) -> str | None:
     """Return the note on a fit whose readings are weighted by joint noise; None for any other."""
     if any(station.arrival is not None for station in fit.problem.stations):
         return (
-            "readings of several targets, or points, in one stop of the robot share an "
-            "error that scatters from stop to "
-            "stop; a stop counts as one observation of the robot"
+            "readings of several targets, or points, in one stop of the robot share an error that "
+            "scatters from stop to stop; a stop counts as one observation of the robot"
         )
     if fit.is_declared or all(station.whitening is None for station in fit.problem.stations):
         return None
@@ -142,9 +141,8 @@ def note_on_joints(fit: ModelFit) -> str | None:
         f"{joint} {format_small(sigma, unit)}" for joint, sigma, unit in triples if sigma > 0.0
     )
     return (
-        f"the residuals are consistent with joint noise ({sizes or 'negligible'} from row "
-        "to row), and the final fit "
-        "weights the readings of each row accordingly"
+        f"the residuals are consistent with joint noise ({sizes or 'negligible'} from row to row), "
+        "and the final fit weights the readings of each row accordingly"
     )
 
 
@@ -178,20 +176,50 @@ def _likeliest(parts: Sequence[_Readings], n_blocks: int) -> tuple[np.ndarray, f
     """Return the variances of joints and blocks of maximum likelihood, shape (n + blocks,), and the
     gain by joints.
     """
-    n = parts[0].levers.shape[2]
-    squares = np.zeros(n_blocks)
-    counts = np.zeros(n_blocks)
-    for part in parts:
-        np.add.at(squares, part.block, np.sum(part.residuals**2, axis=0))
-        np.add.at(counts, part.block, len(part.residuals))
-    seen = counts > 0.0
-    without = float(np.sum(counts[seen] * (1.0 + np.log(squares[seen] / counts[seen]))))
+    likelihood = _Likelihood(parts, parts[0].levers.shape[2], n_blocks)
+    start = np.full(likelihood.n + n_blocks, np.log(NOISE.start))
+    found = minimize(
+        likelihood.misfit,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(np.log(NOISE.bounds[0]), np.log(NOISE.bounds[1]))] * len(start),
+    )
+    return np.exp(found.x), likelihood.without_joints - float(found.fun)
 
-    def misfit(logs: np.ndarray) -> tuple[float, np.ndarray]:
+
+@dataclass(frozen=True, eq=False)
+class _Likelihood:
+    """Of the variances of joints and blocks: -2 log L, but for a constant.
+
+    Attributes:
+        parts: the readings.
+        n: number of joints.
+        n_blocks: number of blocks.
+    """
+
+    parts: Sequence[_Readings]
+    n: int
+    n_blocks: int
+
+    @property
+    def without_joints(self) -> float:
+        """At its optimum if joints have no variance."""
+        squares = np.zeros(self.n_blocks)
+        counts = np.zeros(self.n_blocks)
+        for part in self.parts:
+            np.add.at(squares, part.block, np.sum(part.residuals**2, axis=0))
+            np.add.at(counts, part.block, len(part.residuals))
+        seen = counts > 0.0
+        return float(np.sum(counts[seen] * (1.0 + np.log(squares[seen] / counts[seen]))))
+
+    def misfit(self, logs: np.ndarray) -> tuple[float, np.ndarray]:
+        """Return it and its slope, shape (n + blocks,), at the logs of the variances."""
+        n = self.n
         variances = np.exp(logs)
         total = 0.0
         slope = np.zeros(len(logs))
-        for part in parts:
+        for part in self.parts:
             V = (part.levers * variances[:n]) @ part.levers.transpose(0, 2, 1)
             at = np.arange(len(part.block))
             V[:, at, at] += variances[n + part.block]
@@ -203,16 +231,6 @@ def _likeliest(parts: Sequence[_Readings], n_blocks: int) -> tuple[np.ndarray, f
             slope[:n] += np.einsum("nik,nik->k", D @ part.levers, part.levers)
             np.add.at(slope, n + part.block, D[:, at, at].sum(axis=0))
         return total, slope * variances
-
-    start = np.full(n + n_blocks, np.log(NOISE.start))
-    found = minimize(
-        misfit,
-        start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[(np.log(NOISE.bounds[0]), np.log(NOISE.bounds[1]))] * len(start),
-    )
-    return np.exp(found.x), without - float(found.fun)
 
 
 def name_lines(state: SearchState, search: Search) -> SearchState:
@@ -413,11 +431,9 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
     curves = _curves_of(state)
     is_shared = any(map(shares_stops, fit.problem.stations))
     if not curves and not is_thinned and noise is None and not is_shared:
-        return (
-            state.fitted_again(refit(fit, fit.options.effects, start={}))
-            if state.changes
-            else state
-        )
+        if not state.changes:
+            return state
+        return state.fitted_again(refit(fit, fit.options.effects, start={}))
     chosen: dict[Curve, tuple[Curve, np.ndarray]] = {}
     if curves and fit.solution.exit is not Ending.EXACT:
         chosen, fit = smoothed(fit, curves, search.policy.finer)

@@ -45,6 +45,7 @@ from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_serial
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
+from pincal.identify.whitening import Serial
 from pincal.model.chain import MomentFrame
 from pincal.model.effect import Effect
 from pincal.validate.midway import change_in
@@ -96,27 +97,33 @@ def discover_effects(
     found = searched(fit)
     if not fit.options.serial:
         return found
-    names = [step.effect for step in found.steps if not step.is_elastic]
-    along = [effect for effect in names if _follows_the_order(effect, found.final)]
-    if not along and not is_dependent(found.final):
-        return found
-    # Where residuals depend on the order of the rows, names may be artefacts of it: the search is
-    # repeated with weighted rows. The correlation is estimated with all that was found, or else
-    # without, as a missing effect may resemble it.
-    named = {e.identity for step in found.steps if not step.is_elastic for e in step.effects}
-    plain = refit(
-        found.final,
-        [e for e in found.final.options.effects if e.identity not in named],
-        until=Tolerance.CLOSE,
-    )
-    noise = next((of for of in map(serial_noise, (found.final, plain)) if any(of)), None)
-    if noise is None or not (
-        is_dependent(found.final) or _may_be_order(along, with_serial(plain, noise), policy)
-    ):
+    noise = _noise_of_order(found, policy)
+    if noise is None:
         return found
     log.info("the residuals depend on the order of the rows: repeating with weighted rows")
     found = searched(refit(with_serial(fit, noise), fit.options.effects, start={}))
     return found.fitted_again(reweighted_by_order(found.final))
+
+
+def _noise_of_order(found: History, policy: Policy) -> tuple[Serial | None, ...] | None:
+    """Return the noise correlated along the rows by which a search has to be repeated; None if it
+    need not be.
+
+    Where residuals depend on the order of the rows, names may be artefacts of it. The correlation
+    is estimated with all that was found, or else without, as a missing effect may resemble it.
+    """
+    final = found.final
+    named = [step for step in found.steps if not step.is_elastic]
+    along = [step.effect for step in named if _follows_the_order(step.effect, final)]
+    if not along and not is_dependent(final):
+        return None
+    identities = {effect.identity for step in named for effect in step.effects}
+    others = [e for e in final.options.effects if e.identity not in identities]
+    plain = refit(final, others, until=Tolerance.CLOSE)
+    noise = next((of for of in map(serial_noise, (final, plain)) if any(of)), None)
+    if noise is None or is_dependent(final):
+        return noise
+    return noise if _may_be_order(along, with_serial(plain, noise), policy) else None
 
 
 IsShifted = Callable[[ModelFit], bool]

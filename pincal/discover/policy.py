@@ -203,9 +203,8 @@ class Policy:
         "benchmark.py",
         "readings from which effects are chosen; in the end all rows are fitted and "
         "resolve the curves",
-        "an effect that reduces the squares of more readings by 100 still reduces these "
-        "enough; UR10 B gives the same "
-        "names",
+        "an effect that reduces the squares of more readings by 100 still reduces these enough; "
+        "UR10 B gives the same names",
     )
 
     def least_gain(self, squares: float, *, declared: bool) -> float:
@@ -227,10 +226,9 @@ class ScoreNumbers:
         "ratio",
         "test_bearings.py::test_no_wobble_is_found_where_geometry_is_beyond_its_priors",
         "factor by which the priors of geometry are widened where effects are tested",
-        "an effect distinguished from geometry only by the priors would be found wherever "
-        "a machine exceeds them, as arms "
-        "with nearly parallel axes do: small errors of the axes are large displacements "
-        "of their common normal",
+        "an effect distinguished from geometry only by the priors would be found wherever a "
+        "machine exceeds them, as arms with nearly parallel axes do: small errors of the axes are "
+        "large displacements of their common normal",
     )
     blocks: int = _number(
         8,
@@ -251,9 +249,8 @@ class ScoreNumbers:
         "standard errors",
         _STAGE,
         "the same for an effect selected among many on all blocks, such as waves of all orders",
-        "selection favours chance in held-out blocks, too: of the significant ripples on "
-        "a real UR10 only one is "
-        "found in both series, at 2.4 and 2.2; the others reach 1.7 at most",
+        "selection favours chance in held-out blocks, too: of the significant ripples on a real "
+        "UR10 only one is found in both series, at 2.4 and 2.2; the others reach 1.7 at most",
     )
     veto: float = _number(
         2.0,
@@ -288,9 +285,8 @@ class ScoreNumbers:
         "ratio",
         "test_bearings.py::test_what_geometry_takes_of_a_wobble_is_not_counted",
         "smallest reduction of an observable parameter's prior variance by the data, as a fraction",
-        "an effect distinguished only by the model's priors is not observable, such as a "
-        "tilt that implausible geometry "
-        "would explain",
+        "an effect distinguished only by the model's priors is not observable, such as a tilt that "
+        "implausible geometry would explain",
     )
     held: float = _number(
         1e6,
@@ -303,9 +299,8 @@ class ScoreNumbers:
         ((0.4, 0.0), (2.0, 2.0 * log(30.0))),
         "ratio, " + _CRITERION,
         _IN_DOUBT,
-        "alternative factors for these, and their costs: 2 %, or, with odds of 30 to 1 "
-        "against it, 10 %; the data "
-        "determine which is likelier, with an effect and without",
+        "alternative factors for these, and their costs: 2 %, or, with odds of 30 to 1 against it, "
+        "10 %; the data determine which is likelier, with an effect and without",
         "gravity compensators and wrong payloads (lambda >= 60, masses 3 % off) are then "
         "named on more arms than with 5 % "
         "for all, and arms whose masses are 10 % off get no more false names",
@@ -670,9 +665,8 @@ class NoiseNumbers:
         "2 log likelihood",
         "test_scatter.py::test_noise_of_several_targets_is_no_scatter",
         "smallest gain by scatter of a joint",
-        "5 standard deviations of one parameter, so that no joint exceeds it by chance: "
-        "neither noise nor several targets "
-        "do, 50 urad of scatter do",
+        "5 standard deviations of one parameter, so that no joint exceeds it by chance: neither "
+        "noise nor several targets do, 50 urad of scatter do",
     )
     beyond_alike: float = _number(
         6.0,

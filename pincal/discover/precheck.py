@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import to_builtins
 from scipy.special import ncfdtr
 
+from pincal.calibration.calibration import unobservable
 from pincal.calibration.held_out import WAYS, StationRows, headline_of, nominal_errors
 from pincal.discover.decisions import critical_gain
 from pincal.discover.drive_curves import notes_on_repeats
@@ -25,7 +26,7 @@ from pincal.identify.explain import Reason, Status, explain
 from pincal.identify.fit import ModelFit
 from pincal.identify.folds import Folds
 from pincal.identify.options import Options
-from pincal.measure.admit import admit, unobservable_notes
+from pincal.measure.admit import admit
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue import candidates, untestable
 from pincal.model.catalogue.masses import notes_on_masses
@@ -146,11 +147,8 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     if corrected is not None:
         robot = corrected.of(robot)
         fit = expected_fit(robot, tables, options)
-    unseen = [
-        list(unobservable_notes(table, options.at(name).setup)) for name, table in tables.items()
-    ]
     notes = [*(() if corrected is None else corrected.notes), *admitted.notes, *admitted.idle]
-    notes += [note for note in unseen[0] if all(note in other for other in unseen)]
+    notes += unobservable(tables, options)
     notes += notes_on_masses(robot, options.effects)
     notes += notes_on_repeats(robot, fit.problem.conditions.q)
     posterior = fit.solution.posterior

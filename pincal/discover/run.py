@@ -211,10 +211,9 @@ def run_discovery(
 def _require_positions(tables: dict[str, Measurements]) -> None:
     if not reads_places(tables):
         raise BadInputError(
-            f"{', '.join(table.source for table in tables.values())}: an IMU alone "
-            "measures no positions, which a discovery "
-            "needs to distinguish causes; add a tracker in motion or some static poses, "
-            "or only calibrate (pincal calibrate)"
+            f"{', '.join(table.source for table in tables.values())}: an IMU alone measures no "
+            "positions, which a discovery needs to distinguish causes; add a tracker in motion or "
+            "some static poses, or only calibrate (pincal calibrate)"
         )
 
 

@@ -87,30 +87,24 @@ class Excess:
         if self.shown_by:
             return (
                 f"{self.joint} does not return to the same position about its own axis, "
-                "regardless of pose and recorded "
-                "columns: neighbouring poses have unrelated errors"
+                "regardless of pose and recorded columns: neighbouring poses have unrelated errors"
             )
         if self.follows:
-            of = (
-                " and ".join(self.follows)
-                if len(self.follows) <= NOISE.most_joints
-                else "all joints"
-            )
+            is_few = len(self.follows) <= NOISE.most_joints
+            of = " and ".join(self.follows) if is_few else "all joints"
             return (
                 f"{self.joint} has an error about its own axis that follows {of}: "
-                "neighbouring poses have correlated "
-                "errors; it does not scatter, and more poses would resolve it"
+                "neighbouring poses have correlated errors; it does not scatter, and more poses would resolve it"
             )
         if self.is_repeated:
             return (
                 f"{self.joint} has an error about its own axis that is a function of the "
-                "pose: repeated poses reproduce it; "
-                "more poses would resolve it"
+                "pose: repeated poses reproduce it; more poses would resolve it"
             )
         return (
             f"{self.joint} has an error about its own axis that is scatter or a function "
-            "of the pose: no pose was repeated, "
-            "and too few are neighbours to decide; measure ten poses three times each"
+            "of the pose: no pose was repeated, and too few are neighbours to decide; measure ten "
+            "poses three times each"
         )
 
 
@@ -244,19 +238,13 @@ class _Arrivals:
             lever = np.stack([of[0] for of in sets]) / sigma
             residuals = sets[0][1] / sigma
             visit = sets[0][2]
-            count = int(visit.max()) + 1
-            some = np.unique(np.linspace(0, count - 1, min(count, NOISE.visits)).astype(int))
+            some = _sampled_visits(visit)
             kept = np.isin(visit, some)
             lever = lever[:, :, kept]
             residuals = residuals[:, kept]
             visit = visit[kept]
-            products = np.einsum("imr,jmr->rij", lever, lever)
-            sums = np.zeros((count, len(every), len(every)))
-            np.add.at(sums, visit, products)
-            b = np.zeros((count, len(every)))
-            np.add.at(b, visit, np.einsum("imr,mr->ri", lever, residuals))
-            gram.append(sums[some])
-            along.append(b[some])
+            gram.append(_summed(np.einsum("imr,jmr->rij", lever, lever), visit)[some])
+            along.append(_summed(np.einsum("imr,mr->ri", lever, residuals), visit)[some])
             squares += float(np.sum(residuals**2))
             readings += residuals.size
         robot = fit.problem.chain.robot
@@ -326,6 +314,19 @@ class _Arrivals:
                 gain = likelihood(shared, more, own) - without
             found[name] = gain
         return found
+
+
+def _sampled_visits(visit: np.ndarray) -> np.ndarray:
+    """Return the numbers of as many visits as the variances need, evenly spread."""
+    count = int(visit.max()) + 1
+    return np.unique(np.linspace(0, count - 1, min(count, NOISE.visits)).astype(int))
+
+
+def _summed(products: np.ndarray, visit: np.ndarray) -> np.ndarray:
+    """Return the sums of products of rows, shape (n, ...), over each visit."""
+    sums = np.zeros((int(visit.max()) + 1, *products.shape[1:]))
+    np.add.at(sums, visit, products)
+    return sums
 
 
 @dataclass(frozen=True)

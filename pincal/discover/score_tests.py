@@ -224,19 +224,15 @@ class Tangent:
         at some indices.
         """
         tested = np.concatenate([np.zeros(0, int), *places])
-        free = np.zeros(len(values), bool)
-        free[tested] = True
+        free = np.isin(np.arange(len(values)), tested)
         n_model = self.blocks.H.shape[1]
         n_blocks = len(self.blocks.H)
         n = len(tested)
         of_model = np.cumsum(self.free) - 1
         of_tested = np.zeros(len(values), int)
         of_tested[tested] = np.arange(n)
-        candidate = (
-            np.repeat(np.arange(len(places)), list(map(len, places)))
-            if n_blocks == 1
-            else np.zeros(n, int)
-        )
+        each = np.repeat(np.arange(len(places)), list(map(len, places)))
+        candidate = each if n_blocks == 1 else np.zeros(n, int)
         H = np.zeros((n_blocks, n_model + n, n))
         g = np.zeros((n_blocks, n))
         parts = list[RowPart]()
@@ -245,24 +241,46 @@ class Tangent:
             before = self.problem.places[i]
             mine = of_model[before[self.free[before]]]
             ours = of_tested[local[free[local]]]
-            own_inner = np.zeros((n_blocks, len(ours), len(ours)))
-            own_g = np.zeros((n_blocks, len(ours)))
-            own_cross = np.zeros((n_blocks, len(mine), len(ours)))
-            linearised = _sorted(station, self.orders[i]).linearise_shared(
-                values[local], free[local]
-            )
+            products = _Products.none(n_blocks, len(mine), len(ours))
+            ordered = _sorted(station, self.orders[i])
+            linearised = ordered.linearise_shared(values[local], free[local])
             for piece, (_, _, jacobian) in zip(self.pieces[i], linearised, strict=True):
                 added = jacobian.weighted(piece.whitening)
-                for k, some in piece.blocks:
-                    part = added.poses(some)
-                    part.add_gram(piece.residuals[:, some], own_inner[k], own_g[k], candidate[ours])
-                    piece.jacobian.poses(some).add_products(part, own_cross[k])
+                products.add(piece, added, candidate[ours])
                 at = np.append(mine, n_model + ours)
                 parts.append(RowPart(piece.rows, piece.residuals, piece.jacobian, added, at))
-            g[:, ours] += own_g
-            _add(own_cross, mine, ours, H)
-            _add(own_inner, n_model + ours, ours, H)
+            g[:, ours] += products.g
+            _add(products.cross, mine, ours, H)
+            _add(products.inner, n_model + ours, ours, H)
         return H, g, tuple(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Products:
+    """Products of the columns of candidates at a station, by block of rows.
+
+    Attributes:
+        inner: shape (blocks, c, c), with each other.
+        g: shape (blocks, c), with the residuals.
+        cross: shape (blocks, p, c), with the columns of the model.
+    """
+
+    inner: np.ndarray
+    g: np.ndarray
+    cross: np.ndarray
+
+    @classmethod
+    def none(cls, n_blocks: int, p: int, c: int) -> _Products:
+        """Return those of no rows."""
+        inner = np.zeros((n_blocks, c, c))
+        return cls(inner, np.zeros((n_blocks, c)), np.zeros((n_blocks, p, c)))
+
+    def add(self, piece: _Piece, added: Jacobian, groups: np.ndarray) -> None:
+        """Add a piece of the rows in place; products of columns of different groups may be omitted."""
+        for k, some in piece.blocks:
+            part = added.poses(some)
+            part.add_gram(piece.residuals[:, some], self.inner[k], self.g[k], groups)
+            piece.jacobian.poses(some).add_products(part, self.cross[k])
 
 
 def _sorted(station: Station, order: np.ndarray | slice) -> Station:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -197,46 +198,81 @@ def _at_station(
     """Yield the partial residuals of effects, each with the effect to show, at the only station;
     None where absent.
     """
-    fit = fit.select(np.flatnonzero(fit.solution.weights > 0.0))
-    station = fit.station
-    chain = fit.model.chain
-    few = fit.station.conditions.select(np.zeros(1, int))
-    moments = fit.model.static_moments(fit.model_values, station.conditions)
-    present = fit.model.effects
-    scale = station.weights / np.repeat(fit.solution.estimated, station.block_sizes)[:, None]
-    residuals = station.residuals(fit.values) * scale
-    moved = [
-        {t.coordinate for t in part.terms(chain, few, moments[:1])} if e in present else set()
-        for e, part in shown
-    ]
+    rows = _SoundRows(fit.select(np.flatnonzero(fit.solution.weights > 0.0)))
+    present = rows.fit.model.effects
+    moved = [rows.coordinates(part) if effect in present else set() for effect, part in shown]
     single = tuple(dict.fromkeys(k for of in moved if len(of) == 1 for k in of))
-    lever_of = dict(zip(single, levers(fit, single) * scale, strict=True))
+    lever_of = dict(zip(single, levers(rows.fit, single) * rows.scale, strict=True))
     for (effect, part), coordinates in zip(shown, moved, strict=True):
-        if effect not in present:
+        if effect in present:
+            lever = lever_of[coordinates.pop()] if len(coordinates) == 1 else None
+            yield rows.partial_residual(part, lever)
+        else:
             yield None
-            continue
+
+
+@dataclass(frozen=True, eq=False)
+class _SoundRows:
+    """The rows of a station with their fit, outliers left out; residuals in units of the noise."""
+
+    fit: ModelFit
+
+    @cached_property
+    def moments(self) -> np.ndarray:
+        """Static moments, shape (N, 3 n)."""
+        fit = self.fit
+        return fit.model.static_moments(fit.model_values, fit.station.conditions)
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """Of readings, shape (m, N)."""
+        station = self.fit.station
+        sigma = np.repeat(self.fit.solution.estimated, station.block_sizes)[:, None]
+        return np.asarray(station.weights / sigma)
+
+    @cached_property
+    def residuals(self) -> np.ndarray:
+        """Of the fit, shape (m, N)."""
+        return np.asarray(self.fit.station.residuals(self.fit.values) * self.scale)
+
+    def coordinates(self, effect: Effect) -> set[int]:
+        """Return the coordinates that an effect moves."""
+        few = self.fit.station.conditions.select(np.zeros(1, int))
+        terms = effect.terms(self.fit.model.chain, few, self.moments[:1])
+        return {term.coordinate for term in terms}
+
+    def without(self, effect: Effect) -> np.ndarray:
+        """Return the residuals without an effect, shape (m, N)."""
+        fit = self.fit
         idle = fit.values.copy()
-        at = part.locus
-        idle[[fit.model.index(parameter.name) for parameter in part.parameters(chain)]] = 0.0
-        without = station.residuals(idle) * scale
-        if len(coordinates) == 1:
-            lever = lever_of[coordinates.pop()]
+        parameters = effect.parameters(fit.model.chain)
+        idle[[fit.model.index(parameter.name) for parameter in parameters]] = 0.0
+        return np.asarray(fit.station.residuals(idle) * self.scale)
+
+    def partial_residual(self, effect: Effect, lever: np.ndarray | None) -> PartialResidual:
+        """Return the partial residuals of an effect: at the joint with this lever, shape (m, N), or
+        at the target along its errors.
+        """
+        fit = self.fit
+        station = fit.station
+        chain = fit.model.chain
+        at = effect.locus
+        without = self.without(effect)
+        if lever is not None:
             weights = np.sum(lever**2, axis=0)
             unit_errors = lever / np.maximum(weights, 1e-300)
             unit = "rad" if at.joint is None else drive_unit(chain, at.joint)
         else:
             sigma = float(fit.solution.estimated[0]) * station.metres_per_reading(fit.values)
-            unit_errors = _directions(without - residuals) * sigma
+            unit_errors = _directions(without - self.residuals) * sigma
             weights = np.full(len(station), sigma**-2.0)
             unit = "m"
-        before, after, fitted = (
-            np.sum(unit_errors * r, axis=0) for r in (without, residuals, without - residuals)
-        )
+        each = (without, self.residuals, without - self.residuals)
+        before, after, fitted = (np.sum(unit_errors * r, axis=0) for r in each)
         is_of_both = at.shape in _OF_BOTH and at.joint is not None
         own = recorded_variable(chain, station.conditions, str(at.joint)) if is_of_both else None
-        yield PartialResidual(
-            part, *_explaining(fit, at, moments), before, after, fitted, weights, unit, own
-        )
+        variable = _explaining(fit, at, self.moments)
+        return PartialResidual(effect, *variable, before, after, fitted, weights, unit, own)
 
 
 def _directions(errors: np.ndarray) -> np.ndarray:

@@ -100,27 +100,15 @@ class StopSums:
         station = alone.station
         free = alone.solution.free
         sound = alone.solution.weights > 0.0
-        stops = np.unique(pose[sound])
-        few = np.linspace(0, len(stops) - 1, min(_MOST_STOPS, len(stops))).round().astype(int)
-        number = np.full(int(pose.max(initial=0)) + 1, -1)
-        number[stops[few]] = np.arange(len(few))
-        at = np.where(sound, number[pose], -1)
+        at = _sampled_stops(pose, sound)
         noise = np.repeat(alone.solution.estimated, station.block_sizes)[:, None]
+        fitted = np.repeat(alone.solution.sigma, station.block_sizes)[:, None]
         levers = drive_levers(station, alone.values)
-        n = len(levers)
-        P = int(free.sum())
-        B = len(station.block_rows)
-        information = np.zeros((B, len(few), n, n))
-        coupling = np.zeros((B, len(few), n, P))
-        slope = np.zeros((B, len(few), n))
-        gradient = np.zeros((B, P))
-        of_parameters = np.zeros((B, P, P))
-        squares = np.zeros(B)
-        counts = np.zeros(B)
         sizes = np.minimum(alone.priors.sizes[free], _ANYWHERE)
         beforehand = np.diag(sizes**-2.0) + (0.0 if others is None else others)
-        pull = np.zeros(P)
-        fitted = np.repeat(alone.solution.sigma, station.block_sizes)[:, None]
+        n_stops = int(at.max(initial=-1)) + 1
+        found = cls._none(range(blocks.start, blocks.stop), n_stops, len(levers), beforehand)
+        pull = found.pull
         for piece, residuals, J in station.linearise(alone.values, free):
             stop = at[piece]
             weighted = (station.weights[piece] / fitted) * sound[piece]
@@ -132,30 +120,39 @@ class StopSums:
             L = levers[:, :, piece] * weights
             here = stop >= 0
             for b, rows in enumerate(station.block_rows):
-                r = residuals[rows][:, here]
-                J_b = J[:, rows][:, :, here]
-                L_b = L[:, rows][:, :, here]
-                np.add.at(information[b], stop[here], np.einsum("imk,jmk->kij", L_b, L_b))
-                np.add.at(coupling[b], stop[here], np.einsum("imk,pmk->kip", L_b, J_b))
-                np.add.at(slope[b], stop[here], np.einsum("imk,mk->ki", L_b, r))
-                gradient[b] += np.einsum("pmk,mk->p", J_b, r)
-                of_parameters[b] += _gram(J_b)
-                squares[b] += float(np.sum(r**2))
-                counts[b] += r.size
+                of_block = residuals[rows][:, here], J[:, rows][:, :, here], L[:, rows][:, :, here]
+                found._add(b, stop[here], *of_block)
             beforehand += _gram(J[:, :, ~here])
             pull += np.einsum("pmk,mk->p", J[:, :, ~here], residuals[:, ~here])
+        return found
+
+    @classmethod
+    def _none(cls, blocks: range, n_stops: int, n: int, beforehand: np.ndarray) -> StopSums:
+        """Return the sums of no rows, for n drives."""
+        B = len(blocks)
+        P = len(beforehand)
         return cls(
-            range(blocks.start, blocks.stop),
-            information,
-            coupling,
-            slope,
-            gradient,
-            pull,
-            of_parameters,
-            beforehand,
-            squares,
-            counts,
+            blocks=blocks,
+            information=np.zeros((B, n_stops, n, n)),
+            coupling=np.zeros((B, n_stops, n, P)),
+            slope=np.zeros((B, n_stops, n)),
+            gradient=np.zeros((B, P)),
+            pull=np.zeros(P),
+            of_parameters=np.zeros((B, P, P)),
+            beforehand=beforehand,
+            squares=np.zeros(B),
+            counts=np.zeros(B),
         )
+
+    def _add(self, b: int, stop: np.ndarray, r: np.ndarray, J: np.ndarray, L: np.ndarray) -> None:
+        """Add the rows of a block, of the stops with these numbers, in place."""
+        np.add.at(self.information[b], stop, np.einsum("imk,jmk->kij", L, L))
+        np.add.at(self.coupling[b], stop, np.einsum("imk,pmk->kip", L, J))
+        np.add.at(self.slope[b], stop, np.einsum("imk,mk->ki", L, r))
+        self.gradient[b] += np.einsum("pmk,mk->p", J, r)
+        self.of_parameters[b] += _gram(J)
+        self.squares[b] += float(np.sum(r**2))
+        self.counts[b] += r.size
 
     def misfit(self, rho: np.ndarray, kappa: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Return -2 l, and its slopes by log rho, shape (n,), and by the log kappa of each block.
@@ -167,6 +164,17 @@ class StopSums:
         solved = _Solved.of(self, rho, kappa)
         by_kappa = [solved.slope_of_block(self, b) for b in range(len(kappa))]
         return solved.misfit, solved.slope_of_drives(), np.array(by_kappa)
+
+
+def _sampled_stops(pose: np.ndarray, sound: np.ndarray) -> np.ndarray:
+    """Return the number of the stop of each row among a sample of those with sound rows, -1 for a
+    row of none of these, shape (N,).
+    """
+    stops = np.unique(pose[sound])
+    few = np.linspace(0, len(stops) - 1, min(_MOST_STOPS, len(stops))).round().astype(int)
+    number = np.full(int(pose.max(initial=0)) + 1, -1)
+    number[stops[few]] = np.arange(len(few))
+    return np.where(sound, number[pose], -1)
 
 
 @dataclass(frozen=True)

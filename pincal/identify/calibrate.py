@@ -489,13 +489,8 @@ def _solved(
         missed, begun = _is_missed(replace(fit, solution=fitted), released)
         if missed or name == "final":
             short = _CLOSE if until is Tolerance.CLOSE else SETTLED
-            fitted = solved(
-                name,
-                begun,
-                released if missed else fitted.free,
-                short=short,
-                ahead=until is Tolerance.NEAR,
-            )
+            free = released if missed else fitted.free
+            fitted = solved(name, begun, free, short=short, ahead=until is Tolerance.NEAR)
         if not missed and fitted.iterations == 1:
             # The test was made at the solution itself.
             break
@@ -573,9 +568,8 @@ def _refuse_too_few(tables: dict[str, Measurements], fit: ModelFit) -> None:
         spent = CRITERIA.readings_left + int(np.sum(fitted.free & ~problem.beliefs.is_earlier))
     if fit.noise.declared[0] is None and spent >= readings:
         raise MeasurementError(
-            f"{', '.join(table.source for table in tables.values())}: {rows} training "
-            f"poses give {readings} "
-            "readings, no more than the parameters to be fitted, so the noise can't be "
-            "estimated; measure more poses, "
-            "declare the noise (--noise) or fit less (--model geometric, --fix)"
+            f"{', '.join(table.source for table in tables.values())}: {rows} training poses give "
+            f"{readings} readings, no more than the parameters to be fitted, so the noise can't be "
+            "estimated; measure more poses, declare the noise (--noise) or fit less (--model "
+            "geometric, --fix)"
         )

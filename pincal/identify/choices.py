@@ -10,7 +10,7 @@ is therefore first moved along the curve.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -25,8 +25,9 @@ from pincal.identify.problem import Problem
 from pincal.identify.selection import Scored, select_stepwise
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.chain import MomentFrame
-from pincal.model.conditions import UNFELT
+from pincal.model.conditions import UNFELT, Conditions
 from pincal.model.effect import Effect
+from pincal.model.model import Model
 from pincal.parameters import Covariance, Estimate
 from pincal.thresholds import Count
 
@@ -53,23 +54,7 @@ def required_features(fit: ModelFit, least: float = 0.0) -> RequiredFeatures:
     candidates = [e for e in bearing_features(fit.problem.chain, effects) if e not in effects]
     if not candidates:
         return RequiredFeatures((), 0.0)
-    wider = fit.with_effects((*effects, *candidates))
-    problem = wider.problem
-    near = wider.solution
-    sizes = priors_of(wider.problem, fit.options).sizes
-    places = {effect: int(problem.places_at(effect)[0]) for effect in candidates}
-    held = near.free.copy()
-    free = near.free.copy()
-    held[list(places.values())] = False
-    free[list(places.values())] = True
-    sigma = np.maximum(near.sigma, rounding(problem))
-    posterior = Linearised(problem, near.values, free, near.weights, sizes).posterior(sigma)
-
-    def gain(*released: Effect) -> float:
-        kept = held.copy()
-        kept[[places[effect] for effect in released]] = True
-        return posterior.gain(kept[free])
-
+    gain = _gains(fit, candidates)
     without = gain()
     most = gain(*candidates)
     if most - without <= least:
@@ -86,6 +71,30 @@ def required_features(fit: ModelFit, least: float = 0.0) -> RequiredFeatures:
         tuple[Effect, ...](), scores, lambda found, effect: (*found, effect), most=len(candidates)
     )
     return RequiredFeatures(found, gain(*found) - without)
+
+
+def _gains(fit: ModelFit, candidates: Sequence[Effect]) -> Callable[..., float]:
+    """Return the function that gives the gain of some of the candidates, to first order, with all
+    that is free in the fit.
+    """
+    wider = fit.with_effects((*fit.options.effects, *candidates))
+    problem = wider.problem
+    near = wider.solution
+    sizes = priors_of(problem, fit.options).sizes
+    places = {effect: int(problem.places_at(effect)[0]) for effect in candidates}
+    held = near.free.copy()
+    free = near.free.copy()
+    held[list(places.values())] = False
+    free[list(places.values())] = True
+    sigma = np.maximum(near.sigma, rounding(problem))
+    posterior = Linearised(problem, near.values, free, near.weights, sizes).posterior(sigma)
+
+    def gain(*released: Effect) -> float:
+        kept = held.copy()
+        kept[[places[effect] for effect in released]] = True
+        return posterior.gain(kept[free])
+
+    return gain
 
 
 # Rows used to choose a convention: a difference that these do not show does not matter.
@@ -182,9 +191,7 @@ def found_moments(fit: ModelFit) -> FoundMoments | None:
     places = np.array(sorted({body.parameter for body in model.bodies}), int)
     if not len(places):
         return None
-    conditions = fit.problem.stations[0].conditions
-    sizes = np.linalg.norm(model.static_moments(values, conditions), axis=1)
-    typical = conditions.select(np.argsort(sizes)[[len(sizes) // 2]])
+    typical = _typical_load(model, values, fit.problem.stations[0].conditions)
     n = model.static_moments(values, typical)[0]
     steps = np.eye(model.n_parameters)[places]
     J = np.array([model.static_moments(values + step, typical)[0] - n for step in steps]).T
@@ -209,6 +216,12 @@ def found_moments(fit: ModelFit) -> FoundMoments | None:
         mass=float(robot.masses.sum() + grown),
         links=robot.massless,
     )
+
+
+def _typical_load(model: Model, values: np.ndarray, conditions: Conditions) -> Conditions:
+    """Return the pose whose static moments are the median of all."""
+    sizes = np.linalg.norm(model.static_moments(values, conditions), axis=1)
+    return conditions.select(np.argsort(sizes)[[len(sizes) // 2]])
 
 
 def weight_of(problem: Problem, estimate: Estimate) -> float:

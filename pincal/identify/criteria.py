@@ -158,9 +158,8 @@ class Criteria:
         6,
         "readings",
         "test_earlier.py::test_too_few_rows_are_refused",
-        "beyond the unknowns that a fit with an earlier one as prior needs: known "
-        "parameters move with the noise estimate, "
-        "and it with them",
+        "beyond the unknowns that a fit with an earlier one as prior needs: known parameters move "
+        "with the noise estimate, and it with them",
         "the noise is known to 30 % then",
     )
     most_spent: float = number(
@@ -502,9 +501,8 @@ class VisitNumbers:
         0.0005,
         "probability",
         _SOUND_VISITS,
-        "that a table of sound visits shows a step, a steady or another drift, or a "
-        "dependence on the number of the visit, "
-        "each",
+        "that a table of sound visits shows a step, a steady or another drift, or a dependence on "
+        "the number of the visit, each",
         "with these four tests, one sound table in 500 at most",
     )
     touched: float = number(

@@ -18,7 +18,7 @@ mean over all directions of the model, relative to the same rows in any order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -283,11 +283,9 @@ class _FittedStation:
         plain = replace(self, station=replace(self.station, serial=None))
         first = plain.first_rows
         position = plain.station.position
-        if (
-            position is None
-            or first.station.sensor.is_whole
-            or first.dependence < CRITERIA.dependent
-        ):
+        if position is None or first.station.sensor.is_whole:
+            return None
+        if first.dependence < CRITERIA.dependent:
             return None
         if len(np.unique(plain.poses)) < len(plain.station):
             # Several readings of a pose are correlated by the pose, which is another noise.
@@ -297,24 +295,21 @@ class _FittedStation:
         assert first.station.position is not None
         near = first.station.position[some]
         priors = plain.sizes[plain.free][places] ** -2.0, plain.values[plain.free][places]
-        blocks = first.station.block_rows
         likeliest = None
-        gained = 0.0
+        most = 0.0
         for turns, everywhere in zip(first.frames, plain.frames, strict=True):
             if first.dependence_in(turns) < CRITERIA.dependent or first.follows_joints(some, turns):
                 continue
             columns = every if turns is None else turned_into(turns[some], every)
-            gains = 0.0
-            phi = np.zeros(columns.shape[1])
-            share = np.zeros(columns.shape[1])
-            for rows in blocks:
-                found = _likeliest(columns[:, rows], near, *priors)
-                if found is not None:
-                    gain, phi[rows], share[rows] = found
-                    gains += gain
-            if gains > gained:
+            each = [
+                _RestrictedLikelihood(columns[:, rows], near, *priors).likeliest()
+                for rows in first.station.block_rows
+            ]
+            gain = sum(found.gain for found in each if found is not None)
+            if gain > most:
+                phi, share = _by_reading(each, first.station.block_sizes)
                 likeliest = Serial(phi, share, position, plain.counted, everywhere)
-                gained = gains
+                most = gain
         return likeliest
 
     def follows_joints(self, rows: np.ndarray, turns: np.ndarray | None) -> bool:
@@ -373,29 +368,57 @@ def _fitted_stations(fit: ModelFit) -> Iterator[_FittedStation]:
         yield _FittedStation(station, values, free, sizes, solution.weights[rows] > 0.0, sigma)
 
 
-def _likeliest(
-    columns: np.ndarray, position: np.ndarray, precision: np.ndarray, values: np.ndarray
-) -> tuple[float, float, float] | None:
-    """Return the gain of the most likely correlated noise, its correlation and its share; None if
-    it gains too little.
+def _by_reading(
+    each: Sequence[_Remembered | None], sizes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return correlation and share of each reading of a row from those of its blocks, shape (m,)
+    each.
+    """
+    phi = [0.0 if found is None else found.phi for found in each]
+    share = [0.0 if found is None else found.share for found in each]
+    return np.repeat(phi, sizes), np.repeat(share, sizes)
 
-    Args:
+
+@dataclass(frozen=True)
+class _Remembered:
+    """A noise that is correlated along the rows: its gain over an independent one, in 2
+    log-likelihood, its correlation, and its share of the variance.
+    """
+
+    gain: float
+    phi: float
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class _RestrictedLikelihood:
+    """Of a noise that is correlated along rows.
+
+    Attributes:
         columns: shape (1 + P, m, N), residuals, then the model's columns, in units of the noise.
         position: shape (N,), of each row in the order.
         precision: shape (P,), inverse variances of the parameters' priors.
         values: shape (P,), present values.
     """
-    _, m, n = columns.shape
 
-    def misfit(at: np.ndarray) -> float:
+    columns: np.ndarray
+    position: np.ndarray
+    precision: np.ndarray
+    values: np.ndarray
+
+    def misfit(self, at: np.ndarray) -> float:
+        """Return -2 l at the log of the variance, the logit of the share and the log of the
+        memory, shape (3,).
+        """
+        _, m, n = self.columns.shape
         noise = float(np.exp(at[0]))
         share = float(expit(at[1]))
         phi = float(1.0 - np.exp(-at[2]))
-        serial = Serial(np.full(m, phi), np.full(m, share), position, np.ones(n, bool))
-        z = serial.innovations(columns).reshape(len(columns), -1)
+        serial = Serial(np.full(m, phi), np.full(m, share), self.position, np.ones(n, bool))
+        z = serial.innovations(self.columns).reshape(len(self.columns), -1)
         H = z[1:] @ z[1:].T / noise
-        H.flat[:: len(H) + 1] += precision
-        pull = z[1:] @ z[0] / noise - precision * values
+        H.flat[:: len(H) + 1] += self.precision
+        pull = z[1:] @ z[0] / noise - self.precision * self.values
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
         try:
             factor = cho_factor(H * np.outer(scale, scale) + 1e-10 * np.eye(len(H)), lower=True)
@@ -406,23 +429,35 @@ def _likeliest(
         left = float(z[0] @ z[0]) / noise - gained
         return float(m * n * at[0] + serial.log_determinant + determinant + left)
 
-    white = min(misfit(np.array([log, -30.0, 0.1])) for log in _SIZES)
-    starts = [np.array([0.0, np.log(s / (1.0 - s)), -np.log(1.0 - phi)]) for s, phi in _STARTS]
-    tried = [_least(misfit, start) for start in sorted(starts, key=misfit)[:2]]
-    best = min(tried, key=lambda found: float(found.fun))
-    if white - float(best.fun) < CRITERIA.correlated:
-        return None
-    for memory in np.log(_MEMORIES).tolist():
-        # The longest of the memories that are as likely: a short one takes the mean of the noise
-        # for well known.
-        longer = _least(lambda at, memory=memory: misfit(np.append(at, memory)), best.x[:2])  # type: ignore[misc]
-        if memory > best.x[2] and float(longer.fun) < float(best.fun) + CRITERIA.as_likely:
-            return (
-                white - float(longer.fun),
-                float(1.0 - np.exp(-memory)),
-                float(expit(longer.x[1])),
-            )
-    return white - float(best.fun), float(1.0 - np.exp(-best.x[2])), float(expit(best.x[1]))
+    @property
+    def white(self) -> float:
+        """-2 l of independent rows."""
+        return min(self.misfit(np.array([log, -30.0, 0.1])) for log in _SIZES)
+
+    def with_memory(self, memory: float, start: np.ndarray) -> OptimizeResult:
+        """Return the optimum with a given log of the memory."""
+        return _least(lambda at: self.misfit(np.append(at, memory)), start)
+
+    def likeliest(self) -> _Remembered | None:
+        """Return the most likely correlated noise; None if it gains too little."""
+        white = self.white
+        starts = [np.array([0.0, np.log(s / (1.0 - s)), -np.log(1.0 - phi)]) for s, phi in _STARTS]
+        tried = [_least(self.misfit, start) for start in sorted(starts, key=self.misfit)[:2]]
+        best = min(tried, key=lambda found: float(found.fun))
+        if white - float(best.fun) < CRITERIA.correlated:
+            return None
+        memory = best.x[2]
+        found = best
+        for longer in np.log(_MEMORIES).tolist():
+            # The longest of the memories that are as likely: a short one takes the mean of the
+            # noise for well known.
+            other = self.with_memory(longer, best.x[:2])
+            if longer > memory and float(other.fun) < float(best.fun) + CRITERIA.as_likely:
+                memory = longer
+                found = other
+                break
+        phi = float(1.0 - np.exp(-memory))
+        return _Remembered(white - float(found.fun), phi, float(expit(found.x[1])))
 
 
 def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> OptimizeResult:
@@ -465,14 +500,10 @@ def _largest_factor(
     ``at_once``, shape (n,), from 0 on, are always in one block; default: each row has its own.
     """
     at_once = np.arange(scores.shape[1]) if at_once is None else at_once
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     try:
-        L = cholesky(
-            normal / np.outer(size, size) + 1e-9 * np.eye(len(size)), lower=True, check_finite=False
-        )
+        u = _whitened_scores(scores, normal)
     except LinAlgError:
         return 1.0
-    u = solve_triangular(L, scores / size[:, None], lower=True, check_finite=False)
     n = u.shape[1]
     own = np.sum(u**2, axis=0)
     instants = int(at_once[-1]) + 1
@@ -497,3 +528,14 @@ def _largest_factor(
             surest = sure
             factor = 1.0 + beyond / own[within].sum()
     return float(factor)
+
+
+def _whitened_scores(scores: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Return scores, shape (D, n), that are uncorrelated with unit variance if rows are independent;
+    a LinAlgError if the normal matrix is singular.
+    """
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(size, size) + 1e-9 * np.eye(len(size))
+    L = cholesky(scaled, lower=True, check_finite=False)
+    found = solve_triangular(L, scores / size[:, None], lower=True, check_finite=False)
+    return np.asarray(found)

@@ -271,30 +271,19 @@ class Linearised:
     def _by_fold(self, batch: Batch, fold: np.ndarray, some: range, sigma: np.ndarray) -> _Folded:
         """Return the contribution of a batch without each fold among ``some``."""
         n = len(batch.stations)
-        k = len(some)
-        here = fold[batch.rows] - some.start
-        # Rows of other folds are one part more.
-        part = np.where((here >= 0) & (here < k), here, k)
-        station = np.repeat(np.arange(n), np.diff(batch.ends))
-        order = np.lexsort((part, station))
-        ends = np.cumsum([0, *np.bincount(station * (k + 1) + part, minlength=n * (k + 1))])
+        order, ends = _rows_of_parts(batch, fold, some)
         may = self.free[batch.places[0]]
         values = batch.values(self.values)
         together = batch.together()
         found = accumulate_each(
             together.select(order), ends, values, may, self.robust[batch.rows][order]
         )
+        parts_H = _by_part(found.H, n)
+        parts_g = _by_part(found.g, n)
         weight = sigma[batch.blocks].reshape(n, 1, -1) ** -2.0
-        H = np.einsum(
-            "skb,skbij->skij",
-            np.broadcast_to(weight, (n, k + 1, weight.shape[2])),
-            _by_part(found.H, n),
-        )
-        g = np.einsum(
-            "skb,skbi->ski",
-            np.broadcast_to(weight, (n, k + 1, weight.shape[2])),
-            _by_part(found.g, n),
-        )
+        weight = np.broadcast_to(weight, parts_g.shape[:3])
+        H = np.einsum("skb,skbij->skij", weight, parts_H)
+        g = np.einsum("skb,skbi->ski", weight, parts_g)
         whole_H = H.sum(axis=1)
         whole_g = g.sum(axis=1)
         if n == 1 and (known := believed(together, values, may)) is not None:
@@ -305,16 +294,18 @@ class Linearised:
         prior = (batch.own[may], sizes, offsets)
         return _Folded(H, g, whole_H, whole_g, prior)
 
+    def _key(self, k: int, sigma: np.ndarray) -> tuple[int, bytes, bytes]:
+        """Return what the contribution of a batch is known by: its noise and robust weights."""
+        of = self._batches[k]
+        return k, sigma[of.blocks].tobytes(), self.robust[of.rows].tobytes()
+
     def _contributions(self, sigma: np.ndarray) -> list[_Sums]:
         """Return the contribution of each batch, computed where it is not known for this noise and
         these robust weights.
         """
         batches = self._batches
         sums = self.sums
-        keys = [
-            (k, sigma[of.blocks].tobytes(), self.robust[of.rows].tobytes())
-            for k, of in enumerate(batches)
-        ]
+        keys = [self._key(k, sigma) for k in range(len(batches))]
         todo = [key for key in keys if key not in sums]
         new = [batches[k] for k, _, _ in todo]
         free = [self.free[of.places[0]] for of in new]
@@ -377,6 +368,21 @@ class _Folded:
         """Return the contribution of all rows but those of a fold."""
         form = Form.of(self.whole_H - self.H[:, i], self.whole_g - self.g[:, i])
         return eliminate(form, *self.prior)
+
+
+def _rows_of_parts(batch: Batch, fold: np.ndarray, some: range) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows of a batch station by station and fold by fold, those of no fold among
+    ``some`` last, shape (n,), and where each of these parts ends, after 0.
+    """
+    n = len(batch.stations)
+    k = len(some)
+    here = fold[batch.rows] - some.start
+    # Rows of other folds are one part more.
+    part = np.where((here >= 0) & (here < k), here, k)
+    station = np.repeat(np.arange(n), np.diff(batch.ends))
+    order = np.lexsort((part, station))
+    sizes = np.bincount(station * (k + 1) + part, minlength=n * (k + 1))
+    return order, np.cumsum([0, *sizes])
 
 
 def _by_part(sums: np.ndarray, stations: int) -> np.ndarray:

@@ -203,25 +203,14 @@ def _frame_variances(fit: ModelFit) -> dict[int, float]:
     inner = np.flatnonzero(found.has_prior)
     shared = np.flatnonzero(free & fit.problem.is_shared)
     C = reported.covariance
-    few = found.information < 1.0
-    # Their units differ by orders of magnitude.
-    scale = np.sqrt(np.diag(C)[inner])[:, None]
-    F = -(
-        np.linalg.solve(
-            C[np.ix_(inner, inner)] / (scale * scale.T), C[np.ix_(inner, frames)] / scale
-        )
-        / scale
-    ).T
-    D = fit.priors.sizes[shared][inner]
-    weak = D[:, None] * found.directions[:, few] if len(inner) else np.zeros((0, 0))
-    weak = weak / np.sqrt(1.0 + found.information[few])
-    hidden = np.sum((F @ weak) ** 2, axis=1)
+    weak = _weak_directions(found, fit.priors.sizes[shared][inner])
+    hidden = np.sum((_absorbed(C, inner, frames) @ weak) ** 2, axis=1)
     left = np.maximum(np.diag(C)[frames] - hidden, 0.0)
     known = {int(shared[i]): float(v) for i, v in zip(frames, left, strict=True)}
     # A station's frames follow the robot's parameters by the coefficients of their elimination.
     place = np.flatnonzero(free)
     variance = fit.estimate.covariance.variance
-    spread = np.zeros((len(shared), int(few.sum())))
+    spread = np.zeros((len(shared), weak.shape[1]))
     spread[inner] = weak
     for part in reported.own:
         hidden = np.sum((part.carried @ spread[part.shared]) ** 2, axis=-1)
@@ -232,6 +221,25 @@ def _frame_variances(fit: ModelFit) -> dict[int, float]:
             for i, v in zip(part.places[is_frame], left[is_frame], strict=True)
         }
     return known
+
+
+def _absorbed(C: np.ndarray, inner: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Return how much of each inner parameter each coordinate of a frame absorbs, shape (frames,
+    inner), from the covariance of both.
+    """
+    # Their units differ by orders of magnitude.
+    scale = np.sqrt(np.diag(C)[inner])[:, None]
+    both = C[np.ix_(inner, inner)] / (scale * scale.T)
+    return np.asarray(-(np.linalg.solve(both, C[np.ix_(inner, frames)] / scale) / scale).T)
+
+
+def _weak_directions(found: Posterior, sizes: np.ndarray) -> np.ndarray:
+    """Return what readings leave of the directions of inner parameters that they hardly observe,
+    shape (inner, k), each as long as its standard deviation.
+    """
+    few = found.information < 1.0
+    weak = sizes[:, None] * found.directions[:, few] if len(sizes) else np.zeros((0, 0))
+    return np.asarray(weak / np.sqrt(1.0 + found.information[few]))
 
 
 def _of_frame(parameter: Parameter, known: float, variance: float) -> tuple[Status, Reason]:
@@ -251,40 +259,41 @@ def _of_inner(
     if fit.is_kept and fit.options.kept is not None and parameter.name in fit.options.kept.names:
         return Status.FIXED, Reason(Cause.NOT_IMPROVED)
     if fit.solution.at_bound[i]:
-        return Status.AT_BOUND, Reason(
-            Cause.AT_BOUND, size=float(fit.priors.bounds[i]), unit=parameter.unit
-        )
+        bound = float(fit.priors.bounds[i])
+        return Status.AT_BOUND, Reason(Cause.AT_BOUND, size=bound, unit=parameter.unit)
     if not fit.solution.free[i]:
         return _not_free(fit, parameter)
+    is_uncertain = ratio >= CRITERIA.identified
     model, _ = fit.arm
     if parameter.name in {model.names[body.parameter] for body in model.bodies}:
         # At the nominal geometry nothing deflects, so neither a mass nor the place of a bearing has
         # an effect.
         return (
-            (Status.PRIOR, Reason(Cause.MASS))
-            if ratio >= CRITERIA.identified
-            else (Status.IDENTIFIED, IDENTIFIED)
+            (Status.PRIOR, Reason(Cause.MASS)) if is_uncertain else (Status.IDENTIFIED, IDENTIFIED)
         )
-    views = [
-        (nominal, nominal.index[parameter.name])
-        for nominal in nominals
-        if parameter.name in nominal.index
-    ]
-    unseen = min(nominal.unseen[k] for nominal, k in views)
-    if unseen > CRITERIA.unseen and (ratio >= CRITERIA.identified or not np.isfinite(size)):
-        nominal, k = views[0]
-        reason = nominal.counterpart(k)
+    if is_uncertain or not np.isfinite(size):
+        reason = _why_unseen(nominals, parameter)
         # The place of a bearing has an effect only if it is compliant, which at the nominal it is
         # not.
-        if reason.cause is not Cause.NOT_OBSERVED or ratio >= CRITERIA.narrowed:
+        if reason is not None and (
+            reason.cause is not Cause.NOT_OBSERVED or ratio >= CRITERIA.narrowed
+        ):
             return Status.UNIDENTIFIABLE, replace(reason, moment=_largest_moment(fit, parameter))
-    if ratio >= CRITERIA.identified:
+    if is_uncertain:
         cause = Cause.WEAK if ratio < CRITERIA.narrowed else Cause.UNINFORMED
-        moment = _largest_moment(fit, parameter)
-        return Status.PRIOR, Reason(
-            cause, size=size, narrowed=size * ratio, unit=parameter.unit, moment=moment
-        )
+        found = Reason(cause, size=size, narrowed=size * ratio, unit=parameter.unit)
+        return Status.PRIOR, replace(found, moment=_largest_moment(fit, parameter))
     return Status.IDENTIFIED, IDENTIFIED
+
+
+def _why_unseen(nominals: list[_Nominal], parameter: Parameter) -> Reason | None:
+    """Return why no station sees a parameter at the nominal geometry; None if one does."""
+    name = parameter.name
+    views = [(nominal, nominal.index[name]) for nominal in nominals if name in nominal.index]
+    if min(nominal.unseen[k] for nominal, k in views) <= CRITERIA.unseen:
+        return None
+    nominal, k = views[0]
+    return nominal.counterpart(k)
 
 
 def _not_free(fit: ModelFit, parameter: Parameter) -> tuple[Status, Reason]:

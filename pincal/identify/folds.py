@@ -174,16 +174,23 @@ def _residuals_of(station: Station, values: np.ndarray, rows: np.ndarray) -> np.
     return station.select(np.flatnonzero(rows)).residuals(values)
 
 
+def _of_independent_rows(problem: Problem) -> Problem:
+    """Return a problem without correlation along the rows.
+
+    It would make the first row of a walk hold all that is known of the instrument's place: how far
+    a fold pulls is told by independent rows.
+    """
+    stations = (replace(station, serial=None) for station in problem.stations)
+    return replace(problem, stations=tuple(stations))
+
+
 def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterator[np.ndarray]:
     """Yield the values of the fit without each fold, shape (P,)."""
     weights = solution.weights
     free = solution.free
     bounds = fit.priors.bounds[free]
-    # Correlation along the rows would make the first row of a walk hold all that is known of the
-    # instrument's place: how far a fold pulls is told by independent rows.
-    stations = (replace(station, serial=None) for station in fit.problem.stations)
     is_serial = any(station.serial is not None for station in fit.problem.stations)
-    problem = replace(fit.problem, stations=tuple(stations)) if is_serial else fit.problem
+    problem = _of_independent_rows(fit.problem) if is_serial else fit.problem
     readings = max(float(problem.readings(weights).sum()), 1.0)
     point = Linearised(problem, solution.values, free, weights, fit.priors.sizes)
 

@@ -48,6 +48,17 @@ _FEWEST_SETTLED_ROWS: Count = 40
 _ALIKE: Scale = 1.0 + 1e-6
 
 
+def _weighted_as_means(station: Station, table: Measurements, *, is_declared: bool) -> Station:
+    """Return a station with its rows weighted by the readings of which each is the mean, if their
+    noise is declared.
+
+    Otherwise the model error of a pose may dominate, and each row counts once.
+    """
+    if table.readings_per_row is None or not is_declared:
+        return station
+    return replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
+
+
 def begin(
     robot: Robot, tables: Mapping[str, Measurements], options: Options, executor: Executor | None
 ) -> tuple[ModelFit, Problem]:
@@ -57,16 +68,12 @@ def begin(
     if len(tables) == 1:
         tables = {"": next(iter(tables.values()))}
     placed = place(robot, tables, options)
-    stations = []
-    for (station, _), (name, table) in zip(placed, tables.items(), strict=True):
-        # With declared noise, a row that is a mean of readings is weighted as such. Otherwise the
-        # model error of a pose may dominate, and each row counts once.
-        if table.readings_per_row is not None and options.at(name).sigma is not None:
-            station = replace(station, weights=station.weights * np.sqrt(table.readings_per_row))
-        stations.append(station)
-    whole = Problem(
-        tuple(stations), None if options.earlier is None else Earlier.of(options.earlier)
+    stations = (
+        _weighted_as_means(station, table, is_declared=options.at(name).sigma is not None)
+        for (station, _), (name, table) in zip(placed, tables.items(), strict=True)
     )
+    earlier = None if options.earlier is None else Earlier.of(options.earlier)
+    whole = Problem(tuple(stations), earlier)
     problem = some_of(whole)
     require_named(problem, options)
     values = _joined(problem, placed)

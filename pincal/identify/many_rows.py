@@ -50,7 +50,6 @@ def over_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> Mode
         options.effects, moment_frame=frame
     )
     priors = priors_of(problem, options)
-
     # What the sample required beyond that is tested again with all rows.
     excited = excited_of(problem) | ~released_of(problem, options)
     start = replace(
@@ -58,7 +57,6 @@ def over_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> Mode
         values=np.where(excited, fit.solution.values, 0.0),
         free=fit.solution.free & excited,
     )
-
     judge = Judge(problem, start.free, fit.noise, options.loss)
     # Squares alone take a tenth of the time.
     point = Linearised(
@@ -71,7 +69,6 @@ def over_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> Mode
         squares_first=True,
     )
     solution = replace(start, weights=judge.weights(point, start.sigma, hard=True))
-
     course = Course(options.loss, rough=True, label="base and tool", executor=executor)
     nominal = solve(problem, fit.nominal.values, fit.nominal.free, priors, fit.noise, course)
     nominal = replace(nominal, iterations=fit.nominal.iterations + nominal.iterations)

@@ -78,71 +78,143 @@ def polish(point: Linearised, bounds: np.ndarray, sigma: np.ndarray) -> tuple[np
         bounds: shape (P,), largest deviations.
         sigma: shape (blocks,), noise.
     """
-    problem = point.problem
+    exact = _Exact.of(point, bounds, sigma)
     values = point.values
-    free = point.free
-    sizes = point.sizes[free]
-    bounds = bounds[free]
-    known = np.isfinite(sizes)
-    weights = []
-    floor = 0.0
-    for station, rows, span in zip(
-        problem.stations, problem.rows, problem.block_spans, strict=True
-    ):
-        noise, exact = (
-            np.repeat(of[span], station.block_sizes) for of in (sigma, _EXACT * rounding(problem))
-        )
-        weights.append(station.weights * point.robust[rows] / noise[:, None])
-        floor += float(np.sum((exact[:, None] * weights[-1]) ** 2))
-    J, r = _whitened(problem, values, free, weights)
+    J, r = exact.linearised(values)
     for k in range(1, _POLISHING + 1):
-        norms = np.maximum(np.linalg.norm(J, axis=1), 1e-300)
-        # Frames have no size of their own and are scaled like the most influential parameter.
-        scale = np.where(known, sizes, np.max((norms * sizes)[known], initial=1.0) / norms)
-        U, s, Vt = np.linalg.svd((J * scale[:, None]).T, full_matrices=False)
-        for least, part in product(_DAMPING, _PARTS):
-            damped = s / (s**2 + (least * s[0]) ** 2)
-            trial = values.copy()
-            trial[free] += part * scale * (Vt.T @ (damped * (U.T @ r)))
-            left = _whitened(problem, trial, free, weights)[1]
-            for strong in [s > most * s[0] for most in _STRONG for _ in range(_CORRECTIONS)]:
-                back = trial.copy()
-                back[free] += scale * (Vt[strong].T @ ((U[:, strong].T @ left) / s[strong]))
-                better = _whitened(problem, back, free, weights)[1]
-                if better @ better < 0.5 * (left @ left):
-                    trial = back
-                    left = better
-            if left @ left < r @ r and np.all(np.abs(trial[free]) <= bounds):
-                break
-        else:
+        better = exact.improved(values, J, r)
+        if better is None:
             return values, k
-        values = trial
-        J, r = _whitened(problem, values, free, weights)
-        if r @ r < floor:
+        values = better
+        J, r = exact.linearised(values)
+        if r @ r < exact.floor:
             return values, k
     return values, _POLISHING
 
 
-def _whitened(
-    problem: Problem, values: np.ndarray, free: np.ndarray, weights: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return Jacobian, shape (F, M), and residuals, shape (M,), in units of the noise, constraints
-    among them.
+@dataclass(frozen=True, eq=False)
+class _Exact:
+    """A problem of exact readings, its residuals in units of the noise.
+
+    Attributes:
+        problem: the problem.
+        free: shape (P,), the F free parameters.
+        sizes: shape (F,), their sizes, infinite for frames.
+        bounds: shape (F,), largest deviations.
+        weights: of the readings of each station, shape (m, N).
+        floor: sum of squares that rounding leaves.
     """
-    rank = np.cumsum(free) - 1
-    columns = []
-    residuals = []
-    for station, places, weight in zip(problem.stations, problem.places, weights, strict=True):
-        at = values[places]
-        moved = free[places]
-        parts = list(station.linearise(at, moved))
-        more, known = belief_rows(station, at, moved)
-        J = np.concatenate([part[2] for part in parts], axis=2) * weight
-        whole = np.zeros((int(free.sum()), weight.size + len(known)))
-        whole[rank[places[moved]]] = np.hstack([J.reshape(len(J), weight.size), more])
-        columns.append(whole)
-        residuals += [(np.concatenate([part[1] for part in parts], axis=1) * weight).ravel(), known]
-    return np.hstack(columns), np.concatenate(residuals)
+
+    problem: Problem
+    free: np.ndarray
+    sizes: np.ndarray
+    bounds: np.ndarray
+    weights: list[np.ndarray]
+    floor: float
+
+    @classmethod
+    def of(cls, point: Linearised, bounds: np.ndarray, sigma: np.ndarray) -> _Exact:
+        problem = point.problem
+        free = point.free
+        exact = _EXACT * rounding(problem)
+        weights = []
+        floor = 0.0
+        for station, rows, span in zip(
+            problem.stations, problem.rows, problem.block_spans, strict=True
+        ):
+            noise, least = (np.repeat(of[span], station.block_sizes) for of in (sigma, exact))
+            weights.append(station.weights * point.robust[rows] / noise[:, None])
+            floor += float(np.sum((least[:, None] * weights[-1]) ** 2))
+        return cls(problem, free, point.sizes[free], bounds[free], weights, floor)
+
+    def linearised(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return Jacobian, shape (F, M), and residuals, shape (M,), constraints among them."""
+        free = self.free
+        problem = self.problem
+        rank = np.cumsum(free) - 1
+        columns = []
+        residuals = []
+        each = zip(problem.stations, problem.places, self.weights, strict=True)
+        for station, places, weight in each:
+            at = values[places]
+            moved = free[places]
+            parts = list(station.linearise(at, moved))
+            more, known = belief_rows(station, at, moved)
+            J = np.concatenate([part[2] for part in parts], axis=2) * weight
+            whole = np.zeros((int(free.sum()), weight.size + len(known)))
+            whole[rank[places[moved]]] = np.hstack([J.reshape(len(J), weight.size), more])
+            columns.append(whole)
+            r = np.concatenate([part[1] for part in parts], axis=1) * weight
+            residuals += [r.ravel(), known]
+        return np.hstack(columns), np.concatenate(residuals)
+
+    def improved(self, values: np.ndarray, J: np.ndarray, r: np.ndarray) -> np.ndarray | None:
+        """Return values, shape (P,), that leave smaller residuals than these; None if no step to
+        any does.
+        """
+        directions = _Directions.of(J, self.sizes)
+        for damping, part in product(_DAMPING, _PARTS):
+            trial = values.copy()
+            trial[self.free] += directions.step(r, damping, part)
+            trial, left = self._on_valley_floor(trial, directions)
+            is_inside = np.all(np.abs(trial[self.free]) <= self.bounds)
+            if left @ left < r @ r and is_inside:
+                return trial
+        return None
+
+    def _on_valley_floor(
+        self, values: np.ndarray, directions: _Directions
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return values after steps along strong directions that halve the residuals, and these."""
+        left = self.linearised(values)[1]
+        for least in [least for least in _STRONG for _ in range(_CORRECTIONS)]:
+            back = values.copy()
+            back[self.free] += directions.strong_step(left, least)
+            better = self.linearised(back)[1]
+            if better @ better < 0.5 * (left @ left):
+                values = back
+                left = better
+        return values, left
+
+
+@dataclass(frozen=True, eq=False)
+class _Directions:
+    """The singular directions of a Jacobian, its F parameters in units of a scale.
+
+    Attributes:
+        scale: shape (F,).
+        U: shape (M, k), directions of the residuals.
+        s: shape (k,), singular values, the largest first.
+        Vt: shape (k, F), directions of the parameters.
+    """
+
+    scale: np.ndarray
+    U: np.ndarray
+    s: np.ndarray
+    Vt: np.ndarray
+
+    @classmethod
+    def of(cls, J: np.ndarray, sizes: np.ndarray) -> _Directions:
+        known = np.isfinite(sizes)
+        norms = np.maximum(np.linalg.norm(J, axis=1), 1e-300)
+        # Frames have no size of their own and are scaled like the most influential parameter.
+        scale = np.where(known, sizes, np.max((norms * sizes)[known], initial=1.0) / norms)
+        return cls(scale, *np.linalg.svd((J * scale[:, None]).T, full_matrices=False))
+
+    def step(self, residuals: np.ndarray, damping: float, part: float) -> np.ndarray:
+        """Return part of a damped step, shape (F,); the damping is relative to the largest singular
+        value.
+        """
+        damped = self.s / (self.s**2 + (damping * self.s[0]) ** 2)
+        return np.asarray(part * self.scale * (self.Vt.T @ (damped * (self.U.T @ residuals))))
+
+    def strong_step(self, residuals: np.ndarray, least: float) -> np.ndarray:
+        """Return the step along directions with singular values above ``least`` times the largest,
+        shape (F,).
+        """
+        strong = self.s > least * self.s[0]
+        along = (self.U[:, strong].T @ residuals) / self.s[strong]
+        return np.asarray(self.scale * (self.Vt[strong].T @ along))
 
 
 Loss = Literal["screen", "huber", "none"]

@@ -305,10 +305,7 @@ def accumulate_each(
     row_squares = np.empty((len(blocks), len(station)))
     for piece, residuals, jacobian in station.linearise_shared(values, free):
         weights = station.weights[piece]
-        for b, rows in enumerate(blocks):
-            row_squares[b, piece] = (
-                np.einsum("in,in->n", residuals[rows], residuals[rows]) * weights**2
-            )
+        row_squares[:, piece] = _row_squares(residuals, blocks, weights)
         weights = weights * robust[piece]
         is_uniform = bool(np.all(weights == 1.0))
         first, last = np.searchsorted(ends, [piece.start, piece.stop - 1], side="right") - 1
@@ -328,6 +325,14 @@ def accumulate_each(
     known = believed(station, values, free) if n == 1 else None
     beliefs = np.full(n, 0.0 if known is None else known.square)
     return Normal(H, g, StationSquares(squares.ravel(), row_squares, beliefs), robust, known)
+
+
+def _row_squares(residuals: np.ndarray, blocks: Sequence[slice], weights: np.ndarray) -> np.ndarray:
+    """Return the weighted squares of each block of each row, shape (blocks, n)."""
+    squares = np.empty((len(blocks), len(weights)))
+    for b, rows in enumerate(blocks):
+        squares[b] = np.einsum("in,in->n", residuals[rows], residuals[rows]) * weights**2
+    return squares
 
 
 def reweighted(

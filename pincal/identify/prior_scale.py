@@ -21,7 +21,7 @@ The same holds for an IMU alone, which observes angles but no positions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -71,42 +71,66 @@ def observes_places(fit: ModelFit) -> bool:
 
 def prior_scale(fit: ModelFit) -> PriorScale:
     """Return the factors on the priors; 1 for kinds of parameters that the fit does not have."""
-    free = fit.solution.free
-    sizes = np.minimum(fit.priors.sizes, _ANYWHERE)
-    offsets = np.where(np.isfinite(fit.priors.sizes), fit.values, 0.0)[free]
-    kinds = [kind[free] for kind in deviations(fit.problem, fit.options)]
-    H, b = _information(fit)
-
-    def sized(scales: Sequence[float]) -> np.ndarray:
-        return np.asarray(np.select(kinds, scales, 1.0))
-
-    nominal = sizes[free] / sized(fit.options.prior_scale or PriorScale())
-
-    def likely(scales: Sequence[float]) -> float:
-        sigma = nominal * sized(scales)
-        factor = Factor.of(H + np.diag(sigma**-2.0))
-        half = factor.half(b - offsets / sigma**2)
-        squares = float(np.sum((offsets / sigma) ** 2))
-        return float(half @ half) - factor.log_det - 2.0 * float(np.log(sigma).sum()) - squares
-
-    def each(best: PriorScale, kind: str) -> list[float]:
-        return [likely(best._replace(**{kind: scale})) for scale in _SCALES]
-
-    seen = [name for name, kind in zip(PriorScale._fields, kinds, strict=True) if kind.any()]
+    evidence = _Evidence.of(fit)
+    seen = [
+        name for name, kind in zip(PriorScale._fields, evidence.kinds, strict=True) if kind.any()
+    ]
     best = PriorScale()
     for _ in range(_ROUNDS):
         before = best
         for name in seen:
-            best = best._replace(**{name: _SCALES[int(np.argmax(each(best, name)))]})
+            likeliest = int(np.argmax(evidence.of_scales(best, name)))
+            best = best._replace(**{name: _SCALES[likeliest]})
         if best == before:
             break
-    widest = {name: np.array(each(best, name)) for name in seen}
+    widest = {name: evidence.of_scales(best, name) for name in seen}
     return best._replace(
         **{
             name: _SCALES[int(np.argmax(of >= of.max() - CRITERIA.wider_prior))]
             for name, of in widest.items()
         }
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What the readings say of the sizes of F free parameters.
+
+    Attributes:
+        H: shape (F, F), information of the readings.
+        b: shape (F,), their gradient.
+        offsets: shape (F,), deviations from the nominal.
+        nominal: shape (F,), sizes by priors that are not scaled.
+        kinds: of each kind of deviation, which parameters are of it, shape (F,).
+    """
+
+    H: np.ndarray
+    b: np.ndarray
+    offsets: np.ndarray
+    nominal: np.ndarray
+    kinds: list[np.ndarray]
+
+    @classmethod
+    def of(cls, fit: ModelFit) -> _Evidence:
+        free = fit.solution.free
+        sizes = np.minimum(fit.priors.sizes, _ANYWHERE)[free]
+        offsets = np.where(np.isfinite(fit.priors.sizes), fit.values, 0.0)[free]
+        kinds = [kind[free] for kind in deviations(fit.problem, fit.options)]
+        given = np.select(kinds, fit.options.prior_scale or PriorScale(), 1.0)
+        H, b = _information(fit)
+        return cls(H, b, offsets, sizes / given, kinds)
+
+    def at(self, scales: Sequence[float]) -> float:
+        """Return the log evidence of a factor for each kind, twice and but for a constant."""
+        sigma = self.nominal * np.select(self.kinds, scales, 1.0)
+        factor = Factor.of(self.H + np.diag(sigma**-2.0))
+        half = factor.half(self.b - self.offsets / sigma**2)
+        squares = float(np.sum((self.offsets / sigma) ** 2))
+        return float(half @ half) - factor.log_det - 2.0 * float(np.log(sigma).sum()) - squares
+
+    def of_scales(self, best: PriorScale, kind: str) -> np.ndarray:
+        """Return the log evidence of each trial factor for one kind."""
+        return np.array([self.at(best._replace(**{kind: scale})) for scale in _SCALES])
 
 
 def _information(fit: ModelFit) -> tuple[np.ndarray, np.ndarray]:

@@ -21,6 +21,7 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.visit_scatter import Arrivals, arrivals_of, levers_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, numbers_of_copies, replicate_groups, without_copies
+from pincal.measure.sensor import Sensor
 from pincal.thresholds import Count
 
 # Rounds in which the centre of a pose and its sound readings are found in turn.
@@ -123,19 +124,10 @@ def _wrong_at(fit: ModelFit, k: int, table: Measurements) -> np.ndarray:
     nothing = np.zeros(len(table), bool)
     station, places, blocks = list(fit.stations)[k]
     sensor = station.sensor
-    if (
-        table.readings_per_row is not None
-        or table.moving is not None
-        or sensor.is_of_joints
-        or sensor.is_whole
-    ):
-        return nothing
-    if not len(table):
+    if not len(table) or not _has_single_readings(table, sensor):
         return nothing
     group = replicate_groups([table], within=SCATTER)[0]
-    kept = without_copies(table, group)
-    several = np.bincount(group[kept], minlength=group.max() + 1) > 1
-    rows = kept[several[group[kept]]]
+    rows = _repeated(table, group)
     pose = np.unique(group[rows], return_inverse=True)[1].ravel()
     degrees = len(rows) - int(pose.max() + 1) if len(rows) else 0
     if degrees < VISITS.fewest:
@@ -158,6 +150,21 @@ def _wrong_at(fit: ModelFit, k: int, table: Measurements) -> np.ndarray:
         return nothing
     copies = numbers_of_copies(table, group)
     return np.isin(copies, copies[rows[wrong]])
+
+
+def _has_single_readings(table: Measurements, sensor: Sensor) -> bool:
+    """Return whether rows are single readings of held poses, one independent of the other."""
+    is_of_arm = not sensor.is_of_joints and not sensor.is_whole
+    return table.readings_per_row is None and table.moving is None and is_of_arm
+
+
+def _repeated(table: Measurements, group: np.ndarray) -> np.ndarray:
+    """Return the rows of poses that were read several times, copies not counted, of rows whose pose
+    has a number, shape (N,).
+    """
+    kept = without_copies(table, group)
+    several = np.bincount(group[kept], minlength=group.max() + 1) > 1
+    return np.asarray(kept[several[group[kept]]])
 
 
 def _medians(values: np.ndarray, group: np.ndarray) -> np.ndarray:

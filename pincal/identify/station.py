@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress, pairwise
@@ -324,14 +324,7 @@ class Station:
         of_model, own = self.split(values)
         model_free, own_free = self.split(free)
         model_free = model_free & part.model.affects_tip
-        shared: list[Shared] = []
-        if part.conditions.around is None:
-            poses, motion, shared = part.model.linearise_shared(
-                of_model, part.conditions, free=model_free, rows=self.sensor.twist_rows
-            )
-        else:
-            # A curve has another value at each moment of a row.
-            poses, motion = part._motion(of_model, model_free)
+        poses, motion, shared = part._motion_shared(of_model, model_free)
         curves = [
             (parameters, basis, i)
             for i, group in enumerate(shared)
@@ -358,11 +351,29 @@ class Station:
         jacobian = Jacobian(int(free.sum()), column_of[apart], dense, families)
         if not self.is_correlated:
             return residuals, jacobian
+        return self._uncorrelated_shared(residuals, jacobian, piece)
+
+    def _motion_shared(
+        self, of_model: np.ndarray, free: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, list[Shared]]:
+        """Return the result of :meth:`_motion` with columns of curves shared, as
+        :meth:`Model.linearise_shared` does.
+        """
+        if self.conditions.around is None:
+            return self.model.linearise_shared(
+                of_model, self.conditions, free=free, rows=self.sensor.twist_rows
+            )
+        # A curve has another value at each moment of a row.
+        return *self._motion(of_model, free), []
+
+    def _uncorrelated_shared(
+        self, residuals: np.ndarray, jacobian: Jacobian, piece: slice
+    ) -> tuple[np.ndarray, Jacobian]:
+        """Return residuals and Jacobian of a piece of the rows, uncorrelated between rows."""
         # The effect of a curve at one row reaches others, too.
         columns, places = jacobian.dense_columns()
-        return self.uncorrelated(residuals[None], piece)[0], Jacobian(
-            jacobian.size, places, self.uncorrelated(columns, piece)
-        )
+        apart = Jacobian(jacobian.size, places, self.uncorrelated(columns, piece))
+        return self.uncorrelated(residuals[None], piece)[0], apart
 
     def _pieces(self) -> Iterator[slice]:
         is_whole = self.sensor.is_whole or (
@@ -470,17 +481,8 @@ def conditions_of(
     Raises:
         BadInputError: for a target that a model of several targets does not have.
     """
-    targets = model.chain.targets
     n = len(measurements)
-    index = np.zeros(len(measurements), int)
-    if len(targets) > 1:
-        unknown = sorted(set(map(str, measurements.target)) - set(targets))
-        if unknown:
-            raise BadInputError(
-                f"{measurements.source}: target {unknown[0]!r} is not in the model; "
-                f"expected one of {', '.join(targets)}"
-            )
-        index[:] = [targets.index(target) for target in measurements.target]
+    targets = _target_numbers(measurements, model.chain.targets)
     robot = model.chain.robot
     recorded = measurements.recorded()
     if robot.couplings:
@@ -489,18 +491,30 @@ def conditions_of(
             for name in _MOVED
             if (way := recorded[name]) is not None
         }
+    moving = measurements.moving
     return Conditions(
         q=robot.from_reported(measurements.q),
-        target=index,
+        target=targets,
         payload=np.zeros(n) if measurements.payload is None else measurements.payload,
         payload_centre=np.asarray(payload_centre, float),
         sighted=measurements.position,
-        inertial=None if measurements.moving is None else measurements.moving.inertial,
-        around=measurements.moving
-        if measurements.moving is not None and measurements.moving.q is not None
-        else None,
+        inertial=None if moving is None else moving.inertial,
+        around=moving if moving is not None and moving.q is not None else None,
         **recorded,
     )
+
+
+def _target_numbers(measurements: Measurements, targets: Sequence[str]) -> np.ndarray:
+    """Return the number of each row's target among those of a model, shape (N,)."""
+    if len(targets) <= 1:
+        return np.zeros(len(measurements), int)
+    unknown = sorted(set(map(str, measurements.target)) - set(targets))
+    if unknown:
+        raise BadInputError(
+            f"{measurements.source}: target {unknown[0]!r} is not in the model; "
+            f"expected one of {', '.join(targets)}"
+        )
+    return np.array([targets.index(target) for target in measurements.target], int)
 
 
 def fingerprints(station: Station) -> str:

@@ -14,6 +14,7 @@ that are too large. What rows of one stop share beyond this, whatever the visit,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,34 +91,54 @@ def arrivals_of(
     levers = levers[::step]
     m = scaled.shape[1]
     sizes = [b.stop - b.start for b in blocks]
-    typical = [
-        np.median(np.sum(scaled[:, b] ** 2, axis=1)) / chdtri(b.stop - b.start, 0.5) for b in blocks
-    ]
-    whole = np.sqrt(np.repeat(typical, sizes))
+    whole = np.sqrt(np.repeat(_typical_squares(scaled, blocks), sizes))
     least = np.maximum(_LEAST * whole, least)
     found = Arrivals(np.maximum(whole, least), np.zeros(levers.shape[2]))
-    of_block = [
-        np.diag(np.repeat(np.arange(len(blocks)) == i, sizes).astype(float))
-        for i in range(len(blocks))
-    ]
     limit = float(chdtri(m, _BEYOND))
     for _ in range(_ROUNDS):
         sound = found.distances(scaled, levers) < limit
         if not sound.any():
             break
         white = np.linalg.inv(np.linalg.cholesky(found.covariance(levers[sound])))
-        unit = np.einsum("nab,nb->na", white, scaled[sound])
-        lever = white @ levers[sound]
-        by_noise = [white @ B @ white.swapaxes(1, 2) for B in of_block]
-        by_joint = [x[:, :, None] * x[:, None, :] for x in np.moveaxis(lever, 2, 0)]
-        design = np.stack([matrix.ravel() for matrix in (*by_noise, *by_joint)], axis=1)
-        scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
-        normal = (design / scale).T @ (design / scale)
-        right = (design / scale).T @ (unit[:, :, None] * unit[:, None, :]).ravel()
-        variances = _nonnegative(normal, right) / scale
+        variances = _variances(white, scaled[sound], levers[sound], blocks)
         noise = np.sqrt(np.repeat(variances[: len(blocks)], sizes))
         found = Arrivals(np.maximum(noise, least), np.sqrt(variances[len(blocks) :]))
     return found
+
+
+def _typical_squares(deviations: np.ndarray, blocks: Sequence[slice]) -> list[float]:
+    """Return the variance of a component of each block by the median of all deviations."""
+    return [
+        np.median(np.sum(deviations[:, b] ** 2, axis=1)) / chdtri(b.stop - b.start, 0.5)
+        for b in blocks
+    ]
+
+
+def _variances(
+    white: np.ndarray, deviations: np.ndarray, levers: np.ndarray, blocks: Sequence[slice]
+) -> np.ndarray:
+    """Return the variances of blocks and of joints, shape (blocks + J,), that explain products of
+    deviations best.
+
+    Args:
+        white: shape (N, m, m), which makes deviations of the last estimate white.
+        deviations: shape (N, m).
+        levers: shape (N, m, J).
+        blocks: components with the same noise.
+    """
+    components = np.arange(deviations.shape[1])
+    of_block = [
+        np.diag(((b.start <= components) & (components < b.stop)).astype(float)) for b in blocks
+    ]
+    unit = np.einsum("nab,nb->na", white, deviations)
+    lever = white @ levers
+    by_noise = [white @ B @ white.swapaxes(1, 2) for B in of_block]
+    by_joint = [x[:, :, None] * x[:, None, :] for x in np.moveaxis(lever, 2, 0)]
+    design = np.stack([matrix.ravel() for matrix in (*by_noise, *by_joint)], axis=1)
+    scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    normal = (design / scale).T @ (design / scale)
+    right = (design / scale).T @ (unit[:, :, None] * unit[:, None, :]).ravel()
+    return np.asarray(_nonnegative(normal, right) / scale)
 
 
 def _nonnegative(normal: np.ndarray, right: np.ndarray) -> np.ndarray:

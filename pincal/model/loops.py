@@ -18,7 +18,7 @@ coordinate of a loop also moves the coordinates of the passive joints.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -207,24 +207,15 @@ class Loops:
             else np.empty((0, 0))
         )
         direct = self._direct(at, on_rigid, D, loads, compliances) if felt else {}
-        found: list[tuple[int, int, bool, np.ndarray]] = []
+        passive = _Followed(at, self.follow.tolist(), D, bent, direct)
+        found: list[_Term] = []
         for e in range(len(terms.coordinate)):
             if (k := int(terms.coordinate[e])) not in at:
                 continue
             column = int(terms.parameter[e])
             basis = 1.0 if terms.slot[e] < 0 else terms.basis[terms.slot[e]]
             follows = equilibrium or not terms.elastic[e]
-            turned = {c: by[at[k]] for c, by in direct.items()} if follows else {}
-            elastic = bent[at[k]] - D[at[k]] if follows else bent[at[k]]
-            for c, by in turned.items():
-                found.append((c, column, True, basis * by))
-                elastic = elastic + bent[at[c]] * by if c in at else elastic
-            is_bent = bent is not D or bool(turned) or not follows
-            for q, joint in enumerate(self.follow.tolist()):
-                if follows:
-                    found.append((joint, column, False, basis * D[at[k], q]))
-                if is_bent:
-                    found.append((joint, column, True, basis * elastic[q]))
+            found += passive.by_term(k, column, basis, on_rigid=follows)
         return _with_terms(terms, found), self._with_compliances(compliances, at, D, bent)
 
     def _direct(
@@ -377,7 +368,51 @@ def inert_coordinates(chain: Chain) -> frozenset[int]:
     return found
 
 
-def _with_terms(terms: Terms, more: list[tuple[int, int, bool, np.ndarray]]) -> Terms:
+_Term = tuple[int, int, bool, np.ndarray]
+"""Of a parameter: coordinate, column, whether it is elastic, and basis."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """How p passive joints follow K coordinates.
+
+    Attributes:
+        at: place of each of these coordinates among the K.
+        joints: the coordinates of the passive joints.
+        D: shape (K, p, N), their rates where nothing is deformed.
+        bent: shape (K, p, N), their rates where the arm is.
+        direct: derivatives of elastic coordinates by the K, shape (K, N), due to changed load
+            transmission.
+    """
+
+    at: dict[int, int]
+    joints: list[int]
+    D: np.ndarray
+    bent: np.ndarray
+    direct: dict[int, np.ndarray]
+
+    def by_term(
+        self, k: int, column: int, basis: np.ndarray | float, *, on_rigid: bool
+    ) -> Iterator[_Term]:
+        """Yield the terms by which joints follow that of a parameter on coordinate k.
+
+        ``on_rigid`` is of a term that moves the coordinates at which moments are computed.
+        """
+        m = self.at[k]
+        turned = {c: by[m] for c, by in self.direct.items()} if on_rigid else {}
+        elastic = self.bent[m] - self.D[m] if on_rigid else self.bent[m]
+        for c, by in turned.items():
+            yield c, column, True, basis * by
+            elastic = elastic + self.bent[self.at[c]] * by if c in self.at else elastic
+        is_bent = self.bent is not self.D or bool(turned) or not on_rigid
+        for q, joint in enumerate(self.joints):
+            if on_rigid:
+                yield joint, column, False, basis * self.D[m, q]
+            if is_bent:
+                yield joint, column, True, basis * elastic[q]
+
+
+def _with_terms(terms: Terms, more: list[_Term]) -> Terms:
     """Return terms with further ones: coordinate, column, whether it is elastic, and basis."""
     if not more:
         return terms

@@ -408,34 +408,14 @@ class Evaluation:
         unloaded = coordinates_of(model.chain, by_row, conditions, plain, curves)
         rigid = closed_loops(model.chain, unloaded)
         layout = laden(model.chain, model.bodies, by_row)
-        if not any(effect.uses_moments for effect in model.effects):
-            return cls(
-                model,
-                layout,
-                plain,
-                curves,
-                by_row,
-                rigid,
-                rigid,
-                np.empty((0, len(mass))),
-                places,
-                payload,
-            )
-        load = _Load(model, conditions, layout, payload, by_row)
-        elastic, deformed, moments = load.bent(unloaded, rigid)
+        deformed = rigid
+        moments = np.empty((0, len(mass)))
+        if any(effect.uses_moments for effect in model.effects):
+            load = _Load(model, conditions, layout, payload, by_row)
+            elastic, deformed, moments = load.bent(unloaded, rigid)
+            plain = plain + elastic
         loaded = deformed if model.equilibrium else rigid
-        return cls(
-            model,
-            layout,
-            plain + elastic,
-            curves,
-            by_row,
-            loaded,
-            deformed,
-            moments,
-            places,
-            payload,
-        )
+        return cls(model, layout, plain, curves, by_row, loaded, deformed, moments, places, payload)
 
     def kernel_terms(self, columns: np.ndarray, coordinates: list[int], first: int) -> Terms:
         """Return the terms of the parameters that have a column, and of ``coordinates``, from

@@ -90,9 +90,8 @@ class JointPath:
         stretches = list(_stretches(own, 1.0 / rate))
         if not stretches:
             raise MeasurementError(
-                f"the log of the joints has no {2.0 * ON_PATH.ends / rate:.2g} s without a gap "
-                f"of {ON_PATH.bridged / rate:.2g} s; "
-                "expected readings at 20 Hz or more"
+                f"the log of the joints has no {2.0 * ON_PATH.ends / rate:.2g} s without a gap of "
+                f"{ON_PATH.bridged / rate:.2g} s; expected readings at 20 Hz or more"
             )
         fits = [_spline(own[part], q[part], rate) for part in stretches]
         squares = [
@@ -214,9 +213,8 @@ def _chosen_rate(time: np.ndarray, q: np.ndarray) -> float:
     best = tried[int(np.argmin(scores))]
     if best == tried[-1] < _TRIED[-1]:
         warn(
-            f"the joints are logged at {1.0 / float(np.median(steps)):.3g} Hz, too slowly "
-            "to determine the smoothness of "
-            f"their motion; their path has {best:.3g} knots per second"
+            f"the joints are logged at {1.0 / float(np.median(steps)):.3g} Hz, too slowly to "
+            f"determine the smoothness of their motion; their path has {best:.3g} knots per second"
         )
     return best
 

@@ -69,9 +69,8 @@ def _searched(things: list[_Thing], arm: MovingArm, what: str, *, source: str) -
     lasts = min(end - begin, last - first)
     if lasts < FOLLOWING.shortest:
         raise MeasurementError(
-            f"{source}: {what} over {lasts:.3g} s of motion do not determine the "
-            "offset of the clocks; expected "
-            f"{FOLLOWING.shortest:g} s or more"
+            f"{source}: {what} over {lasts:.3g} s of motion do not determine the offset of the "
+            f"clocks; expected {FOLLOWING.shortest:g} s or more"
         )
     grid = arm.path.grid(_SEARCHED)
     known = _functions(arm.tips(grid))
@@ -87,12 +86,10 @@ def _searched(things: list[_Thing], arm: MovingArm, what: str, *, source: str) -
     others = score[np.abs(offsets - offsets[best]) > CLOCKS.readings_apart]
     if rest > CLOCKS.unexplained or others.min(initial=0.0) < CLOCKS.rivals * score[best]:
         raise OtherMotionError(
-            f"{source}: its {what} do not follow these joints, or follow them "
-            "equally well at several offsets of the "
-            f"clocks ({100 * np.sqrt(rest):.1f} % unexplained at best); expected a target "
-            "on the tool of this arm, or "
-            "points seen from it, with times of a clock and not a count of frames, over "
-            "some minutes of non-repeating motion"
+            f"{source}: its {what} do not follow these joints, or follow them equally well at "
+            f"several offsets of the clocks ({100 * np.sqrt(rest):.1f} % unexplained at best); "
+            "expected a target on the tool of this arm, or points seen from it, with times of a "
+            "clock and not a count of frames, over some minutes of non-repeating motion"
         )
     return float(offsets[best])
 
@@ -105,9 +102,8 @@ def _refuse_mirrored(
         columns = " ".join(sensor.fields[0].columns)
         raise MeasurementError(
             f"{source}: {sensor.blocks[0].name}s are mirrored relative to the arm; expected a "
-            "right-handed frame, for images u to the "
-            f"right and v down as the camera sees them: swap two of {columns}, or change "
-            "the sign of one"
+            "right-handed frame, for images u to the right and v down as the camera sees them: "
+            f"swap two of {columns}, or change the sign of one"
         )
 
 

@@ -94,10 +94,8 @@ def read_session(robot: Robot, folder: str | os.PathLike[str], **options: Any) -
         found |= {what: files[0]} if files else {}
     if "joints" not in found or len(found) < 2:
         raise MeasurementError(
-            f"{folder}: has "
-            f"{', '.join(path.name for path in found.values()) or 'no stream'}; expected "
-            "joints.csv, and "
-            "imu.csv or tracker.csv or both (or .parquet)"
+            f"{folder}: has {', '.join(path.name for path in found.values()) or 'no stream'}; "
+            "expected joints.csv, and imu.csv or tracker.csv or both (or .parquet)"
         )
     return read_streams(robot, name=folder.name, **found, **options)
 
@@ -215,9 +213,8 @@ def _checked(what: str, source: str, cells: Cells) -> Stream:
     listed = columns_listed(cells.sheet.labels)
     if time is None:
         raise MeasurementError(
-            f"{source}: no column time; expected the stamps of its own clock, in order; "
-            f"{listed}: is it one of them "
-            "(--columns 'NAME=time [s]')?"
+            f"{source}: no column time; expected the stamps of its own clock, in order; {listed}: "
+            "is it one of them (--columns 'NAME=time [s]')?"
         )
     if what == "imu":
         _check_imu_columns(arrays, listed, source=source)
@@ -244,9 +241,8 @@ def _check_imu_columns(arrays: Mapping[str, np.ndarray], listed: str, *, source:
 def _check_one_load(load: np.ndarray, *, source: str) -> None:
     if np.ptp(load) > 0.0:
         raise MeasurementError(
-            f"{source}: payload from {load.min():g} to {load.max():g} kg; expected "
-            "one load carried along a path: give "
-            "the parts as separate sessions"
+            f"{source}: payload from {load.min():g} to {load.max():g} kg; expected one load "
+            "carried along a path: give the parts as separate sessions"
         )
 
 
@@ -258,9 +254,8 @@ def _fields_read(
     sensor = sensor_class(arrays)
     if sensor is None:
         raise MeasurementError(
-            f"{source}: no readings; expected columns such as x y z, or x y z qx qy "
-            f"qz qw; {listed}: name them "
-            "(--columns 'NAME=x,...')"
+            f"{source}: no readings; expected columns such as x y z, or x y z qx qy qz qw; "
+            f"{listed}: name them (--columns 'NAME=x,...')"
         )
     return sensor.fields
 

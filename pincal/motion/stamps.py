@@ -61,16 +61,13 @@ def _warn_of_gaps(stream: Stream) -> None:
     k = int(np.argmax(steps))
     if steps[k] > STAMP.endless:
         raise MeasurementError(
-            f"{stream.name}, line {stream.lines[k + 1]}: time jumps from "
-            f"{_shown(stream.time[k])} to "
-            f"{_shown(stream.time[k + 1])}; expected one log: give the parts as "
-            "separate sessions, or delete rows from "
-            "before the clock was set"
+            f"{stream.name}, line {stream.lines[k + 1]}: time jumps from {_shown(stream.time[k])} "
+            f"to {_shown(stream.time[k + 1])}; expected one log: give the parts as separate "
+            "sessions, or delete rows from before the clock was set"
         )
     warn(
         f"{stream.name}: {int(gaps.sum())} gaps of more than {STREAM.long_gap} s, the longest "
-        f"{steps[k]:.3g} s from "
-        f"{_shown(stream.time[k])} on: motion within them is left out"
+        f"{steps[k]:.3g} s from {_shown(stream.time[k])} on: motion within them is left out"
     )
 
 
@@ -107,13 +104,10 @@ def _sorted(stream: Stream, in_packets: bool) -> Stream:
         k = int(np.argmax(back))
         raise MeasurementError(
             f"{stream.name}, line {stream.lines[k + 1]}: time runs backwards from "
-            f"{_shown(time[k])} to "
-            f"{_shown(time[k + 1])}; expected one log with one clock: give logs that were "
-            "appended to each "
-            "other, or the parts before and after a clock was set, as separate sessions, "
-            "and add its range to a counter "
-            "that overflowed; if it runs backwards repeatedly, stamps are times of "
-            "arrival: log the device's own"
+            f"{_shown(time[k])} to {_shown(time[k + 1])}; expected one log with one clock: give "
+            "logs that were appended to each other, or the parts before and after a clock was set, "
+            "as separate sessions, and add its range to a counter that overflowed; if it runs "
+            "backwards repeatedly, stamps are times of arrival: log the device's own"
         )
     late = latest > time
     name = stream.name
@@ -165,16 +159,14 @@ def _by_count(stream: Stream, what: str) -> Stream:
     if is_lacking or off.max() > min(STAMP.uneven * step, STAMP.uneven_time):
         k = int(begins[np.argmax(lacks)] if is_lacking else least[np.argmax(off)])
         raise MeasurementError(
-            f"{text} packets, not of samples, or lost digits, and the count of samples "
-            "does not determine times either: "
-            f"about line {stream.lines[k]} they deviate from an even rate by "
-            f"{1e3 * max(off.max(), lacks.max()):.2g} ms, as "
-            f"when some are lost{cure}, or number the samples and give `time` = number / rate"
+            f"{text} packets, not of samples, or lost digits, and the count of samples does not "
+            f"determine times either: about line {stream.lines[k]} they deviate from an even rate "
+            f"by {1e3 * max(off.max(), lacks.max()):.2g} ms, as when some are lost{cure}, or "
+            "number the samples and give `time` = number / rate"
         )
     warn(
-        f"{text} their arrival; samples are assumed to be {1e3 * step:.6g} ms apart, "
-        "which holds by their count to "
-        f"{1e3 * off.max():.2g} ms from beginning to end"
+        f"{text} their arrival; samples are assumed to be {1e3 * step:.6g} ms apart, which holds "
+        f"by their count to {1e3 * off.max():.2g} ms from beginning to end"
     )
     return replace(stream, time=np.polyval(line, count))
 

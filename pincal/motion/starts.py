@@ -94,9 +94,8 @@ def start_imu(
         )
         whose = mistakes[0].words if mistakes else "is it of another arm or session?"
         raise OtherMotionError(
-            f"{imu.name}: its rates do not follow these joints at any offset of the "
-            f"clocks; {whose} Expected an IMU on the "
-            "tool, logged together with the joints"
+            f"{imu.name}: its rates do not follow these joints at any offset of the clocks; "
+            f"{whose} Expected an IMU on the tool, logged together with the joints"
         )
     _check_rates(imu, found)
     check_clock(imu, found)
@@ -151,9 +150,8 @@ def _match(
     match = correlate(grid, np.linalg.norm(tips, axis=1), time, speed)
     if match.is_same and not match.is_clear:
         warn(
-            f"{stream.name}: the motion repeats, so that its clock may be off by a "
-            "period; start the logs together, or "
-            "begin with a motion that does not recur"
+            f"{stream.name}: the motion repeats, so that its clock may be off by a period; start "
+            "the logs together, or begin with a motion that does not recur"
         )
     return match
 
@@ -164,8 +162,7 @@ def _check_rates(imu: Stream, found: Alignment) -> None:
     if unit := _unit(sizes, _UNIT, "deg/s", "mdeg/s", "mrad/s"):
         raise MeasurementError(
             f"{imu.name}: rates are {sizes.mean():.3g} times those of the arm; looks like "
-            f"[{unit}]: write `wx [{unit}]`, "
-            f"`wy [{unit}]`, `wz [{unit}]` in the header"
+            f"[{unit}]: write `wx [{unit}]`, `wy [{unit}]`, `wz [{unit}]` in the header"
         )
     if np.any(np.abs(sizes - 1.0) > _SCALE):
         raise OtherMotionError(
@@ -216,9 +213,8 @@ def _check_forces(
     turned = float(np.linalg.norm(rotation_vectors(nearest_rotation(M)[None])))
     if turned > _TURNED:
         raise MeasurementError(
-            f"{imu.name}: the frames of ax ay az and wx wy wz are "
-            f"{np.degrees(turned):.0f} deg apart; expected one frame: "
-            "check the order and the signs of the columns"
+            f"{imu.name}: the frames of ax ay az and wx wy wz are {np.degrees(turned):.0f} deg "
+            "apart; expected one frame: check the order and the signs of the columns"
         )
 
 
@@ -286,10 +282,9 @@ def _placed(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Alignment:
     match = _match(arm, tracker, *_speeds(tracker, position), by_rate=False)
     if not match.is_same:
         raise OtherMotionError(
-            f"{tracker.name}: its positions do not move as these joints do at any offset "
-            "of the clocks (correlation of "
-            f"speeds {match.likeness:.2f}); expected a target on the tool of this arm, "
-            "read while the joints were logged"
+            f"{tracker.name}: its positions do not move as these joints do at any offset of the "
+            f"clocks (correlation of speeds {match.likeness:.2f}); expected a target on the tool "
+            "of this arm, read while the joints were logged"
         )
     found = aligned(
         tracker.time,
@@ -303,16 +298,14 @@ def _placed(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Alignment:
         raise _out_of_scale(tracker, sizes)
     if np.linalg.det(found.matrix[:, :3]) < 0.0:
         raise MeasurementError(
-            f"{tracker.name}: positions are mirrored relative to the arm; expected a "
-            "right-handed frame: swap two of x, y, "
-            "z, or change the sign of one"
+            f"{tracker.name}: positions are mirrored relative to the arm; expected a right-handed "
+            "frame: swap two of x, y, z, or change the sign of one"
         )
     rms = float(np.linalg.norm(found.scatter))
     if rms > FOLLOWING.off * float(np.linalg.norm(position.std(axis=0))):
         raise OtherMotionError(
-            f"{tracker.name}: after the best placement positions are off by "
-            f"{1e3 * rms:.3g} mm rms; expected a few mm: "
-            "is it this arm, and is the target fixed to the tool?"
+            f"{tracker.name}: after the best placement positions are off by {1e3 * rms:.3g} mm "
+            "rms; expected a few mm: is it this arm, and is the target fixed to the tool?"
         )
     return found
 
@@ -377,10 +370,8 @@ def _check_turns(arm: MovingArm, tracker: Stream, found: Alignment) -> None:
     )
     raise MeasurementError(
         f"{tracker.name}: orientations do not follow the arm, they are off by "
-        f"{np.degrees(off(quaternions)):.0f} deg; "
-        f"{cure}; or leave "
-        "them out (--ignore, one by one): "
-        "positions are enough"
+        f"{np.degrees(off(quaternions)):.0f} deg; {cure}; or leave them out (--ignore, one by "
+        "one): positions are enough"
     )
 
 

@@ -91,8 +91,7 @@ def _refuse_short_path(robot: Robot, session: Session, wrong: MeasurementError) 
         names = (name for name, moves in zip(robot.joint_names, moved, strict=True) if moves)
         raise MeasurementError(
             f"{session.joints.name}: joints that moved: {', '.join(names) or 'none'}; expected a "
-            "path on which all do, to distinguish "
-            f"readings from those of another motion ({wrong})"
+            f"path on which all do, to distinguish readings from those of another motion ({wrong})"
         )
 
 
@@ -228,10 +227,9 @@ def _sensor(tracker: Stream) -> type[Sensor]:
     sensor = sensor_class(tracker.readings)
     if sensor is None or sensor.fields[0].is_name or not sensor.reads_place:
         raise MeasurementError(
-            f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected readings "
-            "that change with it, such as x y z "
-            "or distance, or u v with point or target; held poses, such as a point in a "
-            "socket, need a separate table"
+            f"{tracker.name}: {', '.join(tracker.readings)} in motion; expected readings that "
+            "change with it, such as x y z or distance, or u v with point or target; held poses, "
+            "such as a point in a socket, need a separate table"
         )
     return sensor
 

@@ -164,10 +164,8 @@ def _stays(stream: Stream, k: int, names: Sequence[str], j: int, lasts: float) -
     q = stream.readings["q"]
     return MeasurementError(
         f"{stream.name}, line {stream.lines[k + 1]}: {names[j]} jumps by "
-        f"{q[k + 1, j] - q[k, j]:.3g} within "
-        f"{lasts:.2g} s and stays there; expected one motion: give logs that "
-        "were appended to each other as "
-        "separate sessions"
+        f"{q[k + 1, j] - q[k, j]:.3g} within {lasts:.2g} s and stays there; expected one motion: "
+        "give logs that were appended to each other as separate sessions"
     )
 
 
@@ -281,9 +279,8 @@ def checked_imu(stream: Stream) -> Stream:
         others = np.delete(force if k < 3 else rate, k % 3, axis=1)
         if stuck := _longest_stuck(stream.time, np.where(ends[column], np.nan, values), others):
             raise MeasurementError(
-                f"{stream.name}: column {column!r} is constant for {stuck:.3g} s while "
-                "others change; the axis is "
-                "broken or not logged: repair the log, or leave that part out"
+                f"{stream.name}: column {column!r} is constant for {stuck:.3g} s while others "
+                "change; the axis is broken or not logged: repair the log, or leave that part out"
             )
     if cut.any():
         warn(
@@ -306,11 +303,9 @@ def _warn_of_repeats(stream: Stream, repeats: np.ndarray, held: np.ndarray) -> N
         )
     elif again := int((repeats & ~held).sum()):
         warn(
-            f"{stream.name}: {again} rows, the first in line "
-            f"{stream.lines[repeats & ~held][0]}, repeat the previous one "
-            "and are left out: was it polled at nearly its own rate? Then stamps are up "
-            "to a sample late, which adds noise; "
-            "log its own stamps"
+            f"{stream.name}: {again} rows, the first in line {stream.lines[repeats & ~held][0]}, "
+            "repeat the previous one and are left out: was it polled at nearly its own rate? Then "
+            "stamps are up to a sample late, which adds noise; log its own stamps"
         )
 
 

@@ -428,9 +428,8 @@ def hold(
         poses = replace(poses, q=poses.q + newton_step(moves, jacobian, missing))
     worst = int(np.abs(missing).max(axis=1).argmax())
     raise BadInputError(
-        f"pose {worst + 1}: the true arm can't be held at "
-        f"{places[worst].round(4).tolist()}; make its errors smaller, "
-        "give the approach of joints with play, or take another seed"
+        f"pose {worst + 1}: the true arm can't be held at {places[worst].round(4).tolist()}; make "
+        "its errors smaller, give the approach of joints with play, or take another seed"
     )
 
 

@@ -84,6 +84,18 @@ class Conditions(TypedDict, total=False):
     acceleration: np.ndarray
 
 
+def _joint_positions(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """Return a copy of joint positions, which have to be of shape (N, n)."""
+    n = len(arm.names)
+    found = np.array(q, float)
+    if found.ndim != 2 or found.shape[1] != n:
+        raise BadInputError(
+            f"q has shape {found.shape}; expected (N, {n}), one column per joint: "
+            f"{', '.join(arm.names)}"
+        )
+    return found
+
+
 def poses_of(
     arm: Arm,
     q: np.ndarray,
@@ -109,12 +121,7 @@ def poses_of(
             f"{', '.join(unknown)}: unknown; expected {', '.join(Conditions.__annotations__)}"
         )
     n = len(arm.names)
-    q = np.array(q, float)
-    if q.ndim != 2 or q.shape[1] != n:
-        raise BadInputError(
-            f"q has shape {q.shape}; expected (N, {n}), one column per joint: "
-            f"{', '.join(arm.names)}"
-        )
+    q = _joint_positions(arm, q)
     rows = len(q)
     approach = conditions.get("approach")
     temperature = conditions.get("temperature")
@@ -355,63 +362,78 @@ def gravity_loads(
     tip = places[:, -1]
     centres = _centres(arm, after, tip, payload_com)
     masses = np.column_stack((np.broadcast_to(arm.masses, after.shape[:2]), payload))
-    weights = masses[..., None] * gravity
-    couples = np.zeros((*masses.shape, 3))
-    if inertia is not None:
-        weights = weights + inertia.forces
-        couples = inertia.couples
+    bodies = _Bodies.of(centres, masses[..., None] * gravity, inertia)
     n = len(arm.names)
     beyond = arm.carried & ~np.eye(n, n + 1, dtype=bool)
-    moments = _moments(centres, weights, couples, joint[..., :3, 3], arm.carried)
-    following = [arm.next_joint(i) for i in range(n)]
-    ends = np.stack(
-        [before[:, k] if k >= 0 else after[:, i] for i, k in enumerate(following)], axis=1
-    )[..., :3, 3]
-    ends[:, arm.tip_joint] = tip[:, :3, 3]
-    base = _moments(
-        centres, weights, couples, places[:, _BASE : _BASE + 1, :3, 3], np.ones((1, n + 1), bool)
-    )
+    everything = np.ones((1, n + 1), bool)
+    moments = bodies.moments(joint[..., :3, 3], arm.carried)
+    base = bodies.moments(places[:, _BASE : _BASE + 1, :3, 3], everything)
     drive = np.where(
         arm.prismatic,
-        _turned(joint, _sums(weights, arm.carried))[..., 2],
+        _turned(joint, bodies.forces(arm.carried))[..., 2],
         _turned(after, moments)[..., 2],
     )
     if arm.pins:
         # Loads on passive joints are supported by the joints that move them (virtual work).
-        drive += np.einsum(
-            "np,npk->nk", drive[:, arm.passive], rates(arm, *joints_and_links(places))
-        )
+        motion = rates(arm, *joints_and_links(places))
+        drive += np.einsum("np,npk->nk", drive[:, arm.passive], motion)
         drive[:, arm.passive] = 0.0
+    ends = _ends(arm, before, after, tip)
     return Loads(
         before=_turned(before, moments),
         after=_turned(joint, moments),
         drive=drive,
-        end_moment=_turned(after, _moments(centres, weights, couples, ends, beyond)),
-        end_force=_turned(after, _sums(weights, beyond)),
+        end_moment=_turned(after, bodies.moments(ends, beyond)),
+        end_force=_turned(after, bodies.forces(beyond)),
         base=_turned(places[:, _BASE : _BASE + 1], base)[:, 0],
     )
 
 
-def _moments(
-    centres: np.ndarray,
-    weights: np.ndarray,
-    couples: np.ndarray,
-    origins: np.ndarray,
-    carried: np.ndarray,
-) -> np.ndarray:
-    """Return the sum of (centre - origin k) x weight + couple over the bodies of mask k, shape (N,
-    k, 3).
+def _ends(arm: Arm, before: np.ndarray, after: np.ndarray, tip: np.ndarray) -> np.ndarray:
+    """Return where the link after each joint ends, shape (N, n, 3): at the next joint, or at the
+    tip.
     """
-    pairs = zip(np.moveaxis(origins, 1, 0), carried, strict=True)
-    moments = [
-        np.cross(centres[:, b] - o[:, None], weights[:, b]) + couples[:, b] for o, b in pairs
-    ]
-    return np.stack([each.sum(axis=1) for each in moments], axis=1)
+    following = [arm.next_joint(i) for i in range(len(arm.names))]
+    frames = [before[:, k] if k >= 0 else after[:, i] for i, k in enumerate(following)]
+    ends = np.stack(frames, axis=1)[..., :3, 3]
+    ends[:, arm.tip_joint] = tip[:, :3, 3]
+    return ends
 
 
-def _sums(weights: np.ndarray, carried: np.ndarray) -> np.ndarray:
-    """Return the sum of the weights of the bodies of each mask, shape (N, k, 3)."""
-    return np.stack([weights[:, b][:, ::-1].sum(axis=1) for b in carried], axis=1)
+@dataclass(frozen=True)
+class _Bodies:
+    """Links and payload, on which forces act, shape (N, n + 1, 3) each, in the base frame.
+
+    Attributes:
+        centres: their centres of mass [m].
+        weights: forces at these, inertial ones included [N].
+        couples: on them [N m].
+    """
+
+    centres: np.ndarray
+    weights: np.ndarray
+    couples: np.ndarray
+
+    @classmethod
+    def of(cls, centres: np.ndarray, weights: np.ndarray, inertia: Inertia | None) -> _Bodies:
+        if inertia is None:
+            return cls(centres, weights, np.zeros_like(centres))
+        return cls(centres, weights + inertia.forces, inertia.couples)
+
+    def moments(self, origins: np.ndarray, carried: np.ndarray) -> np.ndarray:
+        """Return the sum of (centre - origin k) x weight + couple over the bodies of mask k, shape
+        (N, k, 3).
+        """
+        pairs = zip(np.moveaxis(origins, 1, 0), carried, strict=True)
+        moments = [
+            np.cross(self.centres[:, b] - o[:, None], self.weights[:, b]) + self.couples[:, b]
+            for o, b in pairs
+        ]
+        return np.stack([each.sum(axis=1) for each in moments], axis=1)
+
+    def forces(self, carried: np.ndarray) -> np.ndarray:
+        """Return the sum of the weights of the bodies of each mask, shape (N, k, 3)."""
+        return np.stack([self.weights[:, b][:, ::-1].sum(axis=1) for b in carried], axis=1)
 
 
 def _turned(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:

@@ -237,20 +237,32 @@ def _path(model: Any, tip: str, base: str | None) -> list[int]:
     return path
 
 
-def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Sequence[str]) -> Arm:
+def _at_neutral(model: Any) -> Any:
+    """Return Pinocchio's data of a model at its neutral position."""
     import pinocchio as pin
 
     data = model.createData()
     q = pin.neutral(model)
     pin.computeJointJacobians(model, data, q)
     pin.framesForwardKinematics(model, data, q)
-    origin = data.oMf[_frame_id(model, base)] if base else pin.SE3.Identity()
-    joints = [model.getJointId(name) for name in order]
+    return data
+
+
+def _axes(model: Any, data: Any, joints: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the working frame of each joint's axis, shape (n, 3, 3), and which are prismatic."""
     twists = [_twist(model, data, i) for i in joints]
     prismatic = np.array([not np.any(twist[3:]) for twist in twists])
-    axes = np.array(
-        [_working_frame(t[:3] if p else t[3:]) for t, p in zip(twists, prismatic, strict=True)]
-    )
+    axes = [_working_frame(t[:3] if p else t[3:]) for t, p in zip(twists, prismatic, strict=True)]
+    return np.array(axes), prismatic
+
+
+def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Sequence[str]) -> Arm:
+    import pinocchio as pin
+
+    data = _at_neutral(model)
+    origin = data.oMf[_frame_id(model, base)] if base else pin.SE3.Identity()
+    joints = [model.getJointId(name) for name in order]
+    axes, prismatic = _axes(model, data, joints)
     working = {0: origin.homogeneous} | {
         i: data.oMi[i].homogeneous @ transform(axis) for i, axis in zip(joints, axes, strict=True)
     }

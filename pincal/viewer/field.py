@@ -322,9 +322,8 @@ def _workspace(
     q = _workspace_poses(part, grid, payload=payload, known=known, seed=seed)
     over = _at_conditions(q, calibrated, payload, known)
     notes = [
-        f"workspace: {len(q)} points within the joint ranges of the calibration, each "
-        "reached by one pose, at a payload of "
-        f"{payload:g} kg"
+        f"workspace: {len(q)} points within the joint ranges of the calibration, each reached by "
+        f"one pose, at a payload of {payload:g} kg"
     ]
     if left_out:
         notes.append(

@@ -27,8 +27,7 @@ _CONSTANT_AT = "{} does not move in any pose, so the effect is constant"
 # or constant.
 _UNTOLD = {
     "move": "<joint> does not move, or its direction of approach does not follow from the "
-    "previous row: see column "
-    "approach_<joint>"
+    "previous row: see column approach_<joint>"
 }
 
 

@@ -339,7 +339,6 @@ def _obstacle(situation: PoseSet) -> str:
     if away >= reach:
         return ""
     return (
-        f"the frame of the readings has its origin {away:.2g} m from the robot's base, "
-        "where no tracker can be: give "
-        "them in the tracker's own frame"
+        f"the frame of the readings has its origin {away:.2g} m from the robot's base, where no "
+        "tracker can be: give them in the tracker's own frame"
     )

@@ -115,8 +115,7 @@ def notes_on_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     if not robot.massless or not any(effect.uses_moments for effect in effects):
         return ()
     return (
-        f"the robot description has no usable masses for {len(robot.massless)} links: "
-        "moments are those of "
-        f"its shape, {robot.masses.sum():.3g} kg in all; a calibration estimates them "
+        f"the robot description has no usable masses for {len(robot.massless)} links: moments are "
+        f"those of its shape, {robot.masses.sum():.3g} kg in all; a calibration estimates them "
         "with the compliances",
     )
