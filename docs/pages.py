@@ -20,7 +20,7 @@ from msgspec.inspect import DataclassType, NamedTupleType, StructType, TypedDict
 import pincal
 from pincal.cli import pincal as command
 from pincal.measure.registry import SENSORS
-from pincal.schemas import FILES, schema_of
+from pincal.schemas import schema_of, structure_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from signatures import ALIKE, Signature, draw, own_effects, signatures
@@ -131,7 +131,7 @@ def files() -> Iterator[str]:
     for key, (name, about) in _FILES.items():
         yield f"## {name}"
         yield about
-        yield from _structures(schema_of(key), FILES[key], told)
+        yield from _structures(schema_of(key), structure_of(key), told)
 
 
 def _structures(schema: Mapping[str, Any], top: type, told: set[type]) -> Iterator[str]:

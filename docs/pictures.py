@@ -21,9 +21,9 @@ from PIL import Image, ImageDraw, ImageFont
 from selenium import webdriver
 
 from pincal import Robot, read_measurements, run_discovery
+from pincal.discover.report.found_drawings import discovery_drawings
 from pincal.discover.run import Discovery
 from pincal.measure.measurements import Measurements
-from pincal.report.illustrations import discovery_drawings
 from pincal.viewer import build_scene, write_html
 
 # Identifiers in drawings are the same each time.

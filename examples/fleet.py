@@ -23,11 +23,11 @@ import pincal
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.fleet.checks import fleet_changes
+from pincal.fleet.fleet_pages import fleet_page, type_page
 from pincal.fleet.jobs import CalibrateTables, run_job, visits_of
 from pincal.fleet.robot_type import calibrate_of_type, learn_type
 from pincal.fleet.store import open_store
 from pincal.fleet.summary import at_tool, history_lines, look_first, type_lines
-from pincal.report.fleet_pages import fleet_page, type_page
 
 NOISE = 5e-5  # standard deviation of one coordinate [m]
 FURTHER, POSES = 5, 8  # machines that are new, and poses of each

@@ -25,6 +25,8 @@ from pincal.design.request import DesignRequest as DesignRequest
 from pincal.diagnosis.model_update import update as update
 from pincal.diagnosis.robot_diagnosis import Diagnosis as Diagnosis
 from pincal.diagnosis.robot_diagnosis import diagnose as diagnose
+from pincal.discover.discovery_file import Findings as Findings
+from pincal.discover.discovery_file import FoundEffect as FoundEffect
 from pincal.discover.policy import Policy as Policy
 from pincal.discover.run import Discovery as Discovery
 from pincal.discover.run import run_discovery as run_discovery
@@ -43,8 +45,6 @@ from pincal.identify.options import Options as Options
 from pincal.identify.options import PriorScale as PriorScale
 from pincal.identify.options import StationOptions as StationOptions
 from pincal.identify.split import cross_validate as cross_validate
-from pincal.io.discovery_file import Findings as Findings
-from pincal.io.discovery_file import FoundEffect as FoundEffect
 from pincal.io.urdf_export import calibrated_urdf as calibrated_urdf
 from pincal.measure.lens import Lens as Lens
 from pincal.measure.measurements import Measurements as Measurements

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import errno
 import os
 import platform
 import re
@@ -29,6 +30,10 @@ except ImportError:
     fcntl = None
 
 ELSEWHERE = "choose a folder that exists and is writable"
+
+# Drafts that are tried if others remove them as leftovers before they are locked, which takes a
+# coincidence for each.
+_TRIES: Count = 20
 
 # renameat2(2): paths relative to the working directory, and both names exchanged. renamex_np(2) of
 # macOS: likewise.
@@ -96,7 +101,7 @@ def drafted(place: Path, name: str, *, is_folder: bool = False) -> Iterator[Path
         OSError: if the folder can't be written to.
     """
     _sweep(place, name)
-    while True:
+    for _ in range(_TRIES):
         draft = place / f".{uuid.uuid4().hex}-{name}"
         with contextlib.suppress(FileNotFoundError):
             if is_folder:
@@ -110,7 +115,10 @@ def drafted(place: Path, name: str, *, is_folder: bool = False) -> Iterator[Path
                 break
             os.close(lock)
         if not place.is_dir():
-            raise FileNotFoundError(2, os.strerror(2))
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+    else:
+        # Folders such as /proc exist, but nothing can be created in them.
+        raise FileNotFoundError(errno.ENOENT, "no file can be created in this folder")
     try:
         yield draft
     finally:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
@@ -47,6 +47,7 @@ class Registry(Generic[_T]):
         group: str,
         name_of: Callable[[type[_T]], str],
         check: Callable[[type[_T]], None] | None = None,
+        handed_in: Callable[[], Iterable[type[_T]]] = tuple,
     ) -> None:
         """Create an empty registry.
 
@@ -56,11 +57,14 @@ class Registry(Generic[_T]):
                 register them.
             name_of: returns the name of a class.
             check: raises ``TypeError`` for an incomplete class.
+            handed_in: returns the classes that satellites hand in; asked when classes are.
         """
         self.kind = kind
         self.group = group
         self._name_of = name_of
         self._check = check
+        self._handed_in = handed_in
+        self._is_handed_in = False
         self._classes: dict[str, type[_T]] = {}
         self._is_complete = False
 
@@ -86,12 +90,18 @@ class Registry(Generic[_T]):
 
     def registered(self) -> Mapping[str, type[_T]]:
         """Return the classes registered so far, without loading installed packages."""
+        if not self._is_handed_in:
+            self._is_handed_in = True
+            for cls in self._handed_in():
+                self.register(cls)
         return dict(self._classes)
 
     def known(self) -> Mapping[str, type[_T]]:
         """Return all classes by name, including those of installed packages."""
         if not self._is_complete:
             self._is_complete = True
+            # First pincal's own: a plug-in does not take their names.
+            self.registered()
             self._load_entry_points()
         return dict(self._classes)
 
@@ -102,7 +112,7 @@ class Registry(Generic[_T]):
                 found = point.load()
                 if isinstance(found, type):
                     self.register(found)
-            except Exception as error:  # Third-party code may raise anything.
+            except (Exception, SystemExit) as error:  # Third-party code may raise anything.
                 warn(
                     f"{self.kind} {point.name!r} of the entry point {point.value} can't be loaded "
                     f"({type(error).__name__}: {error}); it is left out"
@@ -157,6 +167,11 @@ def _imported(name: str, module: str, folder: Path) -> ModuleType:
             f"plugin {name!r}: no such module; expected the name of an installed one, or "
             "a file such as my_effects.py"
         ) from None
+    except SystemExit as error:
+        raise BadInputError(
+            f"plugin {name!r} ends the program (SystemExit: {error}); expected a module that only "
+            "registers classes"
+        ) from error
     except Exception as error:
         raise BadInputError(f"plugin {name!r} fails: {type(error).__name__}: {error}") from error
     finally:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
@@ -55,7 +56,13 @@ class Place(Generic[_T]):
             KeyError: if nothing is.
         """
         module, _, attribute = self._sources()[name].partition(":")
-        return cast(_T, getattr(importlib.import_module(module), attribute))
+        return cast(_T, attrgetter(attribute)(importlib.import_module(module)))
+
+    def get(self, name: str) -> _T | None:
+        """Return what is handed in by this name, None if nothing is."""
+        if name not in self:
+            return None
+        return self[name]
 
     def all(self) -> Iterator[_T]:
         """Yield all that is handed in."""

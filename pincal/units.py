@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pincal.errors import BadInputError
 from pincal.thresholds import Scale
 
 if TYPE_CHECKING:
@@ -154,6 +155,48 @@ def plain_numbers(words: Iterable[str]) -> list[float]:
         return [plain_number(word) for word in words]
     except ValueError:
         return []
+
+
+def unmasked(value: Any, what: str) -> Any:
+    """Return an array, or lists of some, of a caller as they are.
+
+    Raises:
+        BadInputError: for masked values, which NumPy alone would use.
+    """
+    import numpy as np
+
+    parts = value if isinstance(value, list | tuple) else ()
+    masked = (part for part in (value, *parts) if isinstance(part, np.ma.MaskedArray))
+    if any(map(np.ma.is_masked, masked)):
+        raise BadInputError(
+            f"{what}: has masked values; expected none: leave the rows with masked values out"
+        )
+    return value
+
+
+def real_array(value: Any, what: str) -> np.ndarray:
+    """Return numbers of a caller as an array of floats; NumPy alone would use what is masked, and
+    drop imaginary parts.
+
+    Args:
+        value: an array, or nested lists.
+        what: its name, for messages.
+
+    Raises:
+        BadInputError: for masked values, or complex numbers.
+        ValueError: for what are no numbers, or rows of different lengths.
+        TypeError: likewise.
+
+    Example:
+        >>> real_array([[1, 2]], "q")
+        array([[1., 2.]])
+    """
+    import numpy as np
+
+    found = np.asarray(unmasked(value, what))
+    if np.iscomplexobj(found):
+        raise BadInputError(f"{what}: has complex numbers; expected real ones")
+    return np.asarray(found, float)
 
 
 def size_in(text: str, unit: str) -> float:
@@ -312,6 +355,11 @@ def fixed(places: int) -> Callable[[Any], str]:
 def show_percent(share: float | None) -> str:
     """Return a fraction in percent."""
     return "-" if share is None else f"{100 * share:z.0f} %"
+
+
+def show_chance(p_value: float) -> str:
+    """Return a p-value as text; one that underflows is given by a bound."""
+    return f"{p_value:.0e}" if p_value > 0.0 else "<1e-300"
 
 
 def show_value(quantity: Quantity | None) -> str:

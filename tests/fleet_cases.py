@@ -7,6 +7,8 @@ this covariance. Siblings are true machines, measured and calibrated. Real ones 
 from __future__ import annotations
 
 import csv
+import random
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -18,10 +20,12 @@ from pincal import GEOMETRIC, FittedRobot, Measurements, Options, Robot, calibra
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.information import RobotInformation
+from pincal.errors import BadInputError
 from pincal.fleet.checks import FALSE_DISCOVERIES, FleetWatch
 from pincal.fleet.history import FleetChange, Visit
 from pincal.fleet.machines import Machine
 from pincal.fleet.robot_type import RobotType
+from pincal.fleet.store import Key, Store
 from pincal.identify.quadratic import Quadratic
 from pincal.parameters import Parameter
 
@@ -235,3 +239,19 @@ class Year:
         found = self.watch.take(week, visits)
         self.changes += found
         return found
+
+
+def bit_flips(store: Store, key: Key, count: int) -> Counter[str]:
+    """Return how often a file with one bit changed is ``refused``, read as it ``was``, or read as ``other`` content."""
+    path, found = Path(store.place) / key.path, Counter[str]()
+    good, was = path.read_bytes(), store.frame(key)
+    for seed in range(count):
+        rng, content = random.Random(seed), bytearray(good)
+        content[rng.randrange(len(good))] ^= 1 << rng.randrange(8)
+        path.write_bytes(content)
+        try:
+            found["was" if store.frame(key).equals(was) else "other"] += 1
+        except BadInputError:
+            found["refused"] += 1
+    path.write_bytes(good)
+    return found

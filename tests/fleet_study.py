@@ -2,7 +2,8 @@
 
 Parts: ``learn`` (5000 machines of 40 parameters: seconds, memory, error, coverage), ``few`` (3, 5 and 10 machines of
 families of every kind, with and without a type), ``real`` (machines as their makers measured them, one left out), ``year``
-(of weekly checks), ``store`` (tables calibrated from a store). Each case is one line of the file as soon as it is done: a
+(of weekly checks), ``store`` (tables calibrated from a store), ``flips`` (stored files with one bit changed: how many are
+refused, and how many read as other content). Each case is one line of the file as soon as it is done: a
 run that was stopped goes on where it was. Rates stand with their exact 95 % intervals (Clopper and Pearson).
 """
 
@@ -30,6 +31,7 @@ from fleet_cases import (
     PRIOR,
     Family,
     Year,
+    bit_flips,
     error_of,
     nominal_arm,
     real_machines,
@@ -45,14 +47,15 @@ from pincal.builtin import kuka_urdf_path
 from pincal.fleet.jobs import CalibrateTables, run_job
 from pincal.fleet.machines import Machine
 from pincal.fleet.robot_type import RobotType, calibrate_of_type, learn_type
-from pincal.fleet.store import open_store
+from pincal.fleet.store import INFORMATION, MODELS, TABLES, open_store
 from pincal.simulate.urdf_arm import read_arm
 from pincal.spread import end_with_parent
 
-PARTS = ("learn", "few", "real", "year", "store")
+PARTS = ("learn", "few", "real", "year", "store", "flips")
 # How machines of a family differ: alike in all, each number by its own, as the priors without a type have it, off the data
 # sheet by much more than they differ, in two numbers only, and one in ten of them eight times as much.
 KINDS = ("alike", "unlike", "priors", "shifted", "two", "hit")
+FLIPS = 600
 FEW, POSES, MANY = (3, 5, 10), (8, 12, 25), 60
 LAMBDA, WEEKS, ROBOTS = 80.0, 52, 500
 
@@ -75,12 +78,16 @@ def tasks(parts: Sequence[str], count: int, seed: int) -> Iterator[tuple[Any, ..
         )
     if "store" in parts:
         yield ("store", seed, 10_000 if count >= 20 else 1000)
+    if "flips" in parts:
+        yield from (("flips", kind, FLIPS) for kind in (TABLES, INFORMATION, MODELS))
 
 
 def case(task: tuple[Any, ...]) -> dict[str, Any]:
     """Return what a case shows, in types that JSON knows."""
     begun = time.process_time()
-    found = {"learn": _learn, "few": _few, "real": _real, "year": _year, "store": _store}[task[0]](*task[1:])
+    found = {"learn": _learn, "few": _few, "real": _real, "year": _year, "store": _store, "flips": _flips}[task[0]](
+        *task[1:]
+    )
     return {"task": list(task), **found, "cpu_seconds": time.process_time() - begun}
 
 
@@ -283,6 +290,22 @@ def _store(seed: int, tables: int) -> dict[str, Any]:
     }
 
 
+def _flips(kind: str, count: int) -> dict[str, Any]:
+    """Return what becomes of files of a kind with one bit changed."""
+    robot, nominal = _arm("kuka")
+    machine = Siblings(nominal, "alike", np.random.default_rng(1)).draw()
+    with tempfile.TemporaryDirectory() as folder:
+        store, table = open_store(folder, create=True), table_of(robot, machine, 30, 1)
+        if kind == TABLES:
+            key = store.add_table("R1", "2026-01-01", table)
+        elif kind == INFORMATION:
+            key = store.add_information("2026-01-01", Machine.of(calibrate(robot, table, OPTIONS).fit, "R1"))
+        else:
+            calibrate(robot, table, OPTIONS).save(Path(folder) / "model.json")
+            key = store.add_model("R1", "2026-01-01", (Path(folder) / "model.json").read_text(encoding="utf-8"))
+        return {name: 0 for name in ("refused", "was", "other")} | bit_flips(store, key, count)
+
+
 def _memory(_: int) -> float:
     """Return the largest memory of this process [MB]; that of ``getrusage`` begins with its parent's."""
     return float(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1e3
@@ -338,11 +361,20 @@ def lines(found: Sequence[dict[str, Any]]) -> Iterator[str]:
             yield f"  found within two checks {soon}; named {named}"
             if way == "drift":
                 yield f"  drifts: {[one['drifts'] for one in own]}"
+    yield from _lines_of_flips(found)
     for one in found:
         if one["task"][0] == "store":
             yield "store: " + ", ".join(
                 f"{name} {value:.4g}" for name, value in one.items() if isinstance(value, float | int)
             )
+
+
+def _lines_of_flips(found: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield how many files with one bit changed are read as other content."""
+    for one in found:
+        if one["task"][0] == "flips":
+            _, kind, count = one["task"]
+            yield f"flips {kind}: refused {one['refused']} of {count}, read as other content {in_words(one['other'], count)}"
 
 
 def _lines_of_errors(part: str, found: Sequence[dict[str, Any]]) -> Iterator[str]:

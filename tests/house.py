@@ -43,6 +43,11 @@ class File:
         """The folder or the single file beside the folders."""
         return self.name.split(".")[0]
 
+    @property
+    def is_satellite(self) -> bool:
+        """Whether it says what a satellite hands in; each has the same name for it."""
+        return self.name.endswith(".satellite")
+
     @cached_property
     def lines(self) -> Counter[str]:
         """Number of lines of each kind."""
@@ -153,17 +158,17 @@ class House:
         """Public names that more than one file defines, the simulator's left out: it may know nothing of the others."""
         homes: dict[str, list[str]] = {}
         for file in self.files:
-            if file.room != "simulate":
+            if file.room != "simulate" and not file.is_satellite:
                 for name in file.public_names:
                     homes.setdefault(name, []).append(file.name)
         return {name: found for name, found in sorted(homes.items()) if len(found) > 1}
 
     @cached_property
     def twice_named(self) -> dict[str, list[str]]:
-        """Names of files that more than one room has, the simulator's left out."""
+        """Names of files that more than one room has, the simulator's and what satellites hand in left out."""
         homes: dict[str, list[str]] = {}
         for file in self.files:
-            if not file.is_package and file.room not in ("simulate", "__main__"):
+            if not file.is_package and file.room not in ("simulate", "__main__") and not file.is_satellite:
                 homes.setdefault(file.name.rsplit(".", 1)[-1], []).append(file.name)
         return {name: found for name, found in sorted(homes.items()) if len(found) > 1}
 

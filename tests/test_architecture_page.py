@@ -15,7 +15,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from report_cases import kuka_run
-from test_layers import LAYERS, PACKAGE
+from test_layers import LAYERS, PACKAGE, SATELLITES
 
 from pincal import Chain, Conditions, Model, Robot, calibrate, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
@@ -55,7 +55,7 @@ def test_the_table_of_layers_is_the_one_that_is_enforced() -> None:
     """The layers of the page, top down, are those of the layer test, bottom up."""
     table = PAGE.split("## The layers")[1].split("## Control flow")[0]
     told = [name for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)]
-    assert [name for name in LAYERS if name != "__main__"] == told
+    assert [*(name for name in LAYERS if name != "__main__"), *SATELLITES] == told
 
 
 def test_every_place_that_the_page_names_exists() -> None:
@@ -189,7 +189,7 @@ def test_the_recipe_of_a_verb(
     recipe: ModuleType, kuka: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One line makes it a verb of the command, with help and typed errors."""
-    monkeypatch.setitem(_COMMANDS, "ranges", recipe.__name__)
+    monkeypatch.setitem(_COMMANDS, "ranges", f"{recipe.__name__}:ranges")
     q = np.linspace(-0.5, 0.5, 12)[:, None] * np.ones(6)
     columns = dict(zip(kuka.joint_names, q.T, strict=True)) | dict.fromkeys("xyz", np.ones(12))
     write_table(tmp_path / "table.csv", columns)

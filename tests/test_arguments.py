@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 from test_cli import URDF, columns, results, run  # noqa: F401
 
-from pincal.cli import _COMMANDS, pincal
+from pincal.cli import pincal
 from pincal.cli.arguments import NumberType, Verb, argument, group, option, verb
 from pincal.cli.common import GeneralOptions
-from pincal.cli.quantities import ANGLE, LENGTH, NoiseType, QuantityType, masses
+from pincal.cli.quantities import ANGLE, LENGTH, NoiseType, QuantityType, beside, masses, resting
 from pincal.errors import BadInputError, Exit, OutputError, PincalError
 from pincal.identify.options import Options, StationOptions
 from pincal.measure.table import write_table
 
-TYPED = [name for name in _COMMANDS if isinstance(pincal.get_command(click.Context(pincal), name), Verb)]
+CONTEXT = click.Context(pincal)
+TYPED = [name for name in pincal.list_commands(CONTEXT) if isinstance(pincal.get_command(CONTEXT, name), Verb)]
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,22 @@ def test_what_does_not_fit_is_a_usage_error(wrong: str) -> None:
     assert refused.value.exit_code == Exit.USAGE
 
 
+def test_bytes_that_are_no_text_are_refused() -> None:
+    """In any word, as such names reach neither a file nor the libraries that read and write them."""
+    for words in (["\udcff.csv", "--out", "b.csv"], ["a.csv", "--out", "b.csv", "--names", "n\udcff"]):
+        with pytest.raises(BadInputError, match=r"udcff.*: has bytes that are no text in UTF-8; .*rename the file"):
+            read(*words)
+    assert read("\u00e9.csv", "--out", "b.csv").table == Path("\u00e9.csv")
+
+
+def test_a_mass_of_a_program_is_no_less_than_nothing() -> None:
+    """It is what hangs on the tip."""
+    command = pincal.get_command(click.Context(pincal), "compensate")
+    (payload,) = (parameter for parameter in command.params if parameter.name == "payload")
+    with pytest.raises(click.BadParameter, match="expected a number from 0 to"):
+        payload.process_value(click.Context(command), "-5000")
+
+
 def _flat(texts: list[list[str]]) -> list[str]:
     return [text for one in texts for text in one]
 
@@ -117,8 +134,12 @@ def _numbers(kind: click.ParamType[Any]) -> list[list[str]]:
     if isinstance(kind, QuantityType | NoiseType):
         unit = "rad" if kind is ANGLE else "m"
         return [[number + unit] for number in (*huge, "1e-300")]
-    if isinstance(kind, NumberType) or getattr(kind, "func", None) is masses:
+    function = getattr(kind, "func", None)
+    if isinstance(kind, NumberType) or function is masses:
         return [[number] for number in huge]
+    if function in (resting, beside):
+        texts = [number + unit for number in huge for unit in ("", "deg", "m")]
+        return [["joint_1=" + text if function is resting else f"a.urdf@0,0,0,0,0,{text}"] for text in texts]
     return [["-1"], ["1.5"]] if isinstance(kind, click.IntRange) else []
 
 

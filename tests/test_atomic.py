@@ -32,6 +32,13 @@ def test_a_place_that_can_not_be_written_to_is_named_with_what_to_do(tmp_path: P
     assert [entry.name for entry in tmp_path.iterdir()] == ["folder"]
 
 
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="this system has no /proc")
+def test_a_folder_in_which_nothing_can_be_created_is_named() -> None:
+    """One that exists and says of every new name that there is no such file; formerly tried for ever."""
+    with pytest.raises(OutputError, match=r"/proc/x\.csv: can't be written \(no file can be created in this folder"):
+        write_atomic("/proc/x.csv", b"x")
+
+
 def test_what_is_no_file_is_not_replaced(tmp_path: Path) -> None:
     """A pipe stays a pipe; a device such as the system's bin would be lost for everybody."""
     pipe = tmp_path / "pipe.csv"

@@ -9,10 +9,11 @@ import pytest
 from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run
 
 from pincal import Robot
+from pincal.discover.report.search_answer import SearchAnswer
 from pincal.report.html import report_page
 from pincal.report.subject import Subject
 
-ROOMS = pytest.mark.rooms("pincal/report", "tests/report_cases.py")
+ROOMS = pytest.mark.rooms("pincal/report", "pincal/discover/report", "tests/report_cases.py")
 SIZES = {"desk": (1280, 800), "phone": (390, 844)}
 # Text with its colour and that of the ground it stands on; contrast as in WCAG 2.
 CONTRAST = """
@@ -57,7 +58,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory, kuka: Robot) -> dict[str, Pa
     subjects = {
         "plain": Subject(kuka_run(kuka, test_fraction=0.0), ORIGIN, ("a note",)),
         "hostile": Subject(hostile_run(), ORIGIN, ("a note",)),
-        "found": Subject(found.calibration, ORIGIN, (), found),
+        "found": Subject(found.calibration, ORIGIN, (), SearchAnswer(found)),
     }
     for name, subject in subjects.items():
         (folder / f"{name}.html").write_text(report_page(subject), encoding="utf-8")

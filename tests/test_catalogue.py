@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.discover.discovery_file import EffectName
 from pincal.errors import BadInputError
-from pincal.io.discovery_file import EffectName
 from pincal.io.entries import EFFECTS as REGISTERED
 from pincal.io.entries import ModelEntry, effect_from_entry, effect_to_entry, plain, restoring
 from pincal.io.strict_json import MODEL_FILE, built
@@ -62,6 +62,7 @@ from pincal.model.catalogue import (
     candidates,
     untestable,
 )
+from pincal.model.catalogue.candidates import find_effect
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions, PoseSet
@@ -832,3 +833,11 @@ def test_an_effect_without_needs_misses_nothing(kuka: Robot) -> None:
 
     assert JointElasticity().missing(bare) == () and GearRatio("joint_1").missing(bare) == ()
     assert PayloadError().missing(bare) == ("payload",)
+
+
+@pytest.mark.parametrize("order", ["1e9", "nan", "inf", "0", "-3", "1_0", "many"])
+def test_an_order_is_one_that_a_joint_can_have(kuka: Robot, rng: np.random.Generator, order: str) -> None:
+    """More than nothing, and no more than any encoder has lines."""
+    conditions = Conditions.at(kuka.random_configurations(30, rng))
+    with pytest.raises(BadInputError, match=f"order={order}; expected a number of cycles .* at most 1e.06"):
+        find_effect(f"gear_ripple:joint_a3:order={order}", Chain.of(kuka), conditions)

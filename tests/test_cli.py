@@ -362,6 +362,8 @@ def test_a_process_ends_with_its_code_and_all_that_it_said(arguments: list[str],
         ("--socket-distance a b 0.05 r.urdf t.csv", "--socket-distance a b 0.05 r.urdf t.csv"),
         ("--socket-distance a b --out o", "--socket-distance a b --out o"),
         ("x --socket-distance a b 50mm c d 2cm --out o", "x --socket-distance a b 50mm --socket-distance c d 2cm --out o"),
+        ("x --socket-distance 01 02 4cm --socket-distance 02 03 4cm", "x --socket-distance 01 02 4cm --socket-distance 02 03 4cm"),
+        ("x --socket-distance 01 02 4cm --sigma 1 2", "x --socket-distance 01 02 4cm --sigma 1 2"),
         ("x --socket-distance a b 1 --socket-distance c d 2", "x --socket-distance a b 1 --socket-distance c d 2"),
     ],
 )

@@ -11,6 +11,7 @@ import pytest
 from discovery_cases import _setting
 
 from pincal import GEOMETRIC, Options, measurements_from_arrays, run_discovery
+from pincal.discover.report.search_answer import SearchAnswer
 from pincal.discover.run import Discovery
 from pincal.report.judgement import judged
 from pincal.validate.misfit import Verdict
@@ -118,7 +119,7 @@ def test_what_exceeds_a_declared_noise_may_be_how_drives_stop() -> None:
         assert found.findings.verdict is found.calibration.result.verdict_of() is Verdict.NOT_JUDGED
         (words,) = [str(note) for note in found.calibration.result.warnings if "declared noise" in str(note)]
         assert "as of drives that all stop to" in words and "model is incomplete" not in words
-        assert "measure ten poses three times each" in judged(found.calibration.result, found).reason
+        assert "measure ten poses three times each" in judged(found.calibration.result, SearchAnswer(found)).reason
         told.append(seed)
 
     assert len(told) >= 8

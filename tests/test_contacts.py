@@ -25,7 +25,6 @@ from pincal.calibration.placing import place_station
 from pincal.cli import main
 from pincal.cli.common import InputOptions, LinkOptions, TableArguments
 from pincal.cli.inputs import load_robot, load_table
-from pincal.cli.motion_options import MotionOptions
 from pincal.design.pose_design import DesignRequest, design_poses
 from pincal.design.reach import Limits, Reach, SensorSetup
 from pincal.errors import Exit, PincalWarning
@@ -37,6 +36,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.sensors.plane import PlaneContactSensor
 from pincal.measure.table import read_measurements, stations_of
 from pincal.model.model import Model
+from pincal.motion.cli.motion_options import MotionOptions
 from pincal.report.judgement import next_steps
 from pincal.robot.urdf_file import arm_text
 from pincal.simulate.planning import plan_poses

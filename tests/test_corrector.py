@@ -35,6 +35,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 ROOMS = pytest.mark.rooms(
     "pincal/export",
     "pincal/programs",
+    "tools",
     "pincal/compensate",
     "pincal/model",
     "pincal/robot",

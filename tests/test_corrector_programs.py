@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import page_script
 import pytest
 from program_cases import COUNT, LANGUAGES, cases
+from python_to_js import Translator
 from test_corrector import ROOMS as PAGE_ROOMS
 from test_corrector import answered
 from test_program_safety import CASES as UNSAFE
 from test_programs import calibrated, mutated, run
 
 from pincal.export import export_model
-from pincal.export.js_source import grammar_table
-from pincal.export.python_to_js import Translator
 from pincal.programs.krl import Krl
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
@@ -172,14 +172,14 @@ def test_files_are_dropped_and_what_is_missing_is_asked_for(made: tuple[Path, st
 
 
 def test_what_is_not_translated_is_refused_with_its_line() -> None:
-    """At export, not in the page."""
+    """When the script is made, not in the page."""
     with pytest.raises(NotImplementedError, match=r"line 2: with open"):
         Translator().translate({"a": "def f():\n    with open('x') as file:\n        pass\n"})
 
 
 def test_a_grammar_is_numbered_in_the_order_in_which_it_is_read() -> None:
     """States and rules: the parser's own numbers follow the order of sets, which differs between processes."""
-    states = json.loads(grammar_table(Krl.grammars[0]))["states"]
+    states = json.loads(page_script.grammar_table(Krl.grammars[0]))["states"]
     actions = [action for state in states for action in state["actions"].values()]
     shifts, rules = ([*dict.fromkeys(at for kind, at in actions if kind == wanted)] for wanted in (0, 1))
 
@@ -187,12 +187,19 @@ def test_a_grammar_is_numbered_in_the_order_in_which_it_is_read() -> None:
     assert shifts == [*range(1, len(states))] and rules == [*range(len(rules))]
 
 
+def test_the_page_has_the_readers_of_the_command() -> None:
+    """Else make them anew: python tools/page_script.py."""
+    assert page_script.SCRIPT.read_text("utf-8") == page_script.script()
+
+
 @pytest.mark.long
 def test_processes_write_the_same_page() -> None:
     """Whatever the order of their sets."""
-    code = "from pincal.export.js_source import programs_in_js; print(programs_in_js())"
+    code = "from page_script import programs_in_js; print(programs_in_js())"
+    tools = str(Path(page_script.__file__).parent)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([tools, os.environ.get("PYTHONPATH", "")])}
     runs = [
-        subprocess.run([sys.executable, "-c", code], env=os.environ | {"PYTHONHASHSEED": seed}, stdout=-1, check=True)
+        subprocess.run([sys.executable, "-c", code], env=environment | {"PYTHONHASHSEED": seed}, stdout=-1, check=True)
         for seed in "12"
     ]
 

@@ -19,13 +19,13 @@ from pincal import ELASTIC, FittedRobot, Measurements, Options, Robot
 from pincal.calibration.fit_evidence import KeptEvidence
 from pincal.calibration.placing import place_station
 from pincal.cli import main
+from pincal.diagnosis.diagnosis_file import DiagnosisFile
+from pincal.diagnosis.diagnosis_page import excluded_table, headline
 from pincal.diagnosis.excluded import most_different_poses, separation, tell_apart
 from pincal.diagnosis.lineup import ChangeHypotheses
 from pincal.diagnosis.robot_diagnosis import changes_since
 from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, ChangedRobotError, MeasurementError
-from pincal.io.diagnosis_file import DiagnosisFile
-from pincal.report.diagnosis import excluded_table, headline
 from pincal.schemas import shipped
 
 CASES = [

@@ -17,29 +17,31 @@ from scipy.special import fdtrc
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
 from pincal.calibration.curve_coverage import outside_curves
 from pincal.calibration.fitted_robot import load_model
+from pincal.calibration.precheck import precheck
 from pincal.cli import main
 from pincal.discover.decisions import Row, critical_gain, is_more_than_chance
+from pincal.discover.detectability import detectable_noncentrality, minimum_detectable, power_of
+from pincal.discover.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
+from pincal.discover.discovery_file import Verdict as FoundVerdict
 from pincal.discover.first_order import ScoreResult
 from pincal.discover.levers import on_steps
 from pincal.discover.locate import _window, locate
 from pincal.discover.policy import POLICY
-from pincal.discover.precheck import detectable_noncentrality, minimum_detectable, power_of, precheck
+from pincal.discover.report.found_figures import effect_figure, shrinking_figure
+from pincal.discover.report.found_words import gain_words
+from pincal.discover.report.search_answer import verdict_of_search
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.score_tests import score_test
 from pincal.discover.shrink import PartialResidual, period_of
 from pincal.identify.calibrate import refit
 from pincal.identify.fit_levers import levers
 from pincal.identify.folds import Folds
-from pincal.io.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
-from pincal.io.discovery_file import Verdict as FoundVerdict
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import GearEccentricity, TransmissionError, candidates
 from pincal.model.catalogue.unnamed import Unnamed
 from pincal.parameters import estimate_of
-from pincal.report.judgement import relative_to_noise, verdict_of_search
-from pincal.report.plots.found import effect_figure, shrinking_figure
-from pincal.report.words import gain_words
+from pincal.report.judgement import relative_to_noise
 
 HIDDEN = (
     "backlash_cobot",
@@ -285,8 +287,8 @@ def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elast
 
 def test_survey_tells_what_could_be_found(case: Case) -> None:
     """A precheck lists every effect with a size or a reason, and the noise that this rests on."""
-    declared = precheck(case.robot, case.rows, replace(case.options, effects=GEOMETRIC)).detectable
-    estimated = precheck(case.robot, case.rows, replace(case.options, sigma=None)).detectable
+    declared = precheck(case.robot, case.rows, replace(case.options, effects=GEOMETRIC)).further["detectable"].found
+    estimated = precheck(case.robot, case.rows, replace(case.options, sigma=None)).further["detectable"].found
 
     assert (declared.model, declared.source, declared.sigma_m) == ("elastic", "declared", SIGMA)
     # The hidden effect, which is not in the model, makes the noise seem larger.
@@ -298,7 +300,7 @@ def test_survey_tells_what_could_be_found(case: Case) -> None:
 
 def test_survey_assumes_noise_where_rows_are_too_few_to_tell(case: Case) -> None:
     """With as many readings as parameters nothing is promised, and the noise is said to be assumed."""
-    few = precheck(case.robot, case.rows.select(np.arange(8)), replace(case.options, sigma=None)).detectable
+    few = precheck(case.robot, case.rows.select(np.arange(8)), replace(case.options, sigma=None)).further["detectable"].found
 
     assert few.source == "assumed"
     assert all(sight.size is None and sight.reason for sight in few.effects)

@@ -29,7 +29,7 @@ ALLOWED_TEXTS = {
     "pincal.identify.calibrate": "the paper's stages are lists of names",
     "pincal.io.urdf_export": "notes what a URDF can't hold",
     "pincal.viewer.scene": "draws where the base is known",
-    "pincal.cli.demo": "hides an effect of the simulator",
+    "pincal.demo.cli.demo": "hides an effect of the simulator",
 }
 
 

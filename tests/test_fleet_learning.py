@@ -30,11 +30,11 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.information import RobotInformation
 from pincal.errors import ModelFileError
+from pincal.fleet.fleet_pages import _order
 from pincal.fleet.machines import Machine, load_machines, save_machines
 from pincal.fleet.robot_type import EVERYTHING, Learned, Membership, RobotType, calibrate_of_type, learn_type, load_type
 from pincal.fleet.summary import AtTool, parameter_summary, strangers, type_lines
 from pincal.model.conditions import Conditions
-from pincal.report.fleet_pages import _order
 from pincal.schemas import schema_of
 
 

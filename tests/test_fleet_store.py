@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from fleet_cases import OPTIONS, Family, rows_of, siblings
+from fleet_cases import OPTIONS, Family, bit_flips, rows_of, siblings
 
 import pincal
 from pincal import BadInputError, Robot, measurements_from_arrays
@@ -34,7 +35,7 @@ from pincal.fleet.jobs import (
 )
 from pincal.fleet.machines import Machine, parquet_bytes
 from pincal.fleet.robot_type import learn_type
-from pincal.fleet.store import Store, open_store
+from pincal.fleet.store import Key, Store, open_store
 
 DAY = "2026-11-03"
 
@@ -242,6 +243,93 @@ def test_what_stands_in_a_store_by_mistake_is_named(tmp_path: Path) -> None:
         path.unlink()
 
 
+@pytest.fixture
+def kinds(robot: Robot, tmp_path: Path) -> tuple[Store, list[Key]]:
+    """Return a store with a table, information and a text as a model has it, each of machine R1."""
+    family, rng = Family.drawn(np.random.default_rng(1), parameters=12), np.random.default_rng(2)
+    store = open_store(tmp_path / "kinds", create=True)
+    machine = family.measured(family.draw(1, rng)[0], rng, name="R1")
+    keys = [
+        store.add_table("R1", DAY, rows_of(robot, siblings(1)[0], 12, 0)),
+        store.add_information(DAY, machine),
+        store.add_model("R1", DAY, "{}" + 200 * " "),
+    ]
+    return store, keys
+
+
+def test_a_file_with_a_bit_changed_is_refused(kinds: tuple[Store, list[Key]]) -> None:
+    """Whatever the bit, and of each kind; by SQL, too, whose engine reads the files itself."""
+    store, keys = kinds
+    for key in keys:
+        assert bit_flips(store, key, 60) == {"refused": 60}, key.kind
+    path = Path(store.place) / keys[0].path
+    path.write_bytes(path.read_bytes()[:-1] + b"2")
+    with pytest.raises(BadInputError, match=r"damaged \(its content has another checksum than its name\)"):
+        store.query("select * from tables")
+
+
+def test_rows_are_of_the_machine_and_day_of_their_path(kinds: tuple[Store, list[Key]]) -> None:
+    """A folder under another name, another day, and the file of another machine in place of one's own."""
+    store, keys = kinds
+    for key in keys:
+        path = Path(store.place) / key.path
+        for other in (replace(key, machine="R9"), replace(key, day="2026-10-01"), replace(key, id="0" * 20)):
+            there = Path(store.place) / other.path
+            there.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, there)
+            with pytest.raises(BadInputError, match=rf"the content is of {key.path}; .*move it there"):
+                store.frame(other)
+            with pytest.raises(BadInputError, match=r"move it there"):
+                list(store.frames("models") if key.kind == "models" else store.machines()) if key.kind != "tables" else (
+                    store.table(other)
+                )
+            there.unlink()
+    another = store.add_model("R2", DAY, "{ }")
+    shutil.copy(Path(store.place) / keys[2].path, Path(store.place) / another.path)
+    with pytest.raises(BadInputError, match="another checksum"):
+        store.last_model("R2")
+
+
+def test_files_of_before_checksums_are_held_to_their_rows(kinds: tuple[Store, list[Key]]) -> None:
+    """Their ID is a checksum of these. Changed ones are refused, whatever the decoder makes of them."""
+    store, keys = kinds
+    for key in keys[:2]:
+        path, earlier = Path(store.place) / key.path, replace(key, checksum="")
+        assert store.keys(key.kind) == [key] and store.keys(key.kind)[0].checksum
+        path.rename(Path(store.place) / earlier.path)
+        store.frame(earlier)
+        counted = bit_flips(store, earlier, 150)
+        assert counted["other"] == 0 and counted["refused"] > 50 and counted.total() == 150
+    assert len(list(store.machines())) == 1
+    earlier = replace(keys[0], checksum="")
+    frame = store.frame(earlier)
+    for bad, words in (
+        (frame.head(0), "no rows"),
+        (frame.drop("role"), "no role"),
+        (frame.with_columns(labels=pl.lit(None, frame["labels"].dtype)), "no labels"),
+        (frame.with_columns(machine=pl.lit("R2")), "the content is of"),
+        (frame.with_columns(role=pl.lit("check")), "damaged"),
+    ):
+        (Path(store.place) / earlier.path).write_bytes(parquet_bytes(bad))
+        with pytest.raises(BadInputError, match=words):
+            store.frame(earlier)
+
+
+def test_the_last_model_of_a_day_is_the_one_added_last(tmp_path: Path) -> None:
+    """Whatever their checksums; one that is added again stays where it was, and an earlier day stays earlier."""
+    store = open_store(tmp_path, create=True)
+    for k in range(12):
+        store.add_model("R1", DAY, f"model {k}")
+        assert store.last_model("R1") == f"model {k}"
+    store.add_model("R1", DAY, "model 0")
+    store.add_model("R1", "2026-01-01", "of before")
+    store.add_model("R2", DAY, "of another")
+
+    assert len(store.keys("models")) == 14
+    assert store.last_model("R1") == "model 11" and store.last_model("R1", "2026-10-31") == "of before"
+    assert store.last_model("R3") is None and store.last_model() == "of another"
+
+
 @pytest.mark.long
 def test_discoveries(robot: Robot, store: Store) -> None:
     """What is missing, of each table."""
@@ -316,7 +404,16 @@ def test_what_is_no_store_is_refused(robot: Robot, tmp_path: Path) -> None:
     (tmp_path / "one" / key.path).write_bytes(b"PAR1")
     with pytest.raises(BadInputError, match="damaged"):
         store.table(key)
-    for text, words in (('{"format": "pincal-store", "format_version": 2}', "newer"), ("{", "not mark"), ("[]", "not mark")):
+    with pytest.raises(BadInputError, match="bytes that are no text"):
+        store.add_table("R\udcff", DAY, table)
+    for text, words in (
+        ('{"format": "pincal-store", "format_version": 2}', "newer"),
+        ('{"format": "pincal-store", "format_version": true}', "not mark"),
+        ('{"format": "pincal-store", "format_version": -5}', "not mark"),
+        ("{", "not mark"),
+        ("[]", "not mark"),
+        (100_000 * "[", "not mark"),
+    ):
         (tmp_path / "one" / "store.json").write_text(text)
         with pytest.raises(BadInputError, match=words):
             open_store(tmp_path / "one")

@@ -17,7 +17,7 @@ from pincal import ELASTIC, FittedRobot, Measurements, Options, Robot
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import main
-from pincal.cli.screen import print_check
+from pincal.design.cli.plan_screen import print_check
 from pincal.design.detection import DetectionDesign, detectable_changes, detection_design, lineup_over
 from pincal.design.health import CheckRequest, HealthCheck, design_check
 from pincal.design.reach import Limits, Reach, SensorSetup

@@ -40,7 +40,10 @@ def test_half_of_what_a_data_sheet_permits_is_the_standard_deviation(text: str, 
     np.testing.assert_allclose((noise.along, noise.along_per_m, noise.across, noise.across_per_m), found, rtol=1e-12)
 
 
-@pytest.mark.parametrize("text", ["at_9000", "", "15um,6um,3um", "15", "15um+6", "-3um", "nan um", "0um"])
+@pytest.mark.parametrize(
+    "text",
+    ["at_9000", "", "15um,6um,3um", "15", "15um+6", "-3um", "nan um", "0um", "1e300um,1um", "1um,1e200um", "1e-300um"],
+)
 def test_an_instrument_that_says_nothing_is_refused(text: str) -> None:
     """The message names what is known and shows how numbers are given."""
     with pytest.raises(BadInputError, match="expected"):

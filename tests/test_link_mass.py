@@ -22,7 +22,7 @@ from pincal import (
     run_calibration,
 )
 from pincal.builtin import kuka_urdf_path
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, PincalWarning
 from pincal.identify.calibrate import refit
 from pincal.identify.choices import along_gauge, found_moments, weight_of
 from pincal.identify.mass_error import MassError
@@ -33,7 +33,7 @@ from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.report.sections import moments as moments_section
 from pincal.report.subject import Subject
-from pincal.robot.arm_of_tree import are_placeholders, guessed_masses
+from pincal.robot.arm_of_tree import are_placeholders, are_too_light, guessed_masses
 from pincal.simulate import paper_positions
 from pincal.simulate.paper_machine import PAYLOAD_COM
 
@@ -80,6 +80,45 @@ def test_placeholders_are_taken_for_what_they_are() -> None:
     assert len(alike.massless) == 6 and alike.masses.max() > 100.0
     assert own.massless == () and own.unweighed == ()
     assert are_placeholders([1.0] * 7) and not are_placeholders([0.0] * 6) and not are_placeholders([3.0, 3.0])
+
+
+def with_mass_on(urdf: Path, masses: dict[str, float]) -> bytes:
+    """Return the text of a URDF without masses but for these, by link."""
+    text = without_inertials(urdf).decode()
+    for link, mass in masses.items():
+        inertial = f'<inertial><mass value="{mass}"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
+        text, count = re.subn(rf'<link name="{link}"\s*(/>|>)', rf'<link name="{link}">{inertial}\1', text)
+        assert count == 1
+        text = text.replace(inertial + "/>", inertial + "</link>").replace(inertial + ">", inertial)
+    return text.encode()
+
+
+@pytest.mark.parametrize("mass", [1e-6, 1e-3, 0.05])
+def test_masses_that_no_arm_can_have_are_no_masses(bare: Robot, mass: float) -> None:
+    """An exporter's grams on the frame of a tool leave the arm as it is without any, and are told."""
+    path = Path(kuka_urdf_path())
+    told = r"has 0\.05 kg|has 0\.001 kg|has 1e-06 kg"
+    with pytest.warns(PincalWarning, match=rf"({told}) for what joint_6 moves, which no arm of this reach .*--mass"):
+        found = Robot.from_urdf(with_mass_on(path, {"tool0": mass}))
+
+    assert len(found.massless) == 6
+    np.testing.assert_array_equal(found.masses, bare.masses)
+    np.testing.assert_array_equal(found.centres, bare.centres)
+    # A mass that the arm can have is one.
+    kept = Robot.from_urdf(with_mass_on(path, {"tool0": 20.0}))
+    assert len(kept.massless) == 5 and kept.masses[-1] == 20.0 and not kept.notes
+
+
+def test_an_arm_is_a_hundredth_of_an_industrial_one_at_least() -> None:
+    """And a link two thousandths; published arms, cobots and toys among them, weigh more and keep their masses."""
+    ends = np.array([[[0.0, 0.0, i], [0.0, 0.0, i + 1.0]] for i in range(3)])
+    usual, _ = guessed_masses(np.zeros(3), ends, np.ones(3, bool))
+    for factor, light in ((0.0099, True), (0.0101, False)):
+        assert are_too_light(factor * usual, ends, range(-1, 2)).tolist() == [light] * 3
+    for factor, light in ((0.0019, True), (0.0021, False)):
+        assert are_too_light([1.0, 1.0, factor] * usual, ends, range(-1, 2)).tolist() == [False, False, light]
+    for name in ("ur10", "panda", "so100", "kinova", "talos"):
+        assert Robot.from_urdf(name).massless == (), name
 
 
 def test_masses_are_guessed_from_the_shape() -> None:

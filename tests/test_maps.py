@@ -6,6 +6,7 @@ from machines import kuka as true_kuka
 from scipy.interpolate import BSpline
 
 from pincal import simulate as sim
+from pincal.discover.report.found_figures import map_figure
 from pincal.discover.run import Discovery, run_discovery
 from pincal.identify.options import Options
 from pincal.measure.measurements import measurements_from_arrays
@@ -13,7 +14,6 @@ from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effects import GEOMETRIC
-from pincal.report.plots.found import map_figure
 from pincal.robot.robot import Robot
 
 RANGES = {"lower": -1.0, "upper": 2.0, "own_lower": -2.0, "own_upper": 1.5}

@@ -14,13 +14,14 @@ import pytest
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import MeasurementError
+from pincal.measure.clock_jump import likeliest_jump
 from pincal.measure.sensors.imu import ImuErrors, Inertial, Window, imu_parameters
 from pincal.model.catalogue import FrictionWindup, InstrumentClock, JointLag
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effects import ELASTIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
-from pincal.motion.clocks import Clock, aligned, correlate, likeliest_jump
+from pincal.motion.clocks import Clock, aligned, correlate
 from pincal.motion.imu_rows import ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm, inertial_loads, level_chain

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from pincal.errors import MeasurementError
+from pincal.measure.clock_jump import Jump
 from pincal.measure.sensors.imu import FORCE, RATE
-from pincal.motion.clocks import Alignment, Clock, Jump, SpeedMatch
+from pincal.motion.clocks import Alignment, Clock, SpeedMatch
 from pincal.motion.joint_path import JointPath
 from pincal.motion.stamps import in_order
 from pincal.motion.starts import check_clock, steady

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import MeasurementError, PincalWarning
+from pincal.measure.log_reader import reader_of
 from pincal.measure.table import write_table
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm
@@ -101,6 +102,16 @@ def test_a_folder_is_a_session(logs: tuple[dict[str, Table], ImuSetup], tmp_path
     assert aligned_forces(arm, found) == pytest.approx(imu.delay, abs=1e-3)
     turned = Rotation.from_matrix(found.mount.T @ imu.mount[:3, :3]).magnitude()
     assert turned < 0.02 and len(found.rows) > 350
+
+
+def test_a_calibration_reads_sessions_beside_tables(logs: tuple[dict[str, Table], ImuSetup], tmp_path: Path) -> None:
+    """By the reader that motion hands in: a folder is a log, and its stations have the name that it is given."""
+    folder = written(tmp_path / "monday", logs[0])
+    reader = reader_of(folder)
+
+    assert reader is not None and reader_of(folder / "joints.csv") is None
+    assert [reader.read(ROBOT, folder, name).name for name in ("", "other")] == ["monday", "other"]
+    assert list(reader.tables(ROBOT, [reader.read(ROBOT, folder, "other")])) == ["other/imu", "other/tracker"]
 
 
 def test_a_recording_is_a_session(logs: tuple[dict[str, Table], ImuSetup], tmp_path: Path) -> None:

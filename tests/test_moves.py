@@ -173,6 +173,21 @@ def test_changes_survive_a_badly_conditioned_fit(apart: float, rounding: float) 
         assert np.all(np.diag(covariance) > 0.0)
 
 
+def test_what_no_station_observes_has_not_moved() -> None:
+    """Joints at rest in every station gain nothing by values of their own, alone or beside one that is observed."""
+    G, b = np.diag([4.0, 9.0]), np.array([2.0, 3.0])
+    seen = np.array([[True, False], [True, False]])
+    told = StationsInformation(
+        np.stack([G, G]), np.stack([b, -b]), seen, np.linalg.inv(2.0 * G), np.full(2, 1e6), np.zeros(2, bool)
+    )
+
+    assert told.gain([(1,)]) == 0.0 and told.degrees((1,)) == 0
+    assert told.gain([(0,), (1,)]) == pytest.approx(told.gain([(0,)])) == pytest.approx(2.0 * b[0] ** 2 / G[0, 0])
+    stations, values, covariance = told.own_values([(1,)], (1,))
+    assert len(stations) == 0 and values.shape == (0, 1) and covariance.shape == (0, 1, 0, 1)
+    assert told.moved([(1,)]) == ()
+
+
 @pytest.mark.long
 @pytest.mark.rates
 def test_a_robot_that_stays_the_same_moves_in_one_of_a_hundred(robot: Robot) -> None:

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from pincal import plugins
+from pincal.cli import main
 from pincal.cli import pincal as pincal_command
-from pincal.errors import BadInputError, PincalWarning
+from pincal.errors import BadInputError, Exit, PincalWarning
 from pincal.plugins import Registry, load_plugin
 
 # A module that registers a class of its own.
@@ -111,6 +112,8 @@ def test_a_plugin_is_a_module_or_a_file(folder: Path) -> None:
         ("import no_such_thing_at_all\n", "plugin 'mine' needs the module 'no_such_thing_at_all'"),
         ("1 / 0\n", "plugin 'mine' fails: ZeroDivisionError: division by zero"),
         ("def f(:\n", "plugin 'mine' fails: SyntaxError"),
+        ("import sys; sys.exit(0)\n", "plugin 'mine' ends the program .SystemExit: 0.; expected a module that only"),
+        ("raise SystemExit('done')\n", "plugin 'mine' ends the program .SystemExit: done."),
         ("value = 1\n", "plugin 'mine': registers neither an effect nor a sensor; expected .* @register_effect"),
     ],
 )
@@ -120,6 +123,27 @@ def test_a_plugin_that_fails_is_a_fault_of_the_input(folder: Path, text: str | N
         (folder / "mine.py").write_text(text)
     with pytest.raises(BadInputError, match=message):
         load_plugin("mine")
+
+
+def test_an_entry_point_that_exits_is_left_out(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one that fails."""
+    (folder / "exits_package.py").write_text("raise SystemExit(0)\n")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setattr(plugins, "entry_points", lambda group: [EntryPoint("exits", "exits_package:Bad", group)])
+    with pytest.warns(PincalWarning, match="can't be loaded .*SystemExit.*left out"):
+        assert list(registry().known()) == []
+
+
+def test_code_of_others_does_not_end_a_command(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """An effect that exits while rows are fitted is an error, exit code 3, and not work that was done."""
+
+    def ended(**_: object) -> None:
+        raise SystemExit(0)
+
+    monkeypatch.setattr(pincal_command, "main", ended)
+    with pytest.raises(SystemExit) as code:
+        main(["calibrate"])
+    assert code.value.code == Exit.BAD_INPUT and "ended the program (SystemExit: 0)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["os", "json.decoder", ""])

@@ -176,6 +176,14 @@ def test_a_reversed_joint_is_corrected_with_a_warning(
     assert found.solution.estimated[0] < 2 * NOISE
 
 
+@pytest.mark.parametrize("q", [np.ma.masked_array(np.zeros((2, 6)), np.eye(2, 6)), np.zeros((2, 6), complex)])
+def test_positions_are_real_and_none_is_masked(robot: pincal.Robot, fit: pincal.FittedRobot, q: np.ndarray) -> None:
+    """By a model and by the URDF alike; NumPy drops a mask in silence, and an imaginary part with a warning."""
+    for of in (fit.predict, robot.forward_kinematics):
+        with pytest.raises(pincal.BadInputError, match=r"joint positions: has (masked values|complex numbers); expected"):
+            of(q)
+
+
 def test_parts_are_checked(robot: pincal.Robot, table: pincal.Measurements) -> None:
     """Each part of a large table has its joints matched and its units checked."""
     halves = [table.select(slice(0, 60)), table.select(slice(60, None))]

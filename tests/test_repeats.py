@@ -5,8 +5,8 @@ import pytest
 from machines import kuka as true_kuka
 
 from pincal import simulate as sim
+from pincal.calibration.precheck import precheck
 from pincal.discover.drive_curves import notes_on_repeats, smoothed
-from pincal.discover.precheck import precheck
 from pincal.discover.run import run_discovery
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options

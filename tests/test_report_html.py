@@ -15,11 +15,12 @@ from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run, pag
 
 from pincal import Robot
 from pincal.calibration.calibration import Calibration
+from pincal.discover.report.search_answer import SearchAnswer, verdict_of_search
 from pincal.discover.run import Discovery
 from pincal.identify.explain import Cause, Reason
 from pincal.report.blocks import Section, paragraph
 from pincal.report.html import SECTIONS, report_page
-from pincal.report.judgement import judged, narrow_joints, next_steps, unidentified_groups, verdict_of_search
+from pincal.report.judgement import judged, narrow_joints, next_steps, unidentified_groups
 from pincal.report.sections import _headline
 from pincal.report.subject import Subject
 from pincal.report.words import effect_meaning, is_worse_elsewhere
@@ -188,7 +189,7 @@ def test_a_section_is_a_function(run: Calibration, no_figures: None) -> None:
 @pytest.mark.long
 def test_a_discovery_is_told_step_by_step(found: Discovery) -> None:
     """Where, which, how sure, what else, and a figure of the gap and of each effect."""
-    page = report_page(Subject(found.calibration, ORIGIN, discovery=found))
+    page = report_page(Subject(found.calibration, ORIGIN, search=SearchAnswer(found)))
     text = " ".join(Page(page).text.split())
     for entry in found.report["where"]:
         assert entry["statement"] in text
@@ -205,7 +206,7 @@ def test_verdicts(run: Calibration, found: Discovery) -> None:
     assert judged(replace(result, chi2_p_value=None)).judgement == "not judged"
     assert judged(replace(result, chi2_p_value=1e-9)).judgement == "not adequate"
     assert judged(replace(result, converged=False)).judgement == "not adequate"
-    assert judged(found.calibration.result, found).judgement == found.report["verdict"]
+    assert judged(found.calibration.result, SearchAnswer(found)).judgement == found.report["verdict"]
 
 
 def test_next_steps_follow_from_what_is_wrong(run: Calibration) -> None:

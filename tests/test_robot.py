@@ -621,10 +621,14 @@ def test_a_folder_does_not_hide_a_robot_of_its_name(tmp_path: Path, monkeypatch:
     assert Robot.from_urdf("ur10").n_joints == 6
 
 
-def test_an_unknown_example_robot_names_the_nearest() -> None:
-    """A name that is neither a file nor a robot of example-robot-data is answered with near ones."""
-    with pytest.raises(RobotFileError, match=r"'ur11' is neither a file nor a robot .*ur10"):
-        Robot.from_urdf("ur11")
+@pytest.mark.parametrize(("name", "near"), [("ur11", "ur10"), ("ur10e", "ur10"), ("fr3", ""), ("iiwa", "")])
+def test_an_unknown_robot_is_answered_with_where_descriptions_are(name: str, near: str) -> None:
+    """Nearly the name of one that is there is asked about; the others are not listed."""
+    meant = rf" \(is it {near}" if near else ""
+    said = rf"'{name}' is neither a file nor a robot of example-robot-data{meant}.*; expected a path .*_description"
+    with pytest.raises(RobotFileError, match=said) as refused:
+        Robot.from_urdf(name)
+    assert "hand" not in str(refused.value) and ("is it" in str(refused.value)) == bool(near)
 
 
 def test_a_missing_mesh_is_no_problem(tmp_path: Path) -> None:

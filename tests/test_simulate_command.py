@@ -9,9 +9,9 @@ from test_cli import run
 
 from pincal import Robot, read_measurements
 from pincal.builtin import kuka_urdf_path
-from pincal.cli.simulate import effect_help, parse_effect
 from pincal.errors import BadInputError
 from pincal.simulate import HIDDEN_EFFECTS, TrueMachine, plan_poses
+from pincal.simulate.cli.simulate import effect_help, parse_effect
 from pincal.simulate.tracker import ReadingEffect
 from pincal.simulate.typical import draw_typical_elasticity, typical_effect, typical_moments
 

@@ -12,21 +12,21 @@ from scipy.stats import binom, kstest
 from stability_study import by_class, study
 
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.discover.discovery_file import Findings, Repeated, Stability
 from pincal.discover.ending import of_bearings, of_candidates, of_masses
 from pincal.discover.findings import chance_of_best, findings_of
 from pincal.discover.levers import missing_features
+from pincal.discover.report.found_drawings import stability_drawings
+from pincal.discover.report.found_section import _named
 from pincal.discover.run import Discovery, Subsamples, _subsamples, begin_subsamples, run_discovery
 from pincal.discover.score_tests import ScoreTests, score_test, score_test_given_nuisances
 from pincal.errors import BadInputError
 from pincal.identify.calibrate import refit
 from pincal.identify.mass_error import MassError, variance_of_masses
 from pincal.identify.split import row_groups
-from pincal.io.discovery_file import Findings, Repeated, Stability
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
-from pincal.report.html import _named
-from pincal.report.illustrations import stability_drawings
 
 COUNT = 2
 

@@ -332,6 +332,14 @@ def test_arrays_are_copied_and_read_only() -> None:
         ({"payload": ["a", "b", "c"]}, "not an array of numbers"),
         ({"quaternion": np.ones((3, 4)) / 2}, "without x y z"),
         ({"distance": np.ones(3), "socket": ["A"] * 3}, "two kinds"),
+        (
+            {"distance": np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])},
+            '"distance": has masked values; .*leave the',
+        ),
+        ({"q": [np.ma.masked_array([0.0, 1.0], [True, False])] * 3}, '"q": has masked values'),
+        ({"distance": np.ones(3), "target": np.ma.masked_array(["a", "b", "c"], [0, 0, 1])}, '"target": has masked values'),
+        ({"position": np.ones((3, 3)) * 1j}, '"position": has complex numbers; expected real'),
+        ({"q": np.zeros((3, 2), complex)}, '"q": has complex numbers'),
         ({"paylod": np.ones(3)}, 'unknown column "paylod"; known columns: payload'),
     ],
 )
@@ -339,6 +347,13 @@ def test_arrays_that_do_not_fit_are_refused(arrays: dict[str, object], text: str
     """Arrays of a wrong shape or with an impossible value are refused by name."""
     with pytest.raises(MeasurementError, match=text):
         measurements_from_arrays(JOINTS, **{"q": np.zeros((3, 2)), **arrays})  # type: ignore[arg-type]
+
+
+def test_a_mask_that_masks_nothing_is_no_mask() -> None:
+    """Such an array is its numbers."""
+    whole = np.ma.masked_array([1.0, 2.0, 3.0], False)
+    table = measurements_from_arrays(JOINTS, np.zeros((3, 2)), distance=whole)
+    assert type(table.distance) is np.ndarray and table.distance.tolist() == [1.0, 2.0, 3.0]
 
 
 @pytest.mark.parametrize("chosen", [[2, 0], np.array([True, False, True]), slice(None, None, 2), 1])

@@ -16,6 +16,7 @@ from pincal.discover.decisions import is_near
 from pincal.discover.first_order import ScoreResult
 from pincal.discover.levers import situation_of
 from pincal.discover.policy import POLICY
+from pincal.discover.report.found_words import effect_words
 from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.discover.steps import SearchState, SearchStep, add_hidden_waves
 from pincal.errors import BadInputError
@@ -30,7 +31,6 @@ from pincal.model.catalogue.ripple import independent_orders
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Harmonic
-from pincal.report.words import effect_words
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 

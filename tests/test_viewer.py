@@ -16,7 +16,6 @@ from pincal.builtin import kuka_urdf_path
 from pincal.calibration.covered import Covered
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.cli import main
-from pincal.cli.export import view
 from pincal.errors import BadInputError, OutputError
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.table import write_table
@@ -30,6 +29,7 @@ from pincal.parameters import estimate_of
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.viewer import build_scene, deviation_fields, held_out_rows, page, show, write_html
+from pincal.viewer.cli.view_verb import view
 from pincal.viewer.field import effect_name
 from pincal.viewer.scene import axes_of
 from pincal.viewer.shapes import shapes_of

@@ -101,11 +101,31 @@ def test_what_is_wrong_with_a_xacro_file_is_said(workspace: Path, monkeypatch: p
     with pytest.raises(RobotFileError, match="not a xacro file"):
         Robot.from_urdf("ur10", xacro_args={"long": "1"})
     (part.parents[1] / "package.xml").unlink()
-    with pytest.raises(RobotFileError, match="Package not found: missing"):
+    needs = r"arm\.xacro: needs the ROS package 'missing', which was not found; .*ROS_PACKAGE_PATH=FOLDER"
+    with pytest.raises(RobotFileError, match=needs):
         workspace.write_text(ARM.replace("find parts", "find missing"))
         Robot.from_urdf(workspace)
     monkeypatch.setitem(sys.modules, "xacrodoc", None)
     with pytest.raises(RobotFileError, match=r"pip install 'pincal\[xacro\]'"):
+        Robot.from_urdf(workspace)
+
+
+@pytest.mark.parametrize(("variable", "end"), [("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")])
+def test_packages_elsewhere_are_found_where_ros_looks(
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str, end: str
+) -> None:
+    """The refusal of a missing package names the variable that makes it known; only what it says is tried."""
+    elsewhere = tmp_path / "other" / end
+    elsewhere.mkdir(parents=True)
+    (workspace.parents[2] / "group").rename(elsewhere / "group")
+    with pytest.raises(RobotFileError, match=f"needs the ROS package 'parts', .*{variable}") as refused:
+        Robot.from_urdf(workspace)
+    assert "class" not in str(refused.value)
+
+    monkeypatch.setenv(variable, str(tmp_path / "other"))
+    assert Robot.from_urdf(workspace).joint_names == ("j1", "j2")
+    monkeypatch.delenv(variable)
+    with pytest.raises(RobotFileError, match="needs the ROS package 'parts'"):
         Robot.from_urdf(workspace)
 
 

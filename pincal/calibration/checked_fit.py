@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from pincal.calibration.agreed import AgreedFit, fit_agreed
 from pincal.calibration.fitted_robot import FittedRobot
@@ -15,10 +16,9 @@ from pincal.errors import BadInputError, warn
 from pincal.identify.calibrate import Tables, fit_tables, tables_of
 from pincal.identify.options import Options
 from pincal.measure.admit import admit, check_table
+from pincal.measure.log_reader import LogReader, reader_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, stations_of
-from pincal.motion.sessions import Session, joints_of_session, read_session
-from pincal.motion.stations import session_tables
 from pincal.robot.robot import Robot
 
 log = logging.getLogger(__name__)
@@ -119,18 +119,18 @@ def _tables(robot: Robot, measurements: Tables | Files) -> Tables:
     )
     named = isinstance(several, Mapping)
     tables = list[tuple[str, Measurements]]()
-    sessions = list[Session]()
+    logs: dict[LogReader, list[Any]] = {}
     for name, of in (
         several.items() if isinstance(several, Mapping) else (("", of) for of in several)
     ):
         if isinstance(of, Measurements):
             tables.append((name or f"station_{len(tables) + 1}", of))
-        elif joints_of_session(of) is not None:
-            session = read_session(robot, of)
-            sessions.append(replace(session, name=name or session.name))
+        elif (reader := reader_of(of)) is not None:
+            logs.setdefault(reader, []).append(reader.read(robot, of, name))
         else:
             tables.append((name or Path(of).stem, read_measurements(of, robot)))
-    tables += session_tables(robot, sessions).items()
+    for reader, read in logs.items():
+        tables += reader.tables(robot, read).items()
     return stations_of(tables) if named or len(tables) > 1 else tables[0][1]
 
 

@@ -52,6 +52,7 @@ from pincal.parameters import Estimate
 from pincal.result_table import Table
 from pincal.robot.se3 import placed
 from pincal.thresholds import Count
+from pincal.units import real_array
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -525,7 +526,7 @@ class FittedRobot:
         Raises:
             BadInputError: if the joint positions have another shape, or there is no such target.
         """
-        positions = np.atleast_2d(np.asarray(q, float))
+        positions = np.atleast_2d(real_array(q, "joint positions"))
         robot = self.model.chain.robot
         n = robot.n_joints
         if robot.dependent and positions.ndim == 2 and positions.shape[1] == len(robot.own_joints):

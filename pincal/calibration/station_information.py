@@ -353,8 +353,11 @@ def _inverse(M: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return the inverse of M, shape (n, n), positive definite up to rounding; see
     :meth:`StationsInformation.released`.
 
-    M is a small difference of terms whose diagonal is the square of ``scale``, shape (n,).
+    M is a small difference of terms whose diagonal is the square of ``scale``, shape (n,). It is
+    empty where no station observes what was released, as where joints rest in all of them.
     """
+    if not len(M):
+        return M
     values, vectors = np.linalg.eigh(M / np.outer(scale, scale))
     values = np.maximum(values, max(_ROUNDING, -_BEYOND_ROUNDING * values[0]))
     spread = vectors / scale[:, None]

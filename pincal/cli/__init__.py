@@ -15,11 +15,12 @@ import sys
 import threading
 import warnings
 from types import FrameType
-from typing import Any
+from typing import Any, cast
 
 import click
 
-from pincal.errors import LONGEST, Exit, PincalError, printable
+from pincal.errors import LONGEST, BadInputError, Exit, PincalError, printable
+from pincal.satellites import Place
 from pincal.thresholds import Count, Scale
 
 # New objects after which garbage is collected.
@@ -37,40 +38,66 @@ _ALLOWED = re.compile(r"(\x1b\[[0-9;]*[mABGKlh]|\x1b\[\?25[lh]|\r)")
 _MANY = "--socket-distance"
 
 _COMMANDS = {
-    "demo": "pincal.cli.demo",
-    "check": "pincal.cli.planning",
-    "calibrate": "pincal.cli.fitting",
-    "discover": "pincal.cli.fitting",
-    "design": "pincal.cli.planning",
-    "validate": "pincal.cli.new_rows",
-    "predict": "pincal.cli.compensate",
-    "compensate": "pincal.cli.compensate",
-    "diagnose": "pincal.cli.new_rows",
-    "update": "pincal.cli.new_rows",
-    "fleet": "pincal.cli.fleet",
-    "simulate": "pincal.cli.simulate",
-    "export": "pincal.cli.export",
-    "view": "pincal.cli.export",
+    "check": "pincal.cli.check:check",
+    "calibrate": "pincal.cli.fitting:calibrate_verb",
+    "validate": "pincal.cli.validating:validate",
+    "predict": "pincal.cli.compensate:predict",
+    "compensate": "pincal.cli.compensate:compensate",
+    "export": "pincal.cli.export:export",
 }
+_FURTHER: Place[click.Command] = Place("verbs")
+# Verbs in the order in which a robot needs them; those that are not named here come last.
+_ORDER = (
+    "demo",
+    "check",
+    "calibrate",
+    "discover",
+    "design",
+    "validate",
+    "predict",
+    "compensate",
+    "diagnose",
+    "update",
+    "fleet",
+    "simulate",
+    "export",
+    "view",
+)
 
 
 class _Verbs(click.Group):
     """Commands that are imported only when they are called, so that ``pincal --help`` is fast."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_COMMANDS)
+        known = (*_COMMANDS, *_FURTHER.names())
+        ordered = [name for name in _ORDER if name in known]
+        return [*ordered, *(name for name in known if name not in ordered)]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        if name not in _COMMANDS:
-            return None
-        importlib.import_module(_COMMANDS[name])
-        from pincal.cli.arguments import VERBS
+        if name in _COMMANDS:
+            module, _, attribute = _COMMANDS[name].partition(":")
+            return cast(click.Command, getattr(importlib.import_module(module), attribute))
+        return _FURTHER.get(name)
 
-        return VERBS[name]
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the first steps, of the verbs that there are."""
+        there = self.list_commands(ctx)
+        lines = (line for line in _STEPS.splitlines() if _verb_of(line) in there)
+        self.epilog = "\b\n" + "\n".join(lines)
+        super().format_epilog(ctx, formatter)
 
 
-_EPILOG = """\b
-First steps:    pincal demo
+def _verb_of(line: str) -> str:
+    """Return the verb of a line of the first steps.
+
+    Example:
+        >>> _verb_of("First steps:    pincal demo")
+        'demo'
+    """
+    return line.partition("pincal ")[2].split()[0]
+
+
+_STEPS = """First steps:    pincal demo
 Your robot:     pincal check      ROBOT.urdf DATA.csv
                 pincal calibrate  ROBOT.urdf DATA.csv --out results
 Still errors?   pincal discover   ROBOT.urdf DATA.csv --out results
@@ -81,7 +108,6 @@ Later:          pincal diagnose   results/model.json NEW.csv --out diagnosis
 
 @click.group(
     cls=_Verbs,
-    epilog=_EPILOG,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
 @click.version_option(package_name="pincal")
@@ -205,6 +231,12 @@ def main(arguments: list[str] | None = None) -> None:
                 prog_name="pincal",
                 standalone_mode=False,
             )
+        except SystemExit as error:
+            # Nothing of pincal ends a command this way; 0 would mean that it was done.
+            raise BadInputError(
+                f"a plug-in, or another module that pincal calls, ended the program (SystemExit: "
+                f"{error}); correct it"
+            ) from error
         except Exception:
             # An interrupted import may fail as if the library were missing.
             if _INTERRUPTS:
@@ -254,6 +286,7 @@ def _spread(arguments: list[str]) -> list[str]:
     three values.
 
     ``--socket-distance A B 0.05 C D 0.05`` then means the option given twice, as Click expects it.
+    Sockets may have numbers for names, so that a further option is none of the three.
     """
     from pincal.units import plain_numbers
 
@@ -264,7 +297,11 @@ def _spread(arguments: list[str]) -> list[str]:
         if word != _MANY:
             out.append(word)
             continue
-        while len(words) >= 3 and plain_numbers([words[2].rstrip("ucm")]):
+        while (
+            len(words) >= 3
+            and not words[0].startswith("--")
+            and plain_numbers([words[2].rstrip("ucm")])
+        ):
             out += [_MANY, *words[:3]]
             words = words[3:]
             word = ""

@@ -18,14 +18,12 @@ from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 import click
 
 from pincal.cli import show_progress
-from pincal.errors import Exit, OutputError
+from pincal.errors import BadInputError, Exit, OutputError
 from pincal.units import LARGEST, plain_numbers
 
 A = TypeVar("A")
 _HEADING = "heading"
 _WORDS = "pincal.words"
-# The verbs of the modules that have been imported, by their names on the command line.
-VERBS: dict[str, click.Command] = {}
 
 
 def option(
@@ -192,7 +190,18 @@ class Verb(click.Command):
         self._ending = ending
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Read the words of the command line, and keep them for :func:`words_given`."""
+        """Read the words of the command line, and keep them for :func:`words_given`.
+
+        Raises:
+            BadInputError: for bytes that are no text, which files and the libraries that read them
+                can't hold as names.
+        """
+        for word in args:
+            if not _is_text(word):
+                raise BadInputError(
+                    f"{word!r}: has bytes that are no text in UTF-8; expected names in UTF-8: "
+                    "rename the file, or correct the encoding of the terminal or the script"
+                )
         ctx.meta[_WORDS] = tuple(args)
         return super().parse_args(ctx, args)
 
@@ -217,6 +226,17 @@ class Verb(click.Command):
         super().format_epilog(ctx, formatter)
         if self._ending is not None:
             formatter.write(f"\n{self._ending()}\n")
+
+
+def _is_text(word: str) -> bool:
+    """Return whether a word of the command line consists of characters; bytes that are none in the
+    encoding of the system are surrogates.
+    """
+    try:
+        word.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def words_given() -> tuple[str, ...]:
@@ -256,9 +276,8 @@ def verb(
             return function(_filled(arguments, given))
 
         parameters = list(_parameters(arguments, defaults or {}, heading="Options"))
-        name = function.__name__.removesuffix("_verb")
-        VERBS[name] = found = Verb(
-            name=name,
+        return Verb(
+            name=function.__name__.removesuffix("_verb"),
             callback=run,
             params=[parameter for _, parameter in parameters],
             headings={str(parameter.name): heading for heading, parameter in parameters},
@@ -267,7 +286,6 @@ def verb(
             help=inspect.getdoc(function),
             epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",
         )
-        return found
 
     return decorate
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from pincal.cli.arguments import Output, argument, group, option, pair
-from pincal.cli.motion_options import MotionOptions
 from pincal.cli.quantities import (
     ANGLE,
     COLUMNS,
@@ -26,6 +25,7 @@ from pincal.cli.quantities import (
 )
 from pincal.errors import BadInputError
 from pincal.measure.fields import TABLE_ENDINGS, TableOptions
+from pincal.motion.cli.motion_options import MotionOptions
 from pincal.robot.cell import Beside
 from pincal.units import GRAVITIES, is_gravity
 
@@ -109,6 +109,12 @@ type_option = partial(
     option,
     "Prior knowledge of this type of robot, from fleet learn; few poses are then enough.",
     metavar="TYPE.json",
+)
+noise_angle_option = partial(
+    option,
+    "Standard deviation of one orientation component of the new measurements.",
+    type=ANGLE,
+    words="that of the calibration; estimated from the rows if it had no orientations",
 )
 station_option = partial(
     option,

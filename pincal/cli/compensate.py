@@ -5,7 +5,7 @@ and back.
 from __future__ import annotations
 
 import re
-from dataclasses import MISSING, dataclass
+from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,10 +14,15 @@ import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import TABLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
-from pincal.cli.controller_programs import Allowed, ProgramOptions, correct_file, summary_of_program
 from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
 from pincal.cli.quantities import ANGLE
 from pincal.errors import Exit, counted, few
+from pincal.programs.cli.controller_programs import (
+    Allowed,
+    ProgramOptions,
+    correct_file,
+    summary_of_program,
+)
 from pincal.recorded import RECORDABLE
 from pincal.thresholds import Count
 from pincal.units import plain_number
@@ -241,14 +246,14 @@ def _program(
     result, changes = correct_file(
         calibrated, arguments.targets, arguments.out, language, arguments.program, limits
     )
-    notes: list[str] = []
+    notes = list(result["notes"])
     if changes:
-        at = calibrated.conditions_at(
-            np.array([change.commanded for change in changes]), payload=arguments.program.payload
-        )
-        beyond, notes = extrapolation(
+        at = calibrated.conditions_at(np.array([change.commanded for change in changes]))
+        at = replace(at, payload=np.array([change.payload for change in changes]))
+        beyond, more = extrapolation(
             calibrated, at, np.array([change.point.line for change in changes])
         )
+        notes += more
         result |= beyond
     end_progress()
     if arguments.general.as_json:
@@ -256,7 +261,7 @@ def _program(
     else:
         click.echo("\n".join(summary_of_program(result, language.name)))
     echo_notes(notes, quiet=arguments.general.quiet)
-    is_lost = result["left"] and (arguments.strict or not result["points"])
+    is_lost = not result["points"] or (arguments.strict and result["left"])
     return Exit.UNDECIDED if is_lost else Exit.DONE
 
 

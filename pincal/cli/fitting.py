@@ -1,5 +1,5 @@
-"""``pincal calibrate`` and ``pincal discover``: from a URDF and tables to a calibrated model, and
-to missing effects.
+"""``pincal calibrate``: from a URDF and tables to a calibrated model; and what other verbs that fit
+share with it.
 """
 
 from __future__ import annotations
@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import MISSING, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +22,7 @@ from pincal.cli.common import (
     max_error_option,
     verbose_option,
 )
+from pincal.cli.fit_output import FitOutput
 from pincal.cli.outputs import print_json, provenance, require_accuracy
 from pincal.errors import BadInputError, Exit, IdentificationError, counted
 from pincal.io.result_folder import output_folder
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from pincal.calibration.calibration import Calibration
     from pincal.cli.inputs import Prepared
-    from pincal.discover.run import Discovery
     from pincal.identify.options import Options
 
 # The view in three dimensions that accompanies the report.
@@ -44,28 +43,18 @@ _MOST_VIEWS: Count = 12
 # Times within which a cluster has to answer, and then to have a worker [s].
 _ANSWER: Scale = 5.0
 _WORKER: Scale = 10.0
-_FILES = (
+FIT_FILES = (
     "DIR then holds model.json (predicts without the URDF), result.json, calibrated.urdf, "
     "residuals.csv and report.html"
 )
-_EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
+FIT_EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
 _CALIBRATE_EXAMPLES = f"""
 Examples:
   pincal calibrate robot.urdf tracker.csv --out results --noise 0.05mm
   pincal calibrate ur10 series.csv --out results --max-error 0.2mm
   pincal calibrate robot.urdf monday.csv tuesday.csv --split station --out results
 
-{_FILES}.
-"""
-_DISCOVER_EXAMPLES = f"""
-Examples:
-  pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
-  pincal discover robot.urdf tracker.csv --out results --try gear_ripple:joint_2:order=101
-  pincal discover robot.urdf monday.csv tuesday.csv --split station --out results
-  pincal discover robot.urdf tracker.csv --out results --dask tcp://10.0.0.5:8786
-
-{_FILES},
-all for the model with the effects that were found, and discovery.json.
+{FIT_FILES}.
 """
 
 
@@ -97,31 +86,7 @@ class FitArguments:
     general: GeneralOptions = group("General")
 
 
-@dataclass(frozen=True, kw_only=True)
-class DiscoverArguments(FitArguments):
-    """Arguments of discover."""
-
-    tried: tuple[str, ...] = option(
-        "Also try this effect, named as for --add: for a gear of known ratio or an "
-        "encoder of known line count the cycles "
-        "per revolution, e.g. gear_ripple:joint_2:order=101. An effect of known order is "
-        "detected at a smaller amplitude "
-        "than one that is searched for.",
-        (),
-        metavar="EFFECT",
-        name="--try",
-    )
-    stability: int = option(
-        "Number of subsamples of half of the poses on which the search is repeated, to "
-        "count how often each effect "
-        "is found; 0 for none.",
-        20,
-        type=click.IntRange(min=0),
-        metavar="N",
-    )
-
-
-@verb(FitArguments, examples=_CALIBRATE_EXAMPLES, exits=_EXITS)
+@verb(FitArguments, examples=_CALIBRATE_EXAMPLES, exits=FIT_EXITS)
 def calibrate_verb(arguments: FitArguments) -> Exit:
     """Calibrate a robot from a table of measured poses.
 
@@ -133,33 +98,15 @@ def calibrate_verb(arguments: FitArguments) -> Exit:
     with workers(
         arguments.dask, repeats=arguments.split.split == "station", processes=False
     ) as executor:
-        return _run_fit(arguments, partial(run_calibration, executor=executor))
+
+        def run(*given: Any, **choice: Any) -> FitOutput:
+            return FitOutput(run_calibration(*given, **choice, executor=executor))
+
+        return run_fit(arguments, run)
 
 
-@verb(DiscoverArguments, examples=_DISCOVER_EXAMPLES, exits=_EXITS, defaults={"model": "geometric"})
-def discover(arguments: DiscoverArguments) -> Exit:
-    """Identify the effects that the model lacks.
-
-    Reports where model and data disagree, which effects explain it, and how the error at unfitted
-    poses shrinks.
-    """
-    from pincal.cli.inputs import named_effects
-    from pincal.discover.run import run_discovery
-
-    repeats = arguments.stability > 0 or arguments.split.split == "station"
-    with workers(arguments.dask, repeats=repeats) as executor:
-
-        def run(robot: Any, tables: Any, options: Any, **choice: Any) -> Any:
-            extra = named_effects(arguments.tried, options, robot=robot, tables=tables)
-            choice |= {"extra": extra, "stability": arguments.stability, "executor": executor}
-            return run_discovery(robot, tables, options, **choice)
-
-        return _run_fit(arguments, run)
-
-
-def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery]) -> Exit:
-    """Run a calibration or a discovery on the files of the command line, write and print its
-    result.
+def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
+    """Run a fit on the files of the command line, write and print its output.
 
     Raises:
         IdentificationError: if the fit did not converge, or instrument or target was touched
@@ -168,7 +115,6 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
     """
     from msgspec import UNSET
 
-    from pincal.calibration.calibration import Calibration
     from pincal.calibration.elsewhere import elsewhere_of
     from pincal.cli.inputs import load_table, load_tables, prepare
     from pincal.cli.progress import log_step
@@ -194,10 +140,8 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
             "holdout": holdout,
         }
         options, members = _of_type(arguments.chosen.fit.type, prepared)
-        found = run(prepared.robot, prepared.tables, options, **choice)
-        calibration, discovery = (
-            (found, None) if isinstance(found, Calibration) else (found.calibration, found)
-        )
+        output = run(prepared.robot, prepared.tables, options, **choice)
+        calibration = output.calibration
         log_step("writing the model")
         origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
         result = calibration.result
@@ -205,24 +149,27 @@ def _run_fit(arguments: FitArguments, run: Callable[..., Calibration | Discovery
             result = replace(result, warnings=doubts_first([*members, *result.warnings]))
         if task is not None:
             result = replace(result, elsewhere=elsewhere_of(calibration.fit.fit, task) or UNSET)
-        calibration = replace(calibration, result=result)
-        discovery = None if discovery is None else replace(discovery, calibration=calibration)
-        notes = write_results(draft, calibration, origin, discovery, view=arguments.view)
+        output = output.with_result(result)
+        notes = write_results(draft, output, origin, view=arguments.view)
         written = " ".join(sorted(file.name for file in draft.iterdir()))
     if arguments.general.as_json:
-        print_json(result.to_dict() if discovery is None else discovery.report)
+        print_json(output.to_dict())
     else:
         from pincal.cli.progress import console
-        from pincal.cli.screen import print_brief, print_discovery, print_notes, print_result
+        from pincal.cli.screen import print_brief
 
         if not arguments.verbose:
             more = f"--verbose, or {arguments.out / 'report.html'}"
-            print_brief(calibration, discovery, console(), more=more, notes=notes)
-        elif discovery is None:
-            print_result(result, console())
+            print_brief(
+                output.calibration,
+                console(),
+                more=more,
+                search=output.search,
+                found=output.found(),
+                notes=notes,
+            )
         else:
-            print_discovery(discovery, console())
-            print_notes(result.warnings, console())
+            output.print_all(console())
         for note in notes if arguments.verbose else ():
             click.echo(f"note: {note}")
         click.echo(f"written to {arguments.out}: {written}")
@@ -280,25 +227,22 @@ def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str,
 
 def write_results(
     folder: Path,
-    calibration: Calibration,
+    output: FitOutput,
     origin: dict[str, Any],
-    discovery: Discovery | None = None,
     *,
     view: bool = False,
 ) -> tuple[str, ...]:
-    """Write all files of a calibration, or of a discovery, to a folder; return notes on what the
-    URDF can't represent.
-    """
+    """Write all files of a fit to a folder; return notes on what the URDF can't represent."""
     from pincal.io.strict_json import write_json
     from pincal.io.urdf_export import calibrated_urdf
     from pincal.report.html import report_page
     from pincal.report.subject import Subject
 
+    calibration = output.calibration
     fit = calibration.fit
     fit.save(folder / "model.json", provenance=origin)
     write_json(folder / "result.json", calibration.result.to_dict())
-    if discovery is not None:
-        write_json(folder / "discovery.json", discovery.report)
+    output.write(folder)
     robot = fit.robot_model()
     export = calibrated_urdf(robot.model, robot.values)
     (folder / "calibrated.urdf").write_bytes(export.text)
@@ -306,7 +250,7 @@ def write_results(
     if view:
         _write_views(folder, calibration)
     page = report_page(
-        Subject(calibration, origin, export.notes, discovery, view=VIEW if view else None)
+        Subject(calibration, origin, export.notes, output.search, view=VIEW if view else None)
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
     return tuple(export.notes)

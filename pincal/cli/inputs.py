@@ -23,7 +23,6 @@ from pincal.cli.common import (
     PlaceOptions,
     SetupOptions,
 )
-from pincal.cli.motion_options import MotionOptions, input_files, load_sessions
 from pincal.cli.progress import log_step
 from pincal.errors import BadInputError, ChangedRobotError, nearest_first
 from pincal.fleet.robot_type import load_type
@@ -41,6 +40,7 @@ from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
 from pincal.model.effect import Effect
 from pincal.model.model import Model
+from pincal.motion.cli.motion_options import MotionOptions, input_files, load_sessions
 from pincal.motion.sessions import joints_of_session
 from pincal.robot.arm_of_tree import TreeRequest
 from pincal.robot.cell import NOWHERE, read_cell, robot_files

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -125,6 +126,7 @@ def columns(text: str) -> dict[str, str]:
 BESIDE = "right=ur10.urdf@1.5m,0,0,0,0,180deg"
 LENGTH = QuantityType(LENGTH_UNITS, "0.05mm")
 ANGLE = QuantityType(ANGLES, "0.1mrad")
+DURATION = QuantityType({"s": 1.0, "min": 60.0}, "300s")
 
 
 def station_links(text: str) -> tuple[str, str, str]:
@@ -169,8 +171,13 @@ def resting(text: str) -> tuple[str, float]:
 def _signed(text: str, units: dict[str, float]) -> float:
     unit = next((unit for unit in sorted(units, key=len, reverse=True) if text.endswith(unit)), "")
     try:
-        return plain_number(text.removesuffix(unit)) * units.get(unit, 1.0)
+        number = plain_number(text.removesuffix(unit)) * units.get(unit, 1.0)
     except ValueError:
+        number = math.nan
+    # Not a number is in no range.
+    if not -LARGEST <= number <= LARGEST:
         raise click.BadParameter(
-            f"{text!r}; expected a position such as 0.1m, 20deg or 0.35 (rad or m)"
-        ) from None
+            f"{text!r}; expected a position such as 0.1m, 20deg or 0.35 (rad or m), of at most "
+            f"{LARGEST:g}"
+        )
+    return number

@@ -4,7 +4,7 @@ terminal, plain elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,36 +13,21 @@ from rich.console import Console
 
 from pincal.calibration import result_tables
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.precheck import DataReport
 from pincal.calibration.result import Result
-from pincal.design.health import HealthCheck
-from pincal.design.motion_design import MotionDesign
-from pincal.design.pose_design import SOURCES, Design
-from pincal.design.study import RANDOM_DESIGNS
-from pincal.discover.policy import SIGHT
-from pincal.discover.precheck import DataReport, DetectabilityTable
-from pincal.discover.run import Discovery
 from pincal.errors import counted
-from pincal.io.discovery_file import FoundEffect
 from pincal.measure.registry import blocks_of
-from pincal.model.effect import Family
-from pincal.model.effect_registry import EFFECTS
 from pincal.notes import Note, doubts_first, doubts_of
-from pincal.report import found_tables
-from pincal.report.judgement import judged, next_steps
+from pincal.report import precheck_tables
+from pincal.report.judgement import SearchReport, judged, next_steps
 from pincal.report.words import (
-    HINTS,
-    bootstrap_words,
-    effect_words,
     elsewhere_words,
-    line_words,
     noise_words,
     rank_words,
-    subsample_only_words,
 )
 from pincal.result_table import hanging, one_line
 from pincal.robot.robot import Robot
 from pincal.thresholds import Count
-from pincal.units import Quantity, format_small
 from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.lack_of_fit import LackOfFit
 
@@ -56,14 +41,22 @@ _MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8
 
 def print_brief(
     calibration: Calibration,
-    discovery: Discovery | None,
     out: Console,
     *,
     more: str,
+    search: SearchReport | None = None,
+    found: str = "",
     notes: Sequence[str] = (),
 ) -> None:
-    """Print the summary of a calibration or discovery; ``notes`` are on its files, ``more`` names
-    further output.
+    """Print the summary of a calibration, and what a search for missing effects found.
+
+    Args:
+        calibration: the calibration.
+        out: where to print.
+        more: names further output.
+        search: what the search says of the calibration; default: there was none.
+        found: the effects that it found, in words.
+        notes: on the files that were written.
     """
     result = calibration.result
     print_doubts(result.warnings, out)
@@ -72,23 +65,23 @@ def print_brief(
     _line(out, "robot", f"{_arm(calibration.robot)}; {rows}")
     for name, model in (("before", "nominal"), ("after", "calibrated")):
         _line(out, name, _errors(result.error[model], name))
-    _print_elsewhere(result, out)
+    print_elsewhere(result, out)
     kinds = " and ".join(dict.fromkeys(rows.train.kind for rows in calibration.stations))
     _line(out, "noise", f"{_noise_of(result.noise, kinds)} ({result.noise['source']})")
     for clock in () if result.clocks is UNSET else result.clocks:
         _line(out, "clock", result_tables.clock_words(clock))
     if result.stations is not UNSET and (moved := result_tables.station_changes(result.stations)):
         _line(out, "moved", moved)
-    if discovery is not None:
-        _line(out, "found", _found(discovery))
-    verdict = judged(result, discovery)
+    if found:
+        _line(out, "found", found)
+    verdict = judged(result, search)
     _line(out, "verdict", f"{verdict.judgement}. {verdict.reason}")
-    _line(out, "next", next_steps(calibration, discovery)[0])
+    _line(out, "next", next_steps(calibration, search)[0])
     print_first_notes([*result.warnings, *notes], out)
     _line(out, "more", more)
 
 
-def _print_elsewhere(result: Result, out: Console) -> None:
+def print_elsewhere(result: Result, out: Console) -> None:
     """Print the error that the model expects away from the measured poses."""
     if result.elsewhere is not UNSET:
         errors = result.error["calibrated"]
@@ -107,7 +100,7 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
     shares = {
         joint.joint: share
         for joint in found.joints
-        if (share := found_tables.covered_share(joint)) is not None
+        if (share := precheck_tables.covered_share(joint)) is not None
     }
     if shares:
         least = min(shares, key=lambda name: shares[name])
@@ -193,26 +186,6 @@ def _errors(by_part: Mapping[str, Mapping[str, float]], name: str) -> str:
     )
 
 
-def _found(discovery: Discovery) -> str:
-    effects = discovery.findings.effects
-    if not effects:
-        return "these data show no missing effect"
-    # Elasticity, which every arm has, comes after other effects, and hints come last.
-    elastic = [name for name, cls in EFFECTS.known().items() if cls.family is Family.ELASTICITY]
-    named = [
-        _named(entry)
-        for entry in sorted(effects, key=lambda e: (e.is_hint, e.effect in elastic))[:_EFFECTS]
-    ]
-    more = len(effects) - _EFFECTS
-    return ", ".join([*named, *([f"{more} more"] if more > 0 else [])])
-
-
-def _named(entry: FoundEffect) -> str:
-    chance = f"p {found_tables.show_chance(entry.p_value)}"
-    words = chance if entry.stability is None else f"{entry.stability} subsamples, {chance}"
-    return f"{'perhaps ' if entry.is_hint else ''}{effect_words(entry)} ({words})"
-
-
 def _line(out: Console, name: str, text: str) -> None:
     out.print(hanging(f"{name:8s}", one_line(text)), markup=False)
 
@@ -231,7 +204,7 @@ def print_result(result: Result, out: Console) -> None:
             if table is not None:
                 out.print(table)
     out.print(result_tables.error_table(result.error))
-    _print_elsewhere(result, out)
+    print_elsewhere(result, out)
     if result.clocks is not UNSET:
         out.print(result_tables.clock_table(result.clocks))
     if result.improvement is not UNSET:
@@ -316,261 +289,9 @@ def print_precheck(precheck: DataReport, out: Console) -> None:
     out.print(f"noise {noise_words(precheck.noise)} ({precheck.noise['source']})")
     statuses = (parameter.status for parameter in precheck.parameters)
     out.print(rank_words(statuses, rank=precheck.rank, condition=precheck.condition))
-    out.print(found_tables.coverage_table(precheck))
-    out.print(found_tables.expectation_table(precheck))
-    _print_detectability(precheck, precheck.detectable, out)
+    out.print(precheck_tables.coverage_table(precheck))
+    out.print(precheck_tables.expectation_table(precheck))
+    for section in precheck.further.values():
+        for block in section.blocks(precheck):
+            out.print(block)
     print_notes(precheck.warnings, out)
-
-
-def _print_detectability(precheck: DataReport, found: DetectabilityTable, out: Console) -> None:
-    source = {"assumed": "assumed: not declared, and too few rows to estimate it"}
-    out.print(
-        "\nSmallest effects that pincal discover would find in addition to the "
-        f"{found.model} model with a probability of "
-        f"{100 * found.power:.0f} %, at a probability of {100 * found.alpha:g} % of any "
-        "false name and a noise of "
-        f"{noise_words(precheck.noise) if found.sigma_m is None else f'{found.sigma_m * 1e3:.4g} mm per coordinate'} "
-        f"({source.get(found.source, found.source)}). An effect with several "
-        "parameters is given by its amplitude, transmission_error by the rms of its "
-        "curve, elastic effects by their largest "
-        "rotation in these poses, joint_coupling by the range over the joints that may "
-        "drive it. -: see below."
-    )
-    for table in found_tables.detectability_tables(precheck):
-        out.print(table)
-    whole = [
-        (e.effect.name, found_tables.smallest_size([e]))
-        for e in found.effects
-        if e.effect.locus.joint is None
-    ]
-    sizes = [f"{name} {format_small(*size)}" for name, size in whole if isinstance(size, Quantity)]
-    if sizes:
-        out.print("Whole arm: " + ", ".join(sizes), markup=False)
-    _print_untestable(
-        ((e.effect.name, e.effect.locus.joint, e.reason) for e in found.effects),
-        len(precheck.joints),
-        out,
-    )
-
-
-def _print_untestable(
-    entries: Iterable[tuple[str, str | None, str]], n_joints: int, out: Console
-) -> None:
-    for reason, names in found_tables.by_reason(entries, n_joints).items():
-        out.print(hanging("not testable:", f"{names}: {reason}"))
-
-
-def print_discovery(found: Discovery, out: Console) -> None:
-    """Print where model and data disagreed, the effects found, and the errors after each step."""
-    findings = found.findings
-    print_doubts(found.calibration.result.warnings, out)
-    print_left_out(found.calibration.result, out)
-    out.print(
-        hanging("Verdict:", f"{findings.verdict}. {judged(found.calibration.result, found).reason}")
-    )
-    if findings.where:
-        out.print(found_tables.location_table(findings.where))
-    named, hints = (
-        [e for e in findings.effects if e.is_hint == is_hint] for is_hint in (False, True)
-    )
-    if named or not hints:
-        out.print(
-            found_tables.effect_table(named) if named else "These data show no missing effect."
-        )
-    if hints:
-        out.print(found_tables.effect_table(hints, HINTS))
-    if findings.bootstrap:
-        out.print(one_line(bootstrap_words(findings.bootstrap)), markup=False)
-    if findings.only_in_halves:
-        out.print(one_line(subsample_only_words(findings)), markup=False)
-    out.print(found_tables.stage_table(findings.noise_floor_mm, found.gaps))
-    _print_elsewhere(found.calibration.result, out)
-    for entry in findings.effects:
-        if words := line_words(entry):
-            out.print(hanging(effect_words(entry), words))
-        if entry.tell_apart:
-            out.print(
-                hanging(
-                    "to distinguish",
-                    f"{effect_words(entry)} from its alternatives: {entry.tell_apart}",
-                )
-            )
-        if entry.period is not None:
-            unit = {"time": "s", "temperature": "K", "payload": "kg"}.get(
-                entry.depends_on or "", "rad"
-            )
-            out.print(
-                one_line(f"{effect_words(entry)} repeats every {entry.period:.4g} {unit}"),
-                markup=False,
-            )
-    for scatter in findings.scatter:
-        text = (
-            f"{scatter.joint} scatters by {scatter.sigma_rad * 1e3:.3f} mrad; record "
-            f"{scatter.missing}"
-        )
-        out.print(one_line(text), markup=False)
-    joints = found.calibration.fit.problem.chain.robot.joint_names
-    _print_untestable(
-        ((e.effect, e.joint, e.reason) for e in findings.not_testable), len(joints), out
-    )
-
-
-def print_plan(found: Design | HealthCheck | MotionDesign, out: Console) -> None:
-    """Print the predicted accuracy of poses to measure, or of a motion to drive."""
-    if isinstance(found, HealthCheck):
-        print_check(found, out)
-    elif isinstance(found, MotionDesign):
-        _print_motion(found, out)
-    else:
-        _print_design(found, out)
-
-
-def _print_design(found: Design, out: Console) -> None:
-    """Print the request, the candidates that constraints removed, and the predicted accuracy by
-    number of poses.
-    """
-    n = found.found.poses
-    robot = found.robot
-    noise = ", ".join(
-        f"{1e3 * s:.3g} {'mm' if i == 0 else 'mrad'}"
-        for i, s in enumerate(found.design_model.sigma)
-    )
-    rig = (
-        f"{robot.path.start} to {robot.tip}: {found.rig.sensor}, noise {noise}; "
-        f"{found.design_model.n_free} parameters"
-    )
-    out.print(hanging(f"{n} poses", f"of {robot.name}, {rig}"))
-    for mark, text in _design_facts(found):
-        out.print(hanging(f"{mark + ':':13s}", text))
-    if found.curve:
-        out.print(found_tables.pose_count_table(found))
-    print_notes(found.notes, out)
-
-
-def _print_motion(found: MotionDesign, out: Console) -> None:
-    """Print the predicted accuracy of a motion with an IMU, and how many poses with an instrument
-    it saves.
-    """
-    force, rate, place = found.noise
-    noise = f"noise {force:.3g} m/s^2, {1e3 * rate:.3g} mrad/s; {1e3 * place:.3g} mm for positions"
-    out.print(
-        hanging(
-            f"{found.time[-1]:.0f} s",
-            f"of {found.robot.name}, {len(found.time)} poses, with an IMU: {noise}",
-        )
-    )
-    error = (
-        f"{1e3 * found.error:.3f} mm rms within reach from errors that an IMU can determine, "
-        "base and tool fitted"
-    )
-    for mark, text in (
-        ("candidates", found.drawn.in_words()),
-        (
-            "predicted",
-            f"{error} (before: {1e3 * found.before:.3f} mm); {1e3 * found.lengths:.3f} mm "
-            "from lengths",
-        ),
-        ("random", f"{1e3 * found.random:.3f} mm ({found.random / found.error:.2f} times as much)"),
-    ):
-        out.print(hanging(f"{mark + ':':13s}", text))
-    out.print(found_tables.motion_table(found))
-
-
-def print_check(found: HealthCheck, out: Console) -> None:
-    """Print the poses of a health check, which changes it detects and which not, and the simulated
-    rates.
-    """
-    out.print(one_line(found.summary()), markup=False)
-    if not found.is_met:
-        text = (
-            f"too few poses to detect {1e3 * found.notice:.3g} mm; calibrate from more poses, "
-            "or reduce the noise"
-        )
-        out.print(hanging("not met:", text))
-    hardest = found.changes[0]
-    where = f"{hardest.change.name} {hardest.change.joint or ''}".strip()
-    parameters = ", ".join(hardest.change.parameters)
-    signal = f"signal {hardest.noncentrality:.1f}, needed {hardest.needed:.1f}"
-    out.print(hanging("hardest:", f"{where} ({parameters}): {signal}"))
-    rates = (
-        f"alarms in {100 * found.alarms:.1f} % of {found.draws} checks of an unchanged robot, in "
-    )
-    rates += (
-        f"{100 * found.noticed:.1f} % of {found.draws} if the hardest change by "
-        f"{1e3 * found.notice:.3g} mm has occurred"
-    )
-    out.print(hanging("simulated:", rates))
-    if found.absorbed:
-        known, new = (
-            [c for c in found.absorbed if (c.effect is None) is is_known]
-            for is_known in (True, False)
-        )
-        parts = [*dict.fromkeys(name for change in known for name in change.parameters)]
-        names = ", ".join([*parts, *([f"{len(new)} new effects"] if new else [])])
-        why = (
-            "the new poses of instrument and target absorb them, or they never move any point "
-            "this far"
-        )
-        out.print(hanging("undetectable:", f"{names}: {why}"))
-    curves = "free curves of a drive, and dependences on temperature, time or direction of approach"
-    out.print(hanging("not covered:", curves))
-    out.print(hanging("candidates:", found.drawn.in_words()))
-    print_notes(found.notes, out)
-
-
-def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
-    """Yield how the poses were chosen, and their predicted accuracy compared with random ones."""
-    designed = found.found.designed
-    random = found.found.random
-    yield "candidates", found.drawn.in_words()
-    path = (
-        f"{found.path_length:.1f} joint ranges from first to last pose, "
-        f"{found.path_length_unordered:.1f} before ordering"
-    )
-    yield "path length", path
-    if found.needed is not None:
-        yield "accuracy", f"{found.needed} of the candidates are the fewest poses that reach it"
-    what = found.design_model.quantity
-    yield (
-        "predicted",
-        f"{what} error over the task {1e3 * designed.error:.4f} mm rms, if the model has "
-        "the right form",
-    )
-    if found.before is not None:
-        yield "before", f"{1e3 * found.before.error:.4f} mm with the poses already measured"
-    ratio = (
-        f"{random.error / designed.error:.2f} times as much, "
-        if found.criterion != "tell apart"
-        else ""
-    )
-    yield "random", f"{1e3 * random.error:.4f} mm ({ratio}median of {RANDOM_DESIGNS} draws)"
-    if found.bound is not None:
-        beyond = (
-            "; the refined poses are better than all candidates"
-            if designed.error < found.bound
-            else ""
-        )
-        yield (
-            "lower bound",
-            f"no selection of the candidates has less than {1e3 * found.bound:.4f} mm{beyond}",
-        )
-    for mine, other, left, chance in zip(
-        found.rivals, found.rivals[::-1], designed.apart, random.apart, strict=False
-    ):
-        verdict = (
-            "distinguishable"
-            if left >= SIGHT.told_apart
-            else f"not distinguishable, {SIGHT.told_apart:g} are needed"
-        )
-        verdict += f" (random {chance:.3g})"
-        yield (
-            "rivals",
-            f"{mine} of typical size leaves {left:.3g} that {other} can't explain: {verdict}",
-        )
-    yield "rank", f"{found.rank} identifiable directions of the parameters"
-    for name in _SHOWN:
-        if name in found.observability:
-            numbers = (
-                f"{found.observability[name]:.3g}, random {found.observability_random[name]:.3g}"
-            )
-            yield f"index {name}", f"{numbers} (observability, {SOURCES[name]})"

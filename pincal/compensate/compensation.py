@@ -29,6 +29,7 @@ from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose
 from pincal.thresholds import Count
+from pincal.units import real_array
 
 log = logging.getLogger(__name__)
 
@@ -209,7 +210,7 @@ def middle_of_range(robot: Robot) -> np.ndarray:
 
 def _as_poses(wanted: np.ndarray, count: int) -> np.ndarray:
     """Return a copy of wanted poses as an array of shape (N, 3, 4)."""
-    given = np.asarray(wanted, float)
+    given = real_array(wanted, "desired poses")
     if given.shape not in ((count, 3), (count, 3, 4)):
         raise BadInputError(
             f"desired poses have shape {given.shape}; expected ({count}, 3, 4) or ({count}, 3)"

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.special import fdtri, ncfdtr
 
 from pincal.diagnosis.change_search import ChangeVerdict, NamedChange
+from pincal.diagnosis.diagnosis_file import ExcludedEntry
 from pincal.diagnosis.lineup import PossibleChange
 from pincal.identify.criteria import CHANGES
 from pincal.identify.station import Station
-from pincal.io.diagnosis_file import ExcludedEntry
 from pincal.thresholds import Count, Scale
 
 # Probability of detecting a change of the reported size.

@@ -16,11 +16,11 @@ from scipy.linalg import block_diag
 
 from pincal.calibration.covered import SeenCurve, curves_at
 from pincal.calibration.placing import Placed
+from pincal.diagnosis.diagnosis_file import CurveEntry, CurvesEntry
 from pincal.diagnosis.row_evidence import rows_in_noise
 from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import Factor, Form
 from pincal.identify.split import row_groups
-from pincal.io.diagnosis_file import CurveEntry, CurvesEntry
 from pincal.measure.measurements import Measurements
 from pincal.model.effect import Curve
 from pincal.model.model import Model

@@ -15,6 +15,15 @@ from pincal.calibration.caveats import CaveatKind, findings_on_outliers
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import Placed, fitted_rows, moved, place_station
 from pincal.diagnosis.change_search import ChangeVerdict, search
+from pincal.diagnosis.diagnosis_file import (
+    ChangedParameter,
+    ChangeEntry,
+    ChangeName,
+    CurvesEntry,
+    DiagnosisFile,
+    ExcludedEntry,
+    MovedEntry,
+)
 from pincal.diagnosis.excluded import excluded, rival_names, tell_apart
 from pincal.diagnosis.lineup import ChangeHypotheses, Refitted
 from pincal.diagnosis.redrawn_curves import redrawn_curves
@@ -26,15 +35,6 @@ from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
 from pincal.identify.solve import solve
 from pincal.identify.station import Station, count, fingerprints, together
-from pincal.io.diagnosis_file import (
-    ChangedParameter,
-    ChangeEntry,
-    ChangeName,
-    CurvesEntry,
-    DiagnosisFile,
-    ExcludedEntry,
-    MovedEntry,
-)
 from pincal.measure.admit import check_table
 from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements

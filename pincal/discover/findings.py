@@ -15,6 +15,18 @@ from scipy.special import chdtrc
 
 from pincal.discover.candidate_tests import named_tests
 from pincal.discover.decisions import Row, accepted
+from pincal.discover.detectability import ABSORBED
+from pincal.discover.discovery_file import (
+    Bootstrap,
+    Disagreement,
+    EffectName,
+    Findings,
+    FoundEffect,
+    FoundParameter,
+    Gap,
+    Stage,
+    Untestable,
+)
 from pincal.discover.elastic import (
     JointCompliance,
     deciding_measurement,
@@ -26,23 +38,11 @@ from pincal.discover.ending import line_details
 from pincal.discover.first_order import ScoreTests, chance_of
 from pincal.discover.locate import Located, locate
 from pincal.discover.policy import TESTING, WHERE
-from pincal.discover.precheck import ABSORBED
 from pincal.discover.scatter import Excess, find_excess
 from pincal.discover.shrink import PartialResidual, period_of
 from pincal.discover.steps import History, SearchStep
 from pincal.identify.fit import ModelFit, without
 from pincal.identify.fit_levers import levers
-from pincal.io.discovery_file import (
-    Bootstrap,
-    Disagreement,
-    EffectName,
-    Findings,
-    FoundEffect,
-    FoundParameter,
-    Gap,
-    Stage,
-    Untestable,
-)
 from pincal.model.catalogue import untestable
 from pincal.model.effect import Effect, Harmonic
 from pincal.parameters import Estimate

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import chdtrc
 
+from pincal.discover.discovery_file import Disagreement
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.policy import WHERE
 from pincal.discover.products import Information
@@ -24,7 +25,6 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.fit_levers import levers
 from pincal.identify.mass_error import MassError
 from pincal.identify.quadratic import Form
-from pincal.io.discovery_file import Disagreement
 from pincal.model.basis import spline_basis
 from pincal.model.catalogue.transmission import most_pieces
 from pincal.model.chain import Chain

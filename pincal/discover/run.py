@@ -34,6 +34,14 @@ from pincal.calibration.result import result_of
 from pincal.calibration.validation import Validation
 from pincal.calibration.visit_findings import is_shifted
 from pincal.discover.candidate_tests import sampled
+from pincal.discover.discovery_file import (
+    Bootstrap,
+    EffectName,
+    Findings,
+    Repeated,
+    Stability,
+    Stage,
+)
 from pincal.discover.drive_curves import notes_on_repeats
 from pincal.discover.elastic import significant_compliances
 from pincal.discover.ending import note_on_joints, widened
@@ -54,7 +62,6 @@ from pincal.identify.calibrate import (
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
-from pincal.io.discovery_file import Bootstrap, EffectName, Findings, Repeated, Stability, Stage
 from pincal.measure.approach import note_on_sides
 from pincal.measure.measurements import Measurements
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame

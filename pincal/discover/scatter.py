@@ -33,12 +33,12 @@ from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 from scipy.special import chdtrc, chdtri, fdtrc
 
+from pincal.discover.discovery_file import ScatteringJoint
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.policy import NOISE, TESTING
 from pincal.identify.fit import ModelFit
 from pincal.identify.fit_levers import levers
 from pincal.identify.station import Station
-from pincal.io.discovery_file import ScatteringJoint
 from pincal.measure.poses import same_joints
 from pincal.model.conditions import moves
 from pincal.validate.misfit import MISFIT

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec.structs import asdict
 
 from pincal.calibration.held_out import StationRows, Validated, errors_held_out, headline_of
+from pincal.discover.discovery_file import EffectName, Gap, Stage
 from pincal.discover.levers import on_steps
 from pincal.discover.policy import WAVES
 from pincal.discover.steps import History, ModelChange
@@ -18,7 +19,6 @@ from pincal.identify.dependence import placed_at_mean
 from pincal.identify.fit import ModelFit
 from pincal.identify.fit_levers import levers
 from pincal.identify.folds import Folds, Way
-from pincal.io.discovery_file import EffectName, Gap, Stage
 from pincal.model.conditions import MOMENT, recorded_variable
 from pincal.model.effect import Curve, Effect, Family, Locus
 from pincal.model.effect_bases import drive_unit

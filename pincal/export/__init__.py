@@ -1,6 +1,7 @@
 """Exports: the calibrated robot in formats of controllers, simulators and other programs.
 
-The modules register one :class:`pincal.export.exported.Format` each, or several.
+The modules register one :class:`pincal.export.exported.Format` each, or several; satellites hand in
+further ones.
 """
 
 import pkgutil

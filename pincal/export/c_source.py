@@ -18,6 +18,7 @@ from pincal.export.exported import (
     identifier,
     notes_on,
     placed_in,
+    template_of,
 )
 from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.export.numpy_source import numpy_source, refuse_wrong
@@ -68,7 +69,7 @@ def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:
     chain = formulas.calibrated.model.chain
     functions, curves = _functions(formulas, name)
     return filled(
-        f"model.{kind}.in",
+        template_of(f"model.{kind}.in"),
         formulas,
         frame=frame,
         numbers=lambda values: ", ".join(

@@ -25,6 +25,7 @@ from pincal.errors import BadInputError, OutputError, nearest_first
 from pincal.export.formulas import Formulas, sides_following
 from pincal.model.conditions import Conditions
 from pincal.plugins import Registry
+from pincal.satellites import Place
 from pincal.thresholds import Count, Scale
 
 
@@ -89,7 +90,10 @@ class Format(ABC):
 
 
 FORMATS: Registry[Format] = Registry(
-    "export format", group="pincal.formats", name_of=lambda cls: cls.name
+    "export format",
+    group="pincal.formats",
+    name_of=lambda cls: cls.name,
+    handed_in=Place[type[Format]]("formats").all,
 )
 
 
@@ -178,8 +182,8 @@ def filled(
     numbers: Callable[[np.ndarray], str],
     **words: str,
 ) -> str:
-    """Return a template filled with the words that all languages share, and others; ``numbers``
-    writes a list of numbers.
+    """Return the text of a template filled with the words that all languages share, and others;
+    ``numbers`` writes a list of numbers.
     """
     robot = formulas.calibrated.model.chain.robot
     # Reported positions of coupled joints have no limits of their own.
@@ -193,8 +197,12 @@ def filled(
         "frame": frame,
         "payload_centre": "({:g}, {:g}, {:g})".format(*formulas.calibrated.payload_centre),
     }
-    text = files("pincal.export").joinpath("templates", template).read_text(encoding="utf-8")
-    return Template(text).substitute(common | words)
+    return Template(template).substitute(common | words)
+
+
+def template_of(name: str) -> str:
+    """Return the text of a template of this folder."""
+    return files("pincal.export").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def header(formulas: Formulas, *, frame: str) -> list[str]:

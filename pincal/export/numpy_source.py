@@ -23,6 +23,7 @@ from pincal.export.exported import (
     header,
     notes_on,
     placed_in,
+    template_of,
 )
 from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.measure.heading import NUMBERED
@@ -102,7 +103,7 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
     lines = header(formulas, frame=frame)
     own = formulas.joints
     program = filled(
-        "program.py.in",
+        template_of("program.py.in"),
         formulas,
         frame=frame,
         numbers=str,
@@ -126,7 +127,7 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
         numbered=repr(NUMBERED.pattern),
     )
     return filled(
-        "model.py.in",
+        template_of("model.py.in"),
         formulas,
         frame=frame,
         numbers=lambda values: (

@@ -113,6 +113,13 @@ class TypeNumbers:
         "of a parameter that readings have to determine for its numbers to be shown",
         "chosen: the rest of it is a matter of convention",
     )
+    drawn: float = number(
+        0.3,
+        "ratio",
+        _LEARNING + "test_parameters_are_drawn_of_which_readings_tell_a_third",
+        "of a parameter that readings determine, above which it is drawn",
+        "chosen: the rest of it is a matter of convention",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

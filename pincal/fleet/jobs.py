@@ -23,13 +23,14 @@ import polars as pl
 from pincal.calibration.checked_fit import fitted
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.information import RobotInformation
+from pincal.diagnosis.diagnosis_file import DiagnosisFile
 from pincal.diagnosis.robot_diagnosis import FALSE_ALARM, diagnose
 from pincal.discover.run import run_discovery
 from pincal.errors import BadInputError, ModelFileError, PincalError
 from pincal.fleet.history import Visit
 from pincal.fleet.machines import Machine
 from pincal.fleet.robot_type import RobotType, calibrate_of_type
-from pincal.fleet.store import DIAGNOSES, DISCOVERIES, INFORMATION, MODELS, TABLES, Key, Store
+from pincal.fleet.store import DIAGNOSES, DISCOVERIES, INFORMATION, TABLES, Key, Store
 from pincal.fleet.stored_rows import (
     CALIBRATION,
     CHECK,
@@ -39,7 +40,6 @@ from pincal.fleet.stored_rows import (
 )
 from pincal.identify.options import Options
 from pincal.identify.quadratic import Quadratic
-from pincal.io.diagnosis_file import DiagnosisFile
 from pincal.io.strict_json import FileKind, read_json
 from pincal.measure.admit import check_table
 from pincal.measure.measurements import Measurements
@@ -368,7 +368,7 @@ def add_model(
         OutputError: if the store can't be written to.
     """
     information = load_model(path).robot_model().information
-    store.add_text(MODELS, machine, day, path.read_text(encoding="utf-8"))
+    store.add_model(machine, day, path.read_text(encoding="utf-8"))
     if information is not None:
         store.add_information(day, Machine(machine, information, dict(labels or {})))
     return information is not None
@@ -408,16 +408,14 @@ def add_diagnosis(store: Store, machine: str, day: str, path: Path) -> None:
 
 def last_model(store: Store, machine: str | None = None, day: str = "9999") -> FittedRobot | None:
     """Return the last model of a machine, default any, from a day or earlier; None if there is
-    none.
+    none. Of several of one day, it is the one that was added last.
     """
-    known = [one for one in store.keys(MODELS) if machine in (None, one.machine) and one.day <= day]
-    if not known:
+    text = store.last_model(machine, day)
+    if text is None:
         return None
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.json"
-        path.write_text(
-            store.frame(max(known, key=lambda one: one.day))["text"][0], encoding="utf-8"
-        )
+        path.write_text(text, encoding="utf-8")
         return load_model(path).robot_model()
 
 

@@ -258,7 +258,7 @@ def load_machines(
             continue
         try:
             frame = pl.read_parquet(Path(path), glob=False)
-        except (OSError, pl.exceptions.PolarsError) as error:
+        except (OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
             raise ModelFileError(
                 f"{os.fspath(path)}: can't be read ({error}); expected information on machines"
             ) from None

@@ -16,7 +16,7 @@ import numpy as np
 from pincal.errors import BadInputError, MeasurementError
 from pincal.measure.measurements import Measurements
 from pincal.thresholds import Scale
-from pincal.units import unit_sizes
+from pincal.units import LARGEST, SMALLEST, unit_sizes
 
 # Standard deviation over maximum permissible error (MPE): "Typical measurement results are half of
 # the relevant MPE values", Leica AT500 User Manual, 2.8.1.
@@ -82,10 +82,10 @@ class InstrumentNoise:
         is_some = (
             max(self.along, self.along_per_m) > 0.0 and max(self.across, self.across_per_m) > 0.0
         )
-        if not (np.all(np.isfinite(numbers)) and min(numbers) >= 0.0 and is_some):
+        if not (all(n == 0.0 or SMALLEST <= n <= LARGEST for n in numbers) and is_some):
             raise BadInputError(
-                f"noise of an instrument {numbers}; expected finite numbers, more than 0 "
-                "along and across"
+                f"noise of an instrument {', '.join(f'{n:g}' for n in numbers)}; expected numbers "
+                f"from {SMALLEST:g} to {LARGEST:g} m or m/m, or 0, and more than 0 along and across"
             )
 
     @classmethod

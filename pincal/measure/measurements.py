@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.errors import MeasurementError, nearest_first
+from pincal.errors import BadInputError, MeasurementError, nearest_first
 from pincal.measure.fields import CONDITIONS, FINITE, SIGN, Field
 from pincal.measure.registry import check_fields, expected_columns, known_fields, sensor_class
 from pincal.measure.sensor import Sensor
 from pincal.measure.setup import Setup
 from pincal.recorded import RECORDED, Moving, Recorded
 from pincal.robot.robot import Robot
-from pincal.units import expected_number, is_possible
+from pincal.units import expected_number, is_possible, real_array, unmasked
 
 # Arrays in addition to the readings.
 _OF_JOINTS = {name: variable.quantity for name, variable in RECORDED.items() if variable.of_joints}
@@ -293,7 +293,7 @@ def measurements(
         Measurements('arrays': 2 rows, position, joints shoulder elbow)
     """
     if isinstance(joints, Robot):
-        q = np.asarray(q, float)
+        q = _as_array("q", q, None, source=source)
         if joints.dependent and q.ndim == 2 and q.shape[1] == len(joints.own_joints):
             q = joints.spread(q)
         joints = joints.joint_names
@@ -429,7 +429,12 @@ def _read_only(array: np.ndarray) -> np.ndarray:
 def _as_array(name: str, value: ArrayLike, known: Field | None, *, source: str) -> np.ndarray:
     is_name = known is not None and known.is_name
     try:
-        return np.array(value, dtype=str if is_name else int if name == "rows" else float)
+        what = f'{source}: "{name}"'
+        if is_name or name == "rows":
+            return np.array(unmasked(value, what), dtype=str if is_name else int)
+        return np.array(real_array(value, what))
+    except BadInputError as error:
+        raise MeasurementError(str(error)) from None
     except (TypeError, ValueError) as error:
         raise MeasurementError(
             f'{source}: "{name}" is not an array of {"names" if is_name else "numbers"}'

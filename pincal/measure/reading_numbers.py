@@ -39,6 +39,8 @@ _NORM = _HERE + "test_quaternions_have_the_norm_of_rounded_ones"
 _IN_LINE = _HERE + "test_points_in_a_line_tell_no_rotation"
 _CUT = "test_joined.py::test_a_log_is_cut_where_the_arm_moves"
 _PLANES = "test_cell_sensors.py::test_rows_that_tell_nothing_are_named"
+_SURE_JUMP = "test_motion_numbers.py::test_a_jump_of_a_clock_is_six_standard_deviations"
+_JUMP = "test_motion.py::test_a_jump_of_a_clock_is_found_to_the_row"
 
 
 # fmt: off
@@ -159,9 +161,20 @@ class PlausibleNumbers:
         "of a plane, at least", "three determine it, more are redundant")
 
 
+@dataclass(frozen=True, kw_only=True)
+class ClockJumpNumbers:
+    """By which the clock of an instrument jumps."""
+
+    significant: float = number(6.0, "standard deviations", _SURE_JUMP,
+        "of a jump, or of a slip of a mount", "chosen: beyond chance at any of the rows tried")
+    either_side: int = number(3, "blocks", _JUMP,
+        "of rows on either side of a jump, at least", "chosen")
+
+
 # fmt: on
 SAME_POSE = SamePoseNumbers()
 LOGS = LogNumbers()
 DIVISION = VisitDivision()
 LAYOUT = LayoutNumbers()
 PLAUSIBLE = PlausibleNumbers()
+JUMPS = ClockJumpNumbers()

@@ -21,6 +21,7 @@ from pincal.model.latest import Latest
 from pincal.model.loops import borne_moments
 from pincal.model.symbols import are_symbols
 from pincal.recorded import RECORDABLE, RECORDED, Recorded
+from pincal.units import real_array
 
 TURN = 2.0 * np.pi
 # The variable of effects that depend on the static moment on a joint.
@@ -71,7 +72,7 @@ class Conditions(Recorded):
         """Return the conditions of bare joint positions, shape (N, n), with one payload [kg] and
         the first target.
         """
-        q = np.atleast_2d(np.asarray(q, float))
+        q = np.atleast_2d(real_array(q, "joint positions"))
         n = len(q)
         return cls(
             q, np.zeros(n, int), np.full(n, float(payload)), np.array(list(payload_centre), float)

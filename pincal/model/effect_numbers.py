@@ -76,6 +76,10 @@ class OriginNumbers:
         "between which waves of stages and encoders are looked for",
         "lower ones are curves of the drive, higher ones need ever more poses; two lobes of a "
             "strain wave gear of 1:101 make 202, and twice as many")
+    finest: float = number(1e6, "cycles per revolution",
+        "test_catalogue.py::test_an_order_is_one_that_a_joint_can_have",
+        "of a wave, beyond which none is taken",
+        "chosen: encoders have up to some 1e5 lines, and resolve no wave beyond 3e5")
     gain: float = number(18.0, "log likelihood", _PAID,
         "at which independent orders of a band are counted",
         "about what a wave selected in the whole band needs")

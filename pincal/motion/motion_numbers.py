@@ -23,7 +23,6 @@ _ELSE = _LOGS + "test_readings_of_something_else_are_left_out"
 _ANOTHER = "test_motion.py::test_speeds_of_another_motion_are_not_taken_for_this_one"
 _IMAGES = "test_motion_pixels.py::test_images_that_do_not_fit_the_motion_are_refused"
 _ONE_JOINT = "test_motion_stations.py::test_a_path_of_one_joint_is_asked_for_more"
-_JUMP = "test_motion.py::test_a_jump_of_a_clock_is_found_to_the_row"
 _HERE = "test_motion_numbers.py::"
 _GAPS = _HERE + "test_gaps_are_three_samples_or_a_fifth_of_a_second"
 _HALF = _HERE + "test_half_of_a_log_may_be_left_out"
@@ -143,7 +142,7 @@ class StampNumbers:
 
 @dataclass(frozen=True, kw_only=True)
 class ClockNumbers:
-    """By which readings are of the motion of the joints, and a clock jumps or drifts."""
+    """By which readings are of the motion of the joints, and a clock drifts or jumps far."""
 
     same_motion: float = number(0.6, "correlation", _ALIKE,
         "of speeds below which motions are different", "chosen")
@@ -151,10 +150,6 @@ class ClockNumbers:
         "by which that at other offsets is less", "chosen")
     apart: float = number(1.0, "s", _ANOTHER,
         "by which other offsets of the clocks differ", "chosen")
-    significant: float = number(6.0, "standard deviations", _SURE,
-        "of a jump, or of a slip of a mount", "chosen: beyond chance at any of the rows tried")
-    either_side: int = number(3, "blocks", _JUMP,
-        "of rows on either side of a jump, at least", "chosen")
     nominal_jump: float = number(0.05, "s", _SURE,
         "that no error of a nominal arm looks like", "smaller ones are found in the calibration")
     drift: float = number(2e-4, "1", _SURE,

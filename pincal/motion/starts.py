@@ -16,6 +16,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError, warn
 from pincal.hypotheses.hypothesis import Hypothesis, explaining
+from pincal.measure.reading_numbers import JUMPS
 from pincal.measure.sensors.imu import FORCE, RATE, Window
 from pincal.motion.clocks import Alignment, Clock, SpeedMatch, aligned, correlate
 from pincal.motion.imu_rows import ImuRows
@@ -43,7 +44,7 @@ _UNIT = FOLLOWING.unit
 _TURNED = FOLLOWING.turned
 _SLIPPED = FOLLOWING.slipped
 _FEW = FOLLOWING.few_blocks
-CLEARLY = CLOCKS.significant
+CLEARLY = JUMPS.significant
 
 
 @dataclass(frozen=True)

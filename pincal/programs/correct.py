@@ -10,7 +10,7 @@ T of the nominal arm at q'. A point is corrected as a whole or, with a reason, n
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -21,11 +21,17 @@ from pincal.compensate.compensation import compensate_poses
 from pincal.compensate.robot_frames import false_targets
 from pincal.model.conditions import Conditions
 from pincal.programs.arms import ArmSearch, ProgramAxes
+from pincal.programs.flow import OUTSIDE
 from pincal.programs.language import ControllerLanguage
-from pincal.programs.program import Edit, Frame, Point, PointKey, Posture, Program, Skipped
+from pincal.programs.program import Edit, Frame, Load, Point, PointKey, Posture, Program, Skipped
 from pincal.programs.program_numbers import PROGRAM_NUMBERS
 from pincal.robot.se3 import compose, inverse, rotation_vectors, transform
+from pincal.thresholds import Count, Scale
 
+# Difference of two frames with the same values, rounded [m and ratio].
+_ROUNDED: Scale = 1e-9
+# Poses at which a load is tried.
+_TRIED: Count = 8
 _REASONS = {
     "singular": "the arm is singular there: a small correction would need large joint motions",
     "joint_limit": "an axis would leave its limits",
@@ -70,6 +76,7 @@ class Change:
         commanded: shape (n,), at the point as corrected.
         frames: the transforms before and after the pose of a point, from base and tool, shape (4,
             4) each.
+        payload: mass at the tip there [kg].
         shift: translation of the point [m].
         turn: its rotation [rad].
         has_posture: whether the arm has the programmed posture and turns, which a line may not
@@ -81,6 +88,7 @@ class Change:
     q: np.ndarray
     commanded: np.ndarray
     frames: tuple[np.ndarray, np.ndarray]
+    payload: float
     shift: float
     turn: float
     has_posture: bool
@@ -95,6 +103,16 @@ class _Use:
     start: PointKey | None = None
     is_line: bool = False
     takes_posture: bool = True
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A point whose joint positions, frames and payload [kg] are known."""
+
+    point: Point
+    q: np.ndarray
+    frames: tuple[np.ndarray, np.ndarray]
+    payload: float
 
 
 class Corrector:
@@ -123,9 +141,70 @@ class Corrector:
             inverse(false_targets(calibrated, at)), false_targets(calibrated, at, of="target")
         )
 
-    def conditions(self, q: np.ndarray) -> Conditions:
-        """Return the conditions of joint positions, shape (N, n)."""
-        return self.calibrated.conditions_at(q, payload=self.cell.payload)
+    def conditions(self, q: np.ndarray, payloads: np.ndarray | None = None) -> Conditions:
+        """Return the conditions of joint positions, shape (N, n), with the cell's payload or their
+        own, shape (N,) [kg].
+        """
+        found = self.calibrated.conditions_at(q, payload=self.cell.payload)
+        return found if payloads is None else replace(found, payload=np.asarray(payloads, float))
+
+    @cached_property
+    def is_elastic(self) -> bool:
+        """Whether a load moves the tip of the calibrated model."""
+        q = self.robot.random_configurations(_TRIED, np.random.default_rng(0))
+        model = self.calibrated.model
+        tips = [
+            model.predict(self.calibrated.model_values, self.conditions(q, np.full(len(q), mass)))
+            for mass in (0.0, 1.0)
+        ]
+        return bool(np.any(tips[0] != tips[1]))
+
+    def payloads(self, program: Program) -> dict[PointKey, float | str]:
+        """Return the mass at the tip at each point [kg], or why it is not known.
+
+        A load that the program states in numbers is taken. One that it does not state in numbers
+        is the cell's, unless the program has several loads.
+        """
+        if not self.is_elastic:
+            return dict.fromkeys(program.points, self.cell.payload)
+        texts = {
+            load.text for loads in program.loads.values() for load in loads if load is not None
+        }
+        return {
+            key: self._payload(program.loads.get(key, []), is_only=len(texts) == 1)
+            for key in program.points
+        }
+
+    def _payload(self, loads: Sequence[Load | None], *, is_only: bool) -> float | str:
+        """Return the mass at a point with these loads, or why it is not known."""
+        masses = {self.cell.payload} if None in loads or not loads else set[float]()
+        for load in loads:
+            if load is None:
+                continue
+            if load.mass is None and not is_only:
+                return (
+                    f"line {load.line}: its load is not in numbers, and the program has several: "
+                    "correct it as a program of its own (--payload)"
+                )
+            masses.add(self.cell.payload if load.mass is None else load.mass)
+        return next(iter(masses)) if len(masses) == 1 else "motions reach it with different loads"
+
+    def notes(self, program: Program) -> list[str]:
+        """Return what is said of the loads that a program states."""
+        if not self.is_elastic:
+            return []
+        loads = {
+            load.text: load
+            for key, found in program.loads.items()
+            for load in found
+            if load is not None and key in program.points
+        }
+        taken = "whose mass is not in numbers: {:g} kg is taken (--payload)"
+        return [
+            f"line {load.line} has a load ({load.text[:40]}), "
+            + (f"{load.mass:g} kg" if load.mass is not None else taken.format(self.cell.payload))
+            for load in loads.values()
+        ]
 
     def frames(self, point: Point, program: Program) -> tuple[np.ndarray, np.ndarray] | str:
         """Return the transforms before and after a point's pose between base and tip, or why they
@@ -156,9 +235,15 @@ class Corrector:
                 skipped.append(point.skip(q))
             else:
                 joints[key] = q
-        changed = self._corrected(
-            {key: (program.points[key], q, framed[key]) for key, q in joints.items()}, skipped
-        )
+        payloads = self.payloads(program)
+        rows = {}
+        for key, q in joints.items():
+            payload = payloads[key]
+            if isinstance(payload, str):
+                skipped.append(program.points[key].skip(payload))
+            else:
+                rows[key] = _Row(program.points[key], q, framed[key], payload)
+        changed = self._corrected(rows, skipped)
         return self._with_turns(program, changed, skipped), skipped
 
     def _framed(
@@ -205,6 +290,8 @@ class Corrector:
             if len(point.numbers) != self.robot.n_joints:
                 return f"{len(point.numbers)} axes; the model has {self.robot.n_joints}"
             q = self.joints(point)
+            if np.abs(q).max() > PROGRAM_NUMBERS.most_turned:
+                return "its numbers are no joint positions"
             beyond = (q < self.robot.lower - 1e-6) | (q > self.robot.upper + 1e-6)
             if self.cell.limits and beyond.any():
                 return (
@@ -292,13 +379,19 @@ class Corrector:
             (q for q in turned if q is not None), key=lambda q: float(np.sum((q - near) ** 2))
         )
 
-    def solve(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    def solve(
+        self, q: np.ndarray, tips: np.ndarray, payloads: np.ndarray
+    ) -> tuple[np.ndarray, list[str]]:
         """Return the joints near q, shape (N, n), with the real tip at poses, shape (N, 3, 4), and
         reasons or "".
         """
         wanted = compose(tips, self.target)
         found = compensate_poses(
-            self.calibrated, wanted, self.conditions(q), frame="base", limits=self.cell.limits
+            self.calibrated,
+            wanted,
+            self.conditions(q, payloads),
+            frame="base",
+            limits=self.cell.limits,
         )
         reasons = [_REASONS.get(str(status), "") for status in found.status]
         moved = np.abs(found.q - q)
@@ -316,17 +409,20 @@ class Corrector:
 
     def _corrected(
         self,
-        rows: Mapping[PointKey, tuple[Point, np.ndarray, tuple[np.ndarray, np.ndarray]]],
+        rows: Mapping[PointKey, _Row],
         skipped: list[Skipped],
     ) -> dict[PointKey, Change]:
         if not rows:
             return {}
-        q = np.array([row[1] for row in rows.values()])
+        q = np.array([row.q for row in rows.values()])
+        payloads = np.array([row.payload for row in rows.values()])
         tips = self.arms.tips(q)
-        commanded, reasons = self.solve(q, tips)
+        commanded, reasons = self.solve(q, tips, payloads)
         moved = self.arms.tips(commanded)
         changes = {}
-        for i, (key, (point, _, frames)) in enumerate(rows.items()):
+        for i, (key, row) in enumerate(rows.items()):
+            point = row.point
+            frames = row.frames
             if reasons[i]:
                 skipped.append(point.skip(reasons[i]))
                 continue
@@ -342,7 +438,9 @@ class Corrector:
             has_it = posture.allows(self.arms.sides(q[i : i + 1])[0]) and self.arms.has_turns(
                 q[i], posture
             )
-            changes[key] = Change(point, values, q[i], commanded[i], frames, shift, turn, has_it)
+            changes[key] = Change(
+                point, values, q[i], commanded[i], frames, row.payload, shift, turn, has_it
+            )
         return changes
 
     def _with_turns(
@@ -425,17 +523,25 @@ def _known(
     declared: Mapping[str, np.ndarray | str],
     option: str,
 ) -> np.ndarray | str:
-    """Return the pose of a frame, or why it is not known."""
+    """Return the pose of a frame, or why it is not known.
+
+    What the program itself does to a frame comes before the values of an option; only what a
+    routine in none of the files may do is answered by it.
+    """
     if frame.pose is not None:
         return frame.pose
-    if frame.name in given:
-        return given[frame.name]
+    wanted = given.get(frame.name)
     if frame.reason:
-        return frame.reason
-    if frame.name in declared:
-        pose = declared[frame.name]
-        return f"{option} {frame.name}: {pose}" if isinstance(pose, str) else pose
-    return (
-        f"the values of {frame.name or option} are not known: give --{option} "
-        f"'{frame.name or option}=X,Y,Z,...'"
-    )
+        return wanted if wanted is not None and OUTSIDE in frame.reason else frame.reason
+    pose = declared.get(frame.name)
+    if isinstance(pose, str):
+        return f"{option} {frame.name}: {pose}"
+    if pose is not None and wanted is not None and not np.allclose(pose, wanted, atol=_ROUNDED):
+        return f"{option} {frame.name}: the program states other values than --{option}"
+    found = pose if pose is not None else wanted
+    if found is None:
+        return (
+            f"the values of {frame.name or option} are not known: give --{option} "
+            f"'{frame.name or option}=X,Y,Z,...'"
+        )
+    return found

@@ -12,8 +12,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pincal.programs.line_flow import ANY, STATED_LOAD, Line
 from pincal.programs.program import FrameKind, Motion, Point, PointKey, Program, Skipped
 from pincal.programs.syntax import Source
+
+EVERY = "*"
+"""Stands for every name that is not a constant."""
 
 
 @dataclass
@@ -28,6 +32,8 @@ class Draft:
         constants: names that nothing can change.
         near: by the name of a pose, the name of joint positions near which the controller searches
             for it.
+        masses: of loads [kg], by their names.
+        at_rest: whether the external axes of a position of their own are at 0, by its name.
     """
 
     sources: Sequence[Source]
@@ -36,6 +42,8 @@ class Draft:
     skipped: list[Skipped] = field(default_factory=list)
     constants: set[str] = field(default_factory=set)
     near: dict[str, str] = field(default_factory=dict)
+    at_rest: dict[str, bool] = field(default_factory=dict)
+    masses: dict[str, float] = field(default_factory=dict)
     _points: dict[str, list[Point]] = field(default_factory=dict)
     _frames: dict[FrameKind, dict[str, np.ndarray | str]] = field(
         default_factory=lambda: {"tool": {}, "base": {}}
@@ -69,6 +77,10 @@ class Draft:
         """
         self._written.setdefault(name, reason)
 
+    def write_any(self, reason: str) -> None:
+        """Note that any name but a constant may have another value than the one in numbers."""
+        self.write(EVERY, reason)
+
     def pass_to(self, routine: str, names: Iterable[str], line: int) -> None:
         """Note that names are passed to a routine, which may change them."""
         for name in names:
@@ -87,14 +99,59 @@ class Draft:
     def names(self) -> Mapping[str, list[Point]]:
         return self._points
 
+    def why_displaced(self, name: str, reasons: Mapping[str, str]) -> str:
+        """Return why a position may be displaced, "" if it is not.
+
+        Args:
+            name: the position, or with the index ``*`` any.
+            reasons: the reasons by what is displaced: "tool 3" or "base *" for a frame, else any
+                position.
+        """
+        for what, reason in reasons.items():
+            if what == STATED_LOAD:
+                continue
+            kind, _, index = what.partition(" ")
+            if kind not in ("tool", "base") or (index != ANY and not index.isdigit()):
+                return reason
+            points = [point for other in self._elements(name, self._points)
+                      for point in self._points[other]]  # fmt: skip
+            for point in points:
+                frame = point.tool if kind == "tool" else point.base
+                if point.kind == "pose" and (index == ANY or index == (frame and frame.name)):
+                    return f"{kind} {index}: {reason}"
+        return ""
+
+    def leave_unused(self, lines: Sequence[Line]) -> None:
+        """Leave the positions to which no motion goes, if any line may displace them."""
+        used = {
+            target
+            for motion in self.motions
+            for target in motion.targets
+            if isinstance(target, str)
+        }
+        reasons = dict[str, str]()
+        for line in lines:
+            for name, reason in line.sets:
+                reasons.setdefault(name, reason)
+        for name in self._points:
+            why = "" if name in used else self.why_displaced(name, reasons)
+            if why:
+                self.write(name, why)
+
     def finish(self) -> Program:
         """Return the program: each point once, with its own frames or those of the
         motions to it.
         """
-        frames = {
+        frames: dict[str, dict[str, np.ndarray | str]] = {
             kind: {name: self._why(name) or pose for name, pose in found.items()}
             for kind, found in self._frames.items()
         }
+        # What the program sets of a frame that it does not state in numbers.
+        for motion in self.motions:
+            for kind, frame in (("tool", motion.tool), ("base", motion.base)):
+                why = self._why(frame.name) if frame.name and frame.pose is None else ""
+                if why:
+                    frames[kind].setdefault(frame.name, why)
         program = Program(self.sources, frames["tool"], frames["base"], skipped=list(self.skipped))
         known = self._known(program)
         used: dict[PointKey, Point] = {}
@@ -115,6 +172,9 @@ class Draft:
                         Skipped(target, motion.source, motion.statement.line, reason)
                     )
                 for point in points:
+                    loads = program.loads.setdefault(point.key, [])
+                    if motion.load not in loads:
+                        loads.append(motion.load)
                     framed = replace(
                         point, tool=point.tool or motion.tool, base=point.base or motion.base
                     )
@@ -126,6 +186,8 @@ class Draft:
                         ambiguous[point.key] = (
                             f"used with different frames before and on line {motion.statement.line}"
                         )
+                    if point.kind == "joints" and motion.displaced:
+                        ambiguous[point.key] = motion.displaced
                 stops.append(points[0].key if len(points) == 1 else None)
             program.motions.append((motion, tuple(stops)))
         for point in known.values():
@@ -138,8 +200,12 @@ class Draft:
                         "other positions are computed from it, and no motion uses it directly"
                     )
                 )
-            elif point.kind == "joints" or (self.by_itself and is_framed):
+            elif self.by_itself and (point.kind == "joints" or is_framed):
                 used[point.key] = point
+            elif point.kind == "joints":
+                program.skipped.append(
+                    point.skip("no motion uses it here: it may be something else than a position")
+                )
             else:
                 program.skipped.append(
                     point.skip("no motion uses it here, so its tool and base are not known")
@@ -195,10 +261,10 @@ class Draft:
 
     def _why(self, name: str) -> str:
         """Return why a name may have another value than the one in numbers, or ""."""
-        return next(
-            (self._written[one] for one in (name, _any(name), _stem(name)) if one in self._written),
-            "",
-        )
+        names = [name, _any(name), _stem(name)]
+        if not {name, _stem(name)} & self.constants:
+            names.append(EVERY)
+        return next((self._written[one] for one in names if one in self._written), "")
 
     def _elements(self, name: str, points: Iterable[str]) -> list[str]:
         """Return the names of the points that a target may refer to: for a computed index, all of
@@ -214,6 +280,17 @@ class Draft:
         if isinstance(target, str):
             return [known[name] for name in self._elements(target, known) if name in known]
         return [target] if isinstance(target, Point) else []
+
+
+def joined(programs: Sequence[Program]) -> Program:
+    """Return one program of several that share files but no positions."""
+    first = programs[0]
+    for other in programs[1:]:
+        first.points.update(other.points)
+        first.motions += other.motions
+        first.skipped += other.skipped
+        first.loads.update(other.loads)
+    return first
 
 
 def _stem(name: str) -> str:

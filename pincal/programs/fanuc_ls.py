@@ -4,18 +4,38 @@ configuration.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.programs.draft import Draft
+from pincal.programs.draft import Draft, joined
+from pincal.programs.fanuc_lines import (
+    COMPUTED,
+    LISTING_WORDS,
+    SWITCHED,
+    effect_in_listing,
+    effect_of_options,
+    why_moved_by_options,
+)
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Frame, Motion, Point, Posture, Program, Skipped, Turn
+from pincal.programs.line_flow import STATED_LOAD, Line, Listing, reasons_before, with_outside
+from pincal.programs.program import (
+    Frame,
+    Load,
+    Motion,
+    Path,
+    Point,
+    Posture,
+    Program,
+    Skipped,
+    Turn,
+)
 from pincal.programs.syntax import Source, Statement, number_at
 
 if TYPE_CHECKING:
-    from lark import Token, Tree
+    from lark import Token
 
 _LINES = r"""
 start: _NL* PROG _NL (HEAD? _NL)* MN _NL (line? _NL)* POS _NL (BODY? _NL)* END (_NL | _EOT)*
@@ -56,8 +76,42 @@ UNIT: "mm" | "deg"
 """
 _WORDS = "a FANUC listing: /PROG, /MN with motions, /POS with positions, /END"
 _JUMPS = ("LBL", "JMP", "IF", "ELSE", "SELECT", "FOR", "CALL", "END", "SKIP")
-# Options by which the target of a motion is not its position.
-_MOVED = ("OFFSET", "TOOL_OFFSET", "VOFFSET", "COORD", "RTCP", "PTH_OFFSET")
+
+
+_PATHS: dict[str, Path] = {"J": "joint", "L": "line"}
+
+
+@dataclass(frozen=True)
+class _Instruction:
+    """An instruction with all of its continuation lines.
+
+    Attributes:
+        number: its line in the file.
+        kind: the kind of motion, "" for none.
+        places: its positions.
+        text: what stands behind its first position, or all of an instruction without one.
+        is_assignment: whether its position is assigned to.
+    """
+
+    number: int
+    kind: str
+    places: tuple[Token, ...]
+    text: str
+    is_assignment: bool = False
+
+    @property
+    def is_half_an_arc(self) -> bool:
+        """Whether the end of an arc stands on the next line."""
+        return self.kind == "C" and len(self.places) == 1 and not self.text
+
+    @property
+    def effect(self) -> Line:
+        """What it does to what follows."""
+        if self.is_assignment:
+            return Line(self.number)
+        if self.places:
+            return effect_of_options(self.text, self.number)
+        return effect_in_listing(self.text, self.number)
 
 
 @LANGUAGES.register
@@ -67,11 +121,14 @@ class FanucLs(ControllerLanguage):
     name = "FANUC LS"
     suffixes = (".ls",)
     grammars = (_LINES, _POSITIONS)
+    understood = LISTING_WORDS
 
     def read(self, sources: Sequence[Source]) -> Program:
-        draft = Draft(sources, by_itself=True)
-        draft.frame("0", np.eye(4), ["tool", "base"])
+        drafts = []
+        parts = []
         for i, source in enumerate(sources):
+            draft = Draft(sources, by_itself=True)
+            draft.frame("0", np.eye(4), ["tool", "base"])
             lines = source.parse(_LINES, _WORDS).children
             begin = next(token for token in lines if getattr(token, "type", "") == "POS").end_pos
             end = next(token for token in lines if getattr(token, "type", "") == "END").start_pos
@@ -81,8 +138,18 @@ class FanucLs(ControllerLanguage):
                 line = source.place(place.start_pos)[0]
                 point = self._point(i, name, line, groups[0].children)
                 draft.take(Skipped(name, i, line, point) if isinstance(point, str) else point)
-            self._move(draft, i, [line for line in lines if hasattr(line, "data")])
-        return draft.finish()
+            title = str(next(token for token in lines if getattr(token, "type", "") == "PROG"))
+            drafts.append(draft)
+            parts.append((title.upper().split()[1:], _instructions(lines)))
+        listings = [
+            Listing(title[0] if title else "", [one.effect for one in instructions])
+            for title, instructions in parts
+        ]
+        displaced = reasons_before(with_outside(listings, SWITCHED))
+        for i, (draft, (_, instructions)) in enumerate(zip(drafts, parts, strict=True)):
+            self._move(draft, i, instructions, displaced[i])
+            draft.leave_unused(listings[i].lines)
+        return joined([draft.finish() for draft in drafts])
 
     def _point(self, i: int, name: str, line: int, group: Sequence[Any]) -> Point | str:
         """Return the point of a group, or why it can't be used."""
@@ -108,63 +175,87 @@ class FanucLs(ControllerLanguage):
             return Point(name, i, line, "joints", tuple(known[key] for key in keys))
         return "neither X Y Z W P R nor joints"
 
-    def _move(self, draft: Draft, i: int, lines: Sequence[Tree[Token]]) -> None:
+    def _move(
+        self,
+        draft: Draft,
+        i: int,
+        instructions: Sequence[_Instruction],
+        displaced: Sequence[Mapping[str, str]],
+    ) -> None:
         """Note the motions."""
         run = 0
-        via = ""
-        for line in lines:
-            parts = {token.type: token for token in line.children if not hasattr(token, "data")}
-            rest = str(parts.get("REST", parts.get("OTHER", "")))
-            if line.data == "other":
-                via = ""
-                if rest.lstrip().startswith(("!", "//", "--")):
-                    continue
-                text = rest.partition("!")[0].upper()
-                draft.read(_places_in(text))
-                for name, kind in (("UTOOL[", "tool"), ("UFRAME[", "base")):
-                    if text.startswith(name):
-                        number = text[len(name) :].partition("]")[0].partition(":")[0].strip()
-                        draft.frame(
-                            number,
-                            f"line {parts['OTHER'].line} sets it while the program runs",
-                            [kind],  # type: ignore[list-item]
-                        )
-                run += text.startswith(_JUMPS)
+        for one, reasons in zip(instructions, displaced, strict=True):
+            names = [_place(str(place)) for place in one.places]
+            if not names:
+                draft.read(_places_in(one.text.upper()))
+                run += one.text.upper().startswith(_JUMPS)
                 continue
-            place = parts["PLACE"]
-            kind = str(parts.get("KIND", ""))
-            name = _place(str(place))
-            at = place.line or 0
-            if line.data == "more" and rest.lstrip().startswith("="):
-                draft.write(name, f"line {at} sets it while the program runs")
-                draft.read(_places_in(rest))
+            if one.is_assignment:
+                draft.write(names[0], f"line {one.number} sets it while the program runs")
+                draft.read(_places_in(one.text))
                 continue
-            words = [
-                word.partition("[")[0]
-                for word in rest.replace(",", " ").replace(";", " ").upper().split()
-            ]
-            moved = next((word for word in words if word in _MOVED), "")
-            target: str | Skipped = name
-            if name.startswith("PR["):
-                target = Skipped(name, i, at, "a position register")
-            elif "INC" in words:
-                target = Skipped(name, i, at, f"a relative motion (INC), line {at}")
-                draft.write(name, target.reason)
-            elif moved:
-                target = Skipped(name, i, at, f"moved by an offset ({moved})")
-                draft.read([name])
-            draft.read(set(_places_in(rest)) - {name})
-            if kind == "C" and not words:
-                via = name
+            draft.read(set(_places_in(one.text)) - set(names))
+            if not one.kind:
                 continue
-            if line.data == "more" and not via:
-                continue
-            path = "circle" if via else {"J": "joint", "L": "line"}.get(kind, "joint")
+            targets = [self._target(draft, i, name, one, reasons) for name in names]
+            path = "circle" if len(names) > 1 else _PATHS.get(one.kind, "joint")
+            place = one.places[-1]
             span = (place.start_pos or 0, place.end_pos or 0)
-            stops = (via, target) if via else (target,)
-            statement = Statement((), *span, at)
-            draft.motions.append(Motion(path, stops, statement, i, span=span, run=run))  # type: ignore[arg-type]
-            via = ""
+            statement = Statement((), *span, place.line or 0)
+            number, _, text = reasons.get(STATED_LOAD, "").partition(" ")
+            load = Load(text, int(number)) if number else None
+            draft.motions.append(
+                Motion(path, tuple(targets), statement, i, span=span, run=run, load=load)
+            )
+
+    def _target(
+        self,
+        draft: Draft,
+        i: int,
+        name: str,
+        one: _Instruction,
+        reasons: Mapping[str, str],
+    ) -> str | Skipped:
+        """Return the target of a motion, and note why its position has to be left."""
+        if name.startswith("PR["):
+            return Skipped(name, i, one.number, "a position register")
+        moved = why_moved_by_options(one.text, one.number)
+        if moved.startswith(COMPUTED):
+            # The same position may be the target of another motion, without the offset.
+            draft.read([name])
+            return Skipped(name, i, one.number, moved)
+        why = moved or draft.why_displaced(name, reasons)
+        if why:
+            draft.write(name, why)
+        return name
+
+
+def _instructions(lines: Sequence[Any]) -> list[_Instruction]:
+    """Return the instructions of a listing, without remarks."""
+    found = list[_Instruction]()
+    for line in lines:
+        if not hasattr(line, "data"):
+            continue
+        parts = {token.type: token for token in line.children if not hasattr(token, "data")}
+        text = str(parts.get("REST", parts.get("OTHER", ""))).lstrip("] ")
+        if line.data == "other" and text.startswith(("!", "//", "--")):
+            continue
+        # A line whose number is left out continues the one before.
+        is_more = str(parts.get("LINE_NUMBER", "")) == ":" and len(found) > 0
+        place = parts.get("PLACE")
+        number = next(token for token in parts.values()).line or 0
+        text = (text.partition(" !")[0] if "(" not in text else text).rstrip("; ")
+        is_assignment = line.data == "more" and text.startswith("=")
+        places: tuple[Token, ...] = (place,) if place is not None else ()
+        is_arc = line.data == "more" and len(found) > 0 and found[-1].is_half_an_arc
+        if is_more or (is_arc and not is_assignment):
+            before = found.pop()
+            places = (*before.places, *places) if before.kind == "C" else before.places
+            found.append(replace(before, places=places, text=f"{before.text} {text}".strip()))
+            continue
+        kind = str(parts.get("KIND", ""))
+        found.append(_Instruction(number, kind, places, text, is_assignment))
+    return found
 
 
 def _place(text: str) -> str:

@@ -12,7 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pincal.programs.syntax import Source, Statement
+from pincal.thresholds import Count
 
+# Blocks within blocks.
+_DEEPEST: Count = 100
 OUTSIDE = "is not in these files and may set it"
 """Reason given for a routine that is in none of the files."""
 
@@ -127,7 +130,9 @@ def _followed(
         if step.routine:
             saved.append(state)
             state = {}
-        if step.closes or step.is_jump:
+        # The end of a routine is not joined by other paths: what follows does not run behind it.
+        is_end = bool(step.closes) and bool(steps[blocks[i][-1]].routine)
+        if (step.closes and not is_end) or step.is_jump:
             block = blocks[i][-1] if blocks[i] else i
             where = (
                 f"it is set on some paths only through the block of line {statements[block].line}"
@@ -173,9 +178,18 @@ def _effects(
                 name = steps[i].routine
                 own[name] = own.get(name, set()) | step.sets | step.clears
                 calls[name] = calls.get(name, set()) | set(step.calls)
-    for _ in own:
-        for name, called in calls.items():
-            own[name] = own[name].union(*(own[other] for other in called if other in own))
+    callers = dict[str, list[str]]()
+    for name, called in calls.items():
+        for other in called:
+            callers.setdefault(other, []).append(name)
+    ahead = list(own)
+    while ahead:
+        changed = ahead.pop()
+        for name in callers.get(changed, []):
+            size = len(own[name])
+            own[name] |= own[changed]
+            if len(own[name]) > size:
+                ahead.append(name)
     return {name: frozenset(found) for name, found in own.items()}
 
 
@@ -205,6 +219,10 @@ def _blocks(
             blocks = blocks[:-1]
         if step.opens:
             blocks = (*blocks, i)
+            if len(blocks) > _DEEPEST:
+                raise source.error(
+                    f"a block within {_DEEPEST} others; expected fewer", statements[i].start
+                )
     if blocks:
         opens = steps[blocks[-1]].opens
         line = statements[blocks[-1]].line

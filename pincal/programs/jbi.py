@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.programs.draft import Draft
+from pincal.programs.draft import Draft, joined
+from pincal.programs.jbi_lines import JOB_WORDS, SHIFT, effect_in_job, named_in, why_not_reached
 from pincal.programs.language import LANGUAGES, ControllerLanguage
+from pincal.programs.line_flow import Line, Listing, reasons_before, with_outside
 from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped, Turn
 from pincal.programs.syntax import Number, Source, Statement, number_at
 
@@ -40,7 +42,8 @@ _EOT: "\x04"
 """
 _WORDS = "a job: /JOB, //POS with positions, //INST with motions, END"
 _PATHS: dict[str, Path] = {"MOVL": "line", "MOVJ": "joint", "MOVS": "joint", "MOVC": "joint"}
-_SHIFTS = ("SFTON", "MSHIFT", "MFRAME", "PMTON", "CNVR", "SYSTART")
+
+
 _JUMPS = (
     "*",
     "JUMP",
@@ -71,6 +74,7 @@ class Jbi(ControllerLanguage):
     suffixes = (".jbi",)
     grammars = (_GRAMMAR,)
     digits = (4, 6, 0)
+    understood = JOB_WORDS
 
     def with_pulses(self, text: str) -> Jbi:
         try:
@@ -94,8 +98,10 @@ class Jbi(ControllerLanguage):
         return ""
 
     def read(self, sources: Sequence[Source]) -> Program:
-        draft = Draft(sources, by_itself=True)
+        drafts = []
+        trees = []
         for i, source in enumerate(sources):
+            draft = Draft(sources, by_itself=True)
             tree = source.parse(_GRAMMAR, _WORDS)
             parts = [part for part in tree.children if hasattr(part, "data")]
             others = [str(part.children[0]).split() for part in parts if part.data == "other"]
@@ -104,8 +110,16 @@ class Jbi(ControllerLanguage):
                     "the end of the file without END: is it truncated?", len(source.content)
                 )
             self._positions(draft, i, source, parts)
-            self._motions(draft, i, parts)
-        return draft.finish()
+            drafts.append(draft)
+            trees.append(parts)
+        jobs = [_listing(parts) for parts in trees]
+        displaced = reasons_before(with_outside(jobs, [SHIFT]), lasting=[SHIFT])
+        for i, (draft, parts) in enumerate(zip(drafts, trees, strict=True)):
+            self._motions(draft, i, parts, displaced[i])
+            for other in trees:
+                _note_changes(draft, other, only_variables=other is not parts)
+            draft.leave_unused(jobs[i].lines)
+        return joined([draft.finish() for draft in drafts])
 
     def _positions(self, draft: Draft, i: int, source: Source, parts: Sequence[Any]) -> None:
         """Note the positions, each with the tags before it."""
@@ -123,7 +137,13 @@ class Jbi(ControllerLanguage):
                 place, *values = part.children
                 name = _name(str(place))
                 point = self._point(
-                    i, name, place.line, [number_at(token) for token in values], tags, posture
+                    draft,
+                    i,
+                    name,
+                    place.line,
+                    [number_at(token) for token in values],
+                    tags,
+                    posture,
                 )
                 if point:
                     draft.take(
@@ -136,6 +156,7 @@ class Jbi(ControllerLanguage):
 
     def _point(
         self,
+        draft: Draft,
         i: int,
         name: str,
         line: int,
@@ -149,6 +170,7 @@ class Jbi(ControllerLanguage):
         numbers = tuple(number for number in values if number is not None)
         kind = tags["POSTYPE"]
         if name.startswith(("BC", "EC", "BP", "EX")):
+            draft.at_rest[name] = all(number.value == 0.0 for number in numbers)
             return ""
         if kind == "PULSE":
             return Point(name, i, line, "joints", numbers)
@@ -161,24 +183,19 @@ class Jbi(ControllerLanguage):
             name, i, line, "pose", numbers[:6], posture, Frame(tags["TOOL"] or "TOOL"), base
         )
 
-    def _motions(self, draft: Draft, i: int, parts: Sequence[Any]) -> None:
-        """Note the motions, and the positions that instructions change."""
+    def _motions(
+        self,
+        draft: Draft,
+        i: int,
+        parts: Sequence[Any],
+        displaced: Sequence[Mapping[str, str]],
+    ) -> None:
+        """Note the motions."""
         run = 0
         arc = list[str]()
-        for part in parts:
-            if part.data == "other":
-                text = str(part.children[0]).upper()
-                run += text.startswith(_JUMPS)
-                line = part.children[0].line
-                for word in text.replace(",", " ").replace("(", " ").split():
-                    if word[:1] == "P" and word.lstrip("PX").isdigit():
-                        draft.write(_name(f"P{word.lstrip('PX')}"), f"line {line} may set it")
-                if text.startswith(_SHIFTS):
-                    for name in draft.names():
-                        draft.write(
-                            name, f"line {line} shifts positions, or computes a frame from them"
-                        )
+        for part, reasons in zip(_instructions(parts), displaced, strict=True):
             if part.data != "motion":
+                run += str(part.children[0]).upper().startswith(_JUMPS)
                 continue
             kind = str(part.children[0])
             place = part.children[1]
@@ -190,6 +207,8 @@ class Jbi(ControllerLanguage):
                 target = Skipped(name, i, place.line, "a relative motion")
             elif "[" in name:
                 target = Skipped(name, i, place.line, "a computed position")
+            elif why := _why_left(draft, name, part, reasons):
+                draft.write(name, why)
             arc = [*arc, name] if kind == "MOVC" else []
             path = _PATHS.get(kind, "joint")
             targets: tuple[str | Skipped, ...] = (target,)
@@ -203,6 +222,56 @@ class Jbi(ControllerLanguage):
             draft.motions.append(
                 Motion(path, targets, Statement((), *span, place.line), i, span=span, run=run)
             )
+
+
+def _instructions(parts: Sequence[Any]) -> list[Any]:
+    """Return the motions and other instructions of a job."""
+    return [part for part in parts if part.data in ("motion", "other")]
+
+
+def _listing(parts: Sequence[Any]) -> Listing:
+    """Return a job as what its instructions do to those behind them."""
+    names = [
+        str(part.children[1]).strip().upper()
+        for part in parts
+        if part.data == "tag" and str(part.children[0]) == "//NAME" and len(part.children) > 1
+    ]
+    lines = [
+        effect_in_job(str(part.children[0]), part.children[0].line)
+        if part.data == "other"
+        else Line(part.children[0].line)
+        for part in _instructions(parts)
+    ]
+    return Listing(names[0] if names else "", lines)
+
+
+def _why_left(draft: Draft, name: str, part: Any, reasons: Mapping[str, str]) -> str:
+    """Return why a motion may not go to its position, "" if it does."""
+    options = str(part.children[2]) if len(part.children) > 2 else ""
+    line = part.children[0].line
+    for axis in named_in(options.partition("+")[0]):
+        if axis.startswith("B"):
+            rest = draft.at_rest.get(_name(axis), False)
+            if not rest:
+                return f"its base axis is not at 0 ({axis}, line {line})"
+    return why_not_reached(options, line) or draft.why_displaced(name, reasons)
+
+
+def _note_changes(draft: Draft, parts: Sequence[Any], *, only_variables: bool) -> None:
+    """Note the positions that instructions may change, of another job position variables only."""
+    for part in _instructions(parts):
+        token = part.children[-1]
+        text = str(token)
+        if part.data == "motion":
+            # Behind the sign are the positions of another robot.
+            names = named_in(text.partition("+")[2]) if len(part.children) > 2 else []
+        else:
+            names = named_in(text)
+        for name in names:
+            is_variable = name.startswith("P")
+            is_read = part.data == "other" and text.upper().startswith("REFP")
+            if (is_variable or not only_variables) and not is_read:
+                draft.write(_name(name), f"line {token.line} may set it")
 
 
 def _name(text: str) -> str:

@@ -11,8 +11,19 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import OUTSIDE, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped, Turn
-from pincal.programs.statement_reader import Reader
+from pincal.programs.line_flow import POSITIONS, STATED_LOAD
+from pincal.programs.program import (
+    Frame,
+    Load,
+    Motion,
+    Path,
+    Point,
+    Posture,
+    Program,
+    Skipped,
+    Turn,
+)
+from pincal.programs.statement_reader import EXTERNAL, Entries, Reader
 from pincal.programs.syntax import (
     Brackets,
     Number,
@@ -30,6 +41,7 @@ from pincal.programs.syntax import (
     text_of_items,
     word,
 )
+from pincal.programs.understood import Understood, understood_words
 
 _TOKENS = r"""
 TEXT: /"[^"\r\n]*"/
@@ -70,20 +82,57 @@ _FRAMES = frozenset({"$TOOL", "$BASE"})
 # and #BASE perhaps both.
 _BY_DATA = ("#PTP_PARAMS", "#CP_PARAMS", "#FRAMES", "#PTP_DAT", "#CP_DAT")
 _SPEEDS = ("#VEL_PTP", "#VEL_CP", "#ACC_PTP", "#ACC_CP", "#OUT_SYNC")
-# Words before round brackets that change neither a point nor a frame.
-_HARMLESS_WORDS = (
-    "IF WHILE UNTIL FOR WHEN SWITCH CASE AND OR NOT EXOR B_AND B_OR B_NOT B_EXOR RETURN "
-    "WAIT SEC TO STEP DO DEF DEFFCT EXT "
-    "EXTFCT BAS STOOL STOOL2 SBASE SIPO_MODE SVEL_JOINT SVEL_CP SACC_JOINT SACC_CP SAPO "
-    "SAPO_PTP SGEAR_JERK SJERK SORI_TYP "
-    "SLOAD ABS SQRT SIN COS TAN ACOS ATAN2 INVERSE FORWARD INV_POS VARSTATE PULSE SIGN "
-    "ROUND CAST_TO CAST_FROM SREAD SWRITE "
-    "CREAD CWRITE COPEN CCLOSE CIOCTL STRLEN STRDECLLEN STRCLEAR STRADD STRFIND STRCOMP "
-    "STRCOPY MSGNOTIFY MSGSTATE MSGQUIT "
-    "MSGACKNOWLEDGE MSGDIALOG MSGLOOP SET_KRLMSG EXISTS_KRLMSG CLEAR_KRLMSG SET_KRLDLG "
-    "EXISTS_KRLDLG IR_STOPM"
+_MANUAL = "KUKA System Software 8, operating and programming instructions for system integrators"
+_KRL_WORDS = (
+    Understood(
+        "instruction",
+        f"{_MANUAL}, chapter 11: program flow, declarations, interrupts, outputs",
+        "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, "
+        "ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, "
+        "DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, "
+        "POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, "
+        "DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, "
+        "CONST_VEL, STOP, CONFIRM, CCLOSE",
+    ),
+    Understood(
+        "function",
+        f"{_MANUAL}, chapters 11 and 12: words before brackets, conditions, messages, data; "
+        "frames that BAS sets are read from its arguments",
+        "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, "
+        "B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, "
+        "SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, "
+        "SJERK, SORI_TYP, SLOAD, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, "
+        "INV_POS, VARSTATE, PULSE, SIGN, ROUND, CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, "
+        "COPEN, CCLOSE, CIOCTL, STRLEN, STRDECLLEN, STRCLEAR, STRADD, STRFIND, STRCOMP, STRCOPY, "
+        "MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, "
+        "EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM",
+    ),
+    Understood(
+        "variable",
+        "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; "
+        "$TOOL, $BASE, $ORI_TYPE and $LOAD are read",
+        "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ACT_TOOL, $ACT_BASE, $ADVANCE, $VEL, $ACC, "
+        "$APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, "
+        "$ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, "
+        "$CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, "
+        "$CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, "
+        "$ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, "
+        "$SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, "
+        "$LOAD_A2, $LOAD_A3",
+    ),
 )
-_HARMLESS = frozenset(_HARMLESS_WORDS.split())
+_INSTRUCTIONS = understood_words(_KRL_WORDS, "instruction")
+_HARMLESS = understood_words(_KRL_WORDS, "function")
+_VARIABLES = understood_words(_KRL_WORDS, "variable")
+# Values of $ORI_TYPE with which lines and circles end in the orientation of their targets.
+_TURNING = ("#VAR", "#JOINT")
+# What displaces poses: another orientation, on lines and circles; and the place of the robot.
+_ORIENTATION = "$ORI_TYPE"
+_ROBOT = "$ROBROOT"
+_PLACES = ("$ROBROOT", "$ERSYSROOT", "$WORLD", "$ERSYS")
+# Motions of external axes, behind which the robot may stand elsewhere.
+_MOVES = ("ASYPTP", "MASYPTP", "ASYCONT")
+_SETTABLE = ("$TOOL", "$BASE", "FDAT_ACT", "$ORI_TYPE", "LDAT_ACT", "$LOAD")
 
 
 @LANGUAGES.register
@@ -97,6 +146,7 @@ class Krl(ControllerLanguage):
     convention = "kuka"
     can_insert = True
     grammars = (nested(_TOKENS),)
+    understood = _KRL_WORDS
 
     def read(self, sources: Sequence[Source]) -> Program:
         draft = Draft(sources)
@@ -111,6 +161,14 @@ class Krl(ControllerLanguage):
             for statement, step in zip(statements, steps, strict=True)
             if _takes_values(statement, step)
         }
+        data = _Data()
+        entries = Entries(
+            [
+                (statements, steps, flow)
+                for (_, statements, steps), flow in zip(files, flows, strict=True)
+            ],
+            lambda statement: data.turns(statement),
+        )
         readers = []
         for i, (source, statements, steps) in enumerate(files):
             outside = [
@@ -122,9 +180,8 @@ class Krl(ControllerLanguage):
                     outside[0].start if outside else 0,
                 )
             readers.append(
-                _Reader(draft, i, statements, steps, flows[i], _HARMLESS | by_value, self)
+                _Reader(draft, i, statements, steps, flows[i], _HARMLESS | by_value, entries, self)
             )
-        data = _Data()
         for reader in readers:
             for k in range(len(reader.statements)):
                 reader.declare(k, data)
@@ -161,12 +218,40 @@ class Krl(ControllerLanguage):
 
 @dataclass
 class _Data:
-    """Tools and bases by the names of frame data (FDAT), None if unknown, and whether the tool is
-    fixed in the cell.
+    """What the data of motions are.
+
+    Attributes:
+        frames: tools and bases by the names of frame data (FDAT), None if unknown.
+        is_fixed: whether the tool is fixed in the cell.
+        constant: names of data (LDAT) whose motions do not turn the tool.
     """
 
     frames: dict[str, tuple[str, str] | None] = field(default_factory=dict)
     is_fixed: bool = False
+    constant: set[str] = field(default_factory=set)
+
+    def turns(self, statement: Statement) -> bool:
+        """Return whether lines behind a statement that sets $ORI_TYPE end in the orientation of
+        their targets.
+        """
+        if _by_bas(statement.items):
+            return True
+        sides = split(statement.items, "=")
+        if len(sides) != 2:
+            return False
+        if text_of_items(sides[0]) == "LDAT_ACT":
+            return text_of_items(sides[1]) not in self.constant
+        return self.is_turning(sides[1])
+
+    def is_turning(self, value: Sequence[Any]) -> bool:
+        """Return whether a value of $ORI_TYPE, or the data that it is from, turns the tool."""
+        call = call_of(value)
+        text = text_of_items(value if call is None else call[1].items)
+        if text.startswith("#"):
+            return text in _TURNING
+        name, _, part = text.partition(".")
+        is_data = call is not None or part == "ORI_TYP"
+        return is_data and name not in self.constant
 
 
 @dataclass(frozen=True)
@@ -194,6 +279,9 @@ class _Reader(Reader):
                 continue
             group = aggregate(sides[1], "{")
             fields = _fields(group) if group is not None else None
+            turning = fields.get("ORI_TYP", ()) if fields is not None else ()
+            if turning and text_of_items(turning) not in _TURNING:
+                data.constant.add(name)
             if name == "$IPO_MODE" and text_of_items(sides[1]) == "#TCP":
                 data.is_fixed = True
             if fields is not None and "TOOL_NO" in fields and "BASE_NO" in fields:
@@ -201,6 +289,9 @@ class _Reader(Reader):
                 continue
             if name in data.frames:
                 data.frames[name] = None
+            mass = self._mass(sides[1])
+            if mass is not None and name.startswith("LOAD_DATA["):
+                self.draft.masses[name] = mass
             self._set(line, name, is_part, sides[1])
 
     def _set(self, line: int, name: str, is_part: bool, value: Sequence[Any]) -> None:
@@ -208,7 +299,9 @@ class _Reader(Reader):
         point = None if is_part or "*" in name else self.literal(line, name, value)
         is_frame = name.startswith(("TOOL_DATA[", "BASE_DATA[", "$"))
         if isinstance(point, Point) and point.kind == "pose" and not name.startswith("$"):
-            self.draft.frame(name, self.language.pose(point.values), ["tool", "base"])
+            is_pose = self.language.is_pose(point.values)
+            pose = self.language.pose(point.values) if is_pose else "its numbers are no pose"
+            self.draft.frame(name, pose, ["tool", "base"])
         if not is_frame or point is None:
             self.assign(line, name, is_part, value)
         elif isinstance(point, Skipped):
@@ -228,11 +321,11 @@ class _Reader(Reader):
         found = tuple(number for number in numbers if number is not None)
         if len(found) < len(keys):
             return self.skip(name, line, f"not all of {' '.join(keys)} are given as numbers")
-        if keys == _JOINTS:
-            return Point(name, self.file, line, "joints", found)
         external = [number_of(fields[key]) for key in _EXTERNAL if key in fields]
         if any(number is None or number.value != 0.0 for number in external):
-            return self.skip(name, line, "an external axis is not at 0")
+            return self.skip(name, line, EXTERNAL)
+        if keys == _JOINTS:
+            return Point(name, self.file, line, "joints", found)
         posture = _posture(fields)
         if posture is None:
             return self.skip(name, line, "S or T is not a number")
@@ -258,7 +351,9 @@ class _Reader(Reader):
         if not parts:
             return
         tool = self._frame("$TOOL", k, data)
-        base = self._frame("$BASE", k, data)
+        displaced = self.displaced(k, [POSITIONS])
+        why = displaced or self._why_moved(k, _MOTIONS[first] != "joint", data)
+        base = Frame("$BASE", reason=why) if why else self._frame("$BASE", k, data)
         targets = tuple(self.target(k, part) for part in parts)
         path = (
             "joint" if arcs or len(parts) != 1 + (_MOTIONS[first] == "circle") else _MOTIONS[first]
@@ -280,8 +375,48 @@ class _Reader(Reader):
                 known.run,
                 can_insert,
                 takes_posture,
+                self.load(k) or self._load_of_tool(k, tool),
+                displaced,
             )
         )
+
+    def _load_of_tool(self, k: int, tool: Frame) -> Load | None:
+        """Return the load that is set with a tool, if the files contain it in numbers."""
+        name = tool.name.replace("TOOL_", "LOAD_")
+        line = self.statements[k].line
+        return Load(name, line, self.draft.masses[name]) if name in self.draft.masses else None
+
+    def mass(self, statement: Statement) -> float | None:
+        sides = split(statement.items, "=")
+        if len(sides) == 2:
+            mass = self._mass(sides[1])
+            return mass if mass is not None else self.draft.masses.get(text_of_items(sides[1]))
+        return None
+
+    def _mass(self, items: Sequence[Any]) -> float | None:
+        """Return the mass of an aggregate of a load, None if it is none, or not in numbers."""
+        group = aggregate(items, "{")
+        fields = _fields(group) if group is not None else None
+        number = number_of(fields["M"]) if fields is not None and "M" in fields else None
+        return number.value if number is not None and number.value >= 0.0 else None
+
+    def _why_moved(self, k: int, is_line: bool, data: _Data) -> str:
+        """Return why a motion to a pose ends elsewhere, "" if it does not."""
+        items = self.statements[k].items
+        with_ = next((j + 1 for j, item in enumerate(items) if word(item) == "WITH"), len(items))
+        is_turning = False
+        for part in split(items[with_:]):
+            sides = split(part, "=")
+            name, is_part = element_name(sides[0])
+            name = name.partition("[")[0]
+            if len(sides) == 2 and (name not in _VARIABLES or (is_part and name in _FRAMES)):
+                return f"line {self.statements[k].line} sets {name}"
+            if len(sides) == 2 and name == _ORIENTATION:
+                is_turning = data.is_turning(sides[1])
+                if not is_turning:
+                    return f"line {self.statements[k].line} does not turn the tool ($ORI_TYPE)"
+        kinds = [_ROBOT, _ORIENTATION] if is_line and not is_turning else [_ROBOT]
+        return self.displaced(k, kinds)
 
     def _frame(self, variable: str, k: int, data: _Data) -> Frame:
         """Return $TOOL or $BASE before a statement."""
@@ -322,6 +457,8 @@ class _Reader(Reader):
     def _frame_of(self, variable: str, k: int, items: Sequence[Any], data: _Data) -> Frame:
         """Return the frame of an expression."""
         found = self.literal(0, variable, items)
+        if isinstance(found, Point) and not self.language.is_pose(found.values):
+            return Frame(variable, reason=f"{variable}: its numbers are no pose")
         if isinstance(found, Point) and found.kind == "pose":
             return Frame(variable, self.language.pose(found.values))
         call = call_of(items)
@@ -430,8 +567,12 @@ def _step(statement: Statement) -> Step:
     if opens in _ROUTINES:
         return Step(opens=opens, routine=[word(item) for item in items if word(item)][-1])
     calls = tuple(name.upper() for name, _ in calls_in(items) if name.upper() not in _HARMLESS)
-    if any(word(item) == "DO" for item in items):
-        return Step(starts=calls)
+    done = [k for k, item in enumerate(items) if word(item) == "DO"]
+    if done:
+        action = items[done[-1] + 1 :]
+        name = element_name(split(action, "=")[0])[0]
+        changed = _set_by_assignment(action, name) if action else frozenset[str]()
+        return Step(starts=calls, clears=changed | ({name} & _FRAMES))
     if first in _LOOPS or first in _BLOCKS:
         return Step(opens=first, is_loop=first in _LOOPS, calls=calls)
     if first in _CLOSES:
@@ -441,15 +582,44 @@ def _step(statement: Statement) -> Step:
     ):
         return Step(is_jump=True)
     if first == "BAS":
-        what = _by_bas(items)
-        one = {"#TOOL": frozenset({"$TOOL"}), "#BASE": frozenset({"$BASE"})}
-        return Step(sets=one.get(what, frozenset() if what in _SPEEDS else _FRAMES))
+        return Step(sets=_set_by_bas(items))
     sides = split(items, "=")
     name, is_part = element_name(sides[0])
-    if len(sides) != 2 or first in _MOTIONS or name not in ("$TOOL", "$BASE", "FDAT_ACT"):
-        return Step(calls=calls)
-    return (
-        Step(calls=calls, clears=frozenset({name}))
-        if is_part
-        else Step(calls=calls, sets=frozenset({name}))
+    changed = _set_by_assignment(items, name) if first not in _MOTIONS else frozenset()
+    if len(sides) != 2 or first in _MOTIONS or name not in _SETTABLE:
+        return Step(calls=calls, clears=changed)
+    what = frozenset({{"LDAT_ACT": _ORIENTATION, "$LOAD": STATED_LOAD}.get(name, name)})
+    if is_part:
+        return Step(calls=calls, clears=what)
+    return Step(calls=calls, sets=what)
+
+
+def _set_by_bas(items: Sequence[Any]) -> frozenset[str]:
+    """Return which of the frames, and whether the turning of the tool, a call of BAS sets."""
+    what = _by_bas(items)
+    if what == "#INITMOV":
+        return _FRAMES | {_ORIENTATION}
+    one = {"#TOOL": frozenset({"$TOOL"}), "#BASE": frozenset({"$BASE"})}
+    return one.get(what, frozenset() if what in _SPEEDS else _FRAMES)
+
+
+def _set_by_assignment(items: Sequence[Any], name: str) -> frozenset[str]:
+    """Return what another instruction may displace: by a system variable that is not understood,
+    or as an instruction that is not.
+    """
+    first = word(items[0])
+    stem = name.partition("[")[0]
+    is_assignment = any(is_token(item, "SIGN", "=") for item in items)
+    if is_assignment:
+        if not stem.startswith("$") or stem in _VARIABLES:
+            return frozenset()
+        return frozenset({_ROBOT if stem in _PLACES else POSITIONS})
+    is_declaration = (
+        len(items) > 1
+        and bool(word(items[1]))
+        and first not in _MOVES
+        and not any(isinstance(item, Brackets) and item.kind == "{" for item in items)
     )
+    is_call = len(items) > 1 and isinstance(items[1], Brackets) and items[1].kind == "("
+    is_known = first in _INSTRUCTIONS or first in _RELATIVE or is_declaration or is_call
+    return frozenset() if is_known or not first else frozenset({POSITIONS})

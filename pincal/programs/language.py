@@ -18,6 +18,7 @@ from pincal.plugins import Registry
 from pincal.programs.program import Motion, Point, Posture, Program, Turn, number_text
 from pincal.programs.program_numbers import PROGRAM_NUMBERS
 from pincal.programs.syntax import Number, Source
+from pincal.programs.understood import Understood
 from pincal.robot.se3 import exponentials, rotation_matrices, rotation_of_rpy, transform
 from pincal.units import plain_numbers
 
@@ -36,6 +37,7 @@ class ControllerLanguage(ABC):
         digits: decimal places of a position, an orientation and a joint, for a tenth of a
             micrometre.
         can_insert: whether statements can be inserted into a program.
+        understood: the words that change neither a point nor a frame.
         grammars: of its files; the page of ``export --page`` holds their tables.
     """
 
@@ -48,6 +50,7 @@ class ControllerLanguage(ABC):
     in_degrees: ClassVar[bool] = True
     digits: ClassVar[tuple[int, int, int]] = (4, 6, 7)
     can_insert: ClassVar[bool] = False
+    understood: ClassVar[tuple[Understood, ...]] = ()
     grammars: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
@@ -77,7 +80,15 @@ class ControllerLanguage(ABC):
         return transform(R, self.length * np.asarray(values[:3], float))
 
     def is_pose(self, values: np.ndarray) -> bool:
-        """Return whether numbers are a pose: a quaternion has unit length."""
+        """Return whether numbers are a pose: of a length that a robot may have, and a quaternion of
+        unit length.
+        """
+        values = np.asarray(values, float)
+        is_near = np.abs(values[:3]).max() * self.length < PROGRAM_NUMBERS.longest
+        is_turn = np.abs(values[3:]).max() < PROGRAM_NUMBERS.most_turned
+        # The length of a vector of large numbers would not be finite.
+        if not (is_near and is_turn):
+            return False
         return (
             len(values) != 7 or abs(float(np.linalg.norm(values[3:])) - 1.0) < PROGRAM_NUMBERS.unit
         )
@@ -152,11 +163,9 @@ class ControllerLanguage(ABC):
 
     def refusal(self, point: Point) -> str:
         """Return why the values of a point can't be interpreted, or ""."""
-        return (
-            ""
-            if point.kind == "joints" or self.is_pose(point.values)
-            else "its quaternion is not of unit length"
-        )
+        if point.kind == "joints" or self.is_pose(point.values):
+            return ""
+        return "its numbers are no pose: too large, or a quaternion that is not of unit length"
 
     def point_numbers(self, point: Point, values: np.ndarray) -> list[str]:
         """Return the texts that replace a point's numbers."""

@@ -78,10 +78,13 @@ class Follower:
         if not legs:
             return []
         ends = [np.array([[end.q, end.commanded] for end in leg.ends]) for leg in legs]
-        sizes = self._sizes(ends, np.array([leg.tool for leg in legs]))
+        payloads = np.array([leg.ends[-1].payload for leg in legs])
+        sizes = self._sizes(ends, np.array([leg.tool for leg in legs]), payloads)
         return [Deviation(leg.motion, float(size)) for leg, size in zip(legs, sizes, strict=True)]
 
-    def _sizes(self, ends: Sequence[np.ndarray], tools: np.ndarray) -> np.ndarray:
+    def _sizes(
+        self, ends: Sequence[np.ndarray], tools: np.ndarray, payloads: np.ndarray
+    ) -> np.ndarray:
         """Return the largest deviations [m] between ends of shape (2 or 3, 2, n), joints as meant
         and as commanded.
         """
@@ -104,15 +107,15 @@ class Follower:
             q, reached = self.corrector.arms.reach(q, compose(_between(commanded, s), back))
             follows &= reached
             here, ahead = (_between(meant, t)[:, :, 3] for t in (s, s + 1e-4))
-            off = compose(self._real_tips(q), tools[:, :3])[:, :, 3] - here
+            off = compose(self._real_tips(q, payloads), tools[:, :3])[:, :, 3] - here
             along = ahead - here
             along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
             off -= np.einsum("ni,ni->n", off, along)[:, None] * along
             worst = np.maximum(worst, np.linalg.norm(off, axis=1))
         return np.where(follows, worst, np.nan)
 
-    def _real_tips(self, q: np.ndarray) -> np.ndarray:
-        conditions = self.placed.of_its_day(self.corrector.conditions(q))
+    def _real_tips(self, q: np.ndarray, payloads: np.ndarray) -> np.ndarray:
+        conditions = self.placed.of_its_day(self.corrector.conditions(q, payloads))
         targets = self.placed.model.predict(self.placed.model_values, conditions)
         return compose(targets, inverse(self.corrector.target))
 
@@ -136,7 +139,9 @@ class Follower:
                     return "the arm can't follow it"
                 meant.append(q[0])
             commanded, reasons = self.corrector.solve(
-                np.array(meant), self.corrector.arms.tips(np.array(meant))
+                np.array(meant),
+                self.corrector.arms.tips(np.array(meant)),
+                np.full(len(meant), end.payload),
             )
             if any(reasons):
                 return next(reason for reason in reasons if reason)
@@ -148,7 +153,9 @@ class Follower:
                 ]
             )
             sizes = self._sizes(
-                [pairs[k : k + 2] for k in range(parts)], np.repeat(leg.tool[None], parts, axis=0)
+                [pairs[k : k + 2] for k in range(parts)],
+                np.repeat(leg.tool[None], parts, axis=0),
+                np.full(parts, end.payload),
             )
             if np.all(sizes <= limit):
                 tips = self.corrector.arms.tips(commanded)

@@ -165,6 +165,21 @@ class Skipped:
 
 
 @dataclass(frozen=True)
+class Load:
+    """A load that a program states for a motion.
+
+    Attributes:
+        text: its statement, or what sets it.
+        line: its line.
+        mass: [kg]; None if it is not in numbers.
+    """
+
+    text: str
+    line: int
+    mass: float | None = None
+
+
+@dataclass(frozen=True)
 class Motion:
     """A motion to a point, perhaps through others.
 
@@ -180,6 +195,8 @@ class Motion:
         can_insert: whether a statement can be inserted before it.
         takes_posture: whether the controller obeys the target's posture; else the arm keeps its
             own.
+        load: the load in force, if the program states one.
+        displaced: why targets, in joints as well, are not reached; of poses ``base`` says so, too.
     """
 
     path: Path
@@ -192,6 +209,8 @@ class Motion:
     run: int = 0
     can_insert: bool = False
     takes_posture: bool = True
+    load: Load | None = None
+    displaced: str = ""
 
 
 @dataclass
@@ -204,6 +223,7 @@ class Program:
         points: the points to correct by their keys, in the order in which motions use them.
         motions: with the keys of their points, None for unknown ones.
         skipped: what can't be corrected.
+        loads: by the key of a point the loads of the motions to it, None if none is stated.
     """
 
     sources: Sequence[Source]
@@ -212,6 +232,7 @@ class Program:
     points: dict[PointKey, Point] = field(default_factory=dict)
     motions: list[tuple[Motion, tuple[PointKey | None, ...]]] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
+    loads: dict[PointKey, list[Load | None]] = field(default_factory=dict)
 
     def leave(self, only_read: Collection[int]) -> None:
         """Correct nothing in some files; their points that motions of other files use

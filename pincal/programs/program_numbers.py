@@ -21,6 +21,21 @@ class ProgramNumbers:
         "no poses",
         "the rounding of four digits",
     )
+    longest: float = number(
+        1e4,
+        "m",
+        "test_program_limits.py::test_numbers_that_are_no_pose_are_left",
+        "from the origin of a base to a point, or from a flange to a tool, above which numbers are "
+        "no pose",
+        "chosen: no robot's track is longer",
+    )
+    most_turned: float = number(
+        1e5,
+        "deg and rad",
+        "test_program_limits.py::test_numbers_that_are_no_pose_are_left",
+        "of an angle, above which numbers are no pose",
+        "chosen: some hundred turns; the tenth of a micrometre is still resolved",
+    )
     clearly: float = number(
         0.5,
         "ratio",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,18 +11,24 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
-from pincal.programs.program import Frame, Motion, Point, Posture, Program, Skipped, Turn
+from pincal.programs.program import Frame, Load, Motion, Point, Posture, Program, Skipped, Turn
 from pincal.programs.rapid_blocks import (
-    ENDS_IT,
+    BY_NAME,
+    DISPLACES,
     GRAMMAR,
+    JOINTS_TOO,
+    MOTION_OPTIONS,
     MOTIONS,
     OF_OPTIONS,
     ONCE,
+    RAPID_FUNCTIONS,
+    RAPID_WORDS,
     SWITCHES,
     check_blocks,
+    ends_displacement,
     statements_of,
 )
-from pincal.programs.statement_reader import Reader, formal_names
+from pincal.programs.statement_reader import EXTERNAL, Entries, Reader, formal_names
 from pincal.programs.syntax import (
     Brackets,
     Number,
@@ -31,6 +37,7 @@ from pincal.programs.syntax import (
     aggregate,
     calls_in,
     element_name,
+    number_of,
     numbers_of,
     place_of,
     split,
@@ -44,15 +51,8 @@ _SEARCHES = ("SEARCHL", "SEARCHJ", "SEARCHC")
 _STORAGE = ("CONST", "PERS", "VAR")
 _TARGETS = ("ROBTARGET", "JOINTTARGET")
 _DATA = (*_TARGETS, "TOOLDATA", "WOBJDATA")
-# Functions that change none of their arguments.
-_HARMLESS_WORDS = (
-    "OFFS RELTOOL POSEMULT POSEINV POSEVECT DEFFRAME DEFACCFRAME CROBT CJOINTT CPOS CTOOL "
-    "CWOBJ CALCJOINTT CALCROBT "
-    "ORIENTZYX EULERZYX DISTANCE VECTMAGN DOTPROD NORIENT MIRPOS ROBOS ABS SQRT SIN COS "
-    "TAN ACOS ASIN ATAN ATAN2 ROUND "
-    "TRUNC POW EXP NUMTOSTR VALTOSTR DIM AND OR NOT XOR DIV MOD RETURN IF WHILE"
-)
-_HARMLESS = frozenset(_HARMLESS_WORDS.split())
+# What a routine may do with a parameter: only that of an input is a copy.
+_CHANGEABLE = ("INOUT", "PERS", "VAR", "REF")
 # From here on a number stands for no external axis: it is written 9E9.
 _NONE: Scale = 8.9e9
 
@@ -68,26 +68,35 @@ class Rapid(ControllerLanguage):
     digits = (4, 9, 7)
     can_insert = True
     grammars = (GRAMMAR,)
+    understood = RAPID_WORDS
 
     def read(self, sources: Sequence[Source]) -> Program:
         draft = Draft(sources)
         draft.frame("TOOL0", np.eye(4), ["tool"])
         draft.frame("WOBJ0", np.eye(4), ["base"])
+        draft.constants.update(["TOOL0", "WOBJ0"])
         files = []
         for source in sources:
             parts = statements_of(source)
             files.append(
                 (source, [statement for statement, _ in parts], [step for _, step in parts])
             )
-        flows = followed(files)
+        switched = set[str]().union(*(step.sets for _, _, steps in files for step in steps))
+        flows = followed(files, outside=frozenset(switched) & set(DISPLACES))
         changing = set[str]()
         routines = set[str]()
-        switched = set[str]()
         for (source, statements, steps), flow in zip(files, flows, strict=True):
             check_blocks(source, statements, steps, flow)
             changing |= set(_that_change_parameters(statements, steps, flow))
             routines |= {step.routine for step in steps if step.routine}
-            switched = switched.union(*(step.sets for step in steps))
+        entries = Entries(
+            [
+                (statements, steps, flow)
+                for (_, statements, steps), flow in zip(files, flows, strict=True)
+            ],
+            ends_displacement,
+            DISPLACES,
+        )
         for i, (_, statements, steps) in enumerate(files):
             reader = _Reader(
                 draft,
@@ -95,7 +104,8 @@ class Rapid(ControllerLanguage):
                 statements,
                 steps,
                 flows[i],
-                _HARMLESS | (routines - changing),
+                RAPID_FUNCTIONS | (routines - changing),
+                entries,
                 self,
                 switched,
             )
@@ -169,10 +179,12 @@ class _Reader(Reader):
         sizes = [len(each) for each in lists] if lists is not None else []
         if lists is None or sizes not in ([3, 4, 4, 6], [6, 6]):
             return self.skip(name, line, "not all of its values are numbers")
+        if sizes == [6, 6] and not _at_rest(lists[1]):
+            return self.skip(name, line, EXTERNAL)
         if sizes == [6, 6]:
             return Point(name, self.file, line, "joints", lists[0])
-        if any(number.value != 0.0 and number.value < _NONE for number in lists[3]):
-            return self.skip(name, line, "an external axis is not at 0")
+        if not _at_rest(lists[3]):
+            return self.skip(name, line, EXTERNAL)
         posture = _posture(lists[2])
         if posture is None:
             return self.skip(name, line, "its configuration is invalid")
@@ -187,6 +199,7 @@ class _Reader(Reader):
         first = word(statement.items[0])
         if step.opens or step.closes or step.is_jump:
             if not step.routine:
+                self.pass_arguments(line, items)
                 self.draft.read(self.words(items))
             return
         if first in MOTIONS:
@@ -211,6 +224,8 @@ class _Reader(Reader):
             self.draft.read(self.words(items))
             self.draft.motions.append(Motion("joint", (), statement, self.file, run=-1))
         else:
+            if first in BY_NAME:
+                self.draft.write_any(f"line {line} sets data by their names ({first})")
             if first in SWITCHES:
                 self.draft.derive("displacement", self.words(items[1:]))
             elif first not in self.harmless:
@@ -222,12 +237,16 @@ class _Reader(Reader):
         sides = split(items[1:], ":=")
         name = element_name(sides[0])[0]
         value = sides[1] if len(sides) == 2 else ()
+        group = aggregate(value, "[")
+        if kind == "LOADDATA" and group is not None and len(group.parts) == 6:
+            mass = number_of(group.parts[0])
+            if mass is not None:
+                self.draft.masses[name] = mass.value
         if kind not in _DATA or not name:
             self.draft.read(self.words(items))
             return
         if is_constant:
             self.draft.constants.add(name)
-        group = aggregate(value, "[")
         if kind == "TOOLDATA":
             self.draft.frame(name, self.language.tool(group), ["tool"])
             return
@@ -285,13 +304,13 @@ class _Reader(Reader):
             if "WOBJ" in options
             else Frame("WOBJ0")
         )
-        displaced = self.displaced(
-            k, [name for name in ("PDISP", "EOFFS", "CORR") if name in self.switched], ENDS_IT
-        )
-        if "CORR" in options or displaced:
-            base = Frame(
-                "displacement", reason=displaced or "the motion is corrected by a sensor (Corr)"
-            )
+        displaced = self._displaced(k, options)
+        if displaced:
+            base = Frame("displacement", reason=displaced)
+        unknown = next((name for name in options if name not in MOTION_OPTIONS), "")
+        if unknown:
+            why = f"line {statement.line}: \\{unknown} is not understood and may displace it"
+            targets = tuple(self.left(target, why) for target in targets)
         can_insert = first == "MOVEL" and self.steps[k - 1].opens != ONCE
         span = place_of(places[-1])
         takes_posture = self._takes_posture(known, "CONFJ" if path == "joint" else "CONFL")
@@ -307,8 +326,29 @@ class _Reader(Reader):
                 known.run,
                 can_insert,
                 takes_posture,
+                self._load_of(options, k),
+                displaced if first == "MOVEABSJ" else "",
             )
         )
+
+    def _displaced(self, k: int, options: Mapping[str, Sequence[Any]]) -> str:
+        """Return why positions are displaced at a motion, "" if they are not."""
+        if "CORR" in options:
+            return "the motion is corrected by a sensor (Corr)"
+        is_joint = word(self.statements[k].items[0]) == "MOVEABSJ"
+        kinds = JOINTS_TOO if is_joint else DISPLACES
+        return self.displaced(k, [name for name in kinds if name in self.switched])
+
+    def _load_of(self, options: Mapping[str, Sequence[Any]], k: int) -> Load | None:
+        """Return the load of a motion: its own (TLoad), or the one in force."""
+        if "TLOAD" not in options:
+            return self.load(k)
+        name = text_of_items(options["TLOAD"])
+        return Load(name, self.statements[k].line, self.draft.masses.get(name))
+
+    def mass(self, statement: Statement) -> float | None:
+        name = text_of_items(statement.items[1:])
+        return 0.0 if name == "LOAD0" else self.draft.masses.get(name)
 
     def _takes_posture(self, known: InForce, switch: str) -> bool:
         """Return whether configurations are monitored: not where that is, or may be,
@@ -329,18 +369,25 @@ def _that_change_parameters(
         step = steps[k]
         routine = flow[k].routine
         first = word(statement.items[0])
-        if routine < 0 or step.opens or step.closes or step.is_jump or first in MOTIONS:
+        if routine < 0 or step.routine:
             continue
         sides = split(statement.items, ":=")
-        touched = (
-            {element_name(sides[0])[0]} if len(sides) == 2 else set(words_in(statement.items[1:]))
-        )
+        touched = set[str]()
+        if len(sides) == 2 and first not in MOTIONS:
+            touched.add(element_name(sides[0])[0])
+        elif not (step.opens or step.closes or step.is_jump or first in MOTIONS):
+            touched |= set(words_in(statement.items[1:]))
         for name, group in calls_in(statement.items):
-            if name.upper() not in _HARMLESS:
+            if name.upper() not in RAPID_FUNCTIONS:
                 touched |= {element_name(part)[0] for part in group.parts}
-        if touched & set(formal_names(statements[routine], _DATA)):
+        if touched & set(formal_names(statements[routine], _CHANGEABLE)):
             found.append(steps[routine].routine)
     return found
+
+
+def _at_rest(external: Sequence[Number]) -> bool:
+    """Return whether external axes are at 0 or not in use."""
+    return all(number.value == 0.0 or number.value >= _NONE for number in external)
 
 
 def _lists(group: Brackets) -> list[tuple[Number, ...]] | None:

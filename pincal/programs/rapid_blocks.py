@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pincal.programs.flow import InForce, Step
+from pincal.programs.line_flow import STATED_LOAD
 from pincal.programs.program import Path
 from pincal.programs.syntax import (
     Brackets,
@@ -22,6 +23,7 @@ from pincal.programs.syntax import (
     word,
     words_in,
 )
+from pincal.programs.understood import Understood, understood_words
 
 _TOKENS = r"""
 TEXT: /"([^"\r\n]|"")*"/
@@ -51,6 +53,7 @@ _HEADS = {"IF": "THEN", "ELSEIF": "THEN", "FOR": "DO", "WHILE": "DO", "CASE": ":
 _JUMPS = ("ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD")
 _ALONE = (*_CLOSES, "ELSE", "ERROR", "UNDO", "BACKWARD")
 ONCE = "IF without THEN"
+_STORAGE = ("CONST", "PERS", "VAR", "LOCAL", "TASK", "ALIAS")
 _PLAIN = {"MOVEL": "line", "MOVEJ": "joint", "MOVEC": "circle", "MOVEABSJ": "joint"}
 _PLAIN |= {
     f"{name}{more}": path
@@ -73,6 +76,64 @@ OF_OPTIONS = {
     for more in ends
 }
 MOTIONS: dict[str, Path] = {**_PLAIN, **OF_OPTIONS}  # type: ignore[dict-item]
+_MANUAL = "ABB, technical reference manual: RAPID instructions, functions and data types"
+RAPID_WORDS = (
+    Understood(
+        "instruction",
+        f"{_MANUAL}: program flow, waiting, errors, interrupts",
+        "IF, ELSEIF, ELSE, ENDIF, FOR, ENDFOR, WHILE, ENDWHILE, TEST, CASE, DEFAULT, ENDTEST, "
+        "GOTO, RETURN, EXIT, EXITCYCLE, STOP, BREAK, RAISE, RETRY, TRYNEXT, RESETRETRYCOUNT, "
+        "WAITTIME, WAITUNTIL, WAITDI, WAITDO, WAITGI, WAITGO, WAITAI, WAITAO, WAITROB, "
+        "WAITSYNCTASK, CONNECT, IDELETE, IDISABLE, IENABLE, ISLEEP, IWATCH, ISIGNALDI, ISIGNALDO, "
+        "ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, "
+        "ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, "
+        "STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, "
+        "TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE",
+    ),
+    Understood(
+        "instruction",
+        f"{_MANUAL}: motion settings that keep target and tool",
+        "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, "
+        "CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, "
+        "WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, "
+        "WZENABLE, WZDISABLE, WZFREE, ARCREFRESH",
+    ),
+    Understood(
+        "instruction",
+        f"{_MANUAL}: inputs, outputs, operator, files, clocks, numbers",
+        "SETDO, SETGO, SETAO, SET, RESET, INVERTDO, PULSEDO, IOENABLE, IODISABLE, ALIASIO, "
+        "TPWRITE, TPERASE, TPREADNUM, TPREADDNUM, TPREADFK, TPSHOW, UIMSGBOX, UIMSGWRITE, "
+        "UISHOW, OPEN, CLOSE, WRITE, WRITEBIN, WRITEANYBIN, WRITESTRBIN, WRITERAWBYTES, "
+        "READRAWBYTES, PACKRAWBYTES, UNPACKRAWBYTES, CLEARRAWBYTES, COPYRAWBYTES, CLEARIOBUFF, "
+        "REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, "
+        "SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, "
+        "BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, "
+        "SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT",
+    ),
+    Understood(
+        "function",
+        f"{_MANUAL}: functions, none of which changes an argument",
+        "OFFS, RELTOOL, POSEMULT, POSEINV, POSEVECT, DEFFRAME, DEFACCFRAME, CROBT, CJOINTT, CPOS, "
+        "CTOOL, CWOBJ, CALCJOINTT, CALCROBT, ORIENTZYX, EULERZYX, DISTANCE, VECTMAGN, DOTPROD, "
+        "CROSSPROD, NORIENT, MIRPOS, ROBOS, ABS, SQRT, SIN, COS, TAN, ACOS, ASIN, ATAN, ATAN2, "
+        "ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, "
+        "XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, "
+        "AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, "
+        "STRTOVAL, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, "
+        "BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, "
+        "READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE",
+    ),
+    Understood(
+        "option",
+        f"{_MANUAL}: optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL",
+        "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, "
+        "SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, "
+        "OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT",
+    ),
+)
+_INSTRUCTIONS = understood_words(RAPID_WORDS, "instruction")
+RAPID_FUNCTIONS = understood_words(RAPID_WORDS, "function")
+MOTION_OPTIONS = understood_words(RAPID_WORDS, "option")
 # Instructions by what they switch: displacements of positions, and whether configurations are
 # monitored.
 SWITCHES = {
@@ -83,12 +144,61 @@ SWITCHES = {
     "EOFFSSET": "EOFFS",
     "EOFFSOFF": "EOFFS",
     "CORRCON": "CORR",
+    "CORRWRITE": "CORR",
     "CORRDISCON": "CORR",
     "CORRCLEAR": "CORR",
+    "SINGAREA": "SINGAREA",
+    "SOFTACT": "SOFT",
+    "SOFTDEACT": "SOFT",
+    "CSSACT": "CSS",
+    "CSSOFFSETTUNE": "CSS",
+    "CSSFORCEOFFSETACT": "CSS",
+    "CSSDEACT": "CSS",
+    "SYNCMOVEON": "SYNCMOVE",
+    "SYNCMOVERESUME": "SYNCMOVE",
+    "SYNCMOVEOFF": "SYNCMOVE",
+    "SYNCMOVESUSPEND": "SYNCMOVE",
+    "WAITWOBJ": "CONVEYOR",
+    "DROPWOBJ": "CONVEYOR",
+    "WAITSENSOR": "SENSOR",
+    "SYNCTOSENSOR": "SENSOR",
+    "DROPSENSOR": "SENSOR",
+    "FCACT": "FORCE",
+    "FCPRESSLSTART": "FORCE",
+    "FCPRESSEND": "FORCE",
+    "FCDEACT": "FORCE",
+    "EGMACTMOVE": "EGM",
+    "EGMRUNJOINT": "EGM",
+    "EGMRUNPOSE": "EGM",
+    "EGMSTOP": "EGM",
+    "EGMRESET": "EGM",
     "CONFL": "CONFL",
     "CONFJ": "CONFJ",
+    "GRIPLOAD": STATED_LOAD,
 }
-ENDS_IT = ("PDISPOFF", "EOFFSOFF", "CORRCLEAR")
+DISPLACES = sorted({*SWITCHES.values()} - {"CONFL", "CONFJ", STATED_LOAD})
+# Those of positions in joints as well.
+JOINTS_TOO = ("CORR", "CSS", "EGM", "FORCE", "SENSOR", "SOFT")
+_ENDS_IT = (
+    "PDISPOFF",
+    "EOFFSOFF",
+    "CORRCLEAR",
+    "SOFTDEACT",
+    "CSSDEACT",
+    "SYNCMOVEOFF",
+    "DROPWOBJ",
+    "DROPSENSOR",
+    "FCDEACT",
+    "EGMRESET",
+)
+# Instructions that set data by their names, which are texts.
+BY_NAME = ("SETDATAVAL", "SETALLDATAVAL")
+
+
+def ends_displacement(statement: Statement) -> bool:
+    """Return whether a statement of ``SWITCHES`` ends what it switches."""
+    first = word(statement.items[0])
+    return first in _ENDS_IT or (first == "SINGAREA" and "OFF" in words_in(statement.items))
 
 
 def statements_of(source: Source) -> list[tuple[Statement, Step]]:
@@ -149,7 +259,11 @@ def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
 
 def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, Step]]:
     """Yield a condition and its only statement: a motion, an assignment, or all that follows."""
-    motions = [k for k in range(1, len(items)) if word(items[k]) in MOTIONS]
+    motions = [
+        k
+        for k in range(1, len(items))
+        if word(items[k]) in MOTIONS or word(items[k]) in SWITCHES or word(items[k]) in BY_NAME
+    ]
     k = motions[-1] if motions else 1
     sides = split(items, ":=")
     if not motions and len(sides) == 2:
@@ -190,7 +304,18 @@ def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:
         return Step(is_jump=True)
     if first == "CONNECT":
         return Step(starts=tuple(words_in(items[1:])))
-    calls = (first, *(name.upper() for name, _ in calls_in(items)))
+    own = first if first and not any(is_token(item, "SIGN", ":=") for item in items) else ""
+    names = [own, *(name.upper() for name, _ in calls_in(items))]
+    is_known = first in MOTIONS or first in _STORAGE
+    calls = tuple(
+        name
+        for name in names
+        if name
+        and not (is_known and name == first)
+        and name not in _INSTRUCTIONS
+        and name not in RAPID_FUNCTIONS
+        and name not in SWITCHES
+    )
     return Step(
         sets=frozenset({SWITCHES[first]}) if first in SWITCHES else frozenset(), calls=calls
     )

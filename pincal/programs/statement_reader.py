@@ -4,13 +4,14 @@ arguments of routines.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step
-from pincal.programs.program import Frame, Point, Skipped
+from pincal.programs.line_flow import STATED_LOAD
+from pincal.programs.program import Frame, Load, Point, Skipped
 from pincal.programs.syntax import (
     Brackets,
     Statement,
@@ -22,6 +23,7 @@ from pincal.programs.syntax import (
 )
 
 PARAMETER = "a parameter of the routine"
+EXTERNAL = "an external axis is not at 0"
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Reader:
         steps: the effect of each on the control flow.
         flow: what is known before each.
         harmless: names of functions and routines that change none of their arguments.
+        entries: in which state routines start.
         case: whether names are case-sensitive.
     """
 
@@ -44,6 +47,7 @@ class Reader:
     steps: Sequence[Step]
     flow: Sequence[InForce]
     harmless: frozenset[str]
+    entries: Entries
     case: ClassVar[bool] = False
 
     def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Skipped | None:
@@ -106,21 +110,104 @@ class Reader:
                     called, [element_name(part, case=self.case)[0] for part in group.parts], line
                 )
 
-    def displaced(self, k: int, kinds: Sequence[str], ended_by: Sequence[str]) -> str:
+    def displaced(self, k: int, kinds: Sequence[str]) -> str:
         """Return why positions are, or may be, displaced at a statement, "" if not: by kinds that
-        these words end.
+        any of the files switches.
         """
+        known = self.flow[k]
         for kind in kinds:
-            found = self.flow[k].setters.get(kind)
-            if not isinstance(found, int):
-                return (
-                    f"positions may be displaced ({kind}): "
-                    f"{found if found is not None else 'another routine does so'}"
-                )
-            called = str(self.statements[found].items[0])
-            if (called if self.case else called.upper()) not in ended_by:
-                return f"line {self.statements[found].line} displaces positions ({called})"
+            found = known.setters.get(kind)
+            if isinstance(found, int):
+                if not self.entries.ends(self.statements[found]):
+                    called = text_of_items(self.statements[found].items[:1], case=True)
+                    return f"line {self.statements[found].line} displaces positions ({called})"
+            elif found is not None:
+                return f"positions may be displaced ({kind}): {found}"
+            elif known.routine >= 0:
+                routine = self.steps[known.routine].routine
+                if routine in self.entries.displaced_at_start(kind):
+                    return f"positions may be displaced ({kind}): another routine does so"
         return ""
+
+    def load(self, k: int) -> Load | None:
+        """Return the load in force at a motion, None if the program states none."""
+        known = self.flow[k]
+        found = known.setters.get(STATED_LOAD)
+        if isinstance(found, int):
+            statement = self.statements[found]
+            return Load(text_of_items(statement.items), statement.line, self.mass(statement))
+        routine = self.steps[known.routine].routine if known.routine >= 0 else ""
+        if found is None and routine in self.entries.displaced_at_start(STATED_LOAD):
+            found = "it is set by another routine"
+        return Load(found, self.statements[k].line) if found is not None else None
+
+    def mass(self, statement: Statement) -> float | None:
+        """Return the mass [kg] that a statement sets, None if it is not in numbers."""
+        raise NotImplementedError
+
+    def left(self, target: str | Point | Skipped, reason: str) -> str | Skipped:
+        """Return a target that is left for a reason, by its name if it has one."""
+        if isinstance(target, Point):
+            return target.skip(reason)
+        if isinstance(target, str):
+            self.draft.write(target, reason)
+        return target
+
+
+@dataclass(frozen=True)
+class Entries:
+    """In which state the routines of some files start.
+
+    Attributes:
+        files: statements of each file, their effects, and what is known before each.
+        ends: whether a statement ends what it switches.
+        lasting: kinds of displacement that last when a program ends.
+        known: by a kind of displacement, the routines that may start with positions displaced.
+    """
+
+    files: Sequence[tuple[Sequence[Statement], Sequence[Step], Sequence[InForce]]]
+    ends: Callable[[Statement], bool]
+    lasting: Sequence[str] = ()
+    known: dict[str, frozenset[str]] = field(default_factory=dict)
+
+    def displaced_at_start(self, kind: str) -> frozenset[str]:
+        """Return the routines that may start with positions displaced in some way."""
+        if kind not in self.known:
+            self.known[kind] = self._displaced_at_start(kind)
+        return self.known[kind]
+
+    def _displaced_at_start(self, kind: str) -> frozenset[str]:
+        found = set[str]()
+        called = set[str]()
+        # Routines called by one in which nothing of the kind has happened yet.
+        heirs = dict[str, list[str]]()
+        ended = dict[str, bool]()
+        for statements, steps, flow in self.files:
+            for k, step in enumerate(steps):
+                state = flow[k].setters.get(kind)
+                is_clean = state is None or (
+                    isinstance(state, int) and self.ends(statements[state])
+                )
+                called |= set(step.calls)
+                found |= set(step.starts)
+                routine = steps[flow[k].routine].routine if flow[k].routine >= 0 else ""
+                for name in step.calls:
+                    if not is_clean:
+                        found.add(name)
+                    elif state is None:
+                        heirs.setdefault(routine, []).append(name)
+                if step.closes and steps[flow[k].blocks[-1]].routine:
+                    ended[routine] = is_clean
+        # A program that nothing else calls starts again as it has ended.
+        if kind in self.lasting:
+            found |= {name for name, is_clean in ended.items() if not (is_clean or name in called)}
+        ahead = sorted(found)
+        while ahead:
+            for name in heirs.get(ahead.pop(), []):
+                if name not in found:
+                    found.add(name)
+                    ahead.append(name)
+        return frozenset(found)
 
 
 def formal_names(

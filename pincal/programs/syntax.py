@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import bisect
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 # No program is larger [bytes].
 LARGEST_PROGRAM: Count = 50_000_000
+# Words, numbers and signs of one program, and brackets within brackets; reading takes 10 us each.
+MOST_WORDS: Count = 1_000_000
+DEEPEST: Count = 100
 # Statements of nested brackets; a language adds its tokens, and ``_END``, which ends a statement.
 _NESTED = r"""
 start: statement*
@@ -106,6 +110,13 @@ class Source:
                 "a zero byte; expected text in ASCII, Latin-1 or UTF-8", self.content.index(b"\0")
             )
         text = self.content.decode("latin-1")
+        # No token is shorter than a byte.
+        count = sum(1 for _ in re.finditer(r"\w+|[^\w\s]", text)) if len(text) > MOST_WORDS else 0
+        if count > MOST_WORDS:
+            raise ProgramError(
+                f"{self.name}: {count} words, numbers and signs; expected a program of at most "
+                f"{MOST_WORDS}: divide it"
+            )
         return "   " + text[3:] if text.startswith("\xef\xbb\xbf") else text
 
     def place(self, at: int) -> tuple[int, int]:
@@ -161,6 +172,10 @@ class Source:
             words: what is expected of the file, for messages.
             over_lines: whether brackets may contain what ends statements outside them.
         """
+        # Read in one pass; the parser, some ten times slower, says what is not as expected.
+        fast = self._fast_statements(nested(tokens, over_lines=over_lines), over_lines=over_lines)
+        if fast is not None:
+            return fast
         found = []
         for tree in self.parse(nested(tokens, over_lines=over_lines), words).children:
             items = tuple(self._items(tree.children, words))
@@ -170,18 +185,74 @@ class Source:
                 found.append(Statement(items, start, end, line or 0))
         return found
 
-    def _items(self, children: Iterable[Any], words: str) -> Iterator[Any]:
+    def _tokens(self, grammar: str) -> Iterator[Token | None]:
+        """Yield the tokens of the text by the terminals of a grammar, None for anything else."""
+        with needed("lark", "programs of controllers", error=ProgramError):
+            from lark import Token
+        lexer: Any = parser_of(grammar).parser.lexer
+        terminals = [(one.name, one.pattern.to_regexp()) for one in lexer.root_lexer.terminals]
+        pattern = re.compile("|".join(f"(?P<{name}>{pattern})" for name, pattern in terminals))
+        text = self.text + _END_OF_FILE
+        lines = [match.start() for match in re.finditer("\n", text)]
+        at = 0
+        while at < len(text):
+            match = pattern.match(text, at)
+            if match is None or match.end() == at:
+                yield None
+                return
+            kind = match.lastgroup or ""
+            if kind not in lexer.root_lexer.ignore_types:
+                line = bisect.bisect_left(lines, at) + 1
+                yield Token(kind, match.group(), at, line, end_pos=match.end())
+            at = match.end()
+
+    def _fast_statements(self, grammar: str, *, over_lines: bool) -> list[Statement] | None:
+        """Return the statements of a text; None if it is not one of the grammar throughout."""
+        statements = list[Statement]()
+        items = list[Any]()
+        outer: list[tuple[list[Any], Token]] = []
+        for token in self._tokens(grammar):
+            if token is None or (token.type == "_END" and outer and not over_lines):
+                return None
+            if token.type == "_END":
+                if items and not outer:
+                    start, end = place_of(items)
+                    line = self.place(start)[0] if isinstance(items[0], Brackets) else items[0].line
+                    statements.append(Statement(tuple(items), start, end, line))
+                    items = []
+            elif token.type == "OPEN" and len(outer) < DEEPEST:
+                outer.append((items, token))
+                items = []
+            elif token.type == "CLOSE" and outer and _PAIRS[outer[-1][1]] == token:
+                before, first = outer.pop()
+                end = token.end_pos or 0
+                before.append(Brackets(str(first), tuple(items), first.start_pos or 0, end))
+                items = before
+            elif token.type in ("OPEN", "CLOSE"):
+                return None
+            else:
+                items.append(token)
+        return None if outer or items else statements
+
+    def _items(self, children: Iterable[Any], words: str, depth: int = 0) -> Iterator[Any]:
         for child in children:
             if isinstance(child, str):
                 yield child
                 continue
             first, *inner, last = child.children
+            if depth == DEEPEST:
+                raise self.error(
+                    f"brackets within {DEEPEST} others; expected fewer in {words}", first.start_pos
+                )
             if _PAIRS[first] != last:
                 raise self.error(
                     f"{str(last)!r}; expected {_PAIRS[first]!r} in {words}", last.start_pos
                 )
             yield Brackets(
-                str(first), tuple(self._items(inner, words)), first.start_pos, last.end_pos
+                str(first),
+                tuple(self._items(inner, words, depth + 1)),
+                first.start_pos,
+                last.end_pos,
             )
 
 

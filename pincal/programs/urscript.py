@@ -11,8 +11,9 @@ import numpy as np
 from pincal.programs.draft import Draft
 from pincal.programs.flow import InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
+from pincal.programs.line_flow import POSITIONS, STATED_LOAD
 from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped
-from pincal.programs.statement_reader import Reader
+from pincal.programs.statement_reader import Entries, Reader
 from pincal.programs.syntax import (
     Brackets,
     Source,
@@ -23,10 +24,14 @@ from pincal.programs.syntax import (
     element_name,
     is_token,
     nested,
+    number_of,
     numbers_of,
     place_of,
     split,
+    text_of_items,
 )
+from pincal.programs.understood import Understood, understood_words
+from pincal.thresholds import Count
 
 _TOKENS = r"""
 TEXT: /"[^"\r\n]*"/ | /'[^'\r\n]*'/
@@ -40,16 +45,106 @@ COMMENT.5: /#[^\r\n]*/
 _WORDS = "URScript: def, thread, if, while and for, each with its end"
 _MOTIONS: dict[str, Path] = {"movej": "joint", "movel": "line", "movep": "line", "movec": "circle"}
 _ENDLESS = ("servoj", "servoc", "servol", "speedj", "speedl")
-# What is set by a call: the tool, or a displacement of all positions.
+_MANUAL = "Universal Robots, script manual (PolyScope 5)"
+_SCRIPT_WORDS = (
+    Understood(
+        "function",
+        f"{_MANUAL}: module motion (ends of motions, kinematics; no motion of its own)",
+        "stopj, stopl, stops, get_conveyor_tick_count, set_conveyor_tick_count, "
+        "conveyor_pulse_decode, encoder_enable_pulse_decode, encoder_enable_set_tick_count, "
+        "encoder_get_tick_count, encoder_set_tick_count, encoder_unwind_delta_tick_count, "
+        "position_deviation_warning, "
+        "is_within_safety_limits, is_steady",
+    ),
+    Understood(
+        "function",
+        f"{_MANUAL}: module internals",
+        "get_actual_joint_positions, get_actual_joint_positions_history, get_actual_joint_speeds, "
+        "get_actual_tcp_pose, get_actual_tcp_speed, get_actual_tool_flange_pose, "
+        "get_controller_temp, get_forward_kin, get_inverse_kin, get_inverse_kin_has_solution, "
+        "get_joint_temp, get_joint_torques, get_steptime, get_target_joint_positions, "
+        "get_target_joint_speeds, get_target_payload, get_target_payload_cog, "
+        "get_target_payload_inertia, get_target_tcp_pose, get_target_tcp_speed, "
+        "get_target_waypoint, get_tcp_force, get_tcp_offset, get_tool_accelerometer_reading, "
+        "get_tool_current, popup, powerdown, sleep, str_at, str_cat, str_empty, str_find, str_len, "
+        "str_sub, sync, textmsg, to_num, to_str, assert, time, "
+        "set_payload, set_payload_cog, set_payload_mass, "
+        "set_target_payload, set_gravity, set_flag, get_flag, halt, rtde_set_watchdog, "
+        "request_boolean_from_primary_client, request_float_from_primary_client, "
+        "request_integer_from_primary_client, request_string_from_primary_client",
+    ),
+    Understood(
+        "function",
+        f"{_MANUAL}: module urmath",
+        "acos, asin, atan, atan2, binary_list_to_integer, ceil, cos, d2r, floor, get_list_length, "
+        "length, integer_to_binary_list, interpolate_pose, inv, list_append, list_insert, "
+        "list_remove, list_extend, list_clear, log, norm, normalize, point_dist, pose_add, "
+        "pose_dist, pose_inv, pose_sub, pose_trans, pow, r2d, random, rotvec2rpy, rpy2rotvec, sin, "
+        "size, sqrt, tan, transpose, wrench_trans, struct, "
+        "True, False, and, or, not, xor, mod, if, elif, while, return, p, run, join, kill",
+    ),
+    Understood(
+        "function",
+        f"{_MANUAL}: module interfaces",
+        "get_analog_in, get_analog_out, get_configurable_digital_in, get_configurable_digital_out, "
+        "get_digital_in, get_digital_out, get_euromap_input, get_euromap_output, "
+        "get_standard_analog_in, get_standard_analog_out, get_standard_digital_in, "
+        "get_standard_digital_out, get_tool_analog_in, get_tool_digital_in, get_tool_digital_out, "
+        "modbus_add_signal, modbus_delete_signal, modbus_get_signal_status, "
+        "modbus_send_custom_command, modbus_set_output_register, modbus_set_output_signal, "
+        "modbus_set_runstate_dependent_choice, modbus_set_signal_update_frequency, "
+        "read_input_boolean_register, read_input_float_register, read_input_integer_register, "
+        "read_output_boolean_register, read_output_float_register, read_output_integer_register, "
+        "read_port_bit, read_port_register, set_analog_inputrange, set_analog_out, "
+        "set_analog_outputdomain, set_configurable_digital_out, set_digital_out, "
+        "set_euromap_output, set_euromap_runstate_dependent_choice, "
+        "set_runstate_configurable_digital_output_to_value, set_runstate_standard_analog_output_to_value, "
+        "set_runstate_standard_digital_output_to_value, set_runstate_tool_digital_output_to_value, "
+        "set_standard_analog_input_domain, set_standard_analog_out, set_standard_digital_out, "
+        "set_tool_analog_input_domain, set_tool_communication, set_tool_digital_out, "
+        "set_tool_digital_output_mode, set_tool_output_mode, set_tool_voltage, socket_close, "
+        "socket_get_var, socket_open, socket_read_ascii_float, socket_read_binary_integer, "
+        "socket_read_byte_list, socket_read_line, socket_read_string, socket_send_byte, "
+        "socket_send_int, socket_send_line, socket_send_string, socket_set_var, "
+        "write_output_boolean_register, write_output_float_register, "
+        "write_output_integer_register, write_port_bit, write_port_register, zero_ftsensor, "
+        "set_input_actions_to_default, set_standard_digital_input_action, "
+        "set_tool_digital_input_action, set_configurable_digital_input_action, "
+        "set_gp_boolean_input_action, enter_critical, exit_critical, "
+        "set_safety_mode_transition_hardness",
+    ),
+)
+_HARMLESS = understood_words(_SCRIPT_WORDS, "function")
+# What is set by a call: the tool, the load, or a displacement of all positions.
 _SWITCHES = {
     "set_tcp": "tcp",
+    "set_payload": STATED_LOAD,
+    "set_payload_mass": STATED_LOAD,
+    "set_target_payload": STATED_LOAD,
     "path_offset_enable": "path_offset",
     "path_offset_disable": "path_offset",
     "track_conveyor_linear": "conveyor",
     "track_conveyor_circular": "conveyor",
     "stop_conveyor_tracking": "conveyor",
+    "force_mode": "force",
+    "end_force_mode": "force",
+    "freedrive_mode": "freedrive",
+    "end_freedrive_mode": "freedrive",
+    "teach_mode": "freedrive",
+    "end_teach_mode": "freedrive",
+    "screw_driving": "force",
+    "end_screw_driving": "force",
 }
-_ENDS_IT = ("path_offset_disable", "stop_conveyor_tracking")
+_ENDS_IT = (
+    "path_offset_disable",
+    "stop_conveyor_tracking",
+    "end_force_mode",
+    "end_freedrive_mode",
+    "end_teach_mode",
+    "end_screw_driving",
+)
+# Place of the mode among the arguments of movec, from 0: how the tool turns.
+_MODE: Count = 5
 _OPENS = {
     "def": "routine",
     "thread": "routine",
@@ -72,6 +167,7 @@ class UrScript(ControllerLanguage):
     digits = (7, 8, 9)
     can_insert = True
     grammars = (nested(_TOKENS, over_lines=True),)
+    understood = _SCRIPT_WORDS
 
     def read(self, sources: Sequence[Source]) -> Program:
         draft = Draft(sources)
@@ -87,17 +183,33 @@ class UrScript(ControllerLanguage):
                     f"no statement that calls or defines anything; expected {_WORDS}", 0
                 )
             files.append((source, statements, steps))
-        flows = followed(files)
+        flows = followed(files, outside=frozenset({POSITIONS}))
         displaced = {
-            name for _, _, steps in files for step in steps for name in step.sets if name != "tcp"
-        }
+            POSITIONS,
+            *(name for _, _, steps in files for step in steps for name in step.sets),
+        } - {"tcp", STATED_LOAD}
+        entries = Entries(
+            [
+                (statements, steps, flow)
+                for (_, statements, steps), flow in zip(files, flows, strict=True)
+            ],
+            _ends_displacement,
+        )
         for i, (_, statements, steps) in enumerate(files):
             # Arguments are passed by value.
             harmless = frozenset(
                 name for statement in statements for name, _ in calls_in(statement.items)
             )
             reader = _Reader(
-                draft, i, statements, steps, flows[i], harmless, self, sorted(displaced)
+                draft,
+                i,
+                statements,
+                steps,
+                flows[i],
+                harmless,
+                entries,
+                self,
+                sorted(displaced),
             )
             for k in range(len(statements)):
                 reader.statement(k)
@@ -214,8 +326,12 @@ class _Reader(Reader):
             )
             return
         targets = tuple(self.target(k, part) for part in places)
-        displaced = self.displaced(k, self.displacements, _ENDS_IT)
+        displaced = self.displaced(k, self.displacements)
         base = Frame("", reason=displaced) if displaced else Frame("base", np.eye(4))
+        mode = plain[_MODE][:] if len(plain) > _MODE else named.get("mode", ())
+        if path == "circle" and text_of_items(mode) not in ("", "0"):
+            why = f"line {statement.line} does not turn the tool to its orientation (mode)"
+            targets = (targets[0], self.left(targets[1], why))
         span = place_of(places[-1])
         self.draft.motions.append(
             Motion(
@@ -228,8 +344,15 @@ class _Reader(Reader):
                 span,
                 known.run,
                 path == "line",
+                load=self.load(k),
+                displaced=displaced,
             )
         )
+
+    def mass(self, statement: Statement) -> float | None:
+        call = call_of(statement.items)
+        number = number_of(call[1].parts[0]) if call is not None and call[1].parts else None
+        return number.value if number is not None else None
 
     def _tool(self, known: InForce) -> Frame:
         """Return the tool in force before a statement."""
@@ -240,9 +363,16 @@ class _Reader(Reader):
         point = (
             self.literal(0, "tcp", call[1].parts[0]) if call is not None and call[1].parts else None
         )
+        if isinstance(point, Point) and not self.language.is_pose(point.values):
+            return Frame("tcp", reason=f"line {self.statements[found].line} sets what is no pose")
         if isinstance(point, Point) and point.kind == "pose":
             return Frame("tcp", self.language.pose(point.values))
         return Frame("tcp", reason=f"line {self.statements[found].line} sets a computed tool")
+
+
+def _ends_displacement(statement: Statement) -> bool:
+    """Return whether a statement of ``_SWITCHES`` ends what it switches."""
+    return str(statement.items[0]) in _ENDS_IT
 
 
 def _step(statement: Statement) -> Step:
@@ -250,7 +380,14 @@ def _step(statement: Statement) -> Step:
     items = statement.items
     first = str(items[0]) if is_token(items[0], "WORD") else ""
     kind = _OPENS.get(first, "")
-    calls = tuple(name for name, _ in calls_in(items))
+    calls = tuple(
+        name
+        for name, _ in calls_in(items)
+        if name not in _HARMLESS
+        and name not in _SWITCHES
+        and name not in _MOTIONS
+        and name not in _ENDLESS
+    )
     if kind == "routine":
         name = next((str(item) for item in items[1:] if is_token(item, "WORD")), first)
         # A thread runs in parallel with all that follows.

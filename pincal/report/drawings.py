@@ -1,22 +1,21 @@
-"""The figures of a calibration or a discovery, for notebooks."""
+"""The figures of a calibration, or of a result of a satellite, for notebooks."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.result_tables import parameter_rows
-from pincal.discover.run import Discovery
-from pincal.report.illustrations import (
-    Drawing,
-    correction_drawings,
-    discovery_drawings,
-    error_drawings,
-)
+from pincal.report.illustrations import Drawing, correction_drawings, error_drawings
 from pincal.report.subject import evidence_of
+from pincal.satellites import Place
+
+# How to draw results of satellites, by the names of their types.
+_FURTHER: Place[Callable[[Any], Iterable[Drawing]]] = Place("drawings")
 
 
-def drawings(of: Calibration | Discovery) -> tuple[Drawing, ...]:
+def drawings(of: Any) -> tuple[Drawing, ...]:
     """Return the figures of a calibration or a discovery, as in the report.
 
     Args:
@@ -25,10 +24,17 @@ def drawings(of: Calibration | Discovery) -> tuple[Drawing, ...]:
 
     Returns:
         Figure of Matplotlib, title and caption of each.
+
+    Raises:
+        TypeError: if there are no figures of such a result.
     """
-    if isinstance(of, Discovery):
-        return tuple(discovery_drawings(of))
-    return tuple(_of_calibration(of))
+    if isinstance(of, Calibration):
+        return tuple(_of_calibration(of))
+    kind = type(of).__name__
+    if kind not in _FURTHER:
+        known = ", ".join(("Calibration", *_FURTHER.names()))
+        raise TypeError(f"drawings: there are no figures of a {kind}; expected one of: {known}")
+    return tuple(_FURTHER[kind](of))
 
 
 def _of_calibration(of: Calibration) -> Iterator[Drawing]:

@@ -6,22 +6,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.result import Result
 from pincal.calibration.result_tables import ParameterRow
-from pincal.discover.run import Discovery
 from pincal.errors import few
 from pincal.identify.explain import Cause, Status
-from pincal.io.discovery_file import Findings
-from pincal.model.catalogue import untestable
-from pincal.notes import Note, doubts_of
-from pincal.recorded import RECORDABLE
+from pincal.notes import Note
+from pincal.report.blocks import Section
 from pincal.report.report_numbers import REPORT
-from pincal.report.words import effect_words
 from pincal.thresholds import Count
 from pincal.validate.accuracy import leading_unit
 from pincal.validate.misfit import Verdict, is_informative
@@ -38,17 +34,33 @@ class Judged:
     reason: str
 
 
-def judged(result: Result, discovery: Discovery | None = None) -> Judged:
+class SearchReport(Protocol):
+    """What a search for missing effects says of the calibration in which it ended."""
+
+    def judged(self) -> Judged:
+        """Return whether the search has explained the data, and if not, why."""
+        ...
+
+    def next_steps(self) -> Iterator[str]:
+        """Yield what the search advises."""
+        ...
+
+    def section(self) -> Section:
+        """Return what the search found, for the page."""
+        ...
+
+
+def judged(result: Result, search: SearchReport | None = None) -> Judged:
     """Return whether the model explains the data down to their noise, with or without a search for
     missing effects.
     """
-    verdict = result.verdict_of() if discovery is None else discovery.findings.verdict
+    verdict = result.verdict_of() if search is None else search.judged().judgement
     if not result.converged:
         return Judged(verdict, "The fit did not converge; do not use its numbers.")
     if result.doubt:
         return Judged(verdict, f"Do not use it: {result.doubt}.")
-    if discovery is not None:
-        return verdict_of_search(discovery.findings, is_of_arrivals=result.arrivals is not None)
+    if search is not None:
+        return search.judged()
     if result.is_kept:
         words = (
             "The readings can't improve the robot, which stays as in its URDF; instrument and "
@@ -62,7 +74,7 @@ def judged(result: Result, discovery: Discovery | None = None) -> Judged:
         )
         return Judged(verdict, f"{words}: the robot has errors that this model does not describe.")
     if verdict is Verdict.NOT_ADEQUATE:
-        return Judged(verdict, f"{_against(result.doubts)}.")
+        return Judged(verdict, f"{see_doubts(result.doubts)}.")
     if verdict is Verdict.NOT_JUDGED and result.doubts:
         return Judged(
             verdict,
@@ -84,7 +96,8 @@ def judged(result: Result, discovery: Discovery | None = None) -> Judged:
     )
 
 
-def _against(doubts: Sequence[Note]) -> str:
+def see_doubts(doubts: Sequence[Note]) -> str:
+    """Return where to read why a model is in doubt."""
     return "See the doubt stated first" if len(doubts) == 1 else "See the doubts stated first"
 
 
@@ -110,75 +123,17 @@ def relative_to_noise(ratio: float, noise: str, *, is_misfit: bool) -> str:
     return shown if is_misfit else f"{shown}, which may be chance"
 
 
-def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judged:
-    """Return whether a search has explained the data, and if not, why; perhaps because of how
-    drives stop.
+def next_steps(calibration: Calibration, search: SearchReport | None = None) -> list[str]:
+    """Return what to do next after a calibration, with or without a search for missing effects, the
+    most pressing first.
     """
-    n = len(found.effects)
-    left = found.unexplained_mm
-    added = (
-        f"{n} effects were found and added"
-        if n > 1
-        else "One effect was found and added"
-        if n
-        else "Nothing was added"
-    )
-    beyond = f"{left:.3f} mm rms beyond the noise" if left >= REPORT.beyond_noise else ""
-    if found.verdict is Verdict.ADEQUATE:
-        chance = f": {beyond} may be chance" if beyond else ""
-        return Judged(
-            found.verdict, f"{added}; the remaining residuals are consistent with noise{chance}."
-        )
-    if found.verdict is Verdict.NOT_JUDGED:
-        why = _why_not_judged(found, is_of_arrivals=is_of_arrivals)
-        return Judged(found.verdict, f"{added}; {why}.")
-    return Judged(found.verdict, f"{added}; {', and '.join(_what_is_wrong(found, beyond))}.")
-
-
-def _why_not_judged(found: Findings, *, is_of_arrivals: bool) -> str:
-    if doubts_of(found.warnings):
-        return "there are too few poses to judge whether that is all; see the doubt stated first"
-    if is_of_arrivals:
-        return (
-            "what exceeds the declared noise of the instrument is as of drives that "
-            "all stop unevenly, and hides "
-            "smaller errors of the model: measure ten poses three times each"
-        )
-    return (
-        "nothing more is detected, but the noise was estimated from the residuals, so "
-        "they cannot show whether the "
-        "model is complete: declare the noise (--noise), or measure some poses again"
-    )
-
-
-def _what_is_wrong(found: Findings, beyond: str) -> list[str]:
-    """Return what a search has not explained; ``beyond`` are the errors beyond the noise, "" for
-    none.
-    """
-    wrong = [f"{scatter.joint} scatters from reading to reading" for scatter in found.scatter]
-    doubts = doubts_of(found.warnings)
-    if beyond:
-        wrong.append(f"{beyond} remain unexplained")
-    elif not wrong and doubts:
-        wrong.append(_against(doubts).lower())
-    elif not wrong:
-        wrong.append(
-            "some residuals are larger than the declared noise, or its estimate from "
-            "neighbouring poses, allow, though "
-            "not on average over all rows"
-        )
-    return wrong
-
-
-def next_steps(calibration: Calibration, discovery: Discovery | None = None) -> list[str]:
-    """Return what to do next after a calibration or a discovery, the most pressing first."""
     result = calibration.result
     if result.doubt:
         return [f"First find out what is wrong: {result.doubt}."]
-    judgement = judged(result, discovery).judgement
+    judgement = judged(result, search).judgement
     steps = [
         *_of_the_fit(result),
-        *_of_the_model(calibration, discovery, judgement),
+        *_of_the_model(calibration, search, judgement),
         *_of_the_rows(result),
         *_of_held_out_rows(result),
     ]
@@ -220,13 +175,13 @@ def _of_the_fit(result: Result) -> Iterator[str]:
 
 
 def _of_the_model(
-    calibration: Calibration, discovery: Discovery | None, judgement: Verdict
+    calibration: Calibration, search: SearchReport | None, judgement: Verdict
 ) -> Iterator[str]:
     """Yield what to do about effects that the model lacks."""
     result = calibration.result
     is_open = result.converged and not result.is_kept and is_informative(result.degrees)
-    if discovery is not None:
-        yield from _after_discovery(discovery)
+    if search is not None:
+        yield from search.next_steps()
     elif not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
         yield (
             "Measure six to ten poses with an instrument, or in sockets, and calibrate "
@@ -278,36 +233,6 @@ def _of_held_out_rows(result: Result) -> Iterator[str]:
             "Held-out errors exceed fitted ones: measure more poses, spread over the "
             "whole range of use."
         )
-
-
-def _after_discovery(discovery: Discovery) -> Iterator[str]:
-    found = discovery.findings
-    for entry in found.effects:
-        if entry.tell_apart:
-            yield f"To distinguish {effect_words(entry)} from its alternatives: {entry.tell_apart}."
-    for scatter in found.scatter:
-        yield f"Record {scatter.missing}: it may explain why {scatter.joint} scatters."
-    if found.verdict is not Verdict.ADEQUATE:
-        calibration = discovery.calibration
-        stations = calibration.fit.problem.stations
-        tables = [rows.train for rows in calibration.stations]
-        lost = (
-            pair
-            for station in stations
-            for pair in untestable(station.model.chain, station.conditions)
-        )
-        needed = {column for effect, _ in lost for column in effect.needs}
-        absent = (
-            column for column in needed if any(getattr(table, column) is None for table in tables)
-        )
-        if columns := ", ".join(
-            sorted(
-                {RECORDABLE[column].column if column in RECORDABLE else column for column in absent}
-            )
-        ):
-            yield (
-                f"Record {columns} with each pose, so that effects that depend on it can be tested."
-            )
 
 
 class Advice(NamedTuple):

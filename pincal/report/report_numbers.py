@@ -48,13 +48,6 @@ class ReportNumbers:
         "of errors beyond the noise, below which a verdict does not mention them",
         "it is printed as 0.000",
     )
-    told: float = number(
-        0.3,
-        "ratio",
-        "test_fleet_learning.py::test_parameters_are_drawn_of_which_readings_tell_a_third",
-        "of a parameter that readings determine, above which it is drawn",
-        "chosen: the rest of it is a matter of convention",
-    )
 
 
 REPORT = ReportNumbers()

@@ -81,10 +81,10 @@ _TONES: dict[str, RowTone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "car
 def summary(subject: Subject) -> Section:
     """Whether the model is good, what to do next, and the errors at a glance."""
     result = subject.result
-    verdict = judged(subject.result, subject.discovery)
+    verdict = judged(subject.result, subject.search)
     tone = _TONES.get(verdict.judgement, "bad")
     tag = rich('<span class="tag {}">{}</span> {}', tone, verdict.judgement, verdict.reason)
-    steps = bullets(next_steps(subject.calibration, subject.discovery))
+    steps = bullets(next_steps(subject.calibration, subject.search))
     left = arranged(
         "plain",
         *doubts(result.warnings),
@@ -407,6 +407,11 @@ def elsewhere(subject: Subject) -> Section | None:
     )
     blocks = (paragraph(text), improvement_table(subject.result.improvement))
     return Section("elsewhere", "Where nothing was measured", blocks, "Elsewhere")
+
+
+def missing(subject: Subject) -> Section | None:
+    """What a search found missing in the model; None without a search."""
+    return None if subject.search is None else subject.search.section()
 
 
 def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:

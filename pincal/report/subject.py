@@ -14,11 +14,11 @@ import numpy as np
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.held_out import Validated
 from pincal.calibration.result import Result
-from pincal.discover.run import Discovery
 from pincal.identify.station import Station
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
+from pincal.report.judgement import SearchReport
 from pincal.units import readable_unit
 
 
@@ -215,14 +215,14 @@ class Subject:
         calibration: the calibration.
         provenance: versions, command, inputs with hashes.
         notes: on effects that the exported URDF does not represent.
-        discovery: the result of a search for missing effects, if there was one.
+        search: what a search for missing effects found, if there was one.
         view: name of the 3D view next to the report, if there is one.
     """
 
     calibration: Calibration
     provenance: dict[str, Any]
     notes: tuple[str, ...] = ()
-    discovery: Discovery | None = None
+    search: SearchReport | None = None
     view: str | None = None
 
     @property

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.errors import BadInputError, RobotFileError, nearest_first, warn
+from pincal.errors import BadInputError, RobotFileError, few, nearest_first, warn
 from pincal.robot.closure import Closure
 from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.kinematics import Kinematics
@@ -37,6 +37,8 @@ _GROWTH: Scale = 2.5
 _MOVING: Scale = 0.7
 # Least length of a link relative to the arm, as flanges are short but have mass.
 _SHORTEST: Scale = 0.02
+# Joints that a note names.
+_NAMED: Count = 3
 
 
 @dataclass(frozen=True)
@@ -284,12 +286,13 @@ class _Neutral:
 @dataclass(frozen=True)
 class _Masses:
     """Masses of the n links [kg], shape (n,), centres of mass in the frames of the links [m], shape
-    (n, 3), and which of them are guessed.
+    (n, 3), which of them are guessed, and the masses that the URDF has instead of some, else 0 [kg].
     """
 
     masses: np.ndarray
     centres: np.ndarray
     guessed: np.ndarray
+    placeholders: np.ndarray
 
     @classmethod
     def of(
@@ -306,15 +309,31 @@ class _Masses:
         levers = np.array([inertia.lever for inertia in inertias])
         T_link_joint = np.linalg.inv(frames.T_base_link) @ neutral.joints
         centres = np.einsum("nij,nj->ni", T_link_joint[:, :3, :3], levers) + T_link_joint[:, :3, 3]
-        unknown = (masses <= 0.0) | are_placeholders(masses.tolist()) | (total is not None)
+        spans = _link_ends(parents, neutral.joints, tips)
+        light = (masses > 0.0) & are_too_light(masses, spans, parents)
+        placeholders = np.where(light & (total is None), masses, 0.0)
+        unknown = (masses <= 0.0) | light | are_placeholders(masses.tolist()) | (total is not None)
         if unknown.any():
-            spans = _link_ends(parents, neutral.joints, tips)
             masses, middles = guessed_masses(masses, spans, unknown, total=total, parents=parents)
             middles = np.einsum(
                 "nji,nj->ni", frames.T_base_link[:, :3, :3], middles - frames.T_base_link[:, :3, 3]
             )
             centres = np.where(unknown[:, None], middles, centres)
-        return cls(masses, centres, unknown)
+        return cls(masses, centres, unknown, placeholders)
+
+    def notes(self, joints: Sequence[str]) -> tuple[str, ...]:
+        """Return a note on masses that are none."""
+        found = [
+            f"{mass:g} kg for what {joint} moves"
+            for joint, mass in zip(joints, self.placeholders, strict=True)
+            if mass > 0.0
+        ]
+        if not found:
+            return ()
+        return (
+            f"the robot description has {few(found, _NAMED)}, which no arm of this reach can weigh: "
+            "placeholders, read as no mass; state the robot's mass (--mass) if it is known",
+        )
 
 
 def _attributes(
@@ -359,7 +378,7 @@ def _attributes(
         "centres": links.centres,
         "massless": tuple(compress((joint.child for joint in path), links.guessed)),
         "gravity": neutral.T_base_world.rotation @ neutral.model.gravity.linear,
-        "notes": _notes(tree, names, ends, notes),
+        "notes": _notes(tree, names, ends, (*notes, *links.notes(names))),
         "urdf": tree.text,
         "source": tree.source,
         "mimics": mimics,
@@ -520,6 +539,17 @@ def are_placeholders(masses: Sequence[float]) -> bool:
     return len(arm) >= OF_ROBOT.alike and bool(
         arm[0] > 0.0 and np.allclose(arm, arm[0], rtol=1e-9, atol=0.0)
     )
+
+
+def are_too_light(masses: np.ndarray, ends: np.ndarray, parents: Sequence[int]) -> np.ndarray:
+    """Return which masses [kg], shape (n,), no arm of these links can have, shape (n,); arguments as
+    in :func:`guessed_masses`.
+
+    Exporters write a gram or less where a program wants a mass, such as on the frame of a tool.
+    """
+    usual, _ = guessed_masses(masses, ends, np.ones(len(masses), bool), parents=parents)
+    is_light_arm = masses.sum() < OF_ROBOT.light_arm * usual.sum()
+    return np.asarray((masses < OF_ROBOT.light_link * usual) | is_light_arm)
 
 
 def guessed_masses(

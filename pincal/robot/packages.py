@@ -39,6 +39,28 @@ def neighbouring_packages(file: str | os.PathLike[str]) -> dict[str, Path]:
     return found
 
 
+def packages_of_ros() -> dict[str, Path]:
+    """Return the folders of the packages in ROS's search paths, by name; of two with one name, the
+    first.
+
+    ``ROS_PACKAGE_PATH`` lists folders of packages, ``AMENT_PREFIX_PATH`` folders with a ``share``.
+    """
+    found: dict[str, Path] = {}
+    for home in _homes_of_ros():
+        for pattern in ("", "*/", "*/*/"):
+            for mark in sorted(home.glob(pattern + _MARK)):
+                found.setdefault(_package_name(mark), mark.parent)
+    return found
+
+
+def _homes_of_ros() -> Iterator[Path]:
+    """Yield the folders in which ROS looks for packages."""
+    for variable, end in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        for entry in os.environ.get(variable, "").split(os.pathsep):
+            if entry:
+                yield Path(entry, end)
+
+
 def _package_name(mark: Path) -> str:
     try:
         name = etree.parse(mark, etree.XMLParser(resolve_entities=False, no_network=True)).findtext(
@@ -119,14 +141,7 @@ def _in_packages(path: Path, source: str, folders: Sequence[Path]) -> Iterator[P
     homes = [beside, *beside.parents]
     inside = Path(*path.parts[1:]) if len(path.parts) > 1 else path
     yield from (home / inside for home in homes if path.parts[:1] == (home.name,))
-    ros = (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share"))
-    of_ros = (
-        Path(entry, end)
-        for name, end in ros
-        for entry in os.environ.get(name, "").split(os.pathsep)
-        if entry
-    )
-    yield from (home / path for home in (*homes, *folders, *of_ros))
+    yield from (home / path for home in (*homes, *folders, *_homes_of_ros()))
     yield from (folder / inside for folder in folders)
     yield from (
         home / inside

@@ -21,6 +21,7 @@ from pincal.robot.link_path import LinkPath, above
 from pincal.robot.robot_numbers import OF_ROBOT
 from pincal.robot.tree import Coupling, Mimic, UrdfTree, mimicked, numbered
 from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
+from pincal.units import real_array
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -418,7 +419,7 @@ class Robot:
         data = model.createData()
         base, frame = (model.getFrameId(link, pin.BODY) for link in (path.start, path.tip))
         out = np.empty((len(q), 4, 4))
-        for i, row in enumerate(np.asarray(q, float)):
+        for i, row in enumerate(real_array(q, "joint positions")):
             pin.framesForwardKinematics(model, data, self.configuration(model, row))
             out[i] = (data.oMf[base].inverse() * data.oMf[frame]).homogeneous
         return out

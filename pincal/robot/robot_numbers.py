@@ -15,6 +15,7 @@ _MASS = "test_robot_numbers.py::test_a_robot_of_less_than_a_gram_is_refused"
 _AXES = "test_robot_numbers.py::test_an_axis_of_an_impossible_length_is_refused"
 _COUPLED = "test_robot_numbers.py::test_couplings_that_do_not_determine_the_joints_are_refused"
 _ALIKE = "test_link_mass.py::test_placeholders_are_taken_for_what_they_are"
+_LIGHT = "test_link_mass.py::test_masses_that_no_arm_can_have_are_no_masses"
 _ROUNDED = "test_robot.py::test_half_turns_of_any_precision_make_no_long_links"
 _LOOPS = "test_loops.py::test_loops_that_cant_be_are_refused_by_name"
 _LOOSE = "test_robot_numbers.py::test_a_loop_may_be_as_loose_as_a_calibrated_one"
@@ -33,6 +34,12 @@ class RobotNumbers:
         "mass that a user may state of a robot", "chosen: a gram")
     alike: int = number(3, "links", _ALIKE,
         "of equal mass, from which on the masses are placeholders", "two may be equal by chance")
+    light_arm: float = number(0.01, "ratio", _LIGHT,
+        "of an arm's mass to that of an industrial one of its length, below which its masses are "
+            "placeholders", "of 70 robots the lightest, a toy, has .067, a cobot .2")
+    light_link: float = number(2e-3, "ratio", _LIGHT,
+        "of a link's mass likewise, below which it is a placeholder",
+        "of 70 robots the lightest link with a mass has .025")
     axis_lengths: tuple[float, float] = number((1e-6, 1e6), "1", _AXES,
         "of the direction of an axis, between which it is read",
         "others lose all digits when normalised")

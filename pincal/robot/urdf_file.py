@@ -5,8 +5,10 @@ and reason.
 from __future__ import annotations
 
 import contextlib
+import difflib
 import io
 import os
+import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -16,11 +18,11 @@ import numpy as np
 from lxml import etree
 
 from pincal.errors import RobotFileError, nearest_first, needed, warn
-from pincal.robot.packages import neighbouring_packages
+from pincal.robot.packages import neighbouring_packages, packages_of_ros
 from pincal.robot.robot_numbers import OF_ROBOT
 from pincal.robot.tree import MOVING_TYPES, Mimic, UrdfJoint, UrdfTree, in_tree_order, known_links
 from pincal.robot.urdf_loops import cut_loops, take_loops
-from pincal.thresholds import Count
+from pincal.thresholds import Count, Scale
 from pincal.units import LARGEST, plain_numbers
 
 _UNSUPPORTED_TYPES = ("planar", "floating")
@@ -30,6 +32,9 @@ _RESERVED = "universe"
 _NAMESPACE = "xacro"
 # Longest part of xacro's error message that is passed on, as it lists every macro involved.
 _LONGEST: Count = 600
+# Names that a message proposes, and how similar they have to be [ratio].
+_NEAR: Count = 3
+_ALIKE: Scale = 0.75
 
 
 def parse_xml(text: bytes, source: str) -> Any:
@@ -362,7 +367,9 @@ def _expanded_by_xacro(
             f"{path}: is a xacro file, and xacrodoc, which reads it, is not installed; "
             "install it (pip install 'pincal[xacro]'), or expand the file with xacro first"
         ) from None
-    xacrodoc.packages.update_package_cache(neighbouring_packages(path))
+    # A package that an earlier file had beside it is not one of this file.
+    xacrodoc.packages.reset()
+    xacrodoc.packages.update_package_cache(packages_of_ros() | neighbouring_packages(path))
     # Includes are relative to the including file; xacrodoc passes only the text to xacro, which
     # would resolve them in the working folder, or at the file of an earlier failure.
     xacro.init_stacks(os.fspath(path.absolute()))
@@ -373,11 +380,31 @@ def _expanded_by_xacro(
                 path, walk_up=False, subargs=dict(values), resolve_packages=False
             )
     except (Exception, SystemExit) as error:  # Expressions in the file may raise anything.
-        reason = " ".join(str(error).split())[:_LONGEST] or type(error).__name__
+        if missing := re.search(r"Package not found: (\S+)", str(error)):
+            raise RobotFileError(_without_package(path, missing[1])) from None
+        plain = re.sub(r"<class '[\w.]+'>:?", "", str(error))
+        reason = " ".join(plain.split())[:_LONGEST] or type(error).__name__
         listed = ", ".join(f"{name}:={values[name]}" if name in values else name for name in known)
         takes = f"; its arguments, to be set by --xacro-arg NAME:=VALUE: {listed}" if known else ""
         raise RobotFileError(f"{path}: xacro can't expand it ({reason}){takes}") from None
     return document.dom
+
+
+def _without_package(path: Path, name: str) -> str:
+    """Return what to do about a ROS package that a xacro file needs and that is not there."""
+    return (
+        f"{path}: needs the ROS package {name!r}, which was not found; put its folder (the one "
+        "with package.xml) beside this file or beside a folder above it, or name the folder that "
+        "contains it: ROS_PACKAGE_PATH=FOLDER (of an installed workspace: AMENT_PREFIX_PATH)"
+    )
+
+
+# Where descriptions of robots are found that example-robot-data lacks.
+_ELSEWHERE = (
+    "descriptions of others are published by their makers and by ROS, as packages called "
+    "NAME_description (ur_description, franka_description, kuka_*_support, ...): download one and "
+    "give the path of its .urdf or .urdf.xacro file"
+)
 
 
 def find_file(source: str | os.PathLike[str]) -> Path:
@@ -397,10 +424,11 @@ def find_file(source: str | os.PathLike[str]) -> Path:
 
     loaders = robots_loader.ROBOTS
     if path.name not in loaders:
+        near = difflib.get_close_matches(path.name, sorted(loaders), n=_NEAR, cutoff=_ALIKE)
+        meant = f" (is it {' or '.join(near)}? another robot has other dimensions)" if near else ""
         raise RobotFileError(
-            f"{path.name!r} is neither a file nor a robot of example-robot-data; "
-            "expected a path to a URDF or a name like "
-            f"{', '.join(nearest_first([path.name], sorted(loaders))[:12])}"
+            f"{path.name!r} is neither a file nor a robot of example-robot-data{meant}; "
+            f"expected a path to a URDF; {_ELSEWHERE}"
         )
     loader: Any = loaders[path.name]
     if not loader.urdf_filename:

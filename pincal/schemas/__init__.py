@@ -1,7 +1,7 @@
 """JSON Schemas of the files that pincal reads and writes, generated from their structures.
 
-``python -m pincal.io.schemas`` regenerates them in this folder; a test compares them with the
-structures.
+``python -m pincal.schemas`` regenerates them in this folder; a test compares them with the
+structures. Structures of files of satellites are handed in.
 """
 
 from __future__ import annotations
@@ -15,41 +15,53 @@ import msgspec
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.model_file import ModelFile
 from pincal.calibration.result import ResultFile
-from pincal.fleet.robot_type import RobotType
 from pincal.io.camera_file import CameraFile
-from pincal.io.diagnosis_file import DiagnosisFile
-from pincal.io.discovery_file import Findings
 from pincal.io.entries import EFFECT_SCHEMA
 from pincal.model.effect import Effect
+from pincal.satellites import Place
 
-FILES: dict[str, type] = {
+_FILES: dict[str, type] = {
     "model": ModelFile,
     "result": ResultFile,
-    "discovery": Findings,
-    "diagnosis": DiagnosisFile,
     "camera": CameraFile,
     "information": RobotInformation,
-    "type": RobotType,
 }
+_FURTHER: Place[type] = Place("schemas")
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of the files, those of satellites last."""
+    return (*_FILES, *_FURTHER.names())
+
+
+def structure_of(name: str) -> type:
+    """Return the structure of a file.
+
+    Args:
+        name: one of :func:`names`.
+
+    Raises:
+        KeyError: if there is no such file.
+    """
+    return _FILES[name] if name in _FILES else _FURTHER[name]
 
 
 def schema_of(name: str) -> dict[str, Any]:
     """Return the JSON Schema of a file.
 
     Args:
-        name: "model", "result", "discovery", "diagnosis",
-            "camera", "information" or "type".
+        name: one of :func:`names`, such as "model" or "result".
 
     Example:
         >>> schema_of("camera")["$defs"]["CameraFile"]["required"]
         ['fx', 'fy', 'u0', 'v0']
     """
-    return {"$schema": _DRAFT, **msgspec.json.schema(FILES[name], schema_hook=_own)}
+    return {"$schema": _DRAFT, **msgspec.json.schema(structure_of(name), schema_hook=_own)}
 
 
 def shipped(name: str) -> Path:
-    """Return where the schema of a file comes with the package."""
+    """Return where the schema of a file of pincal comes with the package."""
     return Path(__file__).with_name(f"{name}.json")
 
 

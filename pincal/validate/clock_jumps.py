@@ -10,8 +10,8 @@ from pincal.errors import MeasurementError
 from pincal.identify.criteria import MIDWAY
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
+from pincal.measure.clock_jump import Jump, likeliest_jump
 from pincal.measure.measurements import Measurements
-from pincal.motion.clocks import Jump, likeliest_jump
 from pincal.thresholds import Count
 
 # Rows that suffice to detect one.

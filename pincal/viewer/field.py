@@ -10,20 +10,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.discover.discovery_file import EffectName
+from pincal.discover.report.found_words import effect_words
 from pincal.errors import BadInputError
 from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Course, likeliest_values
 from pincal.identify.station import Station
-from pincal.io.discovery_file import EffectName
 from pincal.measure.measurements import Measurements
 from pincal.measure.registry import simulatable
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
-from pincal.report.words import effect_words
 from pincal.thresholds import Count
 
 # Number of poses over which nominal base and tool are fitted to the calibrated robot if there are

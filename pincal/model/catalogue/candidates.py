@@ -13,7 +13,7 @@ from pincal.errors import BadInputError, nearest_first
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, PoseSet
 from pincal.model.effect import Candidate, Discoverable, Effect, Family, Harmonic
-from pincal.model.effect_numbers import SHOWN
+from pincal.model.effect_numbers import ORIGIN, SHOWN
 from pincal.model.effect_registry import EFFECTS
 from pincal.model.effects import Compliance
 from pincal.model.evaluated import key_of
@@ -21,6 +21,7 @@ from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
+from pincal.units import plain_numbers
 
 _CONSTANT_AT = "{} does not move in any pose, so the effect is constant"
 # Why a recorded variable contains no information on a joint, if not because its column is missing
@@ -275,13 +276,13 @@ def _tuned(
     effect = pair[0]
     if not isinstance(effect, Harmonic):
         return pair
-    try:
-        tuned = effect.tuned(float(order))
-    except ValueError:
+    (cycles,) = plain_numbers([order]) or [0.0]
+    if not 0.0 < cycles <= ORIGIN.finest:
         raise BadInputError(
             f"effect {text!r}: order={order}; expected a number of cycles per revolution, "
-            "such as 101"
-        ) from None
+            f"such as 101, of at most {ORIGIN.finest:g}"
+        )
+    tuned = effect.tuned(cycles)
     return tuned, why_not_testable(Candidate(tuned), situation)
 
 

@@ -45,6 +45,9 @@ _LEFT: Scale = 0.86
 _RIGHT: Scale = 0.16
 _BOTTOM: Scale = 0.58
 _TOP: Scale = 0.36
+# Height of a row of a figure with a name per row, and width of a letter of a name [in].
+ROW: Scale = 0.22
+LETTER: Scale = 0.082
 # Letters of a name that fit a figure.
 _LONGEST: Count = 34
 

@@ -1,0 +1,211 @@
+"""``pincal validate``: how accurate a calibrated robot is on new rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pincal.cli.arguments import argument, group, verb
+from pincal.cli.common import (
+    GeneralOptions,
+    TableArguments,
+    max_error_option,
+    model_argument,
+    noise_angle_option,
+    station_option,
+)
+from pincal.cli.outputs import echo_notes, extrapolation, print_json, require_accuracy
+from pincal.errors import Exit
+from pincal.motion.cli.motion_options import MotionOptions
+
+if TYPE_CHECKING:
+    from pincal.calibration.validation import Validation
+    from pincal.notes import Note
+
+
+_VALIDATE_EXAMPLES = """
+Examples:
+  pincal validate results/model.json new_measurements.csv --max-error 0.1mm
+  pincal validate results/model.json monday.csv tuesday.csv
+
+Instrument and target are assumed to be where they were at calibration unless the rows indicate another placement,
+which is then identified from them and reported as a displacement; the errors refer to it. If no placement
+explains the rows, they belong to another robot, or it has changed: exit code 6; run pincal diagnose. Of several
+tables, those that the model was not fitted to come first, and --max-error applies to them.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidateArguments:
+    """Arguments of validate."""
+
+    model: Path = model_argument()
+    data: tuple[Path, ...] = argument(
+        "DATA.csv...",
+        "Measurements that the calibration did not use, or folders of sessions in motion. "
+        "Each is a station.",
+        required=False,
+    )
+    station: str | None = station_option(
+        words="the nearest, or a new placement if the rows indicate one"
+    )
+    max_error: float | None = max_error_option()
+    noise_angle: float | None = noise_angle_option()
+    table: TableArguments = group("Tables")
+    motion: MotionOptions = group("Motion")
+    general: GeneralOptions = group("General")
+
+
+@verb(ValidateArguments, examples=_VALIDATE_EXAMPLES, exits=(Exit.INACCURATE, Exit.CHANGED))
+def validate(arguments: ValidateArguments) -> Exit:
+    """Report how accurate a calibrated model is on new measurements.
+
+    The instrument may be anywhere: its placement is identified from the rows.
+    """
+    from pincal.calibration.fitted_robot import load_model
+    from pincal.calibration.validation import validate_rows
+    from pincal.cli.inputs import load_tables, other_robot
+    from pincal.measure.admit import check_table
+
+    calibrated = load_model(arguments.model)
+    chosen = arguments.station
+    models = calibrated.each if chosen is None else (calibrated.at(chosen),)
+    robot = models[0].model.chain.robot
+    tables = load_tables(
+        robot, arguments.data, options=arguments.table.options, motion=arguments.motion
+    )
+    for table in tables.values():
+        check_table(robot, table, minimum=1)
+    found = [
+        validate_rows(
+            models, table, name=name, refit=chosen is None, sigma_orientation=arguments.noise_angle
+        )
+        for name, table in tables.items()
+    ]
+    result, notes = _result(found)
+    if arguments.general.as_json:
+        print_json(result)
+    else:
+        _print(found, result, notes)
+    echo_notes(notes, quiet=arguments.general.quiet)
+    if doubts := [each.doubt for each in found if each.doubt]:
+        raise other_robot("; ".join(doubts), arguments.model)
+    require_accuracy(result.get("mean_mm"), arguments.max_error, rows="new")
+    return Exit.DONE
+
+
+def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
+    """Return the result for ``--json``, and notes for the user, on all rows and on those outside
+    the calibrated range.
+    """
+    from msgspec import to_builtins
+
+    from pincal.notes import doubts_first
+    from pincal.validate.accuracy import error_statistics, pose_error_sizes
+    from pincal.validate.misfit import worst
+
+    # Fitted rows are no evidence of accuracy on a new day: if there are others, only these count.
+    unseen = [each for each in found if not each.fitted_rows] or found
+    error = error_statistics(pose_error_sizes(each.station, each.values) for each in unseen)
+    stations = list(map(_station, found))
+    ranges = [extrapolation(each.model, each.station.conditions, each.table.rows) for each in found]
+    beyond = {
+        "outside": sum(part["outside"] for part, _ in ranges),
+        **{
+            name: [curve for part, _ in ranges for curve in part[name]]
+            for name in ("curves", "gaps")
+        },
+    }
+    # Entries of a single station are repeated at top level.
+    alone = {
+        key: stations[0][key]
+        for key in ("iso9283", "path", "lack_of_fit")
+        if len(found) == 1 and key in stations[0]
+    }
+    notes = doubts_first(
+        [*(note for each in found for note in each.notes), *(n for _, part in ranges for n in part)]
+    )
+    contents = {
+        "verdict": worst(each.verdict for each in found),
+        "warnings": to_builtins(notes),
+        "rows": {"test": sum(len(each.table) for each in unseen)},
+        **{name: value for name, value in error.items() if name == "mean_mm"},
+        "stations": stations,
+        "error": {"calibrated": {"test": error}},
+    }
+    return contents | alone | beyond, notes
+
+
+def _station(found: Validation) -> dict[str, Any]:
+    iso, lack = found.replicate_statistics()
+    contents = {
+        "name": found.name,
+        "kind": found.table.kind,
+        "rows": len(found.table),
+        "placed": found.placed,
+    }
+    contents |= found.moved.to_dict() | {"error": found.error}
+    contents |= {"fitted_rows": found.fitted_rows}
+    contents |= {
+        "misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value},
+        "doubt": found.doubt or None,
+    }
+    contents |= {"verdict": found.verdict}
+    more = {"by_coverage": found.by_coverage, "iso9283": iso, "path": found.path_accuracy}
+    more |= {"lack_of_fit": None if lack is None else asdict(lack)}
+    return contents | {name: value for name, value in more.items() if value is not None}
+
+
+def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note]) -> None:
+    """Print the doubts, the placement of each station, and its errors."""
+    from pincal.calibration.result_tables import error_table
+    from pincal.cli.progress import console
+    from pincal.cli.screen import print_doubts, print_replicates
+    from pincal.result_table import hanging
+    from pincal.validate.path_accuracy import path_words
+
+    out = console()
+    print_doubts(notes, out)
+    unseen = [each.name for each in found if not each.fitted_rows]
+    if len(found) > 1 and unseen and "mean_mm" in result:
+        out.print(
+            hanging(
+                "never seen", f"by the model: {', '.join(unseen)}: mean {result['mean_mm']:.4f} mm"
+            )
+        )
+    for each in found:
+        is_there = each.placed == "as calibrated"
+        place = (
+            "are where they were at calibration"
+            if is_there
+            else f"were located again from these rows: {each.moved}"
+        )
+        out.print(hanging(f"{each.name}:", f"instrument and target {place}; {each.verdict}"))
+    parts = {part["name"]: part["error"] for part in result["stations"]}
+    if len(found) == 1 and found[0].fitted_rows:
+        parts = {
+            "train" if found[0].fitted_rows == len(found[0].table) else "new and fitted": found[
+                0
+            ].error
+        }
+        out.print(error_table({"calibrated": parts}))
+    else:
+        out.print(error_table({"calibrated": parts} if len(found) > 1 else result["error"]))
+    for each in found:
+        if (split := each.by_coverage) is not None:
+            inside = split["determined"]
+            elsewhere = split["elsewhere"]
+            out.print(
+                hanging(
+                    f"{each.name}:",
+                    f"mean {inside['mean']:.4f} {split['unit']} at the {inside['rows']} "
+                    "poses where the calibration had "
+                    f"determined the curve of every drive, {elsewhere['mean']:.4f} "
+                    f"{split['unit']} at the others",
+                )
+            )
+        print_replicates(*each.replicate_statistics(), out)
+        if (path := each.path_accuracy) is not None:
+            out.print(hanging("path:", path_words(path)))

@@ -1,0 +1,1 @@
+"""The verbs ``pincal diagnose`` and ``pincal update``."""

@@ -1,0 +1,357 @@
+"""The page of a diagnosis, which is read in a minute, and its summary for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from pincal.diagnosis.diagnosis_file import ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
+from pincal.diagnosis.robot_diagnosis import Diagnosis
+from pincal.parameters import split_name
+from pincal.report.blocks import (
+    Section,
+    arranged,
+    bullets,
+    code,
+    doubts,
+    facts,
+    glance,
+    heading,
+    paragraph,
+    plain_notes,
+    rich,
+)
+from pincal.report.html import render
+from pincal.report.words import effect_meaning
+from pincal.result_table import Cell, Column, Kind, Table
+from pincal.thresholds import Count, Scale
+from pincal.units import fixed, format_small, show_chance
+
+_STATISTICS = {"mean_mm": "mean", "p95_mm": "95 %", "max_mm": "worst"}
+# Number of parameters that are named in a line.
+_SHOWN: Count = 3
+_ARCSEC: Scale = 180.0 * 3600.0 / np.pi
+
+
+def headline(found: DiagnosisFile) -> str:
+    """Return the result in a sentence."""
+    if not found.is_judged:
+        return f"These {found.rows} rows can't show whether the robot has changed."
+    if not found.changed and found.p_value < found.alpha:
+        return (
+            f"No change was detected in these {found.rows} poses; they differ from the "
+            "model beyond chance "
+            f"({_chance(found.p_value)}), in the way in which it was incomplete when the "
+            "robot was calibrated."
+        )
+    if not found.changed:
+        return (
+            f"No change was detected in these {found.rows} poses (p = "
+            f"{found.p_value:.2g}): the robot "
+            "still matches its model."
+        )
+    changes = "; ".join(
+        in_words(change) + (f", {sizes(change)}" if change.parameters else "")
+        for change in found.changes
+    )
+    return f"The robot has changed ({_chance(found.p_value)}): {changes}."
+
+
+def _chance(p_value: float) -> str:
+    return f"p = {show_chance(p_value)}" if p_value > 0.0 else f"p {show_chance(0.0)}"
+
+
+def in_words(change: ChangeName) -> str:
+    """Return a change in words, with its joint.
+
+    Example:
+        >>> in_words(ChangeName(effect="backlash", joint="axis_3"))
+        'backlash of axis_3'
+    """
+    if isinstance(change, ChangeEntry) and not change.parameters:
+        return "something that no single cause explains"
+    words = f"{change.effect} of {change.joint or 'the whole arm'}" + (
+        f" by {change.source}" if change.source else ""
+    )
+    session = (
+        change.session if isinstance(change, ChangeEntry) and change.curve_rms is not None else ""
+    )
+    return words + (f" in {session}" if session else "")
+
+
+def sizes(change: ChangeEntry) -> str:
+    """Return the changes of the parameters in words, the most significant first."""
+    if change.curve_rms is not None:
+        unit = next(iter(change.parameters.values())).unit
+        return f"its curve differs by {format_small(change.curve_rms, unit)} rms"
+    moved = [(name, p.after - p.before, p.sigma, p.unit) for name, p in change.parameters.items()]
+    moved.sort(key=lambda one: -abs(one[1]) / one[2] if one[2] else 0.0)
+    return ", ".join(
+        f"{name} by {format_small(by, unit)} ± {format_small(sigma, unit)}"
+        for name, by, sigma, unit in moved[:_SHOWN]
+    )
+
+
+def change_table(changes: Iterable[ChangeEntry]) -> Table:
+    """Return the changes with their sizes and alternatives."""
+    columns = (
+        Column("effect"),
+        Column("joint", kind=Kind.NAME),
+        Column("change"),
+        Column("p", kind=Kind.NUMBER, show=show_chance),
+        Column("could also be"),
+        Column("distinguished by"),
+    )
+    rows = tuple(
+        (
+            change.effect,
+            change.joint or "whole arm",
+            sizes(change),
+            change.p_value,
+            "; ".join(map(in_words, change.equivalent)) or "nothing else",
+            change.tell_apart,
+        )
+        for change in changes
+    )
+    return Table("What has changed", columns, rows)
+
+
+def moved_parameters(changes: Iterable[ChangeEntry]) -> Table:
+    """Return the parameters of all changes, before and after."""
+    columns = (
+        Column("parameter", kind=Kind.NAME),
+        Column("before", kind=Kind.NUMBER),
+        Column("after", kind=Kind.NUMBER),
+        Column("change", kind=Kind.NUMBER),
+        Column("sigma", kind=Kind.NUMBER),
+    )
+    moved = (
+        (name, p.before, p.after, p.after - p.before, p.sigma, p.unit)
+        for c in changes
+        for name, p in c.parameters.items()
+    )
+    rows = tuple(
+        (name, *(format_small(value, unit) for value in values)) for name, *values, unit in moved
+    )
+    return Table("Parameters before and after the change", columns, rows)
+
+
+def curve_table(found: CurvesEntry) -> Table:
+    """Return the contribution of each drive's curve to the error of the new rows."""
+    columns = (
+        Column("curve re-estimated", kind=Kind.NAME),
+        Column("mean error", "mm", Kind.NUMBER, fixed(3)),
+        Column("correlation", kind=Kind.NUMBER, show=fixed(2)),
+        Column("difference", "arcsec, mm", Kind.NUMBER, fixed(1)),
+        Column("determined before", "%", Kind.NUMBER, fixed(0)),
+    )
+    rows: list[tuple[Cell, ...]] = [("none", found.as_it_was_mm, None, None, None)]
+    for entry in found.joints:
+        small = entry.rms * (_ARCSEC if entry.unit == "rad" else 1e3)
+        rows.append((entry.joint, entry.error_mm, entry.correlation, small, 100.0 * entry.seen))
+    rows.append(("all", found.all_anew_mm, None, None, None))
+    notes = (
+        "Cross-validated over blocks of poses, without outliers. Correlation and "
+        "difference (rms about its mean) of the old "
+        "and the new curve at the new poses; determined before: poses at which the "
+        "calibration had determined the curve.",
+    )
+    return Table(f"Curves of the drives in {found.session}", columns, tuple(rows), notes)
+
+
+def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
+    """Return the smallest detectable size of each change, as the largest motion of the target in
+    these poses [mm].
+    """
+    entries = [entry for entry in found.excluded if entry.source is None]
+    places = {entry.joint or "whole arm" for entry in entries}
+    joints = [joint for joint in (*joint_names, "whole arm") if joint in places]
+    smallest: dict[str, dict[str, float]] = {}
+    for entry in entries:
+        symbol = split_name(entry.parameter)[1]
+        several = sum(e.effect == entry.effect and e.joint == entry.joint for e in entries) > 1
+        sizes_on = smallest.setdefault(
+            f"{entry.effect} {symbol}" if several and symbol else entry.effect, {}
+        )
+        # Of the forms of one effect on a joint, such as orders of an eccentricity, the one that is
+        # hardest to detect.
+        where = entry.joint or "whole arm"
+        sizes_on[where] = max(entry.tip_mm, sizes_on.get(where, 0.0))
+    columns = (Column("change"), *(Column(joint, "mm", Kind.NUMBER, fixed(2)) for joint in joints))
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (name, *(on.get(joint) for joint in joints)) for name, on in smallest.items()
+    )
+    notes = (
+        "Dash: not observable in these poses, or not on this joint. Sizes in SI units are "
+        "in diagnosis.json.",
+    )
+    return Table(
+        "Smallest change detected with a probability of 90 %, as motion of the target",
+        columns,
+        rows,
+        notes,
+    )
+
+
+def set_up_words(found: DiagnosisFile) -> str:
+    """Return the displacements of instrument and target in words."""
+    at = found.station
+    parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.4g} mm"]
+    parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.4g} mrad"]
+    parts += (
+        []
+        if at.target_moved_mm is None
+        else [f"the target moved by {at.target_moved_mm:.2f} mm on the tool"]
+    )
+    return ", ".join(parts) or "these readings do not determine the placement of the instrument"
+
+
+def lines(found: DiagnosisFile) -> Iterator[str]:
+    """Yield the summary of a diagnosis for the terminal."""
+    yield headline(found)
+    for change in found.changes:
+        if change.equivalent:
+            yield (
+                f"  {in_words(change)} could also be {'; '.join(map(in_words, change.equivalent))}"
+            )
+            yield f"  to distinguish: {change.tell_apart}"
+    before, after = (found.gap[key]["mean_mm"] for key in ("before", "after"))
+    if found.changed:
+        yield (
+            f"mean error {before:.4f} mm with the old model, {after:.4f} mm with the "
+            "re-identified one"
+        )
+    else:
+        yield f"mean error {before:.4f} mm"
+    yield f"{set_up_words(found)}; this is not a change of the robot"
+    if found.excluded:
+        first = [entry for entry in found.excluded if entry.effect == found.excluded[0].effect]
+        largest = max(first, key=lambda entry: entry.smallest)
+        size = format_small(largest.smallest, largest.unit)
+        yield (
+            f"excluded with 90 % probability: any other {first[0].effect} of at least "
+            f"{size} ({largest.tip_mm:.2f} mm at "
+            f"the target); all {len(found.excluded)} in diagnosis.json"
+        )
+
+
+def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
+    """Return ``report.html`` of a diagnosis."""
+    found = diagnosis.found
+    robot = diagnosis.model.model.chain.robot
+    drives = None if found.curves is None else (curve_table(found.curves),)
+    curves = (
+        None
+        if drives is None
+        else Section("curves", "Curves of the drives", drives, label="Curves")
+    )
+    made = (
+        _answer(found),
+        _changes(found),
+        curves,
+        _unchanged(found, robot.joint_names),
+        _station(found),
+    )
+    return render(
+        f"Diagnosis of {robot.name}",
+        f"{found.rows} new poses compared with the calibrated robot",
+        [section for section in made if section is not None],
+        version=version,
+    )
+
+
+def _answer(found: DiagnosisFile) -> Section:
+    tone, tag = ("bad", "changed") if found.changed else ("good", "not changed")
+    tone, tag = (tone, tag) if found.is_judged else ("bad", "not judged")
+    answer = rich('<span class="tag {}">{}</span> {}', tone, tag, headline(found))
+    left = arranged(
+        "plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings)
+    )
+    columns = arranged(
+        "split", left, arranged("plain", heading("What to do next"), bullets(_next_steps(found)))
+    )
+    before = found.gap["before"]
+    after = found.gap["after"]
+    if not found.changed:
+        errors = facts(
+            (f"{words} error", f"{before[key]:.4f} mm") for key, words in _STATISTICS.items()
+        )
+        return Section("answer", "Has it changed?", (columns, errors), style="panel")
+    shown = glance(
+        [
+            (
+                f"{words} error",
+                (before[key], after[key]),
+                (f"{before[key]:.4f}", f"{after[key]:.4f} mm"),
+            )
+            for key, words in _STATISTICS.items()
+        ]
+    )
+    return Section(
+        "answer", "Has it changed?", (columns, arranged("glance", *shown)), style="panel"
+    )
+
+
+def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
+    if not found.is_judged:
+        yield "Find out where these rows come from, and measure again."
+        return
+    if not found.changed:
+        yield rich(
+            "Keep using the model; {} adds these poses to it permanently.", code("pincal update")
+        )
+        return
+    for change in found.changes:
+        if not change.parameters:
+            continue
+        meaning = f" ({effect_meaning(change.effect)})"
+        yield f"Inspect {change.joint or 'the whole arm'}: {change.effect}{meaning}."
+        if change.equivalent:
+            yield (
+                f"It could also be {'; '.join(map(in_words, change.equivalent))}. To "
+                f"distinguish: {change.tell_apart}."
+            )
+    named = any(change.parameters for change in found.changes)
+    if named:
+        yield rich(
+            "Until it is repaired, use {}: in this model only what changed was estimated again.",
+            code("model.json"),
+        )
+    else:
+        yield rich("Measure more poses and calibrate again: {}.", code("pincal discover"))
+
+
+def _changes(found: DiagnosisFile) -> Section | None:
+    if found.changes:
+        blocks = (change_table(found.changes), moved_parameters(found.changes))
+        return Section("changes", "What has changed", blocks, label="What has changed")
+    if not found.is_judged:
+        return None
+    text = (
+        f"Nothing: the calibrated model predicts these {found.rows} poses as well as its "
+        "noise allows "
+        f"(p = {found.p_value:.2g}; below {found.alpha:g} the robot would count as changed)."
+    )
+    return Section("changes", "What has changed", (paragraph(text),), label="What has changed")
+
+
+def _unchanged(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | None:
+    if not found.excluded:
+        return None
+    words = (
+        "Smallest size of each change that would have been detected with a probability of "
+        "90 %, as the largest motion of "
+        "the target in these poses."
+    )
+    blocks = (paragraph(words), excluded_table(found, joint_names))
+    return Section("noticed", "What has not changed", blocks, label="What has not changed")
+
+
+def _station(found: DiagnosisFile) -> Section:
+    items = (
+        ("instrument and target", f"{set_up_words(found)}; this is not a change of the robot"),
+        ("false alarms", f"one in {1.0 / found.alpha:.0f} diagnoses of an unchanged robot"),
+    )
+    return Section("station", "Set-up", (facts(items),))

@@ -1,0 +1,1 @@
+"""What is told of a search and of a precheck: words, tables, figures, a section of the page."""

@@ -1,0 +1,128 @@
+"""Words for what a search found."""
+
+from __future__ import annotations
+
+from pincal.discover.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
+
+# Words for variables whose names do not explain themselves.
+_VARIABLES = {"move": "its last move"}
+
+
+def effect_words(entry: EffectName, *, joint: bool = True) -> str:
+    """Return an effect in words, with or without its joint.
+
+    Example:
+        >>> effect_words(EffectName(effect="joint_coupling", joint="axis_5", source="axis_4"))
+        'joint_coupling of axis_5 by axis_4'
+        >>> drift = EffectName(effect="unnamed", joint="axis_2", depends_on="time", shape="curve")
+        >>> effect_words(drift, joint=False)
+        'unnamed (curve of time)'
+        >>> both = EffectName(effect="unnamed", joint="axis_2", depends_on="axis_4", shape="map")
+        >>> effect_words(both, joint=False)
+        'unnamed (map of axis_2 and axis_4)'
+    """
+    words = [entry.effect]
+    if joint and entry.joint:
+        words.append(f"of {entry.joint}")
+    if entry.source:
+        words.append(f"by {entry.source}")
+    if entry.station:
+        words.append(f"at {entry.station}")
+    if entry.depends_on:
+        order = f" of order {entry.order}" if entry.order else ""
+        across = "" if (entry.acts_on or "drive") == "drive" else ", across the axis"
+        of = (
+            f"{entry.joint} and {entry.depends_on}"
+            if entry.shape == "map"
+            else _VARIABLES.get(entry.depends_on, entry.depends_on)
+        )
+        words.append(f"({entry.shape or 'curve'}{order} of {of}{across})")
+    elif (entry.order or 1) != 1:
+        if isinstance(entry, FoundEffect) and entry.resolution is not None:
+            middle = sum((entry.order or 0.0, *entry.beside)) / (1 + len(entry.beside))
+            words.append(f"order {middle:.1f} \u00b1 {entry.resolution:.1f}")
+        else:
+            words.append(f"order {entry.order}")
+    return " ".join(words)
+
+
+def line_words(entry: FoundEffect) -> str:
+    """Return a remark on a spectral line in addition to its order, or an empty text.
+
+    Example:
+        >>> names = {"effect": "gear_ripple", "joint": "wrist_2", "order": 405.0}
+        >>> names |= {"parameters": {}, "equivalent": (), "tell_apart": "", "beside": (401.4,)}
+        >>> entry = FoundEffect(**names, p_value=0.0, gap_before_mm=1.0, gap_after_mm=1.0)
+        >>> line_words(entry).removeprefix("one spectral line whose amplitude varies over ")
+        'the span of the joint, fitted as harmonics of order 405 and 401.4'
+    """
+    orders = " and ".join(f"{order:g}" for order in (entry.order or 0.0, *entry.beside))
+    whole = (
+        "one spectral line whose amplitude varies over the span of the joint, fitted as "
+        f"harmonics of order {orders}"
+    )
+    return "; ".join(filter(None, [entry.origin, whole if entry.beside else ""]))
+
+
+HINTS = "Hints: named in less than 60 % of the subsamples"
+
+
+def subsample_only_words(found: Findings) -> str:
+    """Return the names that most subsamples have and the full data set has not."""
+    names = ", ".join(
+        f"{effect_words(entry)} ({entry.stability})" for entry in found.only_in_halves
+    )
+    return f"Named in most subsamples, but not in the full data set: {names}"
+
+
+def bootstrap_words(last: Bootstrap) -> str:
+    """Return the bootstrap test of the effect accepted last in words.
+
+    Example:
+        >>> last = Bootstrap(effect="base_drift", joint=None, p_value=2 / 201, draws=200)
+        >>> bootstrap_words(last).removeprefix("Of 200 tables drawn from the model ")
+        'without base_drift, accepted last, 1 has a candidate that fits as well.'
+    """
+    as_good = round(last.p_value * (last.draws + 1)) - 1
+    count = f"{as_good or 'none'} has" if as_good < 2 else f"{as_good} have"
+    words = (
+        f"Of {last.draws} tables drawn from the model without {effect_words(last)}, accepted "
+        f"last, {count}"
+    )
+    return f"{words} a candidate that fits as well."
+
+
+def gain_words(entry: FoundEffect) -> str:
+    """Return how the mean held-out error changed as an effect entered the model.
+
+    Example:
+        >>> from msgspec import structs
+        >>> turned = {"gap_before_mrad": 0.168, "gap_after_mrad": 0.092}
+        >>> names = {"effect": "transmission_error", "joint": "axis_6", "p_value": 1e-9}
+        >>> names |= {"parameters": {}, "equivalent": (), "tell_apart": ""}
+        >>> entry = FoundEffect(**names, gap_before_mm=0.0425, gap_after_mm=0.0434, **turned)
+        >>> gain_words(entry)
+        '0.0425 to 0.0434 mm, 0.1680 to 0.0920 mrad: improves orientation only'
+        >>> gain_words(structs.replace(entry, gap_before_mrad=None, gap_after_mrad=None))
+        '0.0425 to 0.0434 mm: no improvement on these rows'
+    """
+    figures = [f"{entry.gap_before_mm:.4f} to {entry.gap_after_mm:.4f} mm"]
+    gains = [_falls(entry, "mm")]
+    if entry.gap_before_mrad is not None:
+        figures.append(f"{entry.gap_before_mrad:.4f} to {entry.gap_after_mrad:.4f} mrad")
+        gains.append(_falls(entry, "mrad"))
+    remark = (
+        ""
+        if gains[0]
+        else ": improves orientation only"
+        if any(gains)
+        else ": no improvement on these rows"
+    )
+    return ", ".join(figures) + remark
+
+
+def _falls(entry: FoundEffect, unit: str) -> bool:
+    """Return whether an error falls to the four digits that are shown."""
+    before = getattr(entry, f"gap_before_{unit}")
+    after = getattr(entry, f"gap_after_{unit}")
+    return float(f"{after:.4f}") < float(f"{before:.4f}")

@@ -1,0 +1,268 @@
+"""``pincal fleet learn`` and ``check``: a type learned from its machines, and changes
+of machines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pincal.cli.arguments import Output, argument, group, option, verb
+from pincal.cli.common import GeneralOptions, base_option, tip_option, verbose_option
+from pincal.cli.outputs import print_json, provenance
+from pincal.cli.quantities import LENGTH
+from pincal.errors import BadInputError, Exit, counted
+from pincal.fleet.cli.fleet_store import (
+    fleet_add,
+    fleet_calibrate,
+    fleet_diagnose,
+    fleet_discover,
+    machine_names,
+    store_argument,
+)
+from pincal.thresholds import Count
+
+if TYPE_CHECKING:
+    from pincal.calibration.fitted_robot import FittedRobot
+    from pincal.fleet.machines import Machine
+
+# Number of parameters that are listed.
+_PARAMETERS: Count = 8
+_LEARN_EXAMPLES = """
+Examples:
+  pincal fleet learn r1/model.json r2/model.json r3/model.json --out type.json --report type.html
+  pincal fleet learn fleet-store --out type.json --error 0.1mm
+  pincal fleet learn */model.json --out type.json --share site.parquet     # for another site, without names
+  pincal fleet learn */model.json other-site.parquet --out type.json       # there
+Then:
+  pincal calibrate robot.urdf few.csv --type type.json --out results
+"""
+_CHECK_EXAMPLES = """
+Example:
+  pincal fleet calibrate robot.urdf fleet-store --type type.json --noise 0.05mm
+  pincal fleet check type.json fleet-store --report fleet.html
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnArguments:
+    """Arguments of fleet learn."""
+
+    machines: tuple[str, ...] = argument(
+        "MODEL.json...",
+        "Calibrated models, files of information (.json), files of another site "
+        "(.parquet), or a store. A machine is named "
+        "after its file, or after the folder of a model.json.",
+    )
+    out: Path = option("The type.", MISSING, metavar="TYPE.json", type=Output(".json"))
+    report: Path | None = option(
+        "Also write a page with pictures.", metavar="PAGE.html", type=Output(".html")
+    )
+    share: Path | None = option(
+        "Also write the information of each machine, without names, poses and times, for "
+        "another site to include in its "
+        "type.",
+        metavar="SITE.parquet",
+        type=Output(".parquet"),
+    )
+    robot: str | None = option(
+        "URDF of the arm, to state differences as motion of the tool.",
+        metavar="URDF",
+        words="that of the first model.json",
+    )
+    tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
+    base: str | None = base_option()
+    error: float | None = option(
+        "Predict the number of poses for this accuracy of a further machine.", type=LENGTH
+    )
+    noise: float = option(
+        "Noise of one coordinate for a further machine.", 5e-5, type=LENGTH, words="0.05mm"
+    )
+    verbose: bool = verbose_option()
+    general: GeneralOptions = group("General")
+
+
+@verb(LearnArguments, examples=_LEARN_EXAMPLES)
+def fleet_learn(arguments: LearnArguments) -> Exit:
+    """Learn a type of robot from its machines.
+
+    Prints how much machines differ, how far the data sheet is off, which machines do not belong,
+    and how many poses a further one needs. The type is then prior knowledge for calibrate,
+    discover, check and design (--type).
+    """
+    from pincal.atomic import write_atomic
+    from pincal.fleet import summary
+    from pincal.fleet.machines import save_machines
+    from pincal.fleet.robot_type import learn_type
+    from pincal.model.effects import ELASTIC, GEOMETRIC
+    from pincal.robot.robot import Robot
+
+    machines, model = _machines(arguments.machines)
+    learned = learn_type(machines)
+    of = learned.type
+    robot = None
+    effects = GEOMETRIC
+    if model is not None:
+        robot = model.model.chain.robot
+        effects = tuple(effect for effect in model.model.effects if effect.scope == "robot")
+    if arguments.robot is not None:
+        robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
+        effects = (
+            ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else GEOMETRIC
+        )
+    at = None if robot is None else summary.at_tool(of, robot, effects, noise=arguments.noise)
+    origin = provenance([Path(text) for text in arguments.machines])
+    of.save(arguments.out, provenance=origin)
+    if arguments.share is not None:
+        save_machines(arguments.share, machines)
+    if arguments.report is not None:
+        from pincal.fleet.fleet_pages import type_page
+
+        write_atomic(arguments.report, type_page(learned, at, version=origin["pincal"]))
+    if arguments.general.as_json:
+        print_json(summary.plain_type(learned, at, error=arguments.error))
+        return Exit.DONE
+    from pincal.cli.progress import console
+
+    out = console()
+    for line in summary.type_lines(learned, at, error=arguments.error):
+        click.echo(line)
+    if at is not None:
+        out.print(summary.effect_summary(at))
+    out.print(summary.parameter_summary(of, at, most=None if arguments.verbose else _PARAMETERS))
+    if summary.strangers(learned.members):
+        out.print(summary.member_summary(learned))
+    if at is not None:
+        out.print(summary.poses_summary(at))
+    else:
+        click.echo(
+            "note: to express this as motion of the tool, the arm must be known: give a "
+            "model.json, or --robot URDF"
+        )
+    written = [
+        str(path) for path in (arguments.out, arguments.share, arguments.report) if path is not None
+    ]
+    click.echo(f"written to {' '.join(written)}")
+    return Exit.DONE
+
+
+def _machines(texts: Sequence[str]) -> tuple[list[Machine], FittedRobot | None]:
+    """Return the machines of files and stores, and the first model among them.
+
+    Raises:
+        BadInputError: for another kind of file, or a model without information.
+    """
+    from pincal.calibration.fitted_robot import load_model
+    from pincal.fleet.jobs import last_model
+    from pincal.fleet.machines import Machine, load_machines
+    from pincal.fleet.store import open_store
+    from pincal.io.strict_json import MODEL_FILE, read_bounded
+
+    names = machine_names([text for text in texts if text.lower().endswith(".json")])
+    found = list[Machine]()
+    first = None
+    for text in texts:
+        if "://" in text or Path(text).is_dir():
+            store = open_store(text)
+            found += [machine for _, machine, _ in store.machines()]
+            first = first or last_model(store)
+        elif text not in names or b'"pincal-information"' in read_bounded(text, MODEL_FILE)[:100]:
+            found += [replace(one, name=names.get(text, one.name)) for one in load_machines(text)]
+        else:
+            model = load_model(text).robot_model()
+            if model.information is None:
+                raise BadInputError(
+                    f"{text}: written by a version that stored no information matrix; "
+                    "calibrate again"
+                )
+            found = [*found, Machine(names[text], model.information)]
+            first = first or model
+    return found, first
+
+
+@dataclass(frozen=True, kw_only=True)
+class FleetCheckArguments:
+    """Arguments of fleet check."""
+
+    type: Path = argument("TYPE.json", "The type, as written by fleet learn.")
+    store: str = store_argument()
+    report: Path | None = option(
+        "Also write a page: what to look at first.", metavar="PAGE.html", type=Output(".html")
+    )
+    alpha: float = option("Largest fraction of alarms that may be false, in the long run.", 0.05)
+    every: int = option("Days per round of checks.", 7, metavar="N", type=click.IntRange(min=1))
+    general: GeneralOptions = group("General")
+
+
+@verb(FleetCheckArguments, examples=_CHECK_EXAMPLES, exits=(Exit.CHANGED,))
+def fleet_check(arguments: FleetCheckArguments) -> Exit:
+    """Find which machines of a store have changed, what changed, and since when.
+
+    Option --alpha bounds the fraction of false alarms, however many machines there are and however
+    long they are monitored. A change that machines with the same label share is reported as a drift
+    of that group.
+    """
+    from pincal.atomic import write_atomic
+    from pincal.fleet import summary
+    from pincal.fleet.checks import fleet_changes
+    from pincal.fleet.jobs import visits_of, without_information
+    from pincal.fleet.robot_type import load_type
+    from pincal.fleet.store import open_store
+
+    of = load_type(arguments.type)
+    store = open_store(arguments.store)
+    visits = sorted(visits_of(store), key=lambda visit: visit.day)
+    begun = {visit.machine: visit.day for visit in reversed(visits) if visit.is_calibration}
+    known = [visit for visit in visits if begun.get(visit.machine, "9999") <= visit.day]
+    found = fleet_changes(of, known, alpha=arguments.alpha, every=arguments.every)
+    if arguments.report is not None:
+        from pincal.fleet.fleet_pages import fleet_page
+
+        version = provenance([])["pincal"]
+        write_atomic(
+            arguments.report, fleet_page(of, found, alpha=arguments.alpha, version=version)
+        )
+    if arguments.general.as_json:
+        print_json(summary.plain_history(found))
+    else:
+        from pincal.cli.progress import console
+
+        for line in summary.history_lines(found):
+            click.echo(line)
+        if found.changes:
+            console().print(summary.change_summary(found))
+        if found.checks:
+            console().print(summary.look_first(found))
+        if strangers := sorted({visit.machine for visit in visits} - begun.keys()):
+            names = ", ".join(strangers[:_PARAMETERS]) + (
+                " and others" if len(strangers) > _PARAMETERS else ""
+            )
+            click.echo(f"note: ignored: checks of {names}, which have no calibration")
+        if left := len(without_information(store)):
+            click.echo(
+                f"note: {counted(left, 'table')} of the store not calibrated yet: pincal "
+                "fleet calibrate ROBOT.urdf "
+                f"{arguments.store} --type {arguments.type}"
+            )
+        if arguments.report is not None:
+            click.echo(f"written to {arguments.report}")
+    return Exit.CHANGED if found.open or found.drifted else Exit.DONE
+
+
+fleet = click.Group(
+    "fleet",
+    commands={
+        "add": fleet_add,
+        "calibrate": fleet_calibrate,
+        "check": fleet_check,
+        "diagnose": fleet_diagnose,
+        "discover": fleet_discover,
+        "learn": fleet_learn,
+    },
+    help="Learn from many robots of a type, and monitor them.",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)

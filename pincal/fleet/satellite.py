@@ -1,0 +1,10 @@
+"""What work on fleets hands in to the kernel."""
+
+from pincal.satellites import HandedIn
+
+HANDED_IN: HandedIn = {
+    "verbs": {
+        "fleet": "pincal.fleet.cli.fleet:fleet",
+    },
+    "schemas": {"type": "pincal.fleet.robot_type:RobotType"},
+}

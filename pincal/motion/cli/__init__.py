@@ -1,0 +1,1 @@
+"""Arms in motion on the command line."""

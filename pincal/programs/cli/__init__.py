@@ -1,0 +1,1 @@
+"""Programs of controllers on the command line."""

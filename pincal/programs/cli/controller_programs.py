@@ -1,0 +1,292 @@
+"""Programs of controllers for ``pincal compensate``: options of the cell, the points corrected and
+left unchanged.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+
+from pincal.cli.arguments import NumberType, option, pair
+from pincal.cli.quantities import LENGTH
+
+if TYPE_CHECKING:
+    from pincal.calibration.fitted_robot import FittedRobot
+    from pincal.programs.correct import Change, ProgramCell
+    from pincal.programs.language import ControllerLanguage
+    from pincal.programs.paths import Deviation
+    from pincal.programs.program import Program, Skipped
+    from pincal.robot.robot import Robot
+
+# Links of the controller's world and flange in URDFs of ROS-Industrial.
+_WORLD = "base"
+_FLANGE = "tool0"
+
+
+def _named(text: str) -> tuple[str, str]:
+    return pair(text, "NAME=X,Y,Z,... as the controller shows them")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProgramOptions:
+    """Properties of the cell that a controller's program does not contain."""
+
+    tools: tuple[tuple[str, str], ...] = option(
+        "Values of a tool, by its name or number in the program.",
+        (),
+        name="--tool",
+        type=_named,
+        metavar="NAME=X,Y,Z,...",
+    )
+    bases: tuple[tuple[str, str], ...] = option(
+        "Values of a base, user frame or work object.",
+        (),
+        name="--base",
+        type=_named,
+        metavar="NAME=X,Y,Z,...",
+    )
+    world: str | None = option(
+        "The controller's world frame: a link of the URDF, or its pose in the robot's base frame.",
+        metavar="LINK|X,Y,Z,...",
+        words="link 'base' if it is stationary, otherwise the first link of the model",
+    )
+    flange: str | None = option(
+        "The controller's flange frame: a link of the URDF, or its pose in the tip frame.",
+        metavar="LINK|X,Y,Z,...",
+        words="link 'tool0' if it is fixed to the tip, otherwise the last link of the model",
+    )
+    axes: str | None = option(
+        "The program's axes in terms of the model's joints, in degrees, such as "
+        "'q1,90-q2,q3-q2,q4,q5,q6'.",
+        metavar="SUMS",
+        words="the joints themselves",
+    )
+    pulses: str | None = option("Pulses per degree of each axis (Yaskawa).", metavar='"P1 P2 ..."')
+    with_files: tuple[Path, ...] = option(
+        "Further file of the same language with tools, bases or points that the program "
+        "uses; it is only read.",
+        (),
+        name="--with",
+        metavar="FILE",
+    )
+    payload: float = option(
+        "Mass at the tip while the program runs [kg].", 0.0, type=NumberType(least=0.0)
+    )
+    path_error: float | None = option(
+        "Insert points into lines where the tool deviates by more than this.", type=LENGTH
+    )
+
+
+def correct_file(
+    calibrated: FittedRobot,
+    path: Path,
+    out: Path,
+    language: ControllerLanguage,
+    options: ProgramOptions,
+    limits: Allowed,
+) -> tuple[dict[str, Any], list[Change]]:
+    """Correct a program and write it; return the result for ``--json``, and the changes.
+
+    Raises:
+        ProgramError: for a file that is truncated, in another dialect, or can't be read.
+    """
+    from pincal.atomic import write_atomic
+    from pincal.programs.correct import Corrector
+    from pincal.programs.language import files_of, read_sources
+    from pincal.programs.paths import Follower, legs_of
+    from pincal.programs.program import spliced
+
+    if out.suffix.lower() != path.suffix.lower():
+        raise click.UsageError(
+            f"--out {out}: a {language.name} program is written as one; expected a name "
+            f"that ends in {path.suffix}"
+        )
+    files = files_of(path, language)
+    outs = [out.with_suffix(file.suffix) for file in files]
+    if any(target.resolve() == file.resolve() for target, file in zip(outs, files, strict=True)):
+        raise click.UsageError(
+            f"--out {out}: this is the program itself; expected another name, or the same "
+            "one in another folder, so that a "
+            "second run does not correct it again"
+        )
+    if not 0.0 <= options.payload < math.inf:
+        raise click.UsageError(f"--payload {options.payload:g}: expected a mass in kg, 0 or more")
+    if options.pulses is not None:
+        language = language.with_pulses(options.pulses)
+    program = language.read(read_sources([*files, *options.with_files]))
+    only_read = range(len(files), len(files) + len(options.with_files))
+    program.leave(only_read)
+    corrector = Corrector(
+        calibrated, language, _cell(calibrated.model.chain.robot, language, options, limits)
+    )
+    changes, left = corrector.changes(program)
+    follower = Follower(corrector)
+    legs = legs_of(program, changes)
+    deviations = follower.deviations(legs)
+    edits = [edit for change in changes.values() for edit in corrector.edits(change)]
+    inserted = 0
+    if options.path_error is not None:
+        more, others, inserted = follower.inserted(program, legs, options.path_error)
+        edits = edits + more
+        left = left + others
+    # A pair keeps its name and is therefore written into another folder.
+    with contextlib.suppress(OSError):
+        out.parent.mkdir(parents=True, exist_ok=True)
+    for i, target in enumerate(outs):
+        write_atomic(target, spliced(program.sources[i], i, edits))
+    result = _result(program, list(changes.values()), left, deviations)
+    robot = calibrated.model.chain.robot
+    cell = corrector.cell
+    links = {
+        "world": options.world or (robot.base if np.array_equal(cell.world, np.eye(4)) else _WORLD),
+        "flange": options.flange
+        or (robot.tip if np.array_equal(cell.flange, np.eye(4)) else _FLANGE),
+        "axes": options.axes or "the model's joints",
+        "must_be_named": path.name
+        if language.is_pair and out.stem.lower() != path.stem.lower()
+        else "",
+    }
+    notes = {"notes": corrector.notes(program)}
+    return result | links | notes | {
+        "inserted": inserted,
+        "out": [str(target) for target in outs],
+    }, list(changes.values())
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """Limits of a correction, and the start of the program; see
+    :class:`pincal.programs.correct.ProgramCell`.
+    """
+
+    seed: np.ndarray | None
+    keep: bool
+    max_change: float
+
+
+def _cell(
+    robot: Robot, language: ControllerLanguage, options: ProgramOptions, limits: Allowed
+) -> ProgramCell:
+    from pincal.programs.arms import ProgramAxes
+    from pincal.programs.correct import ProgramCell
+
+    places = {
+        name: _pose_of(robot, language, text, usual=usual, link=link)
+        for name, text, usual, link in (
+            ("world", options.world, _WORLD, robot.base),
+            ("flange", options.flange, _FLANGE, robot.tip),
+        )
+    }
+    return ProgramCell(
+        axes=ProgramAxes.parse(options.axes, robot),
+        tools={language.key(name): language.frame(value) for name, value in options.tools},
+        bases={language.key(name): language.frame(value) for name, value in options.bases},
+        seed=None if limits.seed is None else robot.from_reported(limits.seed[None])[0],
+        payload=options.payload,
+        limits=limits.keep,
+        max_change=limits.max_change,
+        **places,
+    )
+
+
+def _pose_of(
+    robot: Robot, language: ControllerLanguage, text: str | None, *, usual: str, link: str
+) -> np.ndarray:
+    """Return the pose, shape (4, 4), of a link or of numbers in the frame of a link of
+    the model.
+    """
+    from pincal.errors import BadInputError
+    from pincal.programs.arms import rigid_pose
+
+    if text is None:
+        found = rigid_pose(robot, usual, link)
+        return np.eye(4) if found is None else found
+    if "," in text:
+        return language.frame(text)
+    found = rigid_pose(robot, text, link)
+    if found is None:
+        raise BadInputError(
+            f"{text!r} is not a link that is fixed to {link}; expected one, or X,Y,Z,..."
+        )
+    return found
+
+
+def _result(
+    program: Program,
+    changes: Sequence[Change],
+    left: Sequence[Skipped],
+    deviations: Sequence[Deviation],
+) -> dict[str, Any]:
+    """Return the result for ``--json``."""
+    names = [source.name for source in program.sources]
+    points = [
+        {
+            "name": change.point.name,
+            "file": names[change.point.source],
+            "line": change.point.line,
+            "shift_mm": 1e3 * change.shift,
+            "turn_mrad": 1e3 * change.turn,
+        }
+        for change in changes
+    ]
+    sure = [found for found in deviations if np.isfinite(found.size)]
+    worst = max(sure, key=lambda found: found.size, default=None)
+    path = {
+        "motions": len(deviations),
+        "not_followed": [d.motion.statement.line for d in deviations if d not in sure],
+    }
+    if worst is not None:
+        path |= {"largest_mm": 1e3 * worst.size, "line": worst.motion.statement.line}
+    return {
+        "points": points,
+        "left": [
+            {"name": one.name, "file": names[one.source], "line": one.line, "reason": one.reason}
+            for one in left
+        ],
+        "path": path,
+    }
+
+
+def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
+    """Yield the lines that summarise a corrected program."""
+    points = result["points"]
+    left = result["left"]
+    yield f"{language}: {len(points)} points corrected, {len(left)} left unchanged"
+    yield (
+        f"  the controller's world is {result['world']}, its flange {result['flange']} "
+        "(--world, --flange), its axes are"
+    )
+    yield f"  {result['axes']} (--axes)"
+    width = max(
+        (len(f"{point['file']} line {point['line']}, {point['name']}") for point in points),
+        default=0,
+    )
+    for point in points:
+        name = f"{point['file']} line {point['line']}, {point['name']}"
+        yield f"  {name:{width}s} {point['shift_mm']:9.4f} mm {point['turn_mrad']:9.4f} mrad"
+    path = result["path"]
+    if "largest_mm" in path:
+        yield (
+            "  between corrected points the tool deviates from its path by at most "
+            f"{path['largest_mm']:.4f} mm "
+            f"(line {path['line']}, {path['motions']} motions)"
+        )
+    if result["inserted"]:
+        yield f"  {result['inserted']} points inserted"
+    if left:
+        yield "left unchanged:"
+    for one in left:
+        yield f"  {one['file']} line {one['line']}, {one['name']}: {one['reason']}"
+    yield f"written to {', '.join(result['out'])}"
+    if result["must_be_named"]:
+        yield (
+            "the controller requires the file to be named after its module: "
+            f"{result['must_be_named']}"
+        )

@@ -1,0 +1,7 @@
+"""What programs of controllers hand in to the kernel."""
+
+from pincal.satellites import HandedIn
+
+HANDED_IN: HandedIn = {
+    "formats": {"page": "pincal.programs.js_source:CorrectorPage"},
+}
