@@ -20,6 +20,7 @@ from msgspec.inspect import DataclassType, NamedTupleType, StructType, TypedDict
 import pincal
 from pincal.cli import pincal as command
 from pincal.measure.registry import SENSORS
+from pincal.programs.language import LANGUAGES
 from pincal.schemas import schema_of, structure_of
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -258,6 +259,30 @@ def _told(cls: type) -> Iterator[str]:
     yield from (told["Distinguished by"], told["Source"])
 
 
+def programs() -> Iterator[str]:
+    """Yield the page of the words that the readers of programs understand."""
+    yield "# Words of programs"
+    yield (
+        "`pincal compensate` corrects the points of a [program](../guide/programs.md) behind these words: by their manuals "
+        "they change neither where a point is reached nor a tool or a base. Any other instruction, option of a motion or "
+        "system variable leaves the points that it can reach. What displaces points by its manual, and what ends that, is "
+        "in the guide."
+    )
+    kinds = {
+        "instruction": "instructions",
+        "option": "options of a motion",
+        "variable": "what may be assigned to",
+        "function": "functions and words before brackets",
+    }
+    for name, language in sorted(LANGUAGES.known().items()):
+        if not language.__module__.startswith("pincal.programs."):
+            continue
+        yield f"## {name}"
+        for one in language.understood:
+            yield f"**{kinds[one.kind][0].upper()}{kinds[one.kind][1:]}** ({one.source})"
+            yield ", ".join(f"`{word.strip()}`" for word in one.words.split(",") if word.strip())
+
+
 def names() -> Iterator[str]:
     """Yield the page of the Python API: every public name with its docstring."""
     yield "# Python"
@@ -319,6 +344,7 @@ PAGES: dict[str, Callable[[], Iterator[str]]] = {
     "commands.md": commands,
     "files.md": files,
     "effects.md": effects,
+    "programs.md": programs,
     "python.md": names,
 }
 

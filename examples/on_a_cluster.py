@@ -18,6 +18,7 @@ import argparse
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -55,6 +56,9 @@ def main() -> None:
     parser.add_argument("--mpi", action="store_true", help="by MPI instead; needs mpi4py")
     parser.add_argument("--draws", type=int, default=200)
     arguments = parser.parse_args()
+    library, install = ("mpi4py", "mpi4py") if arguments.mpi else ("distributed", "'pincal[cluster]'")
+    if find_spec(library) is None:
+        parser.error(f"{library} is not installed: run pip install {install}")
 
     rng = np.random.default_rng(1)
     machine = draw_typical_errors(TrueMachine.from_urdf(kuka_urdf_path(), tip="tool0"), rng)

@@ -159,10 +159,10 @@ def needed(
         BadInputError: of the class, with the command to install it.
 
     Example:
-        >>> with needed("example-robot-data", "robots by name", install="example-robot-data-loaders"):
+        >>> with needed("trimesh", "meshes", install="trimesh[easy]"):
         ...     import no_such_module
         Traceback (most recent call last):
-        pincal.errors.BadInputError: robots by name need example-robot-data: run pip install example-robot-data-loaders
+        pincal.errors.BadInputError: meshes need trimesh: run pip install trimesh[easy]
     """
     try:
         yield

@@ -42,7 +42,8 @@ def doubts_first(notes: Iterable[Note | str]) -> tuple[Note, ...]:
     """Return notes, each once, doubts before the others; plain text is a note.
 
     Example:
-        >>> notes = doubts_first(["three rows are left out", Note(Severity.DOUBT, "the target was touched")])
+        >>> doubt = Note(Severity.DOUBT, "the target was touched")
+        >>> notes = doubts_first(["three rows are left out", doubt])
         >>> [(note.severity.value, note.text) for note in notes]
         [('doubt', 'the target was touched'), ('note', 'three rows are left out')]
     """

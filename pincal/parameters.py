@@ -199,7 +199,8 @@ class Estimate:
     Example:
         >>> a, b = (Parameter(name, "m", "frame", 0.0, np.inf) for name in ("a.x", "b.x"))
         >>> free, prior = np.array([True, False]), np.array([1.0, 2.0])
-        >>> found = Estimate((a, b), np.array([0.3, 0.0]), free, Covariance.of(np.array([[0.25]])), prior)
+        >>> covariance = Covariance.of(np.array([[0.25]]))
+        >>> found = Estimate((a, b), np.array([0.3, 0.0]), free, covariance, prior)
         >>> found["a.x"], found.sigma.tolist(), found.drop(["a.x"]).names
         (0.3, [0.5, 2.0], ('b.x',))
     """

@@ -92,7 +92,8 @@ class Table:
 
     Example:
         >>> from pincal.units import fixed
-        >>> print(Table("Errors", (Column("model"), Column("mean", "mm", Kind.NUMBER, fixed(3))), (("nominal", 1.25),)))
+        >>> columns = (Column("model"), Column("mean", "mm", Kind.NUMBER, fixed(3)))
+        >>> print(Table("Errors", columns, (("nominal", 1.25),)))
         Errors
         model     mean [mm]
         -------------------

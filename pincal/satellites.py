@@ -1,4 +1,4 @@
-"""Satellites: packages of pincal beside its kernel, which hand in verbs, readers, sections, schemas.
+"""Satellites: packages beside pincal's kernel, which hand in verbs, readers, sections, schemas.
 
 The kernel (robot, model, tables, fits, validation, compensation, export, report and their verbs)
 names none of them and works without them. A satellite is a package of pincal, or of another
@@ -16,6 +16,8 @@ from importlib.util import find_spec
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
+
+from pincal.errors import BadInputError
 
 _T = TypeVar("_T")
 _GROUP = "pincal.satellites"
@@ -64,6 +66,20 @@ class Place(Generic[_T]):
             return None
         return self[name]
 
+    def only(self, wanted: str, part: str) -> _T:
+        """Return the first that is handed in.
+
+        Args:
+            wanted: what the user wants of it, such as an option.
+            part: the satellite that usually hands it in.
+
+        Raises:
+            BadInputError: if nothing is.
+        """
+        for found in self.all():
+            return found
+        raise lacking(wanted, part)
+
     def all(self) -> Iterator[_T]:
         """Yield all that is handed in."""
         return (self[name] for name in self.names())
@@ -74,6 +90,14 @@ class Place(Generic[_T]):
             for handed_in in _declarations()
             for name, source in handed_in.get(self.name, {}).items()
         }
+
+
+def lacking(wanted: str, part: str) -> BadInputError:
+    """Return the error that what the user wants, such as an option, needs an absent satellite."""
+    return BadInputError(
+        f"{wanted}: this installation lacks {part}, which does this; leave {wanted} "
+        "out, or install pincal as a whole"
+    )
 
 
 @cache

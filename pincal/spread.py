@@ -103,7 +103,8 @@ def end_with_parent() -> None:
     Example:
         >>> from concurrent.futures import ProcessPoolExecutor
         >>> from multiprocessing import get_context
-        >>> pool = ProcessPoolExecutor(2, mp_context=get_context("spawn"), initializer=end_with_parent)
+        >>> context = get_context("spawn")
+        >>> pool = ProcessPoolExecutor(2, mp_context=context, initializer=end_with_parent)
         >>> pool.shutdown()
     """
     from multiprocessing import parent_process

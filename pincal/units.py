@@ -126,8 +126,8 @@ def is_gravity(vector: Sequence[float]) -> bool:
     """Return whether a vector is a plausible gravity [m/s^2].
 
     Example:
-        >>> is_gravity((0.0, 0.0, -9.81)), is_gravity((0.0, 0.0, 1e-300)), is_gravity((0.0, 0.0, 0.0))
-        (True, False, True)
+        >>> [is_gravity((0.0, 0.0, z)) for z in (-9.81, 1e-300, 0.0)]
+        [True, False, True]
     """
     size = math.hypot(*vector)
     return size == 0.0 or _LEAST_GRAVITY <= size <= _MOST_GRAVITY
@@ -209,10 +209,8 @@ def size_in(text: str, unit: str) -> float:
         >>> size_in("0.5mm", "m"), size_in("0.2 urad/Nm", "rad/(N m)"), size_in("inf", "rad")
         (0.0005, 2e-07, inf)
     """
-    (of, _, per), kinds = (
-        unit.partition("/"),
-        [kind for kind in UNITS.values() if unit.partition("/")[0] in kind],
-    )
+    of, _, per = unit.partition("/")
+    kinds = [kind for kind in UNITS.values() if of in kind]
     number, divided, below = text.replace(" ", "").partition("/")
     if divided and below.strip("()") != per.replace(" ", "").strip("()"):
         raise ValueError(f"{text!r}; expected a number in {unit}")
@@ -311,8 +309,8 @@ def format_digits(value: float) -> str:
     ordinary size.
 
     Example:
-        >>> format_digits(21.3), format_digits(3.21), format_digits(0.0312), format_digits(12345.0), format_digits(2e-9)
-        ('21', '3.2', '0.031', '12345', '2.0e-09')
+        >>> [format_digits(x) for x in (21.3, 3.21, 0.0312, 12345.0, 2e-9)]
+        ['21', '3.2', '0.031', '12345', '2.0e-09']
     """
     if value == 0.0:
         return "0"
@@ -366,8 +364,9 @@ def show_value(quantity: Quantity | None) -> str:
     """Return a quantity in its readable unit, without the unit.
 
     Example:
-        >>> show_value(Quantity(0.0123456, "m")), show_value(Quantity(1.5e-6, "1/K")), show_value(Quantity(0.0, "kg"))
-        ('12.3456', '1.500e-06', '0')
+        >>> values = (Quantity(0.0123456, "m"), Quantity(1.5e-6, "1/K"), Quantity(0.0, "kg"))
+        >>> [show_value(value) for value in values]
+        ['12.3456', '1.500e-06', '0']
     """
     return _scaled(quantity, scaled="z.4f", plain=".3e")
 

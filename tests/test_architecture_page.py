@@ -7,7 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -17,8 +17,9 @@ import pytest
 from report_cases import kuka_run
 from test_layers import LAYERS, PACKAGE, SATELLITES
 
-from pincal import Chain, Conditions, Model, Robot, calibrate, measurements_from_arrays
+from pincal import Chain, Conditions, Model, Robot, calibrate, measurements_from_arrays, satellites
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.calibration import Calibration
 from pincal.cli import _COMMANDS
 from pincal.cli import pincal as pincal_command
 from pincal.errors import MeasurementError
@@ -30,6 +31,7 @@ from pincal.model.effects import GEOMETRIC, JointOffset
 from pincal.plugins import load_plugin
 from pincal.report.html import SECTIONS, report_page
 from pincal.report.subject import Subject
+from pincal.satellites import Place
 from pincal.simulate import TrueMachine, plan_poses
 from pincal.validate.cures import TOPICS
 
@@ -206,3 +208,26 @@ def test_the_recipe_of_a_section(recipe: ModuleType, kuka: Robot) -> None:
     page = report_page(Subject(run, {"inputs": {}}), layout=(SECTIONS[0], recipe.coverage))
 
     assert f"{run.n_poses('train')} poses were fitted." in page and 'href="#coverage"' in page
+
+
+@pytest.mark.parametrize("recipe", ["satellite"], indirect=True)
+def test_the_recipe_of_a_satellite(recipe: ModuleType, kuka: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it hands in is found in its place after that of pincal's own, and does what it says."""
+    known = satellites._declarations()
+    monkeypatch.setattr(satellites, "_declarations", lambda: (*known, recipe.HANDED_IN))
+    *_, write = Place[Callable[[Path, Calibration], None]]("views").all()
+    run = kuka_run(kuka, 60)
+    write(tmp_path, run)
+
+    assert (tmp_path / "poses.txt").read_text() == str(run.n_poses("train"))
+
+
+def test_the_table_of_places_is_complete() -> None:
+    """The page names each place of the code, satellites hand in at these alone, and all that they hand in exists."""
+    table = PAGE.split("## Add a satellite")[1].split("## Add an export")[0]
+    told = re.findall(r'^\| `"(\w+)"` \|', table, re.MULTILINE)
+    code = "".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py") if path.name != "satellites.py")
+    used = {name for handed_in in satellites._declarations() for name in handed_in}
+
+    assert sorted(told) == sorted(re.findall(r'\bPlace(?:\[.*?\]+)?\("(\w+)"\)', code)) == sorted(used)
+    assert all(len(tuple(Place[object](name).all())) == len(Place[object](name).names()) > 0 for name in told)

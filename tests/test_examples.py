@@ -15,9 +15,13 @@ EXAMPLES = ROOT / "examples"
 NUMBER = r"([-+]?\d+\.?\d*(?:e[-+]?\d+)?)"
 
 
-def run(name: str, *arguments: str, folder: Path, exit_code: int = 0) -> str:
-    """Run an example in a folder of its own; return what it printed, to stderr where it should fail."""
-    paths = [str(Path(pincal.__file__).resolve().parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])]
+def run(name: str, *arguments: str, folder: Path, exit_code: int = 0, first: Path | None = None) -> str:
+    """Run an example in a folder of its own, finding modules in another first; return what it printed, or its errors."""
+    paths = [
+        *([] if first is None else [str(first)]),
+        str(Path(pincal.__file__).resolve().parents[1]),
+        *filter(None, [os.environ.get("PYTHONPATH")]),
+    ]
     environment = {k: v for k, v in os.environ.items() if k != "DISPLAY"} | {"PYTHONPATH": os.pathsep.join(paths)}
     command = [sys.executable, str(EXAMPLES / name), *arguments]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=900)
@@ -111,6 +115,18 @@ def test_camera_in_the_hand_finds_the_papers_robot(tmp_path: Path) -> None:
         assert numbers(case, "chi-square")[0] == pytest.approx(1.0, abs=0.05)
         # The error of a robot has a few degrees of freedom that matter: over 12 robots the ratio is known to a sixth.
         assert numbers(case, "covariance foretells")[0] == pytest.approx(1.0, abs=0.4)
+
+
+@pytest.mark.parametrize(("words", "absent"), [([], "distributed"), (["--mpi"], "mpi4py")])
+def test_a_cluster_that_is_not_installed_is_named(words: list[str], absent: str, tmp_path: Path) -> None:
+    """Before any work, with what to install, and without a traceback."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import importlib.util as u; f = u.find_spec\n"
+        f"u.find_spec = lambda name, *rest: None if name == {absent!r} else f(name, *rest)\n"
+    )
+    said = run("on_a_cluster.py", *words, folder=tmp_path, exit_code=2, first=tmp_path)
+
+    assert f"{absent} is not installed: run pip install" in said and "Traceback" not in said
 
 
 @pytest.mark.parametrize("seed", ["3", pytest.param("8", marks=pytest.mark.long)])

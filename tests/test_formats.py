@@ -625,7 +625,7 @@ def test_every_verb_reads_tables_in_the_same_way() -> None:
         assert found is not None
         named = {parameter.name: parameter for parameter in found.params}
         assert {"columns", "orientation", "ignore"} <= set(named), verb
-        assert named["orientation"].type.choices == ORIENTATIONS  # type: ignore[attr-defined]
+        assert named["orientation"].type.choices == (*ORIENTATIONS, "none")  # type: ignore[attr-defined]
     assert tuple(KNOWN) == ORIENTATIONS
 
 

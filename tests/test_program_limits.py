@@ -1,6 +1,7 @@
 """What a program may not be: too deep, too long, of numbers that are no pose. It is refused, or the point left."""
 
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -90,7 +91,7 @@ def test_joints_of_any_size_are_no_positions() -> None:
     assert [one.reason for one in left] == ["its numbers are no joint positions"]
 
 
-def test_a_program_without_a_point_is_undecided(tmp_path, capsys: pytest.CaptureFixture[str]) -> None:  # type: ignore[no-untyped-def]
+def test_a_program_without_a_point_is_undecided(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 4, as the page says; and a negative payload is refused."""
     calibrated(0.0).save(tmp_path / "model.json")
     (tmp_path / "p.src").write_text("DEF p()\nI=1\nEND\n")
@@ -99,3 +100,28 @@ def test_a_program_without_a_point_is_undecided(tmp_path, capsys: pytest.Capture
     assert run(*words) == 4
     assert run(*words, "--payload", "-5000") == 2
     assert "expected a mass in kg" in capsys.readouterr().err
+
+
+def test_a_correction_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where its tool and base are from, and what reaches it; without the option nothing is added."""
+    calibrated(0.0).save(tmp_path / "model.json")
+    axes = "{A1 20,A2 60,A3 -80,A4 25,A5 50,A6 -30}"
+    (tmp_path / "p.src").write_text(f"DEF p()\nXJ={axes}\nPTP XJ\nPTP XJ\nEND\n")
+    words = [tmp_path / "model.json", tmp_path / "p.src", "--out", tmp_path / "out" / "p.src"]
+
+    assert run(*words) == 0 and "understood" not in capsys.readouterr().out
+    assert run(*words, "--explain") == 0
+    assert (
+        "in numbers, which nothing else sets; in joints, so that it needs no tool and no base; reached on line 3, 4, "
+        "before which all is understood and nothing displaces it; load 0 kg" in capsys.readouterr().out
+    )
+
+
+@pytest.mark.parametrize("language", LANGUAGES.known())
+def test_every_word_has_its_manual(language: str) -> None:
+    """And stands once among those of its kind."""
+    tables = LANGUAGES.known()[language].understood
+    words = [(table.kind, word.strip()) for table in tables for word in table.words.split(",")]
+
+    assert tables and all(table.source for table in tables)
+    assert len(set(words)) == len(words), sorted(word for word in set(words) if words.count(word) > 1)

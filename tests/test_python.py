@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import pickle
 from pathlib import Path
+from types import SimpleNamespace
 
 import meshcat
 import numpy as np
@@ -105,6 +106,35 @@ def test_a_field_is_drawn_beside_the_robot(calibration: pincal.Calibration) -> N
         pincal.draw_field(viewer, fit, layer="before", grid=50)
     with pytest.raises(pincal.BadInputError, match="scale is -1"):
         pincal.draw_field(viewer, fit, scale=-1, grid=50)
+
+
+def test_a_field_is_drawn_in_viser_as_in_meshcat(calibration: pincal.Calibration) -> None:
+    """The same strokes and colours, into a server of viser or a viewer that has one; other viewers are refused."""
+    fit, meshcats, visers = calibration.fit, _Recorder(), _Scene()
+    server = SimpleNamespace(scene=visers)
+    layer = pincal.draw_field(meshcats, fit, scale=100.0, grid=20)
+    for viz in (server, SimpleNamespace(viewer=server)):
+        visers.drawn.clear()
+        assert pincal.draw_field(viz, fit, scale=100.0, grid=20).name == layer.name  # type: ignore[arg-type]
+        [(name, (points, colours))] = visers.drawn.items()
+        [lines] = meshcats.drawn.values()
+        assert name == f"/pincal/{layer.name}" and (points.dtype, colours.dtype) == (np.float32, np.uint8)
+        np.testing.assert_allclose(points.reshape(-1, 3), lines.geometry.position.T, atol=1e-6)
+        np.testing.assert_allclose(colours.reshape(-1, 3) / 255.0, lines.geometry.color.T, atol=0.5 / 255.0 + 1e-6)
+    with pytest.raises(pincal.BadInputError, match="no viewer of meshcat or viser; expected one after"):
+        pincal.draw_field(SimpleNamespace(viewer=None), fit)  # type: ignore[arg-type]
+
+
+class _Scene:
+    """The scene of a server of viser, as far as lines are drawn into it."""
+
+    def __init__(self) -> None:
+        self.drawn = dict[str, tuple[np.ndarray, np.ndarray]]()
+
+    def add_line_segments(self, name: str, points: np.ndarray, colors: np.ndarray) -> None:
+        """Keep what is drawn: two ends and two colours of each line."""
+        assert points.shape == colors.shape and points.shape[1:] == (2, 3)
+        self.drawn[name] = points, colors
 
 
 class _Recorder(meshcat.Visualizer):

@@ -702,3 +702,26 @@ def test_a_name_without_its_robot_is_refused(tmp_path: Path, monkeypatch: pytest
     assert find_file("arm7") == find_file("arm7_short") == tmp_path / "arm7.urdf"
     with pytest.raises(RobotFileError, match=r"under the name 'arm9', whose robot is called 'arm7'; expected 'arm9'"):
         find_file("arm9")
+
+
+@pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+@pytest.mark.parametrize("name", ["ur10", "panda"])
+def test_a_robot_that_yourdfpy_has_read_is_the_same(name: str, rng: np.random.Generator) -> None:
+    """Joints, limits and masses, and kinematics to rounding; it is also calibrated and exported."""
+    robot = Robot.from_urdf(name)
+    there = yourdfpy.URDF.load(io.BytesIO(robot.urdf), load_meshes=False)
+    found = Robot.from_urdf(there, tip=robot.tip)
+    q = robot.random_configurations(5, rng)
+
+    assert (found.joint_names, found.joint_types, found.base) == (robot.joint_names, robot.joint_types, robot.base)
+    np.testing.assert_allclose(found.forward_kinematics(q), robot.forward_kinematics(q), rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose([found.lower, found.upper], [robot.lower, robot.upper], rtol=1e-12)
+    np.testing.assert_allclose(found.masses, robot.masses, rtol=1e-12)
+
+
+def test_a_robot_that_yourdfpy_can_not_write_is_refused() -> None:
+    """An object whose robot has been taken out of it."""
+    there = yourdfpy.URDF.load(io.BytesIO(Robot.from_urdf("ur10").urdf), load_meshes=False)
+    there.robot = None
+    with pytest.raises(RobotFileError, match=r"can't be written by yourdfpy .*; give the file"):
+        Robot.from_urdf(there)

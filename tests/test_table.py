@@ -220,7 +220,14 @@ HEADER = "joint_1,joint_2,distance"
         ("\n\n# nothing\n", ["is empty"]),
         (f"{HEADER}\n", ["no rows"]),
         (HEADER, ["no rows"]),
-        ("1,2,3\n4,5,6\n", ["line 1", "names of the columns"]),
+        (
+            "1,2,3\n4,5,6\n",
+            [
+                "3 columns of numbers and no names",
+                "the first line: joint_1,joint_2,distance  or",
+                "1=joint_1,2=joint_2,3=distance",
+            ],
+        ),
     ],
 )
 def test_unusable_cell_is_located(tmp_path: Path, text: str | bytes, parts: list[str]) -> None:

@@ -1,9 +1,11 @@
 """The calibrated URDF: its kinematics by other programs, and every byte that has to stay."""
 
 import re
+import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,6 +15,7 @@ import yourdfpy
 
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import RobotFileError
+from pincal.io import urdf_readers
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.io.urdf_text import rpy_of
 from pincal.model.chain import Chain
@@ -21,6 +24,7 @@ from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_of_rpy
+from pincal.robot.tree import UrdfTree
 
 # Robot, tip, base; None for what the robot takes by itself.
 ARMS = [
@@ -144,10 +148,54 @@ def test_other_programs_find_the_calibrated_tip(
     path.write_bytes(export.text)
     expected = model.predict(values, Conditions.at(q))
 
-    assert export.max_error_m < 1e-12
+    assert export.max_error_m < 1e-12 and export.links_error_m < 1e-12
     assert np.abs(pinocchio_tips(export.text, robot, export.tip, q) - expected).max() < 1e-12
     assert np.abs(yourdfpy_tips(path, robot, export.tip, q) - expected).max() < 1e-12
     assert np.abs(pinocchio_tips(robot.urdf, robot, robot.tip, q) - expected).max() > 1e-3
+
+
+def moved_reader(monkeypatch: pytest.MonkeyPatch, *, of: bytes) -> None:
+    """Let yourdfpy put every link of a text a micrometre off."""
+    as_it_is = urdf_readers._by_yourdfpy
+
+    def off(tree: UrdfTree, *rest: Any) -> np.ndarray:
+        return as_it_is(tree, *rest) + 1e-6 * (tree.text == of)
+
+    monkeypatch.setattr(urdf_readers, "_by_yourdfpy", off)
+
+
+def test_a_urdf_that_readers_take_for_two_arms_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each of its links is compared; where they differ about the original, too, that is a note."""
+    robot = small()
+    model, original = geometric(robot), ARM.encode()
+    values = deviations(model)
+    written = calibrated_urdf(model, values).text
+    with monkeypatch.context() as patch:
+        moved_reader(patch, of=written)
+        with pytest.raises(RobotFileError, match=r"ambiguous: Pinocchio and yourdfpy put \w+ up to 1e-06 m"):
+            calibrated_urdf(model, values)
+    moved_reader(monkeypatch, of=original)
+    assert calibrated_urdf(model, values).links_error_m < 1e-12
+    found = calibrated_urdf(model, np.zeros(model.n_parameters))
+    assert found.text == original and found.links_error_m == pytest.approx(1e-6)
+    assert any("up to 1e-06 m or rad apart, in the URDF that it was made from, too" in note for note in found.notes)
+
+
+def test_a_urdf_that_yourdfpy_can_not_read_has_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its reason; without yourdfpy there is no calibrated URDF."""
+    robot = small()
+    model = geometric(robot)
+
+    def failing(*_: Any) -> np.ndarray:
+        raise KeyError("colour")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(urdf_readers, "_by_yourdfpy", failing)
+        found = calibrated_urdf(model, deviations(model))
+    assert found.links_error_m == np.inf and any("yourdfpy can't read it (KeyError: 'colour')" in n for n in found.notes)
+    monkeypatch.setitem(sys.modules, "yourdfpy", None)
+    with pytest.raises(RobotFileError, match="need yourdfpy: run pip install yourdfpy"):
+        calibrated_urdf(model, deviations(model))
 
 
 @pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")

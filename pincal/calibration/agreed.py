@@ -5,10 +5,11 @@ for Python.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
+from pincal.errors import MeasurementError
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
@@ -17,6 +18,7 @@ from pincal.robot.robot import Robot
 from pincal.thresholds import Count
 from pincal.validate.agreement import check_agreement, unknown_zeros
 from pincal.validate.clock_jumps import check_clocks
+from pincal.validate.cures import Correction
 
 log = logging.getLogger(__name__)
 # Corrections of a robot's description at most.
@@ -67,11 +69,25 @@ def fit_agreed(
     check_clocks(tuple(admitted.values()), fit)
     corrected = list[str]()
     # The description may be wrong in more than one way.
-    found = check_agreement(robot, admitted.values(), fit)
+    found = _checked(robot, admitted, fit, corrected)
     while found is not None and len(corrected) < _CORRECTIONS:
         robot = found.of(robot)
         corrected += found.notes
         log.info("repeating, as %s", "; ".join(found.notes))
         fit = fit_tables(robot, rows, options, executor=executor)
-        found = check_agreement(robot, admitted.values(), fit)
+        found = _checked(robot, admitted, fit, corrected)
     return AgreedFit(robot, fit, (*corrected, *unknown_zeros(fit)))
+
+
+def _checked(
+    robot: Robot, admitted: Mapping[str, Measurements], fit: ModelFit, corrected: Sequence[str]
+) -> Correction | None:
+    """Return what else is wrong with a description; refuse tables for more than that, and say what
+    was corrected before.
+    """
+    try:
+        return check_agreement(robot, admitted.values(), fit)
+    except MeasurementError as error:
+        if not corrected:
+            raise
+        raise MeasurementError(f"{error}; besides, {'; '.join(corrected)}") from error

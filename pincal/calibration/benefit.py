@@ -8,7 +8,8 @@ readings as well. Let s scale all its priors, from zero to one. With the informa
 readings and their gradient b at the nominal robot, the evidence of s is (MacKay 1992, Bayesian
 Interpolation, Neural Computation 4, section 4)
 
-.. math:: 2 \log E(s) = b^T A^{-1} b - \log\det A - \log\det P, \quad A = H + P^{-1}, \quad P \propto s^2 ,
+.. math:: 2 \log E(s) = b^T A^{-1} b - \log\det A - \log\det P, \quad
+    A = H + P^{-1}, \quad P \propto s^2 ,
 
 and given s the deviations are distributed about :math:`m = A^{-1} b` with covariance
 :math:`C = A^{-1}`. A robot that is said to deviate by x is then off by

@@ -376,13 +376,14 @@ class FittedRobot:
         """The fit: its problem, rows and solution.
 
         Raises:
-            BadInputError: for a robot without them: from a file, of an update, or with one of several
-                stations other than the first.
+            BadInputError: for a robot without them: from a file, of an update, or with one of
+                several stations other than the first.
         """
         if not isinstance(self.evidence, FitEvidence):
             raise BadInputError(
                 "this robot holds no fit, as one from a file, of an update, or at one of several "
-                "stations; ask the robot that calibrate() returned, or calibrate again from the table"
+                "stations; ask the robot that calibrate() returned, or calibrate again from the "
+                "table"
             )
         return self.evidence.fit
 

@@ -38,8 +38,8 @@ from pincal.spread import spread
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
 SplitBy = Literal["both", "random", "blocked", "station"]
-"""Folds, or held-out rows: regions of joint space and stretches of rows (and sessions), rows at random, regions
-alone, or each station in turn."""
+"""Folds, or held-out rows: regions of joint space and stretches of rows (and sessions), rows at
+random, regions alone, or each station in turn."""
 
 WAYS: Mapping[SplitBy, tuple[Way, ...]] = {
     "both": ("regions", "stretches", "sessions"),

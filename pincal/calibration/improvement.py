@@ -98,7 +98,7 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
 
 
 def _rms_elsewhere(regions: Iterable[Improvement]) -> tuple[float, float]:
-    """Return the rms of the errors before and after [mm] over the regions but the measured poses."""
+    """Return the rms of errors before and after [mm] over the regions but the measured poses."""
     sizes = np.array(
         [(one.before_mm, one.after_mm) for one in regions if one.region != _MEASURED_POSES]
     )

@@ -295,11 +295,15 @@ def place_station(
         BadInputError: if the rows are too few, or too similar, to determine the poses.
 
     Example:
-        >>> from pincal import Chain, Conditions, Model, Options, Robot, calibrate, measurements_from_arrays
+        >>> from pincal import Chain, Conditions, Model, Options, Robot
+        >>> from pincal import calibrate, measurements_from_arrays
         >>> robot = Robot.from_urdf("ur10")
         >>> q = robot.random_configurations(40, np.random.default_rng(0))
         >>> seen = Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q))[:, :, 3]
-        >>> first, second = (measurements_from_arrays(robot.joint_names, q, position=seen + way) for way in (0.0, 0.5))
+        >>> first, second = (
+        ...     measurements_from_arrays(robot.joint_names, q, position=seen + way)
+        ...     for way in (0.0, 0.5)
+        ... )
         >>> found = place_station(calibrate(robot, first, Options(effects=())), second)
         >>> round(found.moved.instrument, 6), found.moved.target < 1e-9
         (0.866025, True)

@@ -167,7 +167,7 @@ class SharedInformation:
 
 
 def _follows_motion(station: Station) -> bool:
-    """Return whether unmodelled errors follow a station's motion, which differs between stations."""
+    """Return whether unmodelled errors follow a station's motion, which others do not share."""
     is_in_motion = station.sensor.reads_place and station.conditions.are_in_motion
     return station.serial is not None and is_in_motion
 
@@ -187,7 +187,7 @@ def _of_parts(fit: ModelFit, k: int, parts: int, *, in_order: bool) -> list[Stat
 
 
 def _noise_at(fit: ModelFit, k: int, each: Sequence[StationInformation]) -> float:
-    """Return the variance of the noise of the k-th station from its parts, in units of the fit's."""
+    """Return the variance of the noise of the k-th station by its parts, in units of the fit's."""
     first, *others = each
     together = replace(first, form=sum((one.form for one in others), start=first.form))
     block = fit.problem.block_spans[k].start

@@ -4,7 +4,8 @@ A later diagnosis compares new rows with the size of these effects then, not wit
 estimated to first order: with R the Jacobian of the fit by all its parameters and G the Jacobian by
 an effect,
 
-.. math:: \hat b = P^{-1} b, \quad P = G^T V^{-1} G, \quad b = G^T V^{-1} r, \quad V^{-1} = 1 - R (R^T R + D^{-2})^{-1} R^T,
+.. math:: \hat b = P^{-1} b, \quad P = G^T V^{-1} G, \quad b = G^T V^{-1} r, \quad
+    V^{-1} = 1 - R (R^T R + D^{-2})^{-1} R^T,
 
 the most significant effect first, then the others given it, as long as one is significant. The
 parameters of the fit have absorbed :math:`K R^T G \hat b` of them.

@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import MISSING, field, fields
+from dataclasses import MISSING, Field, field, fields
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
@@ -19,11 +19,15 @@ import click
 
 from pincal.cli import show_progress
 from pincal.errors import BadInputError, Exit, OutputError
+from pincal.satellites import Place
 from pincal.units import LARGEST, plain_numbers
 
 A = TypeVar("A")
+T = TypeVar("T")
 _HEADING = "heading"
+_HANDED_IN = "handed in"
 _WORDS = "pincal.words"
+_OPTIONS: Place[type[Any]] = Place("options")
 
 
 def option(
@@ -61,11 +65,20 @@ def argument(metavar: str, help: str, *, required: bool = True) -> Any:
     return field(default=MISSING if required else None, metadata=about)
 
 
-def group(heading: str) -> Any:
-    """Return a field that is a dataclass of options itself, with the heading of their section in
-    the help text.
+def group(heading: str, *, is_handed_in: bool = False) -> Any:
+    """Return a field that is a dataclass of options itself.
+
+    Args:
+        heading: of their section in the help text.
+        is_handed_in: whether a satellite may hand in, by this heading, a subclass of the field's
+            class with options of its own.
     """
-    return field(metadata={_HEADING: heading})
+    return field(metadata={_HEADING: heading, _HANDED_IN: is_handed_in})
+
+
+def option_class(heading: str, kind: type[T]) -> type[T]:
+    """Return what a satellite hands in as the options under a heading, or else this class."""
+    return _OPTIONS.get(heading) or kind
 
 
 def pair(text: str, expected: str, *, sign: str = "=") -> tuple[str, str]:
@@ -296,8 +309,16 @@ def _filled(arguments: type[A], given: Mapping[str, Any]) -> A:
     values = {}
     for part in fields(arguments):  # type: ignore[arg-type]
         is_group = _HEADING in part.metadata
-        values[part.name] = _filled(kinds[part.name], given) if is_group else given[part.name]
+        kind = _kind_of(part, kinds)
+        values[part.name] = _filled(kind, given) if is_group else given[part.name]
     return arguments(**values)
+
+
+def _kind_of(part: Field[Any], kinds: Mapping[str, Any]) -> Any:
+    """Return the type of a field, of a group that is handed in the satellite's."""
+    kind = kinds[part.name]
+    is_handed_in = part.metadata.get(_HANDED_IN, False)
+    return option_class(part.metadata[_HEADING], kind) if is_handed_in else kind
 
 
 def _parameters(
@@ -308,7 +329,7 @@ def _parameters(
     """
     kinds = get_type_hints(arguments)
     for part in fields(arguments):
-        kind = kinds[part.name]
+        kind = _kind_of(part, kinds)
         about = part.metadata
         if _HEADING in about:
             yield from _parameters(kind, defaults, heading=about[_HEADING])

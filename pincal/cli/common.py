@@ -23,9 +23,9 @@ from pincal.cli.quantities import (
     station_links,
     xacro_argument,
 )
+from pincal.cli.streams import MOTION, Streams
 from pincal.errors import BadInputError
 from pincal.measure.fields import TABLE_ENDINGS, TableOptions
-from pincal.motion.cli.motion_options import MotionOptions
 from pincal.robot.cell import Beside
 from pincal.units import GRAVITIES, is_gravity
 
@@ -165,10 +165,12 @@ class TableArguments:
         metavar=COLUMNS,
         words="by the names of the columns",
     )
-    orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz"] | None = option(
-        "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, "
-        "or a quaternion in this order.",
-        words="from the names of its columns",
+    orientation: Literal["kuka", "fanuc", "abb", "ur", "rpy", "xyzw", "wxyz", "none"] | None = (
+        option(
+            "Convention of the orientation: A B C, W P R, q1..q4, rx ry rz, roll pitch yaw, "
+            "or a quaternion in this order; none leaves orientations out.",
+            words="from the names of its columns",
+        )
     )
     joints: Path | None = option(
         "Log of the joint positions, if the table lacks them: joined by a common column, "
@@ -247,7 +249,7 @@ class InputOptions:
     couplings: tuple[str, ...] = coupling_option()
     signs: tuple[str, ...] = sign_option()
     table: TableArguments = group("Tables")
-    motion: MotionOptions = group("Motion")
+    motion: Streams = group(MOTION, is_handed_in=True)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ and back.
 from __future__ import annotations
 
 import re
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -16,13 +16,8 @@ from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import TABLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
 from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
 from pincal.cli.quantities import ANGLE
+from pincal.cli.target_files import PROGRAMS, FileCorrection, TargetFiles
 from pincal.errors import Exit, counted, few
-from pincal.programs.cli.controller_programs import (
-    Allowed,
-    ProgramOptions,
-    correct_file,
-    summary_of_program,
-)
 from pincal.recorded import RECORDABLE
 from pincal.thresholds import Count
 from pincal.units import plain_number
@@ -32,7 +27,6 @@ if TYPE_CHECKING:
 
     from pincal.calibration.fitted_robot import FittedRobot
     from pincal.compensate.targets import CompensatedTable, Targets
-    from pincal.programs.language import ControllerLanguage
     from pincal.robot.robot import Robot
 
 # Number of rows that are listed individually.
@@ -178,7 +172,7 @@ class CompensateArguments(_AtPlace):
     strict: bool = option(
         "Fail (exit code 4) if any row is not ok; the table is written nevertheless.", False
     )
-    program: ProgramOptions = group("Programs of controllers")
+    program: TargetFiles = group(PROGRAMS, is_handed_in=True)
 
 
 @verb(CompensateArguments, examples=_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
@@ -191,12 +185,11 @@ def compensate(arguments: CompensateArguments) -> Exit:
     from pincal.cli.progress import end_progress
     from pincal.compensate.returned_table import write_returned
     from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
-    from pincal.programs.language import language_of
 
     place = find_place(arguments.model, arguments.place, arguments.table.options)
-    if language := language_of(arguments.targets):
-        return _program(place.model, arguments, language)
     robot = place.model.model.chain.robot
+    if arguments.program.reads(arguments.targets):
+        return arguments.program.correct(place.model, _correction(robot, arguments))
     table = read_targets(arguments.targets, robot, options=arguments.table.options)
     place = place.over(table.rows)
     calibrated = place.model
@@ -235,34 +228,18 @@ def compensate(arguments: CompensateArguments) -> Exit:
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
 
 
-def _program(
-    calibrated: FittedRobot, arguments: CompensateArguments, language: ControllerLanguage
-) -> Exit:
-    """Correct a controller's program."""
-    from pincal.cli.progress import end_progress
-
-    seed = _seed(calibrated.model.chain.robot, None, arguments.seed_joints)
-    limits = Allowed(seed, not arguments.ignore_limits, arguments.max_change)
-    result, changes = correct_file(
-        calibrated, arguments.targets, arguments.out, language, arguments.program, limits
+def _correction(robot: Robot, arguments: CompensateArguments) -> FileCorrection:
+    """Return how a controller's program is to be corrected."""
+    return FileCorrection(
+        path=arguments.targets,
+        out=arguments.out,
+        seed=_seed(robot, None, arguments.seed_joints),
+        keeps_limits=not arguments.ignore_limits,
+        max_change=arguments.max_change,
+        is_strict=arguments.strict,
+        as_json=arguments.general.as_json,
+        quiet=arguments.general.quiet,
     )
-    notes = list(result["notes"])
-    if changes:
-        at = calibrated.conditions_at(np.array([change.commanded for change in changes]))
-        at = replace(at, payload=np.array([change.payload for change in changes]))
-        beyond, more = extrapolation(
-            calibrated, at, np.array([change.point.line for change in changes])
-        )
-        notes += more
-        result |= beyond
-    end_progress()
-    if arguments.general.as_json:
-        print_json(result)
-    else:
-        click.echo("\n".join(summary_of_program(result, language.name)))
-    echo_notes(notes, quiet=arguments.general.quiet)
-    is_lost = not result["points"] or (arguments.strict and result["left"])
-    return Exit.UNDECIDED if is_lost else Exit.DONE
 
 
 def _seed(robot: Robot, table: Targets | None, text: str | None) -> np.ndarray | None:

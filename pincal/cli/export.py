@@ -19,6 +19,7 @@ from pincal.cli.common import (
 )
 from pincal.cli.outputs import print_json
 from pincal.errors import Exit
+from pincal.satellites import lacking
 
 if TYPE_CHECKING:
     pass
@@ -106,6 +107,8 @@ def export(arguments: ExportArguments) -> Exit:
     registered = FORMATS.registered()
     options = (field.name.replace("_", "-") for field in fields(arguments))
     known = {name: registered[name] for name in options if name in registered}
+    if arguments.page is not None and "page" not in known:
+        raise lacking("--page", "pincal.programs")
     places = {name: getattr(arguments, name.replace("-", "_")) for name in known}
     places = {name: place for name, place in places.items() if place is not None}
     if not places:

@@ -24,22 +24,22 @@ from pincal.cli.common import (
 )
 from pincal.cli.fit_output import FitOutput
 from pincal.cli.outputs import print_json, provenance, require_accuracy
-from pincal.errors import BadInputError, Exit, IdentificationError, counted
+from pincal.cli.robot_priors import load_prior
+from pincal.errors import BadInputError, Exit, IdentificationError
 from pincal.io.result_folder import output_folder
+from pincal.satellites import Place
 from pincal.spread import own_processes
-from pincal.thresholds import Count, Scale
+from pincal.thresholds import Scale
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from pincal.calibration.calibration import Calibration
-    from pincal.cli.inputs import Prepared
-    from pincal.identify.options import Options
 
 # The view in three dimensions that accompanies the report.
 VIEW = "view3d.html"
-# Most stations with their own view: a page is about a megabyte.
-_MOST_VIEWS: Count = 12
+# What writes views of a calibration to a folder.
+_VIEWS: Place[Callable[[Path, Calibration], None]] = Place("views")
 # Times within which a cluster has to answer, and then to have a worker [s].
 _ANSWER: Scale = 5.0
 _WORKER: Scale = 10.0
@@ -123,6 +123,9 @@ def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
 
     split = arguments.split
     source = arguments.source
+    if arguments.view:
+        # Before the fit.
+        _VIEWS.only("--view", "pincal.viewer")
     with output_folder(arguments.out) as draft:
         prepared = prepare(source, arguments.chosen)
         held = split.holdout
@@ -139,7 +142,11 @@ def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
             "seed": split.seed,
             "holdout": holdout,
         }
-        options, members = _of_type(arguments.chosen.fit.type, prepared)
+        options = prepared.options
+        members: tuple[str, ...] = ()
+        if arguments.chosen.fit.type is not None:
+            known = load_prior(arguments.chosen.fit.type)
+            options, members = known.compared(prepared.robot, prepared.tables, options)
         output = run(prepared.robot, prepared.tables, options, **choice)
         calibration = output.calibration
         log_step("writing the model")
@@ -189,42 +196,6 @@ def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
     return Exit.DONE
 
 
-def _of_type(path: Path | None, prepared: Prepared) -> tuple[Options, tuple[str, ...]]:
-    """Return the options with the prior of the robot's type, and a note on how the robot compares
-    with it.
-
-    Where the robot differs from its type, the prior is wider.
-    """
-    if path is None:
-        return prepared.options, ()
-    from pincal.fleet.robot_type import EVERYTHING, calibrate_of_type, load_type
-    from pincal.model.effects import ELASTIC
-
-    of = load_type(path)
-    effects = prepared.options.effects
-    # A model that lacks effects of the type would make its robots look unusual.
-    whole = ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else ()
-    judging = replace(
-        prepared.options, effects=(*effects, *(effect for effect in whole if effect not in effects))
-    )
-    _, member = calibrate_of_type(prepared.robot, prepared.tables, of, judging)
-    compared = (
-        f"compared with {counted(of.machines, 'robot')} of its type, p = {member.p_value:.2g}"
-    )
-    if not member.is_usual:
-        prepared = replace(
-            prepared,
-            options=replace(prepared.options, earlier=of.prior_of(prepared.robot, effects, member)),
-        )
-    if not member.off:
-        return prepared.options, (f"the robot agrees with the others ({compared})",)
-    where = (
-        "in more than one joint" if member.off == (EVERYTHING,) else f"in {' or '.join(member.off)}"
-    )
-    note = f"the robot differs from the others {where} ({compared}); its prior is wider there"
-    return prepared.options, (note,)
-
-
 def write_results(
     folder: Path,
     output: FitOutput,
@@ -248,36 +219,13 @@ def write_results(
     (folder / "calibrated.urdf").write_bytes(export.text)
     _write_residuals(folder / "residuals.csv", calibration)
     if view:
-        _write_views(folder, calibration)
+        for write in _VIEWS.all():
+            write(folder, calibration)
     page = report_page(
         Subject(calibration, origin, export.notes, output.search, view=VIEW if view else None)
     )
     (folder / "report.html").write_text(page, encoding="utf-8")
     return tuple(export.notes)
-
-
-def _write_views(folder: Path, calibration: Calibration) -> None:
-    """Write the 3D view; of several stations, a page for each, the first one under the
-    usual name.
-    """
-    from pincal.measure.table import concatenate
-    from pincal.viewer import build_scene, write_html
-
-    stations = calibration.stations[:_MOST_VIEWS]
-    names = [
-        VIEW if k == 0 else f"{Path(VIEW).stem}-{rows.name}{Path(VIEW).suffix}"
-        for k, rows in enumerate(stations)
-    ]
-    for rows, name in zip(stations, names, strict=True):
-        table = concatenate([rows.train, rows.test]) if len(rows.test) else rows.train
-        held = np.repeat([False, True], [len(rows.train), len(rows.test)])
-        others = ", ".join(other for other in names if other != name)
-        notes = [f"station {rows.name}; the others are in {others}"] if others else []
-        model = calibration.fit.at(rows.name) if others else calibration.fit.robot_model()
-        write_html(
-            folder / name.replace("/", "_"),
-            build_scene(model, table, held_out=held).opening(notes=notes),
-        )
 
 
 def _write_residuals(path: Path, calibration: Calibration) -> None:

@@ -24,8 +24,9 @@ from pincal.cli.common import (
     SetupOptions,
 )
 from pincal.cli.progress import log_step
+from pincal.cli.robot_priors import load_prior
+from pincal.cli.streams import Streams, no_streams
 from pincal.errors import BadInputError, ChangedRobotError, nearest_first
-from pincal.fleet.robot_type import load_type
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_camera
@@ -40,8 +41,6 @@ from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
 from pincal.model.effect import Effect
 from pincal.model.model import Model
-from pincal.motion.cli.motion_options import MotionOptions, input_files, load_sessions
-from pincal.motion.sessions import joints_of_session
 from pincal.robot.arm_of_tree import TreeRequest
 from pincal.robot.cell import NOWHERE, read_cell, robot_files
 from pincal.robot.mastering import remastered
@@ -101,8 +100,7 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     motion = source.motion
     others = (
         source.table.joints,
-        motion.imu,
-        motion.tracker,
+        *motion.files,
         setup.points,
         setup.distances,
         setup.camera,
@@ -115,14 +113,14 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     options = replace(options, effects=(*options.effects, *effects))
     if chosen.fit.type is not None:
         options = replace(
-            options, earlier=load_type(chosen.fit.type).prior_of(robot, options.effects)
+            options, earlier=load_prior(chosen.fit.type).prior_of(robot, options.effects)
         )
         given.append(chosen.fit.type)
     return Prepared(
         robot,
         tables,
         options,
-        (*input_files(source.data), *given, *robot_files(robot.source, source.beside)),
+        (*motion.input_files(source.data), *given, *robot_files(robot.source, source.beside)),
     )
 
 
@@ -168,11 +166,11 @@ def _described(source: InputOptions) -> Robot:
     joints: dict[Path, tuple[str, ...]] = {}
     reading = source.table.options
     files = [*source.data]
-    if source.motion.are_given and reading.joints is not None:
+    if source.motion.files and reading.joints is not None:
         files = [*files, Path(reading.joints)]
         reading = replace(reading, joints=None)
     for path in files:
-        session = joints_of_session(path)
+        session = source.motion.joints_of(path)
         is_log = session is not None or path not in source.data
         pairs = (
             [given[path.stem]]
@@ -233,7 +231,7 @@ def load_tables(
     *,
     options: TableOptions | None = None,
     links: LinkOptions | None = None,
-    motion: MotionOptions | None = None,
+    motion: Streams | None = None,
 ) -> dict[str, Measurements]:
     """Return the measurements of each station, named after its file or by a column ``station``.
 
@@ -246,8 +244,9 @@ def load_tables(
     links = links or LinkOptions()
     reading = options or TableOptions()
     paths = tuple(paths)
-    moving, held = load_sessions(robot, paths, reading, motion or MotionOptions())
-    if motion is not None and motion.are_given:
+    streams = motion or no_streams()
+    moving, held = streams.tables(robot, paths, reading)
+    if streams.files:
         reading = replace(reading, joints=None)
     if len(held) > 1:
         reading = replace(reading, shares_log=True)

@@ -17,8 +17,8 @@ from pincal.cli.common import (
     station_option,
 )
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, require_accuracy
+from pincal.cli.streams import MOTION, Streams
 from pincal.errors import Exit
-from pincal.motion.cli.motion_options import MotionOptions
 
 if TYPE_CHECKING:
     from pincal.calibration.validation import Validation
@@ -54,7 +54,7 @@ class ValidateArguments:
     max_error: float | None = max_error_option()
     noise_angle: float | None = noise_angle_option()
     table: TableArguments = group("Tables")
-    motion: MotionOptions = group("Motion")
+    motion: Streams = group(MOTION, is_handed_in=True)
     general: GeneralOptions = group("General")
 
 

@@ -107,7 +107,8 @@ def _text(
     raw = sheet.path.read_bytes()
     encoding = "utf-16" if raw.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "latin-1"
     lines = re.split(r"(?<=\n)|(?<=\r)(?!\n)", raw.decode(encoding))
-    header = lines[sheet.header_line - 1]
+    # Without a header the first line of the table shows what stands between cells.
+    header = lines[sheet.header_line - int(sheet.has_header)]
     separator = sheet.separator if sheet.separator in header else " "
     places = {int(line): k for k, line in enumerate(rows)}
     commas = False
@@ -115,7 +116,7 @@ def _text(
         body = line.rstrip("\r\n")
         end = line[len(body) :]
         spans = cells_in(body, separator)
-        if number == sheet.header_line:
+        if number == sheet.header_line and sheet.has_header:
             lines[number - 1] = _extended(body, separator, more) + end
         elif (k := places.get(number)) is not None:
             commas |= sheet.decimal_comma and any(

@@ -142,7 +142,8 @@ def diagnose(
         >>> def measured(n, offset):
         ...     q = robot.random_configurations(n, rng)
         ...     tips = robot.forward_kinematics(q + offset * np.eye(6)[2])
-        ...     position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((n, 3))
+        ...     position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2]
+        ...     position += 5e-5 * rng.standard_normal((n, 3))
         ...     return measurements_from_arrays(robot.joint_names, q, position=position)
         >>> fit = calibrate(robot, measured(100, 0.0), Options(effects=GEOMETRIC))
         >>> [(change.effect, change.joint) for change in diagnose(fit, measured(15, 3e-4)).changes]

@@ -6,7 +6,8 @@ parameters, known with covariance C, M by the masses, which a URDF gives to some
 parameters of the new station (base, targets, instrument) and of changes found already, and G by the
 changes to be tested,
 
-.. math:: r = R d + M m + F f + G g + e, \qquad d \sim N(0, C), \quad m \sim N(0, S), \quad e \sim N(0, 1),
+.. math:: r = R d + M m + F f + G g + e, \qquad
+    d \sim N(0, C), \quad m \sim N(0, S), \quad e \sim N(0, 1),
 
 d and m are uncertain and f is unconstrained. With all three projected out the gain of a change is
 

@@ -198,9 +198,7 @@ def table_of(
     tests = test([*effects, *spare])
     known = {predicting.identity} if predicting else set()
     least = policy.least_gain(tests.squares, declared=fit.is_declared)
-    count = {
-        kind: len({e.identity for e in effects if e.is_nameless == kind}) for kind in (False, True)
-    }
+    count = {kind: _different(effects, nameless=kind) for kind in (False, True)}
     left_out = partial(_left_out, fit, test, search.groups)
     compliances = range(len(effects), len(effects) + len(spare))
     rows = []
@@ -235,6 +233,11 @@ def _left_out(fit: ModelFit, test: Tester, groups: np.ndarray, effect: Effect) -
     return Unfitted(
         standard_errors(tests.gains_by_block([0])), partial(p_value_of_uneven_noise, fit, tests)
     )
+
+
+def _different(effects: Sequence[Effect], *, nameless: bool) -> int:
+    """Return the number of different candidates with or without a name."""
+    return len({effect.identity for effect in effects if effect.is_nameless == nameless})
 
 
 def _surcharge(effect: Effect, policy: Policy) -> float:

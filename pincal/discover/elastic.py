@@ -41,8 +41,10 @@ from pincal.robot.robot import Robot
 
 
 def _alone(chain: Chain, part: Effect) -> tuple[Effect, ...]:
-    """Return a compliance as it enters alone: a single bearing has its own principal directions; its
-    place is not observable before it is compliant.
+    """Return a compliance as it enters alone.
+
+    A single bearing has its own principal directions; its place is not observable before it is
+    compliant.
     """
     return (part, *(e for e in bearing_features(chain, (part,)) if e.uses_moments))
 

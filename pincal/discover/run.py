@@ -123,6 +123,11 @@ class Choices(TypedDict, total=False):
     moment_frames: Sequence[MomentFrame]
 
 
+def _usual_frames(options: Options) -> tuple[MomentFrame, ...]:
+    """Return the moment frames to choose from where the user names none."""
+    return MOMENT_FRAMES if options.moment_frame == "auto" else (options.moment_frame,)
+
+
 def run_discovery(
     robot: Robot,
     measurements: Tables,
@@ -190,9 +195,7 @@ def run_discovery(
     _require_positions(tables)
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
-    frames = tuple(choices.pop("moment_frames", ())) or (
-        MOMENT_FRAMES if options.moment_frame == "auto" else (options.moment_frame,)
-    )
+    frames = tuple(choices.pop("moment_frames", ())) or _usual_frames(options)
     options = replace(options, moment_frame=frames[0])
     search = partial(_search, frames=frames, extra=extra, policy=policy)
     left_out: Iterable[LeftOut] = ()

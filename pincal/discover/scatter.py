@@ -94,7 +94,8 @@ class Excess:
             of = " and ".join(self.follows) if is_few else "all joints"
             return (
                 f"{self.joint} has an error about its own axis that follows {of}: "
-                "neighbouring poses have correlated errors; it does not scatter, and more poses would resolve it"
+                "neighbouring poses have correlated errors; it does not scatter, and more poses "
+                "would resolve it"
             )
         if self.is_repeated:
             return (

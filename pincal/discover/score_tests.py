@@ -175,10 +175,8 @@ class Tangent:
         places = [problem.places_at(effect) for effect in candidates]
         sizes = self._sizes(problem, known[self.known], candidates, wider)
         if wider not in self.information:
-            beyond = problem.beliefs.beyond_priors(model, values, sizes)
-            precision = sizes[model] ** -2.0
-            prior = Form.of(beyond.H + np.diag(precision), beyond.g - values[model] * precision)
-            self.information[wider] = Information(self.blocks, prior)
+            beforehand = _known_before(problem, model, values, sizes)
+            self.information[wider] = Information(self.blocks, beforehand)
         masses = (effect for effect in self.nuisance if isinstance(effect, MassError))
         unsure = [place for effect in masses for place in problem.places_at(effect)]
         H, g, parts = self._products(problem, values, places)
@@ -255,6 +253,15 @@ class Tangent:
         return H, g, tuple(parts)
 
 
+def _known_before(
+    problem: Problem, model: np.ndarray, values: np.ndarray, sizes: np.ndarray
+) -> Form:
+    """Return what priors and other knowledge say of the parameters at some indices."""
+    beyond = problem.beliefs.beyond_priors(model, values, sizes)
+    precision = sizes[model] ** -2.0
+    return Form.of(beyond.H + np.diag(precision), beyond.g - values[model] * precision)
+
+
 @dataclass(frozen=True, eq=False)
 class _Products:
     """Products of the columns of candidates at a station, by block of rows.
@@ -276,7 +283,7 @@ class _Products:
         return cls(inner, np.zeros((n_blocks, c)), np.zeros((n_blocks, p, c)))
 
     def add(self, piece: _Piece, added: Jacobian, groups: np.ndarray) -> None:
-        """Add a piece of the rows in place; products of columns of different groups may be omitted."""
+        """Add a piece of the rows in place; columns of different groups need no products."""
         for k, some in piece.blocks:
             part = added.poses(some)
             part.add_gram(piece.residuals[:, some], self.inner[k], self.g[k], groups)

@@ -7,4 +7,5 @@ HANDED_IN: HandedIn = {
         "fleet": "pincal.fleet.cli.fleet:fleet",
     },
     "schemas": {"type": "pincal.fleet.robot_type:RobotType"},
+    "priors": {"type": "pincal.fleet.cli.type_prior:TypePrior.load"},
 }

@@ -4,8 +4,8 @@ Every search for a fault goes the same way. A list of hypotheses says what may h
 columns exchanged, a joint that counts the other way, an instrument that was touched. Each is tried,
 either by undoing it and looking whether the subject then fits (:class:`Hypothesis`,
 :func:`explaining`), or by what is gained where it is estimated. :func:`likeliest` compares what
-they leave: it believes the one that leaves least, and names those that leave hardly more, between which
-nobody can decide.
+they leave: it believes the one that leaves least, and names those that leave hardly more, between
+which nobody can decide.
 
 A new hypothesis is an entry in the list of its topic; neither the trial nor the comparison changes.
 The lists stand where what they need is known: of columns in
@@ -48,7 +48,9 @@ def explaining(
     Each is tried only when it is asked for, so the first costs no trial of those behind it.
 
     Example:
-        >>> turns = [Hypothesis(f"{k} turns too far", lambda angle, k=k: angle - k) for k in (1, 2, 3)]
+        >>> def too_far(k):
+        ...     return Hypothesis(f"{k} turns too far", lambda angle: angle - k)
+        >>> turns = [too_far(k) for k in (1, 2, 3)]
         >>> [one.words for one in explaining(turns, 2.1, lambda angle: abs(angle) < 0.5)]
         ['2 turns too far']
     """
@@ -98,7 +100,8 @@ def likeliest(
             explains as much.
 
     Example:
-        >>> tried = [Explanation("swapped", 1.2), Explanation("late", 1.1), Explanation("early", 9.0)]
+        >>> tried = [Explanation("swapped", 1.2), Explanation("late", 1.1)]
+        >>> tried.append(Explanation("early", 9.0))
         >>> likeliest(tried, lambda least: 2.0 * least)
         Likeliest(best='swapped', rivals=('late',))
     """

@@ -618,7 +618,8 @@ class StopNumbers:
     agrees: float = number(
         0.99,
         "probability",
-        "test_visit_weights.py::test_few_poses_that_were_visited_often_have_the_noise_of_their_visits",
+        "test_visit_weights.py"
+        "::test_few_poses_that_were_visited_often_have_the_noise_of_their_visits",
         "of the interval of an estimated noise within which a declared one agrees with it",
         "one sound table in a hundred",
     )
@@ -683,6 +684,28 @@ class AgreementNumbers:
         _MISTAKEN,
         "by which undoing a mistake has to reduce the error before it is named",
         "chosen",
+    )
+    chance: float = number(
+        1e-4,
+        "probability",
+        "test_mistakes.py::test_a_sound_table_of_few_poses_is_not_accused",
+        "that any of all hypotheses that are tried leaves as little by chance, below which one is "
+        "named",
+        "a thousand sound tables, each with its own search, are then refused once in ten thousand",
+    )
+    turned: float = number(
+        0.06,
+        "rad",
+        "test_mistakes.py::test_a_reading_of_orientations_is_told_from_all_others",
+        "of orientations of the robot as described, up to which a reading of them explains them",
+        "three times what calibrated arms may have, as large as a zero that is not looked for",
+    )
+    senseless: float = number(
+        0.3,
+        "rad",
+        "test_mistakes.py::test_orientations_of_nothing_are_refused",
+        "that orientations alone leave, above which they are refused though nothing explains them",
+        "fifteen times what no real arm has",
     )
     rival: float = number(
         2.0,

@@ -531,8 +531,8 @@ def _largest_factor(
 
 
 def _whitened_scores(scores: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Return scores, shape (D, n), that are uncorrelated with unit variance if rows are independent;
-    a LinAlgError if the normal matrix is singular.
+    """Return scores, shape (D, n), that are white if rows are independent; a LinAlgError if the
+    normal matrix is singular.
     """
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     scaled = normal / np.outer(size, size) + 1e-9 * np.eye(len(size))

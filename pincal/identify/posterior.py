@@ -15,7 +15,8 @@ For several stations, each with the Jacobian [R F] with respect to the robot's p
 own, the latter are eliminated station by station, their priors P included, and only the remainders
 are summed:
 
-.. math:: A = R^T W R - R^T W F \, K \, F^T W R, \qquad b = R^T W r - R^T W F \, K \, (F^T W r - P x), \qquad
+.. math:: A = R^T W R - R^T W F \, K \, F^T W R, \qquad
+          b = R^T W r - R^T W F \, K \, (F^T W r - P x), \qquad
           K = (F^T W F + P)^{-1} .
 """
 
@@ -68,7 +69,9 @@ class Posterior:
     @cached_property
     def _solved(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Step, covariance over what is determined, information and directions."""
-        (prior, frames), (inverse, *_), F = self._parts, self._frames, self._follow
+        prior, frames = self._parts
+        inverse, *_ = self._frames
+        F = self._follow
         H = self.form.H
         g = self.form.g
         D = self.sizes[..., prior]
@@ -108,7 +111,9 @@ class Posterior:
     @cached_property
     def covariance(self) -> np.ndarray:
         """Their covariance, shape (F, F)."""
-        (_, axes, seen), frames, covariance = self._frames, self._parts[1], self.determined
+        _, axes, seen = self._frames
+        _, frames = self._parts
+        covariance = self.determined
         if not seen.all():
             # Variances of (1 m, 1 rad)^2 along undetermined directions.
             rest = np.where(seen, 0.0, axes)
@@ -183,7 +188,8 @@ class Posterior:
         """Return the effective number of the parameters with a prior; None where
         rounding forbids.
         """
-        (prior, frames), believed = self._parts, self.believed
+        prior, frames = self._parts
+        believed = self.believed
         factor = None if believed is not None and np.any(believed[frames]) else self._factor()
         C, failed = (None, 1) if factor is None else dpotri(factor, lower=1, overwrite_c=1)
         if C is None or failed:
@@ -300,7 +306,9 @@ class Posterior:
         """The step; where rounding permits by a Cholesky factor, in a tenth of the time of the
         eigenvectors.
         """
-        (prior, frames), (inverse, *_), F = self._parts, self._frames, self._follow
+        prior, frames = self._parts
+        inverse, *_ = self._frames
+        F = self._follow
         if not len(prior):
             return np.asarray(inverse @ self.form.g)
         factor = self._factor()

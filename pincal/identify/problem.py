@@ -323,11 +323,10 @@ def extended(problem: Problem, effects: Sequence[Effect]) -> tuple[Problem, np.n
     )
     known = np.empty(len(problem.parameters), int)
     for i, (station, other) in enumerate(zip(problem.stations, wider.stations, strict=True)):
-        (of_model, of_sensor), (model, sensor) = (
-            station.split(problem.places[i]),
-            other.split(wider.places[i]),
-        )
-        known[of_model], known[of_sensor] = model[: len(of_model)], sensor
+        of_model, of_sensor = station.split(problem.places[i])
+        model, sensor = other.split(wider.places[i])
+        known[of_model] = model[: len(of_model)]
+        known[of_sensor] = sensor
     return wider, known
 
 

@@ -437,7 +437,8 @@ class _Trial:
         self._limits = self._here.objectives(self._sigma) * (1.0 + 1e-9) + spare
         self._group = self._here.group_of[run.free]
         self._is_refused = False
-        self.there, self.is_open = self._here, np.ones(len(self._limits), bool)
+        self.there = self._here
+        self.is_open = np.ones(len(self._limits), bool)
 
     def succeeds(self, step: np.ndarray) -> bool:
         """Try a step, shape (F,); return whether all fits have a successful step now."""

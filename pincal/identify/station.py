@@ -172,12 +172,15 @@ class Station:
             )
         return out
 
+    def _white(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns, shape (P, m, N), in which the noise of each row is white."""
+        if self.whitening is None:
+            return columns
+        return np.asarray(whitened_rows(self.whitening, np.ascontiguousarray(columns)))
+
     def whitened(self, residuals: np.ndarray) -> np.ndarray:
         """Return residuals of all rows, shape (m, N), with white noise as a fit weights them."""
-        if self.whitening is not None:
-            residuals = np.asarray(
-                whitened_rows(self.whitening, np.ascontiguousarray(residuals[None]))[0]
-            )
+        residuals = self._white(residuals[None])[0]
         return np.concatenate(
             [self.uncorrelated(residuals[None, :, p], p)[0] for p in self._pieces()], axis=1
         )
@@ -334,11 +337,8 @@ class Station:
         self.split(apart)[0][:] = model_free
         for parameters, *_ in curves:
             apart[parameters] = False
-        columns = part.sensor.jacobian(poses, motion, own)
-        residuals = part.sensor.residuals(poses, own)
-        if part.whitening is not None:
-            columns = whitened_rows(part.whitening, np.ascontiguousarray(columns))
-            residuals = whitened_rows(part.whitening, np.ascontiguousarray(residuals[None]))[0]
+        columns = part._white(part.sensor.jacobian(poses, motion, own))
+        residuals = part._white(part.sensor.residuals(poses, own)[None])[0]
         n_apart = int(self.split(apart)[0].sum())
         of_sensor = columns[len(motion) :][own_free]
         plain = not shared and not len(of_sensor)

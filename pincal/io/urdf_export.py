@@ -11,6 +11,7 @@ import numpy as np
 
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.io.file_numbers import IN_FILES
+from pincal.io.urdf_readers import read_back
 from pincal.io.urdf_text import Origin, append_frame, read_origins, rpy_of, write_origins
 from pincal.model.augmented import closure_frames, link_placements
 from pincal.model.chain import Chain
@@ -39,6 +40,9 @@ class UrdfExport:
         notes: effects that the URDF can't represent, and inserted links, in words.
         max_error_m: largest distance between the tip of ``text``, by Pinocchio, and that of the
             calibrated geometry [m].
+        links_error_m: largest difference of the pose of a link between Pinocchio and yourdfpy [m,
+            1], which share no code; infinite if yourdfpy can read neither this URDF nor the
+            original.
     """
 
     text: bytes
@@ -46,6 +50,7 @@ class UrdfExport:
     edited: tuple[str, ...]
     notes: tuple[str, ...]
     max_error_m: float
+    links_error_m: float
 
 
 def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = None) -> UrdfExport:
@@ -64,8 +69,8 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
         The URDF, identical to the original except for the numbers of changed origins.
 
     Raises:
-        RobotFileError: if there is no URDF, it is of another robot, or its tip differs from the
-            model's.
+        RobotFileError: if there is no URDF, it is of another robot, its tip differs from the
+            model's, or Pinocchio and yourdfpy put a link of the written file in different places.
 
     Example:
         >>> from pincal.robot.robot import Robot
@@ -105,7 +110,10 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     new = read_origins(edited, tree.source)
     changed = tuple(name for name in old if not np.array_equal(new[name].matrix, old[name].matrix))
     lost = (*held, *ends, tip) if open_pins else held
-    return UrdfExport(edited, tip, changed, notes, _check(edited, tip, model, values, lost=lost))
+    error = _check(edited, tip, model, values, lost=lost)
+    readers = read_back(robot, edited, text)
+    notes += () if readers.agree else (f"{readers}, in the URDF that it was made from, too",)
+    return UrdfExport(edited, tip, changed, notes, error, readers.error_m)
 
 
 def _placements(
@@ -127,7 +135,7 @@ def _segments(tree: UrdfTree, robot: Robot, ends: Collection[str]) -> dict[str, 
     """
     known = {joint.name: joint for joint in tree.joints}
     missing = [name for name in robot.joint_names if name not in known]
-    if robot.is_serial and not robot.links:
+    if robot.is_serial and not robot.links and robot.path.start == robot.base:
         names = tuple(
             joint.name for joint in tree.path(robot.base, robot.tip) if joint.kind in MOVING_TYPES
         )

@@ -14,6 +14,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError, few, needed, warn
 from pincal.measure.heading import TableHead, find_heading, names_joints
+from pincal.measure.nameless import numbers_as_names
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
 from pincal.thresholds import Count
 
@@ -78,7 +79,11 @@ def open_excel(path: Path, *, sheet: str | None = None, joints: Collection[str] 
 def _heading(lines: Sequence[_Line], joints: Collection[str]) -> TableHead:
     """Return where the names of the columns stand: in the first line if no other looks like it."""
     cells = [["" if cell is None else str(cell) for cell in line] for _, line in lines[:_LOOKED_AT]]
-    return find_heading(cells, joints) or TableHead(0, 1, tuple(cell.strip() for cell in cells[0]))
+    if (found := find_heading(cells, joints)) is not None:
+        return found
+    if (numbers := numbers_as_names(cells[0], decimal_comma=False)) is not None:
+        return TableHead(0, 0, numbers)
+    return TableHead(0, 1, tuple(cell.strip() for cell in cells[0]))
 
 
 def _check_widths(body: Sequence[_Line], count: int, top: int, name: str) -> None:

@@ -113,7 +113,8 @@ class TableOptions:
         columns: meanings of columns by their names in the table, with a unit if the header lacks
             one: ``{"J1": "joint_a1 [deg]"}``.
         orientation: convention of the orientation, one of
-            :data:`pincal.measure.orientation.CONVENTIONS`; default: as in the header.
+            :data:`pincal.measure.orientation.CONVENTIONS`, or "none" to leave it out; default: as
+            in the header.
         joints: a separate file with the joint positions, whose rows are matched by a common column,
             by time while the pose is held still, or by order; a `PincalWarning` states which.
         sheet: worksheet of a workbook; default: the first with joint columns.

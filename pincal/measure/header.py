@@ -16,6 +16,7 @@ from pincal.measure.labels import (
     check_one,
     columns_listed,
     joint_families,
+    name_of,
     numbered_families,
     numbered_joints,
     numbers_all,
@@ -29,9 +30,14 @@ from pincal.measure.labels import (
     without_unit,
     words_of,
 )
+from pincal.measure.matrix_columns import with_matrix
+from pincal.measure.nameless import check_named, is_counter, unit_of_joints
 from pincal.measure.orientation import (
     CONVENTIONS,
+    MATRIX,
+    NO_ORIENTATION,
     Convention,
+    columns_of_orientations,
     find_orientation,
     looks_like_orientation,
     looks_like_place,
@@ -44,6 +50,8 @@ from pincal.units import SIZES, plain_numbers
 # Unknown columns that are examined, and those that a message lists.
 _EXAMINED: Count = 500
 _LISTED: Count = 20
+# Columns by which a table has an orientation under names of its own.
+_ORIENTED = frozenset(("qx", "rx", "roll", "A", "W", "q1", "r11"))
 # Unread columns of a stream that a note lists.
 _UNREAD: Count = 8
 
@@ -77,6 +85,7 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
     omissions.
     """
     source = sheet.path.name
+    check_named(sheet, schema)
     quantities = schema.quantities(source=source)
     labels = _labels(sheet, schema, quantities)
     meanings = _meanings(labels, schema, quantities, source=source)
@@ -114,8 +123,22 @@ def _labels(sheet: Sheet, schema: Schema, quantities: dict[str, str]) -> list[La
     options = schema.options
     named = renamed(sheet.labels, options.columns, source=sheet.path.name)
     labels = with_joints(unignored(named, options.ignore), schema, quantities, sheet=sheet)
-    timed = _timed_stream if schema.is_stream else _timed
-    return _with_vectors(timed(labels, sheet, quantities), sheet, quantities, schema)
+    if schema.is_stream:
+        labels = _timed_stream(labels, sheet, quantities)
+    else:
+        labels = _timed(labels, sheet, quantities)
+        if any(part.is_unit for part in schema.fields):
+            labels = with_matrix(labels, sheet, quantities, source=sheet.path.name)
+    if options.orientation == NO_ORIENTATION:
+        labels = _unturned(labels, taken=schema.joint_names)
+    return _with_vectors(labels, sheet, quantities, schema)
+
+
+def _unturned(labels: Sequence[Label], *, taken: Collection[str]) -> list[Label]:
+    """Return labels without those of an orientation in any convention; ``taken`` are joints."""
+    names = {without_unit(label.meant) for label in labels} - {*taken}
+    turned = columns_of_orientations(names)
+    return [label for label in labels if without_unit(label.meant) not in turned]
 
 
 @dataclass(frozen=True)
@@ -308,6 +331,9 @@ def _with_vectors(
         if not spelled(label, quantities) and not sheet.has_words(label.index)
     ]
     wanted = {name: quantity for name, quantity in quantities.items() if name not in named}
+    taken = named | {label.name for label in labels}
+    if any(part.is_unit for part in schema.fields) and not taken & _ORIENTED:
+        wanted |= dict.fromkeys(CONVENTIONS["ur"].columns, "angle")
     guessed = vector_columns(free, wanted, is_stream=schema.is_stream, source=sheet.path.name)
     if not guessed:
         return labels
@@ -315,10 +341,17 @@ def _with_vectors(
     what = (
         "interpreted by their names:"
         if schema.is_stream
-        else "the position is taken from the columns"
+        else f"the {_read_so(guessed.values())} is taken from the columns"
     )
     warn(f"{sheet.path.name}: {what} {pairs}; if that is wrong, map them with --columns")
     return [replace(label, meant=guessed.get(label.meant, label.meant)) for label in labels]
+
+
+def _read_so(meanings: Iterable[str]) -> str:
+    """Return which readings columns have, in words."""
+    names = {name_of(meaning) for meaning in meanings}
+    kinds = {"position": {"x"}, "orientation": {"qx", "rx"}}
+    return " and ".join(kind for kind, firsts in kinds.items() if names & firsts)
 
 
 def with_joints(
@@ -433,6 +466,8 @@ def _orientation(
     there is none.
     """
     names = [without_unit(label.meant) for label in labels]
+    if schema.options.orientation == NO_ORIENTATION:
+        return None
     declared = schema.options.orientation
     usual = rotations(schema.fields).columns
     found = find_orientation(
@@ -445,6 +480,8 @@ def _orientation(
             f"{source}: orientations in {' '.join(found.columns)} and in "
             f"{' '.join(usual)}; expected one: ignore the others"
         )
+    if found.kind == MATRIX.kind:
+        return found
     warn(
         f"{source}: {' '.join(found.columns)} are read as {found.words}; if that is wrong, use "
         f"--orientation {'|'.join(CONVENTIONS)}"
@@ -495,9 +532,24 @@ def check_joints(missing: Sequence[str], unknown: Sequence[Label], sheet: Sheet)
     raise MeasurementError(
         f"{sheet.path.name}: no column for joint {', '.join(texts)}; expected a column "
         "named as in the URDF, or "
-        f"--columns 'NAME={missing[0]},...', or a log of the joints (--joints LOG); "
-        f"{columns_listed(sheet.labels)}"
+        f"--columns 'NAME={missing[0]},...'{_columns_for(missing, unknown, sheet)}, or a log of "
+        f"the joints (--joints LOG); {columns_listed(sheet.labels)}"
     )
+
+
+def _columns_for(missing: Sequence[str], unknown: Sequence[Label], sheet: Sheet) -> str:
+    """Return what to give for missing joints, if there are as many columns of numbers that they may
+    be, in the order of the arm; else nothing.
+    """
+    numbers = {label: sheet.first_numbers(label.index) for label in unknown}
+    free = [label for label, values in numbers.items() if not is_counter(values)]
+    units = {label: unit_of_joints(numbers[label][:, None]) for label in free}
+    if len(free) != len(missing) or None in units.values():
+        return ""
+    unit = max(map(str, units.values()))
+    pairs = zip(free, missing, strict=True)
+    named = ",".join(f"{label.name}={joint} {unit}".strip() for label, joint in pairs)
+    return f" (if they are in the order of the arm: --columns '{named}')"
 
 
 def _warn_of_unread(sheet: Sheet, unknown: Sequence[Label]) -> None:

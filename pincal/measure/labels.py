@@ -14,7 +14,8 @@ from pincal.units import UNITS
 _PLACES = frozenset(
     ("p", "pos", "position", "tcp", "point", "target", "meas", "measured", "tracker", "reflector",
      "smr", "laser", "trans", "translation", "t", "loc", "location", "coord", "coordinate",
-     "actual", "act", "value")
+     "actual", "act", "value", "tvec", "xyz", "pose", "transform", "tf", "marker", "prism",
+     "measurement", "vicon", "mocap", "optitrack")
 )  # fmt: skip
 _FORCES = frozenset(("a", "acc", "accel", "acceleration", "accelerometer", "specific force"))
 _RATES = frozenset(
@@ -32,13 +33,18 @@ _RATES = frozenset(
     )
 )
 _TURNS = frozenset(("q", "quat", "quaternion", "orientation", "rotation", "rot", "attitude"))
+_ROTATION_VECTORS = frozenset(("rvec", "rotvec", "rodrigues", "rotation vector", "axis angle"))
 # Vectors of a stream, and the words next to the letter of an axis in their names.
 _VECTORS = {
     ("x", "y", "z"): _PLACES,
     ("ax", "ay", "az"): _FORCES,
     ("wx", "wy", "wz"): _RATES,
     ("qx", "qy", "qz", "qw"): _TURNS,
+    ("rx", "ry", "rz"): _ROTATION_VECTORS,
 }
+# Those of a table, and words of a position by which its components may be numbered.
+_OF_TABLES = ("x", "qx", "rx")
+_COUNTED = frozenset(("pos", "position", "tvec", "t", "trans", "translation", "xyz", "p", "point"))
 # Words that denote the position of a joint, and words that denote another quantity.
 _POSITIONS = frozenset(
     ("position", "positions", "pos", "q", "angle", "value", "actual", "act", "measured", "meas")
@@ -132,8 +138,17 @@ def is_named(text: str, name: str) -> bool:
 
 
 def unignored(labels: Sequence[Label], ignored: Sequence[str]) -> list[Label]:
-    """Return the labels without those that the user ignores, by any of their names."""
-    return [label for label in labels if not {label.name, label.meant, label.text} & set(ignored)]
+    """Return the labels without those that the user ignores, by any of their names, or by how these
+    begin: ``matrix_*``.
+    """
+    starts = tuple(name[:-1] for name in ignored if name.endswith("*") and len(name) > 1)
+    names = set(ignored)
+    return [
+        label
+        for label in labels
+        if not {label.name, label.meant, label.text} & names
+        and not (starts and label.text.startswith(starts))
+    ]
 
 
 def columns_listed(labels: Sequence[str], most: int = 20) -> str:
@@ -272,7 +287,8 @@ def vector_columns(
         labels: unknown columns.
         quantities: what may still be missing.
         is_stream: whether names may have any prefix, such as the topic of a recording, and vectors
-            include those of an IMU and orientations; otherwise only positions are sought.
+            include those of an IMU; otherwise only positions and orientations are sought, the
+            components of a position and of a rotation vector by their number as well.
         source: the file, for messages.
 
     Raises:
@@ -286,14 +302,9 @@ def vector_columns(
     """
     guessed = dict[str, str]()
     for columns, names in _VECTORS.items():
-        if not quantities.keys() >= {*columns} or (columns[0] != "x" and not is_stream):
+        if not quantities.keys() >= {*columns} or not (is_stream or columns[0] in _OF_TABLES):
             continue
-        families = dict[tuple[str, ...], dict[str, tuple[Label, str]]]()
-        letters = {column[-1] for column in columns}
-        for label in labels:
-            for base, unit in splits(label.meant, quantities[columns[0]]):
-                if (found := _axis_of(base, letters, names, is_stream=is_stream)) is not None:
-                    families.setdefault(found[0], {}).setdefault(found[1], (label, unit))
+        families = _vector_families(labels, columns, names, quantities, is_stream=is_stream)
         whole = [axes for axes in families.values() if len(axes) == len(columns)]
         if is_stream:
             check_one(
@@ -309,6 +320,47 @@ def vector_columns(
                 for label, column, unit in pairs
             }
     return guessed
+
+
+_Families = dict[tuple[str, ...], dict[str, tuple[Label, str]]]
+
+
+def _vector_families(
+    labels: Sequence[Label],
+    columns: tuple[str, ...],
+    names: frozenset[str],
+    quantities: Mapping[str, str],
+    *,
+    is_stream: bool,
+) -> _Families:
+    """Return the labels that may be components of a vector, with their units, by the other words of
+    their names and by their axes.
+    """
+    families: _Families = {}
+    letters = {column[-1] for column in columns}
+    for label in labels:
+        for base, unit in splits(label.meant, quantities[columns[0]]):
+            if (found := _axis_of(base, letters, names, is_stream=is_stream)) is not None:
+                families.setdefault(found[0], {}).setdefault(found[1], (label, unit))
+    counted = {"x": _COUNTED, "rx": _ROTATION_VECTORS}.get(columns[0])
+    if counted is None or is_stream or any(len(axes) == len(columns) for axes in families.values()):
+        return families
+    return _counted_families(labels, counted, quantities[columns[0]])
+
+
+def _counted_families(labels: Sequence[Label], names: frozenset[str], quantity: str) -> _Families:
+    """Return the labels of vectors whose three components have numbers, by their other words."""
+    by_number = dict[tuple[str, ...], dict[int, tuple[Label, str]]]()
+    for label in labels:
+        for base, unit in splits(label.meant, quantity):
+            *rest, last = words_of(base) or ("",)
+            if last.isdecimal() and " ".join(rest) in names:
+                by_number.setdefault(tuple(rest), {}).setdefault(int(last), (label, unit))
+    return {
+        rest: dict(zip("xyz", (found[k] for k in sorted(found)), strict=True))
+        for rest, found in by_number.items()
+        if numbers_all(found, 3)
+    }
 
 
 def _axis_of(
@@ -333,6 +385,10 @@ def _axis_of(
         # A single letter after the axis is a unit: ``accel_x_g``.
         is_name = bool(ends) and (len(rest[-1]) > 1 or parts[-1] in axes)
         is_named = is_name and not (_OTHERS - names) & {*rest[: -ends[0]]}
+    elif names is not _PLACES:
+        # An orientation may be named with the body, as in ``tcp_quat_x``.
+        ends = [k for k in (2, 1) if rest and " ".join(rest[-k:]) in names]
+        is_named = bool(ends) and _PLACES.issuperset(rest[: -ends[0]])
     return (rest, axes[0]) if len(axes) == 1 and rest and is_named else None
 
 

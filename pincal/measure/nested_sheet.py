@@ -1,233 +1,54 @@
-"""JSON, YAML, NumPy's .npz and MATLAB's .mat as sheets: lists of records, or columns of numbers and
-lists.
-
-The columns of a list of numbers follow from its name and length.
-
-Samples of hand-eye calibrations (MoveIt, easy_handeye) hold the pose of an object in a camera for
-each pose of the robot. With a fixed camera the object is on the hand, and its pose is that of a
-tool. With the camera on the hand the object is fixed, and the inverse is the pose of the camera in
-the object's frame. The samples determine which: relative rotations of hand and object are
-consistent in one of the two cases only.
+"""JSON, YAML, NumPy's .npy and .npz, MATLAB's .mat and OpenCV's FileStorage as sheets: lists of
+records, or columns of numbers and lists.
 """
 
 from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError, needed, warn
-from pincal.measure.reading_numbers import LAYOUT
+from pincal.measure.hand_eye import grouped, is_of_hand, tracked_poses
+from pincal.measure.nameless import with_poses_in_rows
+from pincal.measure.nested_labels import IS_OF_CONTROLLER, TURNED, vector_labels
+from pincal.measure.nested_values import MOST_VALUES, by_path, flat
+from pincal.measure.opencv_storage import (
+    TAG,
+    is_storage,
+    matrix,
+    read_xml,
+    with_arrays,
+    without_directive,
+)
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
-from pincal.robot.se3 import transform
-from pincal.thresholds import Count
 
-JOINTS = re.compile(
-    r"(joints?|joint_?(positions?|values?|angles?|states?|pos)|(actual_?)?q|qpos|angles?|state)"
-    r"(_deg|_rad)?",
-    re.I,
-)
-"""Names of lists of joint positions."""
-PLACE = re.compile(
-    r"(position|pos|xyz|translation|point|p|t|trans|tvec|target|place|measured)(_mm|_m)?", re.I
-)
-TURNED = re.compile(r"(orientation|rotation|quaternions?|quat|q|ori|rot|R)(_?(xyzw|wxyz))?", re.I)
-POSE = re.compile(r".*(pose|transform|T|matrix|wrt).*", re.I)
-IS_OF_CONTROLLER = re.compile(
-    r"robot|effector_wrt_world|(actual_)?tcp(_pose)?|flange|ee_pos(e)?|end_?effector", re.I
-)
-"""Names of poses that a controller computes from the joints, which are no measurements."""
-_UNIT = re.compile(r".*[_ \[(](deg|rad|mm|cm|m)[\])]?")
-_AXES = ("x", "y", "z")
-_QUATERNION = ("qx", "qy", "qz", "qw")
-_ORDER = "quaternions in lists are read in the order x y z w; if that is wrong, call them wxyz"
-
-
-def vector_labels(
-    path: str, values: np.ndarray, names: Sequence[str] | None = None
-) -> tuple[tuple[str, ...], list[np.ndarray], str]:
-    """Return labels and columns of N lists or matrices, and a note on an assumed order of
-    components, or an empty one.
-
-    Args:
-        path: their keys in the file, separated by dots.
-        values: shape (N, ...).
-        names: of the joints, where the file has them.
-
-    Example:
-        >>> vector_labels("tool.pose", np.zeros((2, 7)))[0]
-        ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
-    """
-    key = path.split(".")[-1]
-    if not JOINTS.fullmatch(key) and any(
-        IS_OF_CONTROLLER.fullmatch(part) for part in path.split(".")
-    ):
-        return *_numbered(path, values), ""
-    if values.shape[1:] == (4, 4) or (values.shape[1:] == (16,) and POSE.fullmatch(key)):
-        matrices = values.reshape(-1, 4, 4)
-        return (
-            (*_AXES, *_QUATERNION),
-            [*matrices[:, :3, 3].T, *quaternions_of(matrices[:, :3, :3]).T],
-            "",
-        )
-    if values.shape[1:] == (3, 3):
-        return _QUATERNION, [*quaternions_of(values).T], ""
-    if values.ndim != 2:
-        return *_numbered(path, values), ""
-    labels, note = _plain(key, values.shape[1], names)
-    if not labels:
-        return *_numbered(path, values), ""
-    unit = match[1] if (match := _UNIT.fullmatch(key)) else ""
-    return (
-        tuple(f"{label} [{unit}]" if unit and label[0] != "q" else label for label in labels),
-        [*values.T],
-        note,
-    )
-
-
-def _plain(key: str, count: int, names: Sequence[str] | None) -> tuple[tuple[str, ...], str]:
-    """Return the labels of ``count`` numbers and a note; no labels if undetermined."""
-    if (
-        names is not None
-        and len(names) == count
-        and (JOINTS.fullmatch(key) or "state" in key or "position" in key)
-    ):
-        return tuple(map(str, names)), ""
-    if count == 3 and PLACE.fullmatch(key):
-        return _AXES, ""
-    if count == 4 and TURNED.fullmatch(key):
-        return (("qw", "qx", "qy", "qz"), "") if "wxyz" in key.casefold() else (_QUATERNION, _ORDER)
-    if count == 3 and key.casefold() in ("rotvec", "rvec", "rotation_vector"):
-        return ("rx", "ry", "rz"), ""
-    if count == 3 and key.casefold() in ("rpy", "euler"):
-        return ("roll", "pitch", "yaw"), ""
-    if count in (6, 7) and POSE.fullmatch(key) and not JOINTS.fullmatch(key):
-        return ((*_AXES, "rx", "ry", "rz"), "") if count == 6 else ((*_AXES, *_QUATERNION), _ORDER)
-    if count == 2 and key.casefold() in ("uv", "pixel", "pixels", "image"):
-        return ("u", "v"), ""
-    if JOINTS.fullmatch(key):
-        return tuple(f"joint_{i + 1}" for i in range(count)), ""
-    return (), ""
-
-
-def quaternions_of(matrices: np.ndarray) -> np.ndarray:
-    """Return quaternions x y z w of rotation matrices, shape (N, 3, 3); NaN for other matrices."""
-    found = np.full((len(matrices), 4), np.nan)
-    product = np.einsum("nij,nkj->nik", matrices, matrices)
-    right = np.isfinite(matrices).all(axis=(1, 2)) & (
-        np.abs(product - np.eye(3)).max(axis=(1, 2)) < 1e-2
-    )
-    right &= np.linalg.det(np.where(right[:, None, None], matrices, np.eye(3))) > 0
-    found[right] = Rotation.from_matrix(matrices[right]).as_quat() if right.any() else found[right]
-    return found
-
-
-def _numbered(path: str, values: np.ndarray) -> tuple[tuple[str, ...], list[np.ndarray]]:
-    flat = values.reshape(len(values), -1)
-    return tuple(f"{path}.{i}" for i in range(flat.shape[1])), [*flat.T]
-
-
-_OF_ROBOT = ("effector_wrt_world", "robot")
-_OF_OBJECT = ("object_wrt_sensor", "tracking", "optical")
-
-
-def _tracked_poses(
-    columns: Mapping[str, np.ndarray], *, is_on_hand: bool | None, source: str
-) -> tuple[np.ndarray, tuple[str, str]] | None:
-    """Return the poses of a hand-eye calibration, shape (N, 4, 4), and the keys of its groups; None
-    for other files.
-
-    Refused if neither the file nor the samples determine whether the camera is on the hand.
-    """
-    parts = {path.split(".")[0] for path in columns}
-    robot, seen = (
-        next((name for name in names if name in parts), None) for names in (_OF_ROBOT, _OF_OBJECT)
-    )
-    if robot is None or seen is None:
-        return None
-    hand, object_ = (_matrices(columns, name, source=source) for name in (robot, seen))
-    evidence = "as the file states"
-    if is_on_hand is None:
-        fixed = _misfit(hand, object_)
-        moved = _misfit(hand, np.linalg.inv(object_))
-        if min(fixed, moved) > LAYOUT.clear * max(fixed, moved):
-            raise MeasurementError(
-                f"{source}: {len(hand)} samples do not show whether the camera is on the "
-                f"hand ({moved:.3g} rad) or fixed "
-                f"({fixed:.3g} rad); expected more samples with rotations about different axes"
-            )
-        is_on_hand = moved < fixed
-        evidence = "as the samples show"
-    where = "on the hand and the object fixed" if is_on_hand else "fixed and the object on the hand"
-    warn(
-        f"{source}: {len(hand)} samples of a hand-eye calibration with the camera "
-        f"{where}, {evidence}; {robot} is not used"
-    )
-    return np.linalg.inv(object_) if is_on_hand else object_, (robot, seen)
-
-
-def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> np.ndarray:
-    """Return the poses of a group of a file, shape (N, 4, 4)."""
-    found = dict[str, np.ndarray]()
-    for path, values in columns.items():
-        if path.split(".")[0] == group:
-            inner = "pose" + path.removeprefix(group)
-            if values.ndim > 1:
-                labels, parts, _ = vector_labels(inner, values)
-                found |= dict(zip(labels, parts, strict=True))
-            else:
-                *_, above, leaf = ("", *inner.split("."))
-                found["q" * above.startswith(("rot", "ori")) + leaf] = values
-    try:
-        place, turned = (
-            np.column_stack([np.asarray(found[n], float) for n in ns])
-            for ns in ("xyz", ("qx", "qy", "qz", "qw"))
-        )
-        rotations = Rotation.from_quat(turned).as_matrix()
-    except (KeyError, ValueError, TypeError) as error:
-        raise MeasurementError(
-            f"{source}: {group} does not hold a pose in each sample; expected translation "
-            "and rotation"
-        ) from error
-    if np.isnan(quaternions_of(rotations)).any() or not np.isfinite(place).all():
-        raise MeasurementError(
-            f"{source}: {group} does not hold a pose in each sample; expected finite numbers"
-        )
-    return transform(rotations, place)
-
-
-def _misfit(hand: np.ndarray, target: np.ndarray) -> float:
-    """Return the residual of the rotations of two bodies from sample to sample as those of one
-    rigid body [rad].
-    """
-    turns = [
-        Rotation.from_matrix(np.einsum("nji,njk->nik", T[:-1, :3, :3], T[1:, :3, :3])).as_rotvec()
-        for T in (hand, target)
-    ]
-    found = Rotation.align_vectors(*turns)[0] if len(turns[0]) else Rotation.identity()
-    return (
-        float(np.sqrt(np.mean((turns[0] - found.apply(turns[1])) ** 2))) if len(turns[0]) else 0.0
-    )
-
-
+# Keys that state whether the camera is on the hand.
+_ON_HAND = ("eye_on_hand", "eye_in_hand")
+# Columns that only one value of a file may give: of a position, orientations and joints.
+_FIRST_COLUMNS = ("x", "qx", "rx", "joint_1")
 _YAML = (".yaml", ".yml", ".samples")
-# Deepest nesting of measured values, and most values of a record.
-_DEEPEST: Count = 12
-_MOST: Count = 2000
 
 
 def nested_kind(path: Path) -> str:
-    """Return "json", "yaml", "npz" or "mat" for a file of such contents; empty for any other."""
+    """Return "json", "yaml", "npy", "npz", "mat" or "xml" for a file of such contents; empty for any
+    other.
+    """
     with path.open("rb") as file:
         head = file.read(4096)
     start = head.removeprefix(b"\xef\xbb\xbf").lstrip()
     if head.startswith(b"PK\x03\x04") and (path.suffix.lower() == ".npz" or b".npy" in head[:200]):
         return "npz"
+    if head.startswith(b"\x93NUMPY"):
+        return "npy"
+    if is_storage(head):
+        return "xml"
     if head.startswith(b"MATLAB ") or path.suffix.lower() == ".mat":
         return "mat"
     if re.match(rb'[{]\s*["}]|\[\s*[{\[]', start) and b"\0" not in head:
@@ -238,8 +59,15 @@ def nested_kind(path: Path) -> str:
     return "yaml" if is_yaml and b"\0" not in head else ""
 
 
-def open_nested(path: Path, kind: str) -> Sheet:
+def open_nested(path: Path, kind: str, *, ignore: Collection[str] = (), joints: int = 0) -> Sheet:
     """Read a file of records or columns, of a kind returned by :func:`nested_kind`.
+
+    Args:
+        path: the file.
+        kind: its kind.
+        ignore: keys of values to leave out.
+        joints: of the arm, by which it is judged whether numbers without names have a pose in each
+            row or in each column.
 
     Raises:
         MeasurementError: for a file that can't be read or has no table.
@@ -247,7 +75,7 @@ def open_nested(path: Path, kind: str) -> Sheet:
     import polars as pl
 
     try:
-        data = {"json": _json, "yaml": _yaml, "npz": _npz, "mat": _mat}[kind](path)
+        data = _READERS[kind](path)
     except MeasurementError:
         raise
     except Exception as error:  # Broken files raise all kinds of errors in these libraries.
@@ -260,7 +88,7 @@ def open_nested(path: Path, kind: str) -> Sheet:
             f"{path.name}: the result of a hand-eye calibration; expected the samples "
             "behind it, with --joints LOG"
         )
-    columns = _table(data, path.name)
+    columns = _table(_alone(data, path.name, joints), path.name, ignore)
     found = dict[str, pl.Series]()
     for label, values in columns.items():
         if values.dtype == object:
@@ -279,9 +107,11 @@ def _json(path: Path) -> Any:
 
     text = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
     try:
-        return msgspec.json.decode(text)
+        return with_arrays(msgspec.json.decode(text))
     except msgspec.DecodeError:
-        return [msgspec.json.decode(line) for line in text.splitlines() if line.strip()]
+        return [
+            with_arrays(msgspec.json.decode(line)) for line in text.splitlines() if line.strip()
+        ]
 
 
 def _yaml(path: Path) -> Any:
@@ -298,7 +128,21 @@ def _yaml(path: Path) -> Any:
                 )
             return super().compose_node(parent, index)
 
-    return yaml.load(path.read_bytes(), Plain)
+    def stored(loader: Any, node: Any) -> np.ndarray:
+        return matrix(loader.construct_mapping(node, deep=True))
+
+    Plain.add_constructor(TAG, stored)
+    documents = [*yaml.load_all(without_directive(path.read_bytes()), Plain)]
+    # ``rostopic echo`` ends each message by three dashes.
+    whole = [each for each in documents if each is not None]
+    return whole[0] if len(whole) == 1 else whole
+
+
+def _npy(path: Path) -> Any:
+    found = np.load(path, allow_pickle=False)
+    if found.dtype.names:
+        return {name: found[name] for name in found.dtype.names}
+    return found
 
 
 def _npz(path: Path) -> Any:
@@ -322,34 +166,116 @@ def _mat(path: Path) -> Any:
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
-def _table(data: Any, source: str) -> dict[str, np.ndarray]:
+_READERS = {
+    "json": _json,
+    "yaml": _yaml,
+    "npy": _npy,
+    "npz": _npz,
+    "mat": _mat,
+    "xml": read_xml,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Value:
+    """The columns of one value of a file, by its keys.
+
+    Attributes:
+        path: the keys, separated by dots.
+        labels: of its columns.
+        columns: shape (N,) each.
+        note: on an assumed order of components, or an empty one.
+    """
+
+    path: str
+    labels: tuple[str, ...]
+    columns: tuple[np.ndarray, ...]
+    note: str = ""
+
+    @classmethod
+    def of(cls, path: str, values: np.ndarray, names: list[Any] | None) -> _Value:
+        """Return the columns of values, shape (N, ...); ``names`` are those of joints."""
+        if values.ndim < 2:
+            return cls(path, (_scalar_label(path),), (values,))
+        labels, columns, note = vector_labels(path, values, names)
+        return cls(path, labels, tuple(columns), note)
+
+    @property
+    def places(self) -> set[str]:
+        """The first columns of a reading or of joints, of which a table has one each."""
+        return {label.split(" [")[0] for label in self.labels} & {*_FIRST_COLUMNS}
+
+    def is_of(self, role: Callable[[str], bool]) -> bool:
+        """Return whether any of its keys has a role."""
+        return any(map(role, self.path.split(".")))
+
+
+def _table(data: Any, source: str, ignore: Collection[str]) -> dict[str, np.ndarray]:
     """Return the columns of a table, shape (N,) each, as numbers or as objects."""
-    columns = _with_tracked_poses(_by_path(data, source), data, source)
-    lists = ((path, value) for path, value in _flat(data) if isinstance(value, list))
+    columns = {grouped(path): values for path, values in by_path(data, source).items()}
+    columns = _with_tracked_poses(columns, data, source)
+    lists = ((path, value) for path, value in flat(data) if isinstance(value, list))
     given = next((list(value) for path, value in lists if re.search(r"names?$", path)), None)
+    values = [
+        _Value.of(path, of, given)
+        for path, of in columns.items()
+        if not {path, path.split(".")[0]} & {*ignore}
+        and (of.ndim < 2 or (of.dtype != object and int(np.prod(of.shape[1:])) <= MOST_VALUES))
+    ]
     found = dict[str, np.ndarray]()
-    notes = list[str]()
-    for path, values in columns.items():
-        shape = values.shape[1:]
-        if not shape:
-            labels = [_scalar_label(path)]
-            parts = [values]
-        elif values.dtype == object or int(np.prod(shape)) > _MOST:
-            continue
-        else:
-            several, parts, note = vector_labels(path, values, given)
-            labels = [*several]
-            notes = [*notes, *([note] if note else [])]
-        if taken := [label for label in labels if label in found]:
-            labels = [f"{path}.{label}" if label in taken else label for label in labels]
-        found |= dict(zip(labels, parts, strict=True))
+    for value in _without_others(values, source):
+        for label, column in zip(value.labels, value.columns, strict=True):
+            found[f"{value.path}.{label}" if label in found else label] = column
     if not found:
         raise MeasurementError(
             f"{source}: no table in the file; expected a list of records, or columns of one length"
         )
-    for note in dict.fromkeys(notes):
+    for note in dict.fromkeys(value.note for value in values if value.note):
         warn(f"{source}: {note}")
     return found
+
+
+def _without_others(values: list[_Value], source: str) -> list[_Value]:
+    """Return the values of a table with one reading; refuse several of which none is known to be
+    the controller's.
+    """
+    for first in _FIRST_COLUMNS:
+        rivals = [value for value in values if first in value.places]
+        several = [value for value in rivals if not value.is_of(is_of_hand)] or rivals
+        if len(several) > 1 and not all(map(partial(_are_equal, several[0]), several)):
+            named = " and ".join(f'"{value.path}"' for value in several)
+            raise MeasurementError(
+                f"{source}: {first} may be of {named}; expected one of them: leave the others out "
+                f"(--ignore '{several[-1].path}')"
+            )
+        gone = [value for value in rivals if value is not several[0]]
+        values = [value for value in values if not any(value is other for other in gone)]
+    return values
+
+
+def _are_equal(one: _Value, other: _Value) -> bool:
+    """Return whether two values are the same columns."""
+    return one.labels == other.labels and all(
+        np.array_equal(a, b, equal_nan=a.dtype != object)
+        for a, b in zip(one.columns, other.columns, strict=True)
+    )
+
+
+def _alone(data: Any, source: str, joints: int) -> Any:
+    """Return the values of a file, of a single matrix without a telling name the matrix alone, with a
+    pose in each row.
+    """
+    found = [(path, v) for path, v in flat(data) if isinstance(v, np.ndarray) and v.ndim > 1]
+    if len(found) != 1 or found[0][1].ndim != 2 or found[0][1].dtype.kind not in "fiub":
+        return data
+    ((path, values),) = found
+    if isinstance(data, Mapping) and not vector_labels(path, values)[0][0].startswith(f"{path}."):
+        return data
+    turned = with_poses_in_rows(values, joints)
+    if turned is not values:
+        rows, columns = values.shape
+        warn(f"{source}: {rows} x {columns} numbers; each column is read as a pose")
+    return turned
 
 
 def _with_tracked_poses(
@@ -357,9 +283,9 @@ def _with_tracked_poses(
 ) -> dict[str, np.ndarray]:
     """Return the columns with the poses of a hand-eye calibration instead of its groups."""
     on_hand = (
-        v for path, v in _flat(data) if path.split(".")[-1] == "eye_on_hand" and isinstance(v, bool)
+        v for path, v in flat(data) if path.split(".")[-1] in _ON_HAND and isinstance(v, bool)
     )
-    tracked = _tracked_poses(columns, is_on_hand=next(on_hand, None), source=source)
+    tracked = tracked_poses(columns, is_on_hand=next(on_hand, None), source=source)
     if tracked is None:
         return columns
     poses, groups = tracked
@@ -374,86 +300,3 @@ def _scalar_label(path: str) -> str:
         return path
     turned = above and TURNED.fullmatch(above[-1]) and leaf in ("x", "y", "z", "w")
     return f"q{leaf}" if turned else leaf
-
-
-def _by_path(data: Any, source: str) -> dict[str, np.ndarray]:
-    """Return the columns of equal length N, by their keys in the file: shape (N, ...)."""
-    records = data if isinstance(data, list) else _records(data, source)
-    if records is not None:
-        return _of_records(records, source)
-    if not isinstance(data, Mapping):
-        raise MeasurementError(
-            f"{source}: holds one value; expected a list of records, or columns of one length"
-        )
-    found = {path: _array(v) for path, v in _flat(data) if isinstance(v, list | np.ndarray)}
-    found = {
-        path: np.moveaxis(v, -1, 0) if v.shape[:2] == (4, 4) and v.ndim == 3 else v
-        for path, v in found.items()
-    }
-    lengths = [len(v) for path, v in found.items() if v.ndim and not re.search(r"names?$", path)]
-    count = max(set(lengths), key=lambda length: (lengths.count(length), length), default=0)
-    others = [path for path, v in found.items() if not v.ndim or len(v) != count]
-    if others:
-        warn(
-            f"{source}: these differ in length from the {count} rows and are left out: "
-            f"{', '.join(others[:20])}"
-        )
-    return {path: v for path, v in found.items() if path not in others}
-
-
-def _records(data: Any, source: str) -> list[Any] | None:
-    """Return the only list of records among nested values; None without any."""
-    if not isinstance(data, Mapping):
-        return None
-    lists = {
-        path: v
-        for path, v in _flat(data)
-        if isinstance(v, list) and v and all(isinstance(r, Mapping) for r in v)
-    }
-    if len(lists) > 1:
-        raise MeasurementError(
-            f"{source}: several lists of records: {', '.join(lists)}; expected one"
-        )
-    return next(iter(lists.values()), None)
-
-
-def _of_records(records: list[Any], source: str) -> dict[str, np.ndarray]:
-    """Return the columns of records, which may lack some of the values."""
-    if not records or not all(isinstance(record, Mapping) for record in records):
-        raise MeasurementError(
-            f"{source}: a list without records; expected one named record per pose"
-        )
-    rows = [dict(_flat(record)) for record in records]
-    paths = dict.fromkeys(path for row in rows for path in row)
-    if len(paths) > _MOST:
-        raise MeasurementError(
-            f"{source}: {len(paths)} values per record; expected at most {_MOST}"
-        )
-    return {path: _array([row.get(path) for row in rows]) for path in paths}
-
-
-def _flat(value: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """Yield the values of nested mappings by their keys, separated by dots."""
-    if not isinstance(value, Mapping):
-        yield path, value
-    elif depth < _DEEPEST:
-        for name, inner in value.items():
-            yield from _flat(inner, f"{path}.{name}" if path else str(name), depth + 1)
-
-
-def _array(values: Any) -> np.ndarray:
-    """Return values as numbers, with NaN for None, else as objects."""
-    if isinstance(values, np.ndarray):
-        return values if values.dtype.kind in "fiub" else values.astype(object)
-    usual = next((v for v in values if isinstance(v, list)), None)
-    if usual is not None:
-        nothing = np.full(np.shape(usual), np.nan).tolist()
-        values = [nothing if v is None else v for v in values]
-    try:
-        if any(isinstance(v, str | bool) for v in values):
-            raise ValueError
-        return np.array([np.nan if v is None else v for v in values], float)
-    except (TypeError, ValueError, OverflowError):
-        found = np.empty(len(values), object)
-        found[:] = values
-        return found

@@ -36,6 +36,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
+from pincal.measure.flat_matrices import quaternions_of
 from pincal.measure.reading_numbers import PLAUSIBLE
 
 
@@ -49,7 +50,7 @@ class Convention:
         columns: their names in the table; by default the usual ones.
         order: component in each column: angles about x, y, z or components x, y, z, w.
         unit: of columns without a unit in the header.
-        kind: "angles" R_z R_y R_x, "vector" or "quaternion".
+        kind: "angles" R_z R_y R_x, "vector", "quaternion" or "matrix".
         known_by: unambiguous spellings of the first column.
     """
 
@@ -64,7 +65,7 @@ class Convention:
     @property
     def quantity(self) -> str:
         """Physical quantity of the columns."""
-        return "number" if self.kind == "quaternion" else "angle"
+        return "number" if self.kind in ("quaternion", "matrix") else "angle"
 
     def quaternions(self, columns: Mapping[str, np.ndarray], *, where: str) -> np.ndarray:
         """Return quaternions x y z w, shape (N, 4), of values by column, shape (N,) each, angles in
@@ -73,6 +74,8 @@ class Convention:
         Raises:
             MeasurementError: for angles that can't be in this unit.
         """
+        if self.kind == "matrix":
+            return _of_matrices(np.column_stack([columns[name] for name in self.columns]), where)
         by_axis = dict(zip(self.order, self.columns, strict=True))
         values = np.column_stack([columns[by_axis[axis]] for axis in "xyzw" if axis in by_axis])
         if self.kind == "quaternion":
@@ -97,6 +100,8 @@ class Convention:
         """Return the values of the columns, in their order and unit, for a rotation matrix, shape
         (3, 3).
         """
+        if self.kind == "matrix":
+            return np.asarray(rotation, float).ravel()
         turned = Rotation.from_matrix(rotation)
         if self.kind == "quaternion":
             found = turned.as_quat(canonical=True)
@@ -151,9 +156,37 @@ _ALL = (
 )
 CONVENTIONS: Mapping[str, Convention] = {convention.name: convention for convention in _ALL}
 """The conventions by the values of the option ``--orientation``."""
+NO_ORIENTATION = "none"
+"""Its value for leaving orientations out."""
+
+MATRIX = Convention(
+    "matrix",
+    "a rotation matrix row by row",
+    tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)),
+    "",
+    "",
+    "matrix",
+    ("r11", "R11"),
+)
+"""A rotation matrix in columns, which is recognised by its numbers and needs no option."""
 
 # Columns numbered without a defined order.
 _BY_NUMBER = ("q1", "q2", "q3", "q4")
+
+
+def _of_matrices(values: np.ndarray, where: str) -> np.ndarray:
+    """Return quaternions x y z w, shape (N, 4), of the elements of rotation matrices, (N, 9); refuse
+    others.
+    """
+    found = quaternions_of(values.reshape(-1, 3, 3))
+    wrong = np.flatnonzero(np.isnan(found).any(axis=1))
+    if len(wrong):
+        raise MeasurementError(
+            f"{where}: the matrices of {len(wrong)} of {len(found)} rows are no rotations, first in "
+            f"row {wrong[0] + 1} of the table; expected orthonormal columns: correct or delete the "
+            "rows, or leave the matrix out"
+        )
+    return found
 
 
 def find_orientation(
@@ -173,7 +206,7 @@ def find_orientation(
         return _as_declared(free, declared, source=source)
     found = [
         replace(each, columns=columns)
-        for each in _ALL
+        for each in (*_ALL, MATRIX)
         if (columns := _known(free, each)) is not None
     ]
     if len(found) > 1:
@@ -188,6 +221,20 @@ def looks_like_orientation(names: Collection[str]) -> bool:
     """Return whether columns include those of an orientation, in upper or lower case."""
     folded = {name.casefold() for name in names}
     return any({name.casefold() for name in convention.columns} <= folded for convention in _ALL)
+
+
+def columns_of_orientations(names: Collection[str]) -> set[str]:
+    """Return those columns among some, without units, that are of a whole orientation, in any
+    convention and in upper or lower case.
+
+    Example:
+        >>> sorted(columns_of_orientations(["x", "Roll", "Pitch", "Yaw", "A"]))
+        ['Pitch', 'Roll', 'Yaw']
+    """
+    folded = {name.casefold() for name in names}
+    whole = [{name.casefold() for name in of.columns} for of in (*_ALL, MATRIX)]
+    found = {name for columns in whole if columns <= folded for name in columns}
+    return {name for name in names if name.casefold() in found}
 
 
 def _known(free: Collection[str], convention: Convention) -> tuple[str, ...] | None:

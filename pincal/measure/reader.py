@@ -38,6 +38,8 @@ from pincal.measure.header import (
 )
 from pincal.measure.joined import Log, held_rows, join
 from pincal.measure.labels import is_named, joint_families, renamed, spelled, unignored
+from pincal.measure.list_cells import with_lists
+from pincal.measure.nameless import check_named
 from pincal.measure.nested_sheet import nested_kind, open_nested
 from pincal.measure.orientation import Convention
 from pincal.measure.recordings import is_bag, is_dataset, open_bag, open_dataset, open_parquet
@@ -48,7 +50,7 @@ from pincal.thresholds import Scale
 # Step by which the direction of dependent joints is determined [rad or m].
 _SMALL: Scale = 1e-4
 # Formats that other programs can convert to one that is read.
-_OTHERS = (".xls", ".xlsb", ".ods", ".numbers")
+_OTHERS = (".xls", ".xlsb", ".ods", ".numbers", ".pkl", ".pickle", ".h5", ".hdf5")
 
 
 def open_sheet(
@@ -63,7 +65,7 @@ def open_sheet(
 
     Args:
         path: the file; a recording may be a folder.
-        ignore: topics of a recording to leave out.
+        ignore: topics of a recording, or keys of nested values, to leave out.
         only_joints: whether to read only the joints of a recording, sample by sample.
         joints: those that have to stand still in a recording, and by which the header of a table is
             recognised.
@@ -82,12 +84,12 @@ def open_sheet(
     if ending == ".parquet" or head == b"PAR1":
         return open_parquet(path)
     if kind := nested_kind(path):
-        return open_nested(path, kind)
+        return open_nested(path, kind, ignore=ignore, joints=len(joints))
     if ending in ENDINGS or head == b"PK\x03\x04":
-        return open_excel(path, sheet=sheet, joints=joints)
+        return with_lists(open_excel(path, sheet=sheet, joints=joints))
     if ending in _OTHERS:
         raise MeasurementError(f"{path.name}: {ending} is not read; save the table as .xlsx or CSV")
-    return open_text(path, joints)
+    return with_lists(open_text(path, joints))
 
 
 @contextlib.contextmanager
@@ -388,12 +390,7 @@ def joint_columns(
             place, ignore=options.ignore, only_joints=True, joints=known, sheet=options.sheet
         )
         # Other names are refused, or belong to another file, when rows are read.
-        here = {
-            name: meaning
-            for name, meaning in options.columns.items()
-            if any(is_named(text, name) for text in sheet.labels)
-        }
-        labels = renamed(sheet.labels, here, source=place.name)
+        labels = renamed(sheet.labels, _named_here(sheet, options), source=place.name)
     found = [spelled(label, angles) or spelled(label, lengths) for label in labels]
     if by_words and not any(found):
         found = [(joint, "") for family in joint_families(labels, known)[:1] for joint in family]
@@ -433,14 +430,17 @@ def links_of_rows(
     path = Path(path)
     with typed_errors(path):
         sheet = open_sheet(path, ignore=options.ignore, sheet=options.sheet)
-        labels = renamed(sheet.labels, options.columns, source=path.name, others=sheet.labels)
+        # Other names are refused, or belong to the log of the joints, when rows are read.
+        here = _named_here(sheet, options)
+        labels = renamed(sheet.labels, here, source=path.name)
     names = {name for part in fields for name in part.columns}
     if not any(
         (spelled(label, dict.fromkeys(names, "name")) or ("",))[0] in names for label in labels
     ):
         return [(None, None)]
     schema = Schema(
-        tuple(fields), options=replace(options, ignore=("*", *options.ignore), joints=None)
+        tuple(fields),
+        options=replace(options, ignore=("*", *options.ignore), joints=None, columns=here),
     )
     cells = read_table(path, schema)
     ends: list[list[str | None]]
@@ -462,6 +462,7 @@ def _log(path: Path, schema: Schema, quantities: Mapping[str, str], *, beside: S
     """Return the log of joints in a file, whose other columns are conditions of the rows beside."""
     options = schema.options
     log = open_sheet(path, ignore=options.ignore, only_joints=True, joints=schema.joint_names)
+    check_named(log, schema)
     labels = unignored(
         renamed(log.labels, options.columns, source=path.name, others=beside.labels),
         options.ignore,
@@ -498,9 +499,14 @@ def _with_log(sheet: Sheet, schema: Schema) -> tuple[Sheet, Schema]:
     time = read_cells(sheet, (found["time"],))[0]["time"] if "time" in found else None
     known = {*quantities, *options.ignore}
     whole = join(sheet, log, time, known=known, has=found)
-    here = {
+    here = _named_here(whole, options)
+    return whole, replace(schema, options=replace(options, joints=None, columns=here))
+
+
+def _named_here(sheet: Sheet, options: TableOptions) -> dict[str, str]:
+    """Return the meanings that the user assigned to columns of this sheet."""
+    return {
         name: meaning
         for name, meaning in options.columns.items()
-        if any(is_named(text, name) for text in whole.labels)
+        if any(is_named(text, name) for text in sheet.labels)
     }
-    return whole, replace(schema, options=replace(options, joints=None, columns=here))

@@ -32,6 +32,9 @@ _LOAD = _HERE + "test_loads_of_a_pose_agree_to_a_gram"
 _BETWEEN = _HERE + "test_half_of_a_table_is_read_while_the_arm_is_held"
 _AGREE = _HERE + "test_rows_of_one_pose_of_a_log_agree"
 _LISTS = _HERE + "test_numbers_of_short_lists_are_columns"
+_MATRIX = "test_table_forms.py::test_numbers_are_a_matrix_if_they_form_one"
+_KEYED = "test_table_forms.py::test_keys_are_of_poses_or_of_columns"
+_ALONG = "test_table_forms.py::test_poses_stand_where_the_numbers_show_it"
 _TOOL = _HERE + "test_a_target_is_within_two_metres_of_the_flange"
 _MOVED = _HERE + "test_half_a_radian_moves_a_target"
 _TURN = _HERE + "test_no_rotation_vector_is_longer_than_a_revolution"
@@ -117,6 +120,18 @@ class LayoutNumbers:
     clear: float = number(0.3, "ratio", _EYE,
         "of the residuals of a camera on the hand and a fixed one, below which samples tell "
             "them apart", "chosen: both are nearly equal where they do not")
+    orthonormal: float = number(0.01, "1", _MATRIX,
+        "by which the rows of a rotation matrix, and the last row of a 4 x 4 one, may differ from "
+            "what they are", "above the rounding of three decimals")
+    fewest_keys: int = number(3, "poses", _KEYED,
+        "from which on keys of nested values are recognised as those of poses",
+        "no calibration has fewer")
+    of_pose: int = number(7, "values", _KEYED,
+        "of numbered keys with lists of one length, up to which each is a pose if there are more "
+            "of them, else a column", "a position and a quaternion, or the joints of most arms")
+    poses_to_numbers: float = number(2.0, "ratio", _ALONG,
+        "of columns to rows of numbers without names, above which each column is a pose if nothing "
+            "else shows it", "chosen: a table has about ten numbers a pose, and mostly more poses")
     longest_list: int = number(32, "values", _LISTS,
         "of a list whose numbers are columns", "images are longer")
     frame_moves: float = number(1e-3, "m, 1", _KINDS,

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError, needed, warn
 from pincal.measure.joined import HeldPoses, held_poses, mean_turn
-from pincal.measure.nested_sheet import vector_labels
+from pincal.measure.nested_labels import vector_labels
 from pincal.measure.reading_numbers import LAYOUT
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
 from pincal.thresholds import Count

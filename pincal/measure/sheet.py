@@ -67,12 +67,14 @@ class Sheet(ABC):
         labels: of the header, one entry per column.
         decimal_comma: whether numbers may have a comma instead of a point.
         takes_unknown: whether unneeded columns are normal, such as the joints of a gripper.
+        separator: between the cells of a line: comma, semicolon or tab; empty where a file has none.
     """
 
     path: Path
     labels: tuple[str, ...]
     decimal_comma: bool
     takes_unknown: bool = field(default=False, kw_only=True)
+    separator: str = field(default="", kw_only=True)
 
     @abstractmethod
     def read(self, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
@@ -93,6 +95,14 @@ class Sheet(ABC):
         return bool(cells) and not any(
             plain_numbers([c.replace(",", ".") if self.decimal_comma else c]) for c in cells
         )
+
+    @final
+    def first_numbers(self, index: int) -> np.ndarray:
+        """Return the first cells of a column as numbers, NaN for those without one, shape (M,)."""
+        cells = self.first_cells(index, _SHOWN)
+        texts = (cell.replace(",", ".") if self.decimal_comma else cell for cell in cells)
+        found = (plain_numbers([text.strip()]) for text in texts)
+        return np.array([number[0] if number else np.nan for number in found])
 
     @final
     def is_blank(self, index: int) -> bool:

@@ -21,6 +21,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError, warn
 from pincal.measure.heading import TableHead, find_heading, is_number
+from pincal.measure.nameless import numbers_as_names
 from pincal.measure.sheet import Sheet, SheetColumn
 from pincal.thresholds import Count
 
@@ -40,14 +41,14 @@ class TextSheet(Sheet):
     """Cells between separators, one row per line.
 
     Attributes:
-        separator: comma, semicolon or tab.
-        header_line: line of the header.
+        header_line: line of the header, or the one before the first line of a table without.
+        has_header: whether it has one; else the columns have their numbers for labels.
         content: the whole text in UTF-8 with these separators, where the file differs from it.
     """
 
-    separator: str
     header_line: int
     content: bytes | None = None
+    has_header: bool = True
 
     def read(self, columns: Sequence[SheetColumn]) -> tuple[pl.DataFrame, np.ndarray]:
         """Return the cells; regular tables are read in one pass."""
@@ -77,7 +78,7 @@ def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
     a `PincalWarning`.
 
     Raises:
-        MeasurementError: for a binary or an empty file, or one without names of columns.
+        MeasurementError: for a binary or an empty file.
     """
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
@@ -168,18 +169,31 @@ def _sheet_of_header(path: Path, line: bytes, number: int, *, content: bytes | N
     except UnicodeDecodeError:
         content = _utf8(path.read_bytes(), path)
         header = content.splitlines()[number - 1].decode("utf-8")
-    separator = max(",;\t", key=header.count)
-    if separator not in header and len(header.split()) > 1:
+    separator = _separator(header)
+    if separator == " ":
         lines = (path.read_bytes() if content is None else content).splitlines()
         content = b"\n".join(_BLANKS.sub(b"\t", line.strip(b" \t")) for line in lines)
         header = re.sub(r"\s+", "\t", re.sub(r"\s+(?=[\[(])", "", header.strip()))
         separator = "\t"
     labels = tuple(cell.strip() for cell in _split([header], separator, path.name)[0])
-    if all(re.fullmatch(r"[-+.,\deE]+", label) for label in labels):
-        raise MeasurementError(
-            f"{path.name}, line {number}: numbers; expected the names of the columns, without a #"
-        )
-    return TextSheet(path, labels, separator != ",", separator, number, content)
+    comma = separator != ","
+    if (numbers := numbers_as_names(labels, decimal_comma=comma)) is not None:
+        nameless = TextSheet(path, numbers, comma, number - 1, content, separator=separator)
+        return replace(nameless, has_header=False)
+    return TextSheet(path, labels, comma, number, content, separator=separator)
+
+
+def _separator(header: str) -> str:
+    """Return what stands between the cells of the first line: comma, semicolon, tab or blanks.
+
+    Numbers with decimal commas have more commas than cells.
+    """
+    for mark in (";", "\t", None):
+        numbers = header.split(mark)
+        if len(numbers) > 1 and "," in header and all(map(is_number, numbers)):
+            return mark or " "
+    usual = max(",;\t", key=header.count)
+    return " " if usual not in header and len(header.split()) > 1 else usual
 
 
 def _utf8(text: bytes, path: Path) -> bytes:
@@ -224,7 +238,7 @@ def _read_regular(
             sheet.path if sheet.content is None else io.BytesIO(sheet.content),
             glob=False,
             has_header=False,
-            skip_rows=1,
+            skip_rows=int(sheet.has_header),
             separator=sheet.separator,
             decimal_comma=sheet.decimal_comma,
             comment_prefix="#",

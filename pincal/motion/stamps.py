@@ -238,14 +238,15 @@ def _checked_rate(stream: Stream) -> Stream:
             f"{stream.name}: time counts 1, 2, 3, ...: frames or samples; expected "
             "seconds: divide by the rate of the device"
         )
-    fits = _fitting_unit(stream, step, slowest)
-    is_unstated = fits and "time" not in stream.units
-    cure = (
-        f"looks like [{fits}]: write `time [{fits}]` in the header"
-        if is_unstated
-        else "check its unit, or log faster"
-    )
     raise MeasurementError(
         f"{stream.name}: a row every {step:.3g} s; expected {slowest:g} to {STAMP.fastest:g} "
-        f"rows a second; {cure}"
+        f"rows a second; {_cure_of_rate(stream, step, slowest)}"
     )
+
+
+def _cure_of_rate(stream: Stream, step: float, slowest: float) -> str:
+    """Return what may be done about an implausible rate, in words."""
+    fits = _fitting_unit(stream, step, slowest)
+    if fits and "time" not in stream.units:
+        return f"looks like [{fits}]: write `time [{fits}]` in the header"
+    return "check its unit, or log faster"

@@ -219,18 +219,24 @@ def _check_forces(
         )
 
 
+def _determining(rates: np.ndarray) -> list[np.ndarray]:
+    """Return the blocks of rows that determine the mount: an arm at rest, or in rotation about a
+    single axis, does not.
+    """
+    speed = np.linalg.norm(rates, axis=1)
+    turning = np.flatnonzero(speed > _LEAST * float(np.sqrt(np.mean(speed**2))))
+    blocks = [turning[k : k + _BLOCK] for k in range(0, len(turning) - _BLOCK + 1, _BLOCK)]
+    across = [np.linalg.eigvalsh(rates[b].T @ rates[b])[:2].sum() for b in blocks]
+    return [b for b, size in zip(blocks, across, strict=True) if size > _LEAST * max(across)]
+
+
 def _check_slip(
     arm: MovingArm, imu: Stream, rows: ImuRows, clock: Clock, mount: np.ndarray
 ) -> None:
     """Refuse an IMU whose mount rotated while it was logged."""
     ideal = arm.ideal(clock.to_joints(rows.time), rows.window).rate @ mount
     bias = np.median(rows.readings[3:].T - ideal, axis=0)
-    # An arm at rest, or in rotation about a single axis, does not determine the mount.
-    speed = np.linalg.norm(ideal, axis=1)
-    turning = np.flatnonzero(speed > _LEAST * float(np.sqrt(np.mean(speed**2))))
-    blocks = [turning[k : k + _BLOCK] for k in range(0, len(turning) - _BLOCK + 1, _BLOCK)]
-    across = [np.linalg.eigvalsh(ideal[b].T @ ideal[b])[:2].sum() for b in blocks]
-    blocks = [b for b, size in zip(blocks, across, strict=True) if size > _LEAST * max(across)]
+    blocks = _determining(ideal)
     count = len(blocks)
     if count < 4:
         return

@@ -252,6 +252,14 @@ def _unwrapped(stream: Stream, names: Sequence[str], turning: np.ndarray) -> Str
     return replace(stream, readings={**stream.readings, "q": q})
 
 
+def _refuse_stuck(stream: Stream, column: str, values: np.ndarray, others: np.ndarray) -> None:
+    if stuck := _longest_stuck(stream.time, values, others):
+        raise MeasurementError(
+            f"{stream.name}: column {column!r} is constant for {stuck:.3g} s while others "
+            "change; the axis is broken or not logged: repair the log, or leave that part out"
+        )
+
+
 def checked_imu(stream: Stream) -> Stream:
     """Return the plausible stream of an IMU, without clipped samples and repetitions in a log
     faster than the device.
@@ -277,11 +285,7 @@ def checked_imu(stream: Stream) -> Stream:
     cut = np.any([*ends.values()], axis=0)
     for k, (column, values) in enumerate(columns.items()):
         others = np.delete(force if k < 3 else rate, k % 3, axis=1)
-        if stuck := _longest_stuck(stream.time, np.where(ends[column], np.nan, values), others):
-            raise MeasurementError(
-                f"{stream.name}: column {column!r} is constant for {stuck:.3g} s while others "
-                "change; the axis is broken or not logged: repair the log, or leave that part out"
-            )
+        _refuse_stuck(stream, column, np.where(ends[column], np.nan, values), others)
     if cut.any():
         warn(
             f"{stream.name}: {int(cut.sum())} rows are clipped at the limit of the IMU's "

@@ -8,7 +8,7 @@ They change only at singularities.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -30,6 +30,11 @@ from pincal.units import plain_number
 _POOL: Count = 30_000
 _STARTS: Count = 12
 _MORE_STARTS: Count = 64
+# Configurations at which it is tried whether axes meet, and the distance at which they do [m].
+_TRIED: Count = 8
+_MEETING: Scale = 1e-6
+# A solution in the posture that the arm has, nearer than this, is the nearest one [rad].
+_CLOSE: Scale = 0.5
 # Solutions that differ by less are the same [rad or m].
 _SAME: Scale = 1e-5
 # Poses searched for at once.
@@ -201,6 +206,20 @@ class ArmSearch:
                 found.append(self._distinct(q[mine[allowed]]))
         return found
 
+    @cached_property
+    def has_one_per_posture(self) -> bool:
+        """Whether a posture leaves one choice up to whole turns: the axes of the wrist meet."""
+        if not self.has_sides:
+            return False
+        q = self.robot.random_configurations(_TRIED, np.random.default_rng(0))
+        axes = self._axes(q)
+        wrist = _nearest(axes[:, 4], axes[:, 3])
+        apart = [
+            np.linalg.norm(np.cross(wrist - axes[:, i, :3, 3], axes[:, i, :3, 2]), axis=1).max()
+            for i in (3, 4, 5)
+        ]
+        return bool(max(apart) < _MEETING)
+
     def reach(self, q: np.ndarray, tips: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the joint positions closest to q, shape (N, n), at poses of the tip, (N, 3, 4),
         and which are reached.
@@ -248,6 +267,12 @@ class ArmSearch:
         Returns:
             Shape (n,), or None if no turns lead there.
         """
+        turns = np.array([kind != "prismatic" for kind in self.robot.joint_types])
+        out = q + np.where(turns, _TURN * np.round((near - q) / _TURN), 0.0)
+        is_inside = np.all((out >= self.robot.lower - 1e-9) & (out <= self.robot.upper + 1e-9))
+        # No other turns are nearer.
+        if is_inside and self._has_turns(out, posture):
+            return out
         out = q.copy()
         for joint, kind in enumerate(self.robot.joint_types):
             wanted = [turn for turn in posture.turns if turn.joint == joint]
@@ -266,7 +291,18 @@ class ArmSearch:
 
     def has_turns(self, q: np.ndarray, posture: Posture) -> bool:
         """Return whether joint positions, shape (n,), have the turn numbers of a posture."""
+        if self._has_turns(q, posture):
+            return True
         return all(self._counts(q[None], turn)[0] for turn in posture.turns)
+
+    def _has_turns(self, q: np.ndarray, posture: Posture) -> bool:
+        """Return whether joint positions, shape (n,), have the turn numbers, not only next to
+        them.
+        """
+        if not posture.turns:
+            return True
+        axes = self.axes.to_program(q).tolist()
+        return all(turn.counted(axes[turn.joint]) == turn.value for turn in posture.turns)
 
     def _counts(self, q: np.ndarray, turn: Turn) -> np.ndarray:
         """Return whether a turn number holds at, or next to, joint positions, shape (N, n); shape
@@ -281,6 +317,90 @@ class ArmSearch:
                 for row in np.transpose(angles).tolist()
             ]
         )
+
+
+@dataclass
+class PoseSearch:
+    """The joint positions that reach the poses of a program, searched for as they are asked for.
+
+    Most points are near the one before: from there a single search finds them. Only where its
+    result is not clearly the one that the controller chooses, all others are searched for.
+
+    Attributes:
+        arms: the inverse kinematics.
+        tips: shape (N, 3, 4), poses of the tip.
+        postures: of each, as far as the controller obeys them.
+        seed: shape (n,), joint positions from which to start as well.
+    """
+
+    arms: ArmSearch
+    tips: np.ndarray
+    postures: list[Posture]
+    seed: np.ndarray | None
+    _guesses: dict[int, tuple[np.ndarray, np.ndarray, bool]] = field(default_factory=dict)
+    _found: dict[int, np.ndarray] = field(default_factory=dict)
+    _sides: dict[bytes, np.ndarray] = field(default_factory=dict)
+
+    def clear_choice(
+        self, i: int, posture: Posture, near: np.ndarray, *, known: np.ndarray | None
+    ) -> np.ndarray | None:
+        """Return the joint positions of a pose if they are clear, else None.
+
+        Args:
+            i: the pose.
+            posture: the wanted one.
+            near: shape (n,), joint positions from which the search starts.
+            known: shape (n,), joint positions that the arm comes from, if they are known.
+        """
+        if not self.arms.has_sides:
+            return None
+        q, sides, is_reached = self._guess(i, near)
+        wanted = posture
+        if not posture.is_whole:
+            if known is None:
+                return None
+            front, up, down = (bool(side > 0.0) for side in self.sides_of(known))
+            wanted = Posture(front, up, down)
+        is_same = bool(np.all(sides != 0.0)) and wanted.allows(sides) and posture.allows(sides)
+        turned = self.arms.turned(q, posture, near) if is_reached and is_same else None
+        if turned is None:
+            return None
+        is_only = posture.is_whole and self.arms.has_one_per_posture
+        if not is_only and float(np.abs(turned - near).max()) >= _CLOSE:
+            return None
+        self._sides[turned.tobytes()] = sides
+        return turned
+
+    def sides_of(self, q: np.ndarray) -> np.ndarray:
+        """Return the sides of joint positions, shape (n,), mostly those of an earlier pose."""
+        key = q.tobytes()
+        if key not in self._sides:
+            self._sides[key] = self.arms.sides(q[None])[0]
+        return self._sides[key]
+
+    def _guess(self, i: int, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Return the joint positions found from others, their sides, and whether they reach the pose
+        in its posture.
+        """
+        if i not in self._guesses:
+            rows = range(i, min(i + _PIECE, len(self.tips)))
+            q, reached = self.arms.reach(np.tile(near, (len(rows), 1)), self.tips[rows])
+            sides = self.arms.sides(q)
+            self._guesses |= {
+                row: (q[k], sides[k], bool(reached[k]) and self.postures[row].allows(sides[k]))
+                for k, row in enumerate(rows)
+            }
+        return self._guesses[i]
+
+    def all_of(self, i: int) -> np.ndarray:
+        """Return all joint positions that reach a pose, shape (solutions, n)."""
+        if i not in self._found:
+            # Those behind it whose guess is of no use will be asked for as well.
+            behind = range(i + 1, min(i + _PIECE, len(self.tips)))
+            rows = [i, *(k for k in behind if k in self._guesses and not self._guesses[k][2])]
+            found = self.arms.find(self.tips[rows], [self.postures[k] for k in rows], self.seed)
+            self._found |= dict(zip(rows, found, strict=True))
+        return self._found[i]
 
 
 def rigid_pose(robot: Robot, link: str, seen_from: str) -> np.ndarray | None:

@@ -20,12 +20,12 @@ from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensation import compensate_poses
 from pincal.compensate.robot_frames import false_targets
 from pincal.model.conditions import Conditions
-from pincal.programs.arms import ArmSearch, ProgramAxes
+from pincal.programs.arms import ArmSearch, PoseSearch, ProgramAxes
 from pincal.programs.flow import OUTSIDE
 from pincal.programs.language import ControllerLanguage
 from pincal.programs.program import Edit, Frame, Load, Point, PointKey, Posture, Program, Skipped
 from pincal.programs.program_numbers import PROGRAM_NUMBERS
-from pincal.robot.se3 import compose, inverse, rotation_vectors, transform
+from pincal.robot.se3 import compose, inverse, transform
 from pincal.thresholds import Count, Scale
 
 # Difference of two frames with the same values, rounded [m and ratio].
@@ -221,7 +221,7 @@ class Corrector:
         skipped = list(program.skipped)
         framed = self._framed(program, skipped)
         uses = _first_uses(program)
-        found = self._reaching(program, framed, uses)
+        search, numbers = self._search(program, framed, uses)
         joints = dict[PointKey, np.ndarray]()
         for key, point in program.points.items():
             if key not in framed:
@@ -229,7 +229,7 @@ class Corrector:
             q = (
                 self.joints(point)
                 if point.kind == "joints"
-                else self._chosen(point, found[key], uses[key], joints)
+                else self._chosen(point, (search, numbers[key]), uses[key], joints)
             )
             if isinstance(q, str):
                 skipped.append(point.skip(q))
@@ -264,13 +264,13 @@ class Corrector:
                 framed[key] = frames
         return framed
 
-    def _reaching(
+    def _search(
         self,
         program: Program,
         framed: Mapping[PointKey, tuple[np.ndarray, np.ndarray]],
         uses: Mapping[PointKey, _Use],
-    ) -> dict[PointKey, np.ndarray]:
-        """Return all joint positions that reach each pose, shape (solutions, n)."""
+    ) -> tuple[PoseSearch, dict[PointKey, int]]:
+        """Return the search for the joint positions of all poses, and their numbers in it."""
         poses = {key: program.points[key] for key in framed if program.points[key].kind == "pose"}
         tips = [
             framed[key][0] @ self.language.pose(point.values) @ framed[key][1]
@@ -281,7 +281,8 @@ class Corrector:
             point.posture if uses[key].takes_posture else Posture() for key, point in poses.items()
         ]
         reached = np.array(tips).reshape(-1, 4, 4)[:, :3]
-        return dict(zip(poses, self.arms.find(reached, postures, self.cell.seed), strict=True))
+        search = PoseSearch(self.arms, reached, postures, self.cell.seed)
+        return search, {key: i for i, key in enumerate(poses)}
 
     def _refusal(self, point: Point) -> str:
         if reason := self.language.refusal(point):
@@ -317,7 +318,11 @@ class Corrector:
         )
 
     def _chosen(
-        self, point: Point, found: np.ndarray, use: _Use, joints: Mapping[PointKey, np.ndarray]
+        self,
+        point: Point,
+        place: tuple[PoseSearch, int],
+        use: _Use,
+        joints: dict[PointKey, np.ndarray],
     ) -> np.ndarray | str:
         """Return the joint positions with which a controller reaches a pose, or why they are not
         known.
@@ -336,12 +341,11 @@ class Corrector:
             and not (use.takes_posture and posture.is_whole)
         ):
             front, up, down = (
-                bool(side > 0.0) if side else None for side in self.arms.sides(start[None])[0]
+                bool(side > 0.0) if side else None for side in place[0].sides_of(start)
             )
             posture = Posture(front, up, down)
-        near = (
-            known if known is not None else list(joints.values())[-1] if joints else self.cell.seed
-        )
+        last = joints[next(reversed(joints))] if joints else self.cell.seed
+        near = known if known is not None else last
         is_determined = known is not None or (self.arms.has_sides and posture.is_whole)
         if near is None and not is_determined:
             return (
@@ -349,7 +353,11 @@ class Corrector:
                 "start from (--seed-joints)"
             )
         near = np.zeros(self.robot.n_joints) if near is None else near
-        reached = self._nearest_first(found, posture, near)
+        search, i = place
+        clear = search.clear_choice(i, posture, near, known=known) if is_determined else None
+        if clear is not None:
+            return clear
+        reached = self._nearest_first(search.all_of(i), posture, near)
         if not reached:
             return (
                 "no joint positions within the limits reach it in its posture, by the nominal model"
@@ -419,27 +427,29 @@ class Corrector:
         tips = self.arms.tips(q)
         commanded, reasons = self.solve(q, tips, payloads)
         moved = self.arms.tips(commanded)
+        sides = self.arms.sides(q)
+        axes = self.cell.axes.to_program(commanded)
         changes = {}
         for i, (key, row) in enumerate(rows.items()):
-            point = row.point
-            frames = row.frames
             if reasons[i]:
-                skipped.append(point.skip(reasons[i]))
+                skipped.append(row.point.skip(reasons[i]))
                 continue
+            base, tool = (np.linalg.inv(frame) for frame in row.frames)
             ends = (transform(T[i, :, :3], T[i, :, 3]) for T in (tips, moved))
-            before, after = (np.linalg.inv(frames[0]) @ T @ np.linalg.inv(frames[1]) for T in ends)
-            if point.kind == "pose":
-                values = self.language.numbers(after, point.values)
-            else:
-                values = self.cell.axes.to_program(commanded[i : i + 1])[0] / self._units
-            turn = float(np.linalg.norm(rotation_vectors((after[:3, :3] @ before[:3, :3].T)[None])))
-            shift = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
-            posture = point.posture
-            has_it = posture.allows(self.arms.sides(q[i : i + 1])[0]) and self.arms.has_turns(
-                q[i], posture
+            before, after = (base @ T @ tool for T in ends)
+            point = row.point
+            values = (
+                self.language.numbers(after, point.values)
+                if point.kind == "pose"
+                else axes[i] / self._units
             )
+            # The angle of a small rotation, without the loss of a cosine near 1.
+            apart = np.linalg.norm(after[:3, :3] - before[:3, :3]) / np.sqrt(8.0)
+            turn = 2.0 * float(np.arcsin(min(apart, 1.0)))
+            shift = float(np.linalg.norm(after[:3, 3] - before[:3, 3]))
+            has_it = point.posture.allows(sides[i]) and self.arms.has_turns(q[i], point.posture)
             changes[key] = Change(
-                point, values, q[i], commanded[i], frames, row.payload, shift, turn, has_it
+                point, values, q[i], commanded[i], row.frames, row.payload, shift, turn, has_it
             )
         return changes
 

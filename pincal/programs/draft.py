@@ -149,7 +149,9 @@ class Draft:
         # What the program sets of a frame that it does not state in numbers.
         for motion in self.motions:
             for kind, frame in (("tool", motion.tool), ("base", motion.base)):
-                why = self._why(frame.name) if frame.name and frame.pose is None else ""
+                # System variables are followed from statement to statement.
+                is_followed = frame.pose is not None or frame.name[:1] in ("", "$")
+                why = "" if is_followed else self._why(frame.name)
                 if why:
                     frames[kind].setdefault(frame.name, why)
         program = Program(self.sources, frames["tool"], frames["base"], skipped=list(self.skipped))

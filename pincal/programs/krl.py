@@ -429,6 +429,10 @@ class _Reader(Reader):
             if len(sides) == 2 and text_of_items(sides[0]) == variable:
                 return self._frame_of(variable, k, sides[1], data)
         found = self.flow[k].setters.get(variable)
+        around = self.flow[k].routine
+        routine = self.steps[around].routine if around >= 0 else ""
+        if found is None and routine in self.entries.displaced_at_start(variable):
+            found = "a routine that calls this one sets it"
         if not isinstance(found, int):
             hint = f" (--with its file, or --{variable[1:].lower()} '{variable}=X,Y,Z,...')"
             why = f"{variable}: {found}{hint if found is not None and OUTSIDE in found else ''}"

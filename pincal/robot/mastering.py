@@ -1,4 +1,4 @@
-"""The same arm with other zeros and directions of its joints."""
+"""The same arm with other zeros and directions of its joints, or other lengths."""
 
 from __future__ import annotations
 
@@ -63,6 +63,61 @@ def remastered(
         tree = parse_urdf(etree.tostring(root), source=robot.source)
         found = Robot.from_tree(tree, robot.request)
     flipped = np.isin(robot.joint_names, list(turned))
+    return _as_known(found, robot, flipped)
+
+
+def resized(robot: Robot, lengths: Mapping[str, float]) -> Robot:
+    """Return an arm with other lengths.
+
+    Args:
+        robot: the arm.
+        lengths: what lengths are longer by [m], by the names of their Denavit-Hartenberg
+            parameters: ``"elbow_joint.a"`` from a joint's axis to the next, ``"elbow_joint.d"``
+            along it.
+
+    Raises:
+        BadInputError: for a joint after which no other one follows, where a length is the tool's.
+
+    Example:
+        >>> robot = Robot.from_urdf("ur10")
+        >>> longer = resized(robot, {"elbow_joint.a": 0.02})
+        >>> np.round((longer.frames.parameters - robot.frames.parameters)[2, 3:5], 9).tolist()
+        [0.0, 0.02]
+    """
+    if not lengths:
+        return robot
+    root = parse_xml(robot.urdf, robot.source)
+    joints = {joint.get("name"): joint for joint in root.iterfind("joint")}
+    for name, longer in lengths.items():
+        joint, _, symbol = name.partition(".")
+        i = robot.joint_names.index(joint)
+        following = robot.next_joint(i)
+        if following is None or symbol not in ("a", "d"):
+            raise BadInputError(f"{name!r} is no length between two joints; expected JOINT.a or .d")
+        x_axis = robot.frames.T_base_link[i, :3, 0]
+        axis = x_axis if symbol == "a" else robot.frames.axis(i, robot.parents[i])
+        _lengthen(joints[robot.joint_names[following]], robot, following, longer * axis)
+    with warnings.catch_warnings(action="ignore", category=PincalWarning):
+        tree = parse_urdf(etree.tostring(root), source=robot.source)
+        found = Robot.from_tree(tree, robot.request)
+    return _as_known(found, robot, np.zeros(robot.n_joints, bool))
+
+
+def _lengthen(joint: Any, robot: Robot, i: int, by: np.ndarray) -> None:
+    """Move the origin of the i-th joint of an arm by a vector in the base frame at q = 0,
+    shape (3,) [m].
+    """
+    origin = _part(joint, "origin")
+    turn = Rotation.from_euler("xyz", _numbers(origin, "rpy", "0 0 0")).as_matrix()
+    at_zero = (robot.frames.T_base_link[i] @ robot.T_link_joint[i])[:3, :3]
+    moved = np.array(_numbers(origin, "xyz", "0 0 0")) + turn @ at_zero.T @ by
+    origin.set("xyz", _text(moved))
+
+
+def _as_known(found: Robot, robot: Robot, flipped: np.ndarray) -> Robot:
+    """Return an arm that was read again with all that is known of it besides its URDF; ``flipped``,
+    shape (n,), are joints that count the other way now.
+    """
     # Links keep their pose in the URDF's joint frames.
     frames = found.T_link_joint @ np.linalg.inv(robot.T_link_joint)
     return replace(

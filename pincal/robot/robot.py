@@ -20,11 +20,12 @@ from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
 from pincal.robot.robot_numbers import OF_ROBOT
 from pincal.robot.tree import Coupling, Mimic, UrdfTree, mimicked, numbered
-from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf
+from pincal.robot.urdf_file import find_file, parse_urdf, read_urdf, written_by_yourdfpy
 from pincal.units import real_array
 
 if TYPE_CHECKING:
     import pinocchio as pin
+    import yourdfpy
 
 
 @dataclass(frozen=True, repr=False)
@@ -108,7 +109,7 @@ class Robot:
     @classmethod
     def from_urdf(
         cls,
-        source: str | os.PathLike[str] | bytes,
+        source: str | os.PathLike[str] | bytes | yourdfpy.URDF,
         *,
         tip: str | None = None,
         base: str | None = None,
@@ -125,7 +126,8 @@ class Robot:
 
         Args:
             source: path of a URDF or xacro file, the name of a robot of example-robot-data
-                ("ur10"), or the URDF's text as bytes.
+                ("ur10"), the URDF's text as bytes, or a ``yourdfpy.URDF``, as the text that
+                yourdfpy writes of it (without comments and tags that it does not know).
             tip: link at the end of the arm; default: the end of the chain of ``joints``, or of the
                 longest moving chain without its gripper.
             base: link on which the robot stands; default: the root of the URDF, or the parent of
@@ -150,11 +152,10 @@ class Robot:
             >>> robot.joint_names[:2]
             ('shoulder_pan_joint', 'shoulder_lift_joint')
         """
-        tree = (
-            parse_urdf(source)
-            if isinstance(source, bytes)
-            else read_urdf(find_file(source), xacro_args=xacro_args)
-        )
+        if isinstance(text := written_by_yourdfpy(source), bytes):
+            tree = parse_urdf(text)
+        else:
+            tree = read_urdf(find_file(text), xacro_args=xacro_args)
         return cls.from_tree(
             tree, TreeRequest(tip, start, base, joints, tuple(paths), tuple(others)), mass=mass
         )

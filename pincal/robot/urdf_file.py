@@ -9,6 +9,7 @@ import difflib
 import io
 import os
 import re
+import sys
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -79,6 +80,25 @@ def arm_text(text: bytes, moving: Collection[str], source: str, *, loops: bool =
                 joint.remove(mimic)
     root.extend(closing if loops else [])
     return str(etree.tostring(root, encoding="unicode"))
+
+
+def written_by_yourdfpy(source: Any) -> Any:
+    """Return the text of a robot that yourdfpy has read; anything else as it is.
+
+    Raises:
+        RobotFileError: if yourdfpy can't write it.
+    """
+    # Whoever has such an object has imported its library.
+    library = sys.modules.get("yourdfpy")
+    if library is None or not isinstance(source, library.URDF):
+        return source
+    try:
+        return bytes(source.write_xml_string())
+    except Exception as error:  # The library of others may raise anything for its object.
+        raise RobotFileError(
+            f"yourdfpy.URDF: can't be written by yourdfpy ({type(error).__name__}: {error}); give "
+            "the file"
+        ) from None
 
 
 def read_urdf(

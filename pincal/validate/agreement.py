@@ -14,12 +14,14 @@ from pincal.errors import MeasurementError
 from pincal.hypotheses.hypothesis import Explanation, Likeliest, likeliest
 from pincal.identify.criteria import AGREEMENT
 from pincal.identify.fit import ModelFit
+from pincal.identify.initial import base_seen
 from pincal.identify.options import Options
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import JointOffset
 from pincal.robot.robot import Robot
 from pincal.validate.cures import Case, Correction, Mistake, shift_words
+from pincal.validate.orientations import NONE, OrientationSearch
 from pincal.validate.rough_fit import roughly_placed, typical_residuals
 from pincal.validate.trials import Cure, PlausibleResiduals, Residuals, Trials
 
@@ -58,9 +60,16 @@ def check_agreement(
         suspect = _Suspect(trials, error, left, pulled)
         if suspect.is_sound:
             continue
-        found = likeliest(list(suspect.explanations()), lambda least: AGREEMENT.rival * least)
+        is_held = fit.options.earlier is not None
+        found = suspect.likeliest()
         if found is not None:
-            return suspect.believed(found, is_held=fit.options.earlier is not None)
+            return suspect.believed(found, is_held=is_held)
+        by_positions = suspect.by_positions()
+        if by_positions is not None:
+            if by_positions.is_plausible:
+                suspect.refuse_orientations(by_positions)
+            if not by_positions.is_sound and (found := by_positions.likeliest()) is not None:
+                return by_positions.believed(found, is_held=is_held)
         suspect.refuse_another_robot()
     return None
 
@@ -92,10 +101,14 @@ class _Suspect:
         return self.trials.case.robot.reach
 
     @property
+    def is_plausible(self) -> bool:
+        """Whether such residuals are those of real arms."""
+        return self.error[0] < AGREEMENT.suspicious * self.reach and self.exceeded < 1.0
+
+    @property
     def is_sound(self) -> bool:
         """Whether nothing is to be explained."""
-        is_near = self.error[0] < AGREEMENT.suspicious * self.reach
-        return is_near and self.exceeded < 1.0 and not self.pulled
+        return self.is_plausible and not self.pulled
 
     @property
     def found(self) -> str:
@@ -117,6 +130,32 @@ class _Suspect:
             exceeded = limits.exceeded(cure_of_zeros.left)
             if exceeded < min(1.0, self._enough(cure_of_zeros.mistake)):
                 yield Explanation(cure_of_zeros, exceeded)
+
+    def likeliest(self) -> Likeliest[Cure] | None:
+        """Return the mistake that explains the residuals best, or else the description that differs
+        most ways at once; None if nothing does.
+        """
+        found = likeliest(list(self.explanations()), lambda least: AGREEMENT.rival * least)
+        if found is not None:
+            return found
+        described = self.trials.described(self.error[0])
+        if described is None:
+            return None
+        exceeded = self.trials.limits.exceeded(described.left)
+        is_enough = exceeded < min(1.0, self.exceeded / AGREEMENT.improved)
+        return likeliest([Explanation(described, exceeded, is_enough)], lambda least: least)
+
+    def by_positions(self) -> _Suspect | None:
+        """Return the same table without its orientations; None if it has none, or no fit."""
+        table = self.trials.case.table
+        if table.kind != "pose":
+            return None
+        trials = self.trials.of_positions()
+        fit, left = trials.calibrated(trials.case)
+        if fit is None:
+            return None
+        error = typical_residuals(fit.station, fit.nominal.values)
+        return _Suspect(trials, error, left, _pulled(fit))
 
     def _enough(self, shifts: Mistake) -> float:
         """Return the residuals, relative to plausible ones, below which shifts of zeros explain
@@ -150,6 +189,38 @@ class _Suspect:
             f"with this corrected {found.best.left[0] * 1e3:.1f} mm; {mistake.advice}"
         )
 
+    def refuse_orientations(self, by_positions: _Suspect) -> None:
+        """Refuse orientations that do not belong to positions which fit alone.
+
+        Raises:
+            MeasurementError: naming what is wrong with them, if it is found, or if they have
+                nothing to do with the robot.
+        """
+        case = self.trials.case
+        placed = by_positions.trials.case.table
+        if not case.robot.is_serial or case.table.from_link is not None:
+            return
+        base = base_seen(case.robot, {"": placed}, by_positions.trials.options)[:3, :3]
+        limit = max(AGREEMENT.turned, self.trials.limits.orientation)
+        search = OrientationSearch(case.robot, case.table, base, limit)
+        cause = search.cause()
+        left = search.under(None).left
+        found = (
+            f"positions alone fit to {by_positions.left[0] * 1e3:.2g} mm, the orientations alone "
+            f"to {left * 1e3:.2g} mrad"
+        )
+        if cause is not None:
+            corrected = search.under(cause).left * 1e3
+            raise MeasurementError(
+                f"{case.table.source}: {cause.words}: {found}, with this corrected "
+                f"{corrected:.2g} mrad; {cause.advice}"
+            )
+        if left > AGREEMENT.senseless:
+            raise MeasurementError(
+                f"{case.table.source}: the orientations are not those of this robot: {found}; "
+                f"check their convention (--orientation), {NONE}"
+            )
+
     def refuse_another_robot(self) -> None:
         """Refuse residuals that no geometric error explains."""
         if self.error[0] > AGREEMENT.hopeless * self.reach:
@@ -172,16 +243,19 @@ def _is_same(sign: Mistake, zero: Mistake) -> bool:
 
 
 def _pulled(fit: ModelFit) -> frozenset[str]:
-    """Return the joints whose zeros the data have pulled far outside their priors."""
-    offsets = [
-        (p, fit.values[i])
-        for i, p in enumerate(fit.problem.parameters)
-        if p.effect == JointOffset.name
-    ]
+    """Return the joints whose zeros the data have pulled far outside their priors, or outside what
+    an earlier fit, or the robot's type, says of them.
+    """
+    expected = fit.problem.beliefs.with_earlier(np.zeros(len(fit.values)))
+    sizes = np.array([p.size for p in fit.problem.parameters])
+    for term in fit.problem.beliefs.terms:
+        if term.sigma is not None:
+            sizes[term.places] = np.maximum(sizes[term.places], term.sigma)
+    is_far = np.abs(fit.values - expected) > AGREEMENT.pulled * sizes
     return frozenset(
         p.name.split(".")[0]
-        for p, value in offsets
-        if p.unit == "rad" and abs(value) > AGREEMENT.pulled * p.size
+        for p, is_pulled in zip(fit.problem.parameters, is_far, strict=True)
+        if is_pulled and p.effect == JointOffset.name and p.unit == "rad"
     )
 
 

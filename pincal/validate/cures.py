@@ -20,7 +20,7 @@ import numpy as np
 from pincal.errors import BadInputError, PincalWarning, counted
 from pincal.hypotheses.hypothesis import Hypothesis, exchange_order
 from pincal.measure.measurements import Measurements
-from pincal.robot.mastering import free_joints, remastered
+from pincal.robot.mastering import free_joints, remastered, resized
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Coupling
 from pincal.robot.urdf_file import find_file
@@ -64,28 +64,43 @@ class Correction:
         shifts: positions of joints by the URDF when they report zero [rad], by name.
         turned: names of the joints that count the other way.
         couplings: joints that report a combination of positions.
+        lengths: what lengths between joints have more than the URDF's [m], by the names of their
+            parameters.
     """
 
     shifts: Mapping[str, float] = field(default_factory=dict)
     turned: tuple[str, ...] = ()
     couplings: tuple[Coupling, ...] = ()
+    lengths: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def size(self) -> int:
+        """The number of things in which it differs from the description."""
+        return sum(map(len, (self.shifts, self.turned, self.couplings, self.lengths)))
 
     def of(self, robot: Robot) -> Robot:
         """Return the robot with its description corrected."""
+        robot = resized(robot, self.lengths)
         if self.shifts or self.turned:
             robot = remastered(robot, shifts=self.shifts, turned=self.turned)
         return robot.with_couplings(*self.couplings) if self.couplings else robot
 
-    def undone(self, case: Case) -> Case:
-        """Return a table with the positions that the robot would have reported by its uncorrected
-        description.
+    def of_urdf(self, robot: Robot, reported: np.ndarray) -> np.ndarray:
+        """Return the positions that joints have by the uncorrected description, for reported ones,
+        shape (N, n) each.
         """
-        robot = case.robot
         shifts = [self.shifts.get(name, 0.0) for name in robot.joint_names]
         signs = np.where(np.isin(robot.joint_names, self.turned), -1.0, 1.0)
         found = robot.with_couplings(*self.couplings) if self.couplings else robot
-        positions = found.from_reported(case.table.q)
-        return case.with_q(robot.as_reported(positions) * signs + shifts)
+        return np.asarray(found.from_reported(reported) * signs + shifts)
+
+    def undone(self, case: Case) -> Case:
+        """Return a table with the positions that the robot would have reported by its uncorrected
+        description, except for lengths, which the robot of the case then has.
+        """
+        robot = case.robot
+        q = self.of_urdf(robot, case.table.q)
+        return replace(case.with_q(robot.as_reported(q)), robot=resized(robot, self.lengths))
 
     def mistake(self, words: str) -> Mistake:
         """Return the hypothesis that the description needs this correction."""
@@ -123,7 +138,31 @@ class Correction:
                 f"{one.joint} reports {way}, as coupled drives do: the model has "
                 f"{one.joint} = {one.joint} reported {added}"
             )
+        notes += [length_words(name, more) for name, more in self.lengths.items()]
         return tuple(notes)
+
+    @property
+    def words(self) -> str:
+        """What differs from the description, in a sentence."""
+        parts = [f"{name!r} counts in the opposite sense" for name in self.turned]
+        pairs = zip(self.couplings, self.lacks, strict=True)
+        parts += [f"{one.joint!r} reports {lacks}" for one, lacks in pairs]
+        parts += [
+            f"{name!r} is shifted by {np.rad2deg(shift):+.1f} deg"
+            for name, shift in self.shifts.items()
+        ]
+        parts += [length_words(name, more) for name, more in self.lengths.items()]
+        return " and ".join(parts)
+
+
+def length_words(parameter: str, more: float) -> str:
+    """Return the note on a length, by the name of its parameter, that differs from the URDF [m]."""
+    joint, symbol = parameter.split(".")
+    of = "along its axis" if symbol == "d" else "to the next axis"
+    way = "longer" if more > 0.0 else "shorter"
+    return (
+        f"the length {symbol} of {joint} ({of}) is {abs(more) * 1e3:.1f} mm {way} than in the URDF"
+    )
 
 
 def shift_words(joint: str, shift: float) -> str:
@@ -166,13 +205,18 @@ def descriptions(robot: Robot, table: Measurements) -> Iterator[Mistake]:
     for name in free_joints(robot):
         correction = Correction(turned=(name,))
         yield correction.mistake(f"the column {name!r} appears to have the wrong sign")
+    for coupling in couplings_of(robot):
+        correction = Correction(couplings=(coupling,))
+        yield correction.mistake(
+            f"the column {coupling.joint!r} appears to hold {correction.lacks[0]}"
+        )
+
+
+def couplings_of(robot: Robot) -> Iterator[Coupling]:
+    """Yield the reports of coupled drives that a robot may have."""
     for i, j in _neighbours(robot):
         for factor in (*_ADDED, *(_OF_WRISTS if min(i, j) >= robot.n_joints - _WRIST else ())):
-            coupling = Coupling(robot.joint_names[i], robot.joint_names[j], factor)
-            correction = Correction(couplings=(coupling,))
-            yield correction.mistake(
-                f"the column {robot.joint_names[i]!r} appears to hold {correction.lacks[0]}"
-            )
+            yield Coupling(robot.joint_names[i], robot.joint_names[j], factor)
 
 
 def _neighbours(robot: Robot) -> Iterator[tuple[int, int]]:
@@ -218,6 +262,26 @@ def _of_readings(
         return replace(case, table=case.table.with_readings(**changed))
 
     return undone
+
+
+def from_hand(robot: Robot, table: Measurements) -> Iterator[Mistake]:
+    """Yield that a camera on the hand saw an object beside the robot, not an instrument there the
+    hand.
+    """
+    sensor = table.sensor
+    if sensor is None or not sensor.reads_pose or table.from_link is not None:
+        return
+    if table.to_link is not None or table.moving is not None:
+        return
+    words = f"the rows appear to be of an object beside the robot, seen from {robot.tip!r}"
+    advice = f"if a camera is on the hand, state it (--from {robot.tip} --to {robot.base})"
+
+    def undone(case: Case) -> Case:
+        links = (np.full(len(case.table), link) for link in (robot.tip, robot.base))
+        from_link, to_link = links
+        return replace(case, table=replace(case.table, from_link=from_link, to_link=to_link))
+
+    yield Mistake(words, undone, f"{advice} and run again")
 
 
 def records(robot: Robot, table: Measurements) -> Iterator[Mistake]:
@@ -285,7 +349,15 @@ def _of_robot(words: str, other: Robot) -> Mistake:
 Topic = Callable[[Robot, Measurements], Iterable[Mistake]]
 """A kind of mistakes that a table of a robot may have."""
 
-TOPICS: tuple[Topic, ...] = (exchanges, descriptions, misreadings, records, delays, others)
+TOPICS: tuple[Topic, ...] = (
+    exchanges,
+    descriptions,
+    misreadings,
+    from_hand,
+    records,
+    delays,
+    others,
+)
 """All of them but a scale, which has to be estimated; of mistakes that are undone equally well, the
 first counts.
 """

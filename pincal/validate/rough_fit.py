@@ -4,7 +4,7 @@ errors.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -69,10 +69,15 @@ def least_size(
 
 
 def roughly_placed(
-    robot: Robot, table: Measurements, options: Options, *, offsets: bool = False
+    robot: Robot,
+    table: Measurements,
+    options: Options,
+    *,
+    offsets: bool = False,
+    lengths: Collection[str] = (),
 ) -> tuple[Station, np.ndarray]:
     """Return a station and its values, with base and tool fitted, and the offsets of revolute
-    joints if asked for.
+    joints if asked for, and lengths by the names of their parameters.
     """
     ((station, values),) = place(robot, {"": table}, options)
     problem = Problem((station,))
@@ -80,7 +85,10 @@ def roughly_placed(
     priors = Priors(np.full(len(values), np.inf), bounds_of(problem, options))
     if offsets:
         free = free | np.array(
-            [p.effect == JointOffset.name and p.unit == "rad" for p in problem.parameters]
+            [
+                (p.effect == JointOffset.name and p.unit == "rad") or p.name in lengths
+                for p in problem.parameters
+            ]
         )
         priors = priors_of(problem, options)
     free = free & released_of(problem, options)
@@ -88,6 +96,13 @@ def roughly_placed(
     return station, likeliest_values(
         problem, values, free, priors, noise, Course("huber", rough=True)
     )
+
+
+def revolute_joints(robot: Robot) -> tuple[str, ...]:
+    """Return the names of the revolute joints that are neither mimic joints nor their sources."""
+    free = free_joints(robot)
+    kinds = zip(robot.joint_names, robot.joint_types, strict=True)
+    return tuple(name for name, kind in kinds if kind != "prismatic" and name in free)
 
 
 def zero_shifts(robot: Robot, table: Measurements, options: Options) -> dict[str, float]:
@@ -110,7 +125,7 @@ def zero_shifts(robot: Robot, table: Measurements, options: Options) -> dict[str
         return {}
     least = min(rest for rest, _ in found)
     # The first joint's shift is a turn of the base: the smallest of equally good ones is taken.
-    alike = [_within_a_turn(shift) for rest, shift in found if rest < AGREEMENT.alike * least]
+    alike = [within_a_turn(shift) for rest, shift in found if rest < AGREEMENT.alike * least]
     best = min(alike, key=lambda shift: float(np.abs(shift).sum()))
     return {robot.joint_names[i]: float(best[i]) for i in search.turning}
 
@@ -126,9 +141,7 @@ class _ZeroSearch:
     @cached_property
     def turning(self) -> list[int]:
         """Indices of the revolute joints that are measured."""
-        names = free_joints(self.robot)
-        kinds = zip(self.robot.joint_names, self.robot.joint_types, strict=True)
-        return [i for i, (name, kind) in enumerate(kinds) if kind != "prismatic" and name in names]
+        return [self.robot.joint_names.index(name) for name in revolute_joints(self.robot)]
 
     def turns(self) -> Iterator[tuple[float, np.ndarray]]:
         """Yield, for each joint, the turn by which the first placement leaves least, with what it
@@ -163,6 +176,6 @@ class _ZeroSearch:
         return replace(self.table, q=q)
 
 
-def _within_a_turn(shift: np.ndarray) -> np.ndarray:
+def within_a_turn(shift: np.ndarray) -> np.ndarray:
     """Return angles between -pi and pi."""
     return np.asarray(shift - 2.0 * np.pi * np.round(shift / (2.0 * np.pi)))

@@ -12,16 +12,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
+from scipy.special import fdtr
 
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.criteria import AGREEMENT
 from pincal.identify.fit import ModelFit
+from pincal.identify.initial import starts_of
 from pincal.identify.options import Options
+from pincal.identify.station import Station
 from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.thresholds import Count, Scale
 from pincal.validate.cures import TOPICS, Case, Correction, Mistake, lengths_of, mistakes, scaled
+from pincal.validate.descriptions import DescriptionSearch
 from pincal.validate.rough_fit import (
     UNFIT,
     least_size,
@@ -60,6 +64,43 @@ class PlausibleResiduals:
 
 
 @dataclass(frozen=True)
+class Remainder:
+    """What a fit leaves of some readings.
+
+    With as many unknowns as readings any hypothesis leaves nothing, and with a few readings more
+    one of many does so by chance: what is left counts by its degrees of freedom.
+
+    Attributes:
+        size: of the residuals, in any unit.
+        readings: their number, all components.
+        unknowns: that were fitted to them.
+    """
+
+    size: float
+    readings: int
+    unknowns: int
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Readings and unknowns."""
+        return self.readings, self.unknowns
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the residuals, 0 if there are none."""
+        return max(self.readings - self.unknowns, 0)
+
+    def chance(self, before: Remainder) -> float:
+        """Return how likely a wrong hypothesis, which makes no error smaller than it was
+        ``before``, leaves as little by chance; 1 where nothing could be left.
+        """
+        if not self.freedom or not before.freedom:
+            return 1.0
+        variances = [one.size**2 * one.readings / one.freedom for one in (self, before)]
+        return float(fdtr(self.freedom, before.freedom, variances[0] / variances[1]))
+
+
+@dataclass(frozen=True)
 class Cure:
     """A mistake, and what remains of the residuals with it undone on some rows.
 
@@ -67,11 +108,15 @@ class Cure:
         mistake: the hypothesis.
         case: some rows of the table, with the mistake undone.
         left: typical residuals of position [m] and orientation [rad].
+        readings: number of readings of these rows, all components.
+        unknowns: number of unknowns that were fitted to them, those of base and tool.
     """
 
     mistake: Mistake
     case: Case
     left: Residuals = (np.inf, np.inf)
+    readings: int = 0
+    unknowns: int = 0
 
 
 @dataclass(frozen=True)
@@ -94,15 +139,30 @@ class Trials:
         """
         case = replace(self.case, table=self.case.table.select(slice(0, _MOST_ROWS)))
         rows = _few(case.table)
-        possible = mistakes(case.robot, case.table, TOPICS)
+        possible = list(mistakes(case.robot, case.table, TOPICS))
         found = self._placed([_undone(one, case, rows) for one in possible])
         if lengths := lengths_of(case.table):
             found.append(self._best_scale(lengths, case, rows))
         # Of equivalent mistakes, such as one mirror or another, the first.
         found.sort(key=lambda cure: float(f"{self.limits.exceeded(cure.left):.2g}"))
+        before = self._as_is(error, case.table.select(rows))
         return [
-            cure for cure in found if self.limits.exceeded(cure.left) * AGREEMENT.cured < error
+            cure
+            for cure in found
+            if self.limits.exceeded(cure.left) * AGREEMENT.cured < error
+            and self._left_by(cure).chance(before) * len(possible) < AGREEMENT.chance
         ][:_FITTED]
+
+    def _left_by(self, cure: Cure) -> Remainder:
+        """Return what a cure leaves, relative to the limits."""
+        return Remainder(self.limits.exceeded(cure.left), cure.readings, cure.unknowns)
+
+    def _as_is(self, error: float, few: Measurements) -> Remainder:
+        """Return an error, relative to the limits, as what base and tool leave of some rows."""
+        with suppress(*UNFIT):
+            station, _ = starts_of(self.case.robot, few, self.options)[0]
+            return Remainder(error, *_counts(station))
+        return Remainder(error, 0, 0)
 
     def _placed(self, undone: list[Cure]) -> list[Cure]:
         """Return the likeliest of some mistakes with base and tool fitted, in their own order: of
@@ -118,8 +178,10 @@ class Trials:
     def _fitted(self, cure: Cure) -> Cure:
         """Return a cure with base and tool fitted."""
         with suppress(*UNFIT):
-            placed = roughly_placed(cure.case.robot, cure.case.table, self.options)
-            return replace(cure, left=typical_residuals(*placed))
+            station, values = roughly_placed(cure.case.robot, cure.case.table, self.options)
+            readings, unknowns = _counts(station)
+            left = typical_residuals(station, values)
+            return replace(cure, left=left, readings=readings, unknowns=unknowns)
         return cure
 
     def _best_scale(self, lengths: tuple[str, ...], case: Case, rows: np.ndarray) -> Cure:
@@ -135,6 +197,14 @@ class Trials:
             options={"xatol": _SCALE_STEP},
         )
         return tried(best.x)
+
+    def of_positions(self) -> Trials:
+        """Return the trials of the positions of poses alone."""
+        table = self.case.table
+        position = table.readings["position"]
+        alone = replace(table, readings={"position": position})
+        options = replace(self.options, sigma_orientation=None)
+        return replace(self, case=replace(self.case, table=alone), options=options)
 
     def calibrated(self, case: Case) -> tuple[ModelFit | None, Residuals]:
         """Return a calibration of the geometry by some rows, and its residuals; None if it
@@ -158,17 +228,55 @@ class Trials:
         }
         if max(map(abs, shifts.values()), default=0.0) < AGREEMENT.shift:
             return None
-        fit, left = self.calibrated(Correction(shifts).undone(few))
+        refined = self._refined(Correction(shifts), few)
+        if refined is None:
+            return None
+        correction, left = refined
+        words = " and ".join(
+            f"{name!r} by {np.rad2deg(shift):+.1f} deg" for name, shift in correction.shifts.items()
+        )
+        mistake = correction.mistake(f"joints appear to be shifted: {words}")
+        return Cure(mistake, mistake.undo(few), left)
+
+    def described(self, error: float) -> Cure | None:
+        """Return the description in which most differs at once, with the residuals of a
+        calibration; None if none leaves less of an error [m] than chance does.
+        """
+        few = replace(self.case, table=self.case.table.select(_few(self.case.table)))
+        search = DescriptionSearch.of(few, self.options, self.limits.position)
+        found = None if search is None else search.found()
+        if search is None or found is None or not found.correction.size:
+            return None
+        before = Remainder(error, *self._as_is(error, few.table).counts)
+        after = Remainder(found.left, found.readings, found.unknowns)
+        if after.chance(before) * len(search.combinations) >= AGREEMENT.chance:
+            return None
+        refined = self._refined(found.correction, few)
+        if refined is None:
+            return None
+        correction, left = refined
+        mistake = correction.mistake(f"the description appears to differ: {correction.words}")
+        return Cure(mistake, mistake.undo(few), left)
+
+    def _refined(self, correction: Correction, few: Case) -> tuple[Correction, Residuals] | None:
+        """Return a correction with the zeros of its shifted joints as a calibration has them, and
+        the residuals of that; None if it fails.
+        """
+        fit, left = self.calibrated(correction.undone(few))
         if fit is None:
             return None
         pairs = zip(fit.problem.parameters, fit.values, strict=True)
         offsets = {p.name: value for p, value in pairs}
-        shifts = {name: shift + float(offsets[f"{name}.theta"]) for name, shift in shifts.items()}
-        words = " and ".join(
-            f"{name!r} by {np.rad2deg(shift):+.1f} deg" for name, shift in shifts.items()
-        )
-        mistake = Correction(shifts).mistake(f"joints appear to be shifted: {words}")
-        return Cure(mistake, mistake.undo(few), left)
+        shifts = {
+            name: shift + float(offsets.get(f"{name}.theta", 0.0))
+            for name, shift in correction.shifts.items()
+        }
+        return replace(correction, shifts=shifts), left
+
+
+def _counts(station: Station) -> tuple[int, int]:
+    """Return the number of readings of a station, and of the unknowns of its base and tool."""
+    return len(station) * station.reading_size, int(station.is_own.sum())
 
 
 def _undone(mistake: Mistake, case: Case, rows: np.ndarray) -> Cure:

@@ -2,7 +2,7 @@
 network.
 
 A server on this machine can move the robot in open pages. A viewer of the user's own, such as
-Pinocchio's ``MeshcatVisualizer``, can show a field of deviations, too.
+Pinocchio's ``MeshcatVisualizer`` or ``ViserVisualizer``, can show a field of deviations, too.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import json
 import os
 import queue
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields
-from functools import cache
+from functools import cache, partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from importlib.util import find_spec
@@ -38,7 +38,7 @@ from pincal.viewer.scene import Scene, base_of, visible_scale
 
 if TYPE_CHECKING:
     import meshcat
-    from pinocchio.visualize import MeshcatVisualizer
+    from pinocchio.visualize import MeshcatVisualizer, ViserVisualizer
 
 # The page contains everything and may load nothing. The viewer's library evaluates code of its own.
 _POLICY = (
@@ -286,7 +286,7 @@ _HEAD: Scale = 0.25
 
 
 def draw_field(
-    viz: meshcat.Visualizer | MeshcatVisualizer,
+    viz: meshcat.Visualizer | MeshcatVisualizer | ViserVisualizer,
     calibrated: FittedRobot,
     measurements: Measurements | None = None,
     *,
@@ -295,32 +295,31 @@ def draw_field(
     path: str = "pincal",
     grid: int = 1000,
 ) -> Layer:
-    """Draw a deviation field as arrows into a meshcat viewer that shows the robot.
+    """Draw a deviation field as arrows into a viewer of meshcat or viser that shows the robot.
 
-    The viewer's world is the root of the URDF, as in ``MeshcatVisualizer``. A field of the same
+    The viewer's world is the root of the URDF, as in Pinocchio's viewers. A field of the same
     name is replaced.
 
     Args:
-        viz: a ``meshcat.Visualizer``, or a viewer that has one as ``viewer``, such as Pinocchio's
-            ``MeshcatVisualizer``.
+        viz: a ``meshcat.Visualizer`` or a ``viser.ViserServer``, or a viewer that has one as
+            ``viewer``, as Pinocchio's ``MeshcatVisualizer`` and ``ViserVisualizer`` have after
+            ``initViewer``.
         calibrated: the robot.
         measurements: its measured poses; default: none, arrows cover the workspace.
         layer: which field, by its name; default: the first one, from nominal to measured or to
             calibrated.
         scale: scale factor of the arrows; default: a round number that makes them visible.
-        path: node of meshcat's tree below which the field is drawn, under its own name.
+        path: node of the viewer's tree below which the field is drawn, under its own name.
         grid: approximate number of workspace points with an arrow; 0 for none.
 
     Returns:
         The field, true to scale, in the frame of the viewer.
 
     Raises:
-        BadInputError: if there is no such field, or the factor is not positive.
+        BadInputError: if there is no such field, the factor is not positive, or it is no such
+            viewer.
     """
-    with needed("meshcat", "fields in a viewer"):
-        import meshcat
-        import meshcat.geometry as g
-
+    draw = _drawer(viz)
     if scale is not None and not 0.0 < scale < np.inf:
         raise BadInputError(f"scale is {scale}; expected a positive number")
     model = calibrated.at()
@@ -336,12 +335,47 @@ def draw_field(
     found = fields.layers[0 if layer is None else names.index(layer)]
     factor = visible_scale(found, robot.reach) if scale is None else scale
     ends, colours = _strokes(found, factor)
-    lines = g.LineSegments(
-        g.PointsGeometry(ends.T, color=colours.T), g.LineBasicMaterial(vertexColors=True)
-    )
-    viewer = viz if isinstance(viz, meshcat.Visualizer) else viz.viewer
-    viewer[path][found.name].set_object(lines)
+    draw(path, found.name, ends, colours)
     return found
+
+
+def _drawer(viz: Any) -> Callable[[str, str, np.ndarray, np.ndarray], None]:
+    """Return the function that draws strokes into a viewer: below a node, under a name, from
+    their ends, shape (2 N, 3) [m], and the ends' colours, shape (2 N, 3).
+
+    Raises:
+        BadInputError: if it is neither meshcat's nor viser's.
+    """
+    # Viser need not be installed for a viewer of meshcat, nor meshcat for one of viser.
+    scene = getattr(getattr(viz, "viewer", viz), "scene", None)
+    if hasattr(scene, "add_line_segments"):
+        return partial(_draw_in_viser, scene)
+    with needed("meshcat", "fields in a viewer"):
+        import meshcat
+    viewer = viz if isinstance(viz, meshcat.Visualizer) else getattr(viz, "viewer", None)
+    if not isinstance(viewer, meshcat.Visualizer):
+        raise BadInputError(
+            f"{type(viz).__name__} is no viewer of meshcat or viser; expected one after "
+            "initViewer(), or a meshcat.Visualizer or viser.ViserServer"
+        )
+    return partial(_draw_in_meshcat, viewer)
+
+
+def _draw_in_meshcat(
+    viewer: Any, path: str, name: str, ends: np.ndarray, colours: np.ndarray
+) -> None:
+    import meshcat.geometry as g
+
+    points = g.PointsGeometry(ends.T, color=colours.T)
+    viewer[path][name].set_object(g.LineSegments(points, g.LineBasicMaterial(vertexColors=True)))
+
+
+def _draw_in_viser(scene: Any, path: str, name: str, ends: np.ndarray, colours: np.ndarray) -> None:
+    scene.add_line_segments(
+        f"/{path}/{name}",
+        points=ends.reshape(-1, 2, 3).astype(np.float32),
+        colors=np.round(255.0 * colours).astype(np.uint8).reshape(-1, 2, 3),
+    )
 
 
 def _strokes(field: Layer, factor: float) -> tuple[np.ndarray, np.ndarray]:

@@ -6,4 +6,5 @@ HANDED_IN: HandedIn = {
     "verbs": {
         "view": "pincal.viewer.cli.view_verb:view",
     },
+    "views": {"view": "pincal.viewer.cli.calibration_views:write_views"},
 }

@@ -376,33 +376,22 @@ def held_out_rows(
 
     inputs = provenance.get("inputs")
     known = list(inputs.values()) if isinstance(inputs, dict) else []
+    name = data.name
     if not known:
-        return (
-            None,
-            f"the model names no input files, so it is unknown which rows of {data.name} "
-            "it was fitted to",
-        )
+        unnamed = "the model names no input files, so it is unknown which rows of"
+        return None, f"{unnamed} {name} it was fitted to"
     digest = hashlib.sha256(data.read_bytes()).hexdigest()
     unseen = np.ones(len(measurements), bool)
     if digest not in known:
-        return (
-            unseen,
-            f"{data.name} is not one of the model's input files: all rows count as held out",
-        )
+        return unseen, f"{name} is not one of the model's input files: all rows count as held out"
     try:
         fitted = _fitted_lines(residuals, data.stem, is_first=digest == known[0])
     except (OSError, pl.exceptions.PolarsError):
-        return (
-            None,
-            f"{residuals.name}, which lists the held-out rows, is not in the model's "
-            "folder: no row is marked",
-        )
+        absent = "which lists the held-out rows, is not in the model's folder: no row is marked"
+        return None, f"{residuals.name}, {absent}"
     if fitted is None:
-        return unseen, f"{data.name} was held out of the fit as a whole"
+        return unseen, f"{name} was held out of the fit as a whole"
     held = ~np.isin(measurements.rows, fitted)
-    words = (
-        f"{held.sum()} of {len(held)} rows were held out of the fit"
-        if held.any()
-        else "no row was held out of the fit"
-    )
-    return held, words
+    if not held.any():
+        return held, "no row was held out of the fit"
+    return held, f"{held.sum()} of {len(held)} rows were held out of the fit"

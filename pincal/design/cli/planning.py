@@ -376,9 +376,9 @@ def _options(arguments: DesignArguments, robot: Robot) -> Options:
     options = arguments.model.options(arguments.instrument.noise, arguments.instrument.noise_angle)
     if arguments.type is None:
         return options
-    from pincal.fleet.robot_type import load_type
+    from pincal.cli.robot_priors import load_prior
 
-    return replace(options, earlier=load_type(arguments.type).prior_of(robot, options.effects))
+    return replace(options, earlier=load_prior(arguments.type).prior_of(robot, options.effects))
 
 
 def _rig(arguments: DesignArguments) -> SensorSetup:

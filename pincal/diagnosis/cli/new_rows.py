@@ -53,9 +53,9 @@ class _NewRows:
     def read(self, robot: Robot) -> Measurements:
         """Return the new measurements; of a session, the readings of positions if there are any."""
         from pincal.cli.inputs import load_table, load_tables
-        from pincal.motion.sessions import joints_of_session
+        from pincal.cli.streams import no_streams
 
-        if joints_of_session(self.data) is None:
+        if no_streams().joints_of(self.data) is None:
             return load_table(robot, self.data, options=self.table.options)
         tables = load_tables(robot, [self.data], options=self.table.options)
         return next(
@@ -66,9 +66,9 @@ class _NewRows:
     @property
     def files(self) -> tuple[Path, ...]:
         """The input files of the result."""
-        from pincal.motion.cli.motion_options import input_files
+        from pincal.cli.streams import no_streams
 
-        return (self.model, *input_files([self.data]))
+        return (self.model, *no_streams().input_files([self.data]))
 
 
 @dataclass(frozen=True, kw_only=True)

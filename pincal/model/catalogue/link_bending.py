@@ -34,7 +34,8 @@ class LinkBending(Discoverable):
     The end of a link of length L along u, with force F and moment M across u, rotates (Euler,
     Bernoulli) by
 
-    .. math:: b (L M + L^2/2 \; u \times F), \quad \text{and moves by} \quad b (L^2/2 \; M \times u + L^3/3 \; F).
+    .. math:: b (L M + L^2/2 \; u \times F), \quad \text{and moves by} \quad
+        b (L^2/2 \; M \times u + L^3/3 \; F).
 
     The link's own weight and different stiffness in its two planes are neglected. Force and moment
     are taken on the nominal arm, since errors of some mm change them by a thousandth.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pincal.cli.arguments import option
+from pincal.cli.streams import Streams
 
 if TYPE_CHECKING:
     from pincal.measure.fields import TableOptions
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionOptions:
+class MotionOptions(Streams):
     """Streams of an arm in motion, each with its own clock, in place of a folder."""
 
     imu: Path | None = option(
@@ -34,58 +35,47 @@ class MotionOptions:
     )
 
     @property
-    def are_given(self) -> bool:
-        """Whether a stream is given."""
-        return self.imu is not None or self.tracker is not None
+    def files(self) -> tuple[Path, ...]:
+        """The streams that are given."""
+        return tuple(path for path in (self.imu, self.tracker) if path is not None)
 
     def check(self, joints: Path | None, data: Sequence[Path]) -> None:
         """Refuse streams without their joints, and no input at all."""
-        if self.are_given and joints is None:
+        if self.files and joints is None:
             raise click.UsageError("--imu and --tracker need the log of the joints: --joints LOG")
-        if not self.are_given and not data:
+        if not self.files and not data:
             raise click.UsageError(
                 "Missing argument 'DATA.csv...'; or --joints, --imu and --tracker of an "
                 "arm in motion"
             )
 
+    def joints_of(self, path: Path) -> Path | None:
+        """Return the log of the joints of a session."""
+        from pincal.motion.sessions import joints_of_session
 
-def input_files(paths: Iterable[Path]) -> Iterator[Path]:
-    """Yield files, and the files in folders of sessions."""
-    from pincal.motion.sessions import joints_of_session
+        return joints_of_session(path)
 
-    for path in paths:
-        yield from (
-            (path,)
-            if joints_of_session(path) is None or path.is_file()
-            else sorted(filter(Path.is_file, path.iterdir()))
-        )
+    def tables(
+        self, robot: Robot, paths: Sequence[Path], reading: TableOptions
+    ) -> tuple[dict[str, Measurements], list[Path]]:
+        """Return the tables of stations in motion by name, and the other files."""
+        from pincal.motion.sessions import Session, read_session, read_streams
+        from pincal.motion.stations import session_tables
 
-
-def load_sessions(
-    robot: Robot, paths: Sequence[Path], reading: TableOptions, motion: MotionOptions
-) -> tuple[dict[str, Measurements], list[Path]]:
-    """Return the tables of stations in motion by name, and the other files, which are tables.
-
-    Raises:
-        BadInputError: for a stream that is invalid.
-    """
-    from pincal.motion.sessions import Session, joints_of_session, read_session, read_streams
-    from pincal.motion.stations import session_tables
-
-    motion.check(reading.joints, paths)  # type: ignore[arg-type]
-    sessions = list[Session]()
-    plain: dict[str, Any] = {
-        "columns": reading.columns,
-        "ignore": reading.ignore,
-        "orientation": reading.orientation,
-    }
-    if motion.are_given:
-        given: dict[str, Any] = {
-            "joints": reading.joints,
-            "imu": motion.imu,
-            "tracker": motion.tracker,
+        self.check(reading.joints, paths)  # type: ignore[arg-type]
+        sessions = list[Session]()
+        plain: dict[str, Any] = {
+            "columns": reading.columns,
+            "ignore": reading.ignore,
+            "orientation": reading.orientation,
         }
-        sessions.append(read_streams(robot, **given, **plain))
-    folders = [path for path in paths if joints_of_session(path) is not None]
-    sessions += [read_session(robot, path, **plain) for path in folders]
-    return session_tables(robot, sessions), [path for path in paths if path not in folders]
+        if self.files:
+            given: dict[str, Any] = {
+                "joints": reading.joints,
+                "imu": self.imu,
+                "tracker": self.tracker,
+            }
+            sessions.append(read_streams(robot, **given, **plain))
+        folders = [path for path in paths if self.joints_of(path) is not None]
+        sessions += [read_session(robot, path, **plain) for path in folders]
+        return session_tables(robot, sessions), [path for path in paths if path not in folders]

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,10 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import NumberType, option, pair
+from pincal.cli.outputs import echo_notes, extrapolation, print_json
 from pincal.cli.quantities import LENGTH
+from pincal.cli.target_files import FileCorrection, TargetFiles
+from pincal.errors import Exit
 
 if TYPE_CHECKING:
     from pincal.calibration.fitted_robot import FittedRobot
@@ -35,7 +38,7 @@ def _named(text: str) -> tuple[str, str]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProgramOptions:
+class ProgramOptions(TargetFiles):
     """Properties of the cell that a controller's program does not contain."""
 
     tools: tuple[tuple[str, str], ...] = option(
@@ -79,9 +82,42 @@ class ProgramOptions:
     payload: float = option(
         "Mass at the tip while the program runs [kg].", 0.0, type=NumberType(least=0.0)
     )
+    explain: bool = option("Also say of each corrected point why it could be.", False)
     path_error: float | None = option(
         "Insert points into lines where the tool deviates by more than this.", type=LENGTH
     )
+
+    def reads(self, path: Path) -> bool:
+        """Return whether a file is a program of a known language."""
+        from pincal.programs.language import language_of
+
+        return language_of(path) is not None
+
+    def correct(self, calibrated: FittedRobot, wanted: FileCorrection) -> Exit:
+        """Correct a controller's program, and print what was done."""
+        from pincal.cli.progress import end_progress
+        from pincal.programs.language import language_of
+
+        language = language_of(wanted.path)
+        assert language is not None
+        limits = Allowed(wanted.seed, wanted.keeps_limits, wanted.max_change)
+        result, changes = correct_file(calibrated, wanted.path, wanted.out, language, self, limits)
+        notes = list(result["notes"])
+        if changes:
+            at = calibrated.conditions_at(np.array([change.commanded for change in changes]))
+            at = replace(at, payload=np.array([change.payload for change in changes]))
+            lines = np.array([change.point.line for change in changes])
+            beyond, more = extrapolation(calibrated, at, lines)
+            notes += more
+            result |= beyond
+        end_progress()
+        if wanted.as_json:
+            print_json(result)
+        else:
+            click.echo("\n".join(summary_of_program(result, language.name)))
+        echo_notes(notes, quiet=wanted.quiet)
+        is_lost = not result["points"] or (wanted.is_strict and result["left"])
+        return Exit.UNDECIDED if is_lost else Exit.DONE
 
 
 def correct_file(
@@ -99,6 +135,7 @@ def correct_file(
     """
     from pincal.atomic import write_atomic
     from pincal.programs.correct import Corrector
+    from pincal.programs.explanation import explanations
     from pincal.programs.language import files_of, read_sources
     from pincal.programs.paths import Follower, legs_of
     from pincal.programs.program import spliced
@@ -154,6 +191,10 @@ def correct_file(
         else "",
     }
     notes = {"notes": corrector.notes(program)}
+    if options.explain:
+        reasons = explanations(program, changes).values()
+        for point, reason in zip(result["points"], reasons, strict=True):
+            point["because"] = reason
     return result | links | notes | {
         "inserted": inserted,
         "out": [str(target) for target in outs],
@@ -271,6 +312,8 @@ def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
     for point in points:
         name = f"{point['file']} line {point['line']}, {point['name']}"
         yield f"  {name:{width}s} {point['shift_mm']:9.4f} mm {point['turn_mrad']:9.4f} mrad"
+        if "because" in point:
+            yield f"    {point['because']}"
     path = result["path"]
     if "largest_mm" in path:
         yield (

@@ -937,13 +937,14 @@ this.write(name, why);
 return null;
 }
 finish() {
-let ambiguous, before, frame, framed, frames, is_framed, kind, known, loads, motion, point, points, program, reason, stops, target, used, why;
+let ambiguous, before, frame, framed, frames, is_followed, is_framed, kind, known, loads, motion, point, points, program, reason, stops, target, used, why;
 frames = new py.Dict((() => { const $out = []; for (const [kind, found] of py.iter(py.call(this._frames, "items"))) { $out.push([kind, new py.Dict((() => { const $out = []; for (const [name, pose] of py.iter(py.call(found, "items"))) { $out.push([name, py.either(this._why(name), () => pose)]); } return $out; })())]); } return $out; })());
 for (const $each of py.iter(this.motions)) {
 motion = $each;
 for (const $each of py.iter([["tool", motion.tool], ["base", motion.base]])) {
 [kind, frame] = $each;
-why = (py.truth(py.both(frame.name, () => ((frame.pose) ?? null) === (null))) ? this._why(frame.name) : "");
+is_followed = py.either(((frame.pose) ?? null) !== (null), () => py.has(["", "$"], py.text(frame.name).slice(undefined, 1)));
+why = (py.truth(is_followed) ? "" : this._why(frame.name));
 if (py.truth(why)) {
 py.call(py.at(frames, kind), "setdefault", frame.name, why);
 }
@@ -2648,7 +2649,7 @@ return this.displaced(k, kinds);
 return null;
 }
 _frame(variable, k, data) {
-let call, found, hint, index, items, part, setter, sides, source, what, why, with_;
+let around, call, found, hint, index, items, part, routine, setter, sides, source, what, why, with_;
 if (py.truth(data.is_fixed)) {
 return new Frame(variable, undefined, "the tool is fixed in the cell ($IPO_MODE=#TCP)");
 }
@@ -2662,6 +2663,11 @@ return this._frame_of(variable, k, py.at(sides, 1), data);
 }
 }
 found = py.call(py.at(this.flow, k).setters, "get", variable);
+around = py.at(this.flow, k).routine;
+routine = ((around >= 0) ? py.at(this.steps, around).routine : "");
+if (py.truth(py.both(((found) ?? null) === (null), () => py.has(this.entries.displaced_at_start(variable), routine)))) {
+found = "a routine that calls this one sets it";
+}
 if (!py.truth(py.isinstance(found, ["int"]))) {
 hint = (" (--with its file, or --" + py.str(py.call(py.text(variable).slice(1, undefined), "lower")) + " '" + py.str(variable) + "=X,Y,Z,...')");
 why = (py.str(variable) + ": " + py.str(found) + py.str((py.truth(py.both(((found) ?? null) !== (null), () => py.has(found, OUTSIDE))) ? hint : "")));

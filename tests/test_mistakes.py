@@ -1,0 +1,194 @@
+"""What is wrong with a table or a description is named, one thing or several; a sound table is never accused by chance."""
+
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mistakes_study import FIRST, ORIENTATIONS, Task, draw, is_right, machine_of, poses_of, robot_of, said_of
+from placed_arms import measured, run
+from scipy.spatial.transform import Rotation
+from scipy.stats import f as f_distribution
+
+from pincal.errors import BadInputError
+from pincal.identify.options import Options
+from pincal.measure.measurements import measurements_from_arrays
+from pincal.measure.orientation import columns_of_orientations
+from pincal.measure.table import read_measurements
+from pincal.robot.mastering import resized
+from pincal.robot.robot import Robot
+from pincal.validate.cures import Case, Correction, from_hand
+from pincal.validate.descriptions import DescriptionSearch
+from pincal.validate.orientations import OrientationSearch
+from pincal.validate.trials import Remainder
+
+pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
+CASES = next(
+    (f / "shared/cases/tables" for f in Path(__file__).resolve().parents if (f / "shared/cases/tables").is_dir()), None
+)
+COMMANDS = {
+    "J1": ("drawing.urdf", "table.csv", "--noise", "0.05mm"),
+    "M1": ("r.urdf", "s.csv", "--model", "geometric", "--noise", "0.05mm", "--test-fraction", "0", "--type", "type.json"),
+}
+needs_cases = pytest.mark.skipif(CASES is None, reason="needs the cases that are shared beside the repository")
+
+
+def test_what_is_left_counts_by_its_degrees_of_freedom() -> None:
+    """As many unknowns as readings leave nothing, whatever is wrong; a few more leave little by chance, by Fisher's F."""
+    before = Remainder(1.0, 24, 9)
+    assert Remainder(0.0, 9, 9).chance(before) == 1.0
+    assert Remainder(0.0, 6, 9).chance(before) == 1.0
+    found = Remainder(0.1, 12, 9).chance(before)
+    assert found == pytest.approx(f_distribution.cdf(0.01 * 4.0 / (24 / 15), 3, 15))
+    # With a hundred hypotheses a tenth of the residuals with three degrees of freedom is nothing; a thousandth is.
+    assert 100 * found > 1e-2
+    assert 100 * Remainder(1e-3, 12, 9).chance(before) < 1e-4
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["few", "few typed"])
+def test_a_sound_table_of_few_poses_is_not_accused(kind: str) -> None:
+    """Of 6 to 12 poses, with and without a type. ``mistakes_study.py`` draws a thousand."""
+    said = [said_of(Task(kind, seed)) for seed in range(3)]
+    assert all(map(is_right, said)), said
+
+
+@pytest.mark.long
+@needs_cases
+@pytest.mark.parametrize(
+    ("case", "words", "exit_code"),
+    [
+        ("A1", "orientations appear to be in radians, not degrees", 3),
+        ("A2", "angles about x, the new y and the new z, not angles about fixed x, y and z", 3),
+        ("A4", "in another frame than the positions, turned by 90.0 deg about z", 3),
+        ("D1", "seen from 'tool0'", 3),
+        ("E1", "counts in the opposite sense", 0),
+        ("E3", "is shifted by -90", 0),
+        ("J1", "the length a of j2 (to the next axis) is 24.9 mm longer", 0),
+        ("M1", "robot agrees with the others", 0),
+    ],
+)
+def test_cases_get_their_right_words(
+    case: str,
+    words: str,
+    exit_code: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each of the shared cases; orientations can be left out, and signs are those that the case was made with."""
+    assert CASES is not None
+    shutil.copytree(next(CASES.glob(f"{case}_*")), tmp_path / case)
+    monkeypatch.chdir(tmp_path / case)
+    command = COMMANDS.get(case, ("ur5", "table.csv"))
+    assert run("calibrate", *command, "--verbose", "--out", "out") == exit_code
+    said = capsys.readouterr()
+    assert words in " ".join((said.out + said.err).split())
+    if case == "E1":
+        assert (said.out + said.err).count("counts in the opposite sense") == 3
+    if case.startswith("A"):
+        assert "--orientation none" in said.err
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["signs and length", "orientation and zero"])
+def test_two_mistakes_at_once_are_both_named(kind: str) -> None:
+    """The study draws all pairs."""
+    found = said_of(Task(kind, 1))
+    assert is_right(found), found
+
+
+@pytest.mark.parametrize("k", [0, 2, 3, 5, 7, 9])
+def test_a_reading_of_orientations_is_told_from_all_others(k: int) -> None:
+    """Unit, sequence, kind, inverse and frame: of an arm whose errors are those of real ones."""
+    change, words = ORIENTATIONS[k]
+    robot, _ = robot_of("kr125")
+    rng = np.random.default_rng(3)
+    q = 0.9 * robot.random_configurations(30, rng)
+    position, rotation = poses_of(machine_of(robot, rng), q)
+    quaternion = Rotation.from_matrix(rotation).as_quat()
+    table = measurements_from_arrays(robot.joint_names, q, position=position, quaternion=change(quaternion))
+    search = OrientationSearch(robot, table, FIRST[:3, :3], 0.06)
+    cause = search.cause()
+    assert cause is not None and words in cause.words
+    # Undone, the columns hold what was measured.
+    sound = OrientationSearch(robot, table.with_readings(quaternion=quaternion), FIRST[:3, :3], 0.06)
+    assert search.under(cause).left == pytest.approx(sound.under(None).left, abs=1e-3)
+    assert sound.cause() is None
+
+
+def test_orientations_of_nothing_are_refused() -> None:
+    """Random ones are explained by none of the readings that are tried."""
+    robot, _ = robot_of("kr125")
+    rng = np.random.default_rng(3)
+    q = 0.9 * robot.random_configurations(30, rng)
+    random = Rotation.random(30, random_state=4).as_quat()
+    table = measurements_from_arrays(robot.joint_names, q, position=np.zeros((30, 3)), quaternion=random)
+    search = OrientationSearch(robot, table, FIRST[:3, :3], 0.06)
+    assert search.cause() is None
+    assert search.under(None).left > 0.3
+
+
+def test_a_longer_link_moves_what_follows_it() -> None:
+    """Along its x axis or its joint's; the frames, and nothing else of the parameters, say so."""
+    robot, _ = robot_of("kr125")
+    q = robot.random_configurations(5, np.random.default_rng(0))
+    longer = resized(robot, {"joint_2.a": 0.03})
+    change = longer.frames.parameters - robot.frames.parameters
+    assert change[1, 4] == pytest.approx(0.03)
+    change[1, 4] = 0.0
+    np.testing.assert_allclose(change, 0.0, atol=1e-9)
+    moved = longer.forward_kinematics(q)[:, :3, 3] - robot.forward_kinematics(q)[:, :3, 3]
+    along = robot.kinematics.frames(q)[:, 2, :3, 0]
+    np.testing.assert_allclose(moved, 0.03 * along, atol=1e-9)
+    with pytest.raises(BadInputError, match="no length between two joints"):
+        resized(robot, {"joint_6.a": 0.03})
+
+
+def test_signs_zeros_couplings_and_lengths_are_searched_together() -> None:
+    """Among all combinations the true one leaves least of a linear fit, but for other words for the same arm."""
+    robot, _ = robot_of("ur5")
+    rng = np.random.default_rng(1)
+    table = measured(machine_of(robot, rng), robot, poses=60, turn=0.9)
+    true = Correction({"elbow_joint": np.pi / 2}, ("shoulder_lift_joint", "wrist_1_joint"))
+    signs = np.where(np.isin(robot.joint_names, true.turned), -1.0, 1.0)
+    shifts = np.array([true.shifts.get(name, 0.0) for name in robot.joint_names])
+    reported = measurements_from_arrays(robot.joint_names, (table.q - shifts) * signs, position=table.position)
+    search = DescriptionSearch.of(Case(robot, reported), Options(), 2e-3)
+    assert search is not None
+    left = search._left_of_linear(search.combinations)
+    assert np.sort(left)[0] == pytest.approx(left[search.combinations.index(true)], rel=0.5)
+    np.testing.assert_allclose(true.of_urdf(robot, reported.q), table.q, atol=1e-12)
+
+
+def test_what_a_camera_on_the_hand_sees_is_a_hypothesis() -> None:
+    """Rows become those of the path from the hand to the base; where links are stated there is none."""
+    case = draw(Task("sound", 1))
+    (mistake,) = from_hand(case.robot, case.table)
+    undone = mistake.undo(Case(case.robot, case.table)).table
+    assert {*undone.from_link.tolist()} == {"tool0"} and {*undone.to_link.tolist()} == {case.robot.base}
+    assert f"--from tool0 --to {case.robot.base}" in mistake.advice
+    assert not list(from_hand(case.robot, undone))
+
+
+def test_orientations_can_be_left_out(tmp_path: Path) -> None:
+    """In any convention; joints of such names stay."""
+    file = tmp_path / "table.csv"
+    file.write_text("a1,x,y,z,rx [deg],ry [deg],rz [deg]\n" + "0.1,1,2,3,4,5,6\n0.2,1,2,3.1,4,5,6\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read_measurements(file, ("a1",), orientation="none").kind == "position"
+    assert columns_of_orientations(["QX", "QY", "QZ", "QW", "A"]) == {"QX", "QY", "QZ", "QW"}
+
+
+def test_an_arm_of_seven_joints_is_searched_by_fewer_combinations() -> None:
+    """All signs, and as many right angles at once as fit into the budget."""
+    robot = Robot.from_urdf("panda", tip="panda_link8")
+    table = measurements_from_arrays(robot.joint_names, np.zeros((40, robot.n_joints)), position=np.zeros((40, 3)))
+    search = DescriptionSearch.of(Case(robot, table), Options(), 2e-3)
+    assert search is not None
+    combined = search.combinations
+    assert max(len(one.turned) for one in combined) == 7
+    assert 2 <= max(len(one.shifts) for one in combined) < 5
+    assert combined[0] == Correction()
