@@ -48,8 +48,9 @@ _MOST: Count = 100
 _SEED: Count = 0
 # Mean lever of a drive below which it displaces no target [m/rad or m/m].
 _LEVER: Scale = 1e-3
-# Part of the mean variance that keeps a covariance of weights invertible.
-_ROUNDING: Scale = 1e-6
+# Part of the mean variance that weights take at least to be of single poses: where the first
+# estimate has none, they would else rest on differences of a few near poses alone.
+_SINGLE: Scale = 0.1
 # Standard deviations that hold 95 % of a normal variable.
 _NORMAL: Scale = 1.959964
 
@@ -195,7 +196,7 @@ def _variances(
     products = np.outer(residuals.ravel(), residuals.ravel()) - known
     sizes = _least_squares(terms, products)
     covariance = known + sum(size * term for size, term in zip(sizes, terms, strict=True))
-    covariance += _ROUNDING * np.trace(covariance) / len(covariance) * np.eye(3 * n)
+    covariance += _SINGLE * np.trace(covariance) / len(covariance) * np.eye(3 * n)
     white = np.linalg.inv(np.linalg.cholesky(covariance))
     sizes = _least_squares([white @ term @ white.T for term in terms], white @ products @ white.T)
     return sizes[:-1].reshape(q.shape[1], -1), float(sizes[-1])
