@@ -5,6 +5,7 @@ The hands of Baxter, simulated by Pinocchio; the robot has the deviations of an 
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from itertools import compress
 from pathlib import Path
@@ -22,6 +23,7 @@ from pincal.calibration.caveats import CaveatKind
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.improvement import findings_without_instrument, improvements, unseen_directions
 from pincal.calibration.placing import place_station
+from pincal.calibration.validation import validate_rows
 from pincal.cli import main
 from pincal.cli.common import InputOptions, LinkOptions, TableArguments
 from pincal.cli.inputs import load_robot, load_table
@@ -207,6 +209,45 @@ def test_the_next_step_says_how_well_contacts_tell_positions(touching: Measureme
     worst = max(region.after_mm for region in found.result.improvement)
 
     assert f"is known to {worst:.2g} mm at worst" in next_steps(found)[0]
+
+
+def without_links(table: Measurements, to: str | None = None) -> Measurements:
+    """Return rows that do not name their links, or the hand alone."""
+    return replace(table, from_link=None, to_link=None if to is None else np.repeat(to, len(table)))
+
+
+def test_a_tracker_sees_the_hand_that_its_rows_fit(fit: FittedRobot, baxter: Robot, machine: sim.TrueMachine) -> None:
+    """Rows with the joints of both arms, without links, are of one hand from the base; others stay as they are."""
+    table = tracked(baxter, machine)
+    named = validate_rows(fit.each, table, name="named")
+    for to in (None, HANDS[1]):
+        with pytest.warns(PincalWarning, match="taken as measured from base to right_gripper, which they fit"):
+            found = validate_rows(fit.each, without_links(table, to), name="bare")
+        assert found.error["mean_mm"] == pytest.approx(named.error["mean_mm"], rel=1e-9)
+        assert found.error["mean_mm"] < 0.2
+    # Rows that fit no way are not taken for any.
+    rng = np.random.default_rng(1)
+    mixed = replace(without_links(table), q=rng.permutation(table.q))
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message=".*taken as measured")
+        assert validate_rows(fit.each, mixed, name="mixed").doubt
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_rows_that_name_the_hand_are_from_where_their_joints_lead(
+    fit: FittedRobot, baxter: Robot, tmp_path: Path, hand: str
+) -> None:
+    """A column ``to`` is enough where one arm has its joints; with both arms, what the rows fit decides later."""
+    own = [name for name in baxter.joint_names if name.startswith(hand.split("_")[0])]
+    row = {name: [0.1, 0.2] for name in own} | {axis: [0.5, 0.6] for axis in "xyz"} | {"to": [hand, hand]}
+    pl.DataFrame(row).write_csv(tmp_path / "one.csv")
+    robot = fit.model.chain.robot
+    found = load_table(robot, tmp_path / "one.csv")
+    assert set(found.from_link) == {"base"} and set(found.to_link) == {hand}
+
+    pl.DataFrame({name: [0.1, 0.2] for name in baxter.joint_names} | row).write_csv(tmp_path / "both.csv")
+    both = load_table(robot, tmp_path / "both.csv")
+    assert (both.from_link is None) == (hand != robot.path.start) and set(both.to_link) == {hand}
 
 
 def test_points_of_links_may_be_known(baxter: Robot, touching: Measurements) -> None:

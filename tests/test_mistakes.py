@@ -6,14 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mistakes_study import FIRST, ORIENTATIONS, Task, draw, is_right, machine_of, poses_of, robot_of, said_of
+from mistakes_study import FIRST, NOISE, ORIENTATIONS, PLAIN, Task, draw, is_right, machine_of, poses_of, robot_of, said_of
 from placed_arms import measured, run
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 
+from pincal.calibration.checked_fit import calibrate
+from pincal.diagnosis.robot_diagnosis import diagnose
 from pincal.errors import BadInputError
 from pincal.identify.options import Options
-from pincal.measure.measurements import measurements_from_arrays
+from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.orientation import columns_of_orientations
 from pincal.measure.table import read_measurements
 from pincal.robot.mastering import resized
@@ -192,3 +194,27 @@ def test_an_arm_of_seven_joints_is_searched_by_fewer_combinations() -> None:
     assert max(len(one.turned) for one in combined) == 7
     assert 2 <= max(len(one.shifts) for one in combined) < 5
     assert combined[0] == Correction()
+
+
+@pytest.mark.long
+def test_rounded_joints_do_not_make_a_changed_robot() -> None:
+    """As a pendant shows them: nothing is decided. Where the robot was sent to round positions, or is far off, it is."""
+    robot, _ = robot_of("ur5")
+    rng = np.random.default_rng(2)
+    machine = machine_of(robot, rng)
+
+    def new(q: np.ndarray, written: np.ndarray) -> Measurements:
+        position = poses_of(machine, q)[0] + NOISE * rng.normal(size=(len(q), 3))
+        return measurements_from_arrays(robot.joint_names, written, position=position)
+
+    q = 0.9 * robot.random_configurations(100, rng)
+    fit = calibrate(robot, new(q, q), PLAIN)
+    q = 0.9 * robot.random_configurations(40, rng)
+    shown = np.deg2rad(np.round(np.rad2deg(q), 1))
+    rounded, sent, changed = (
+        diagnose(fit, table).found for table in (new(q, shown), new(shown, shown), new(shown + 0.05 * np.eye(6)[2], shown))
+    )
+    assert not rounded.is_judged and not rounded.changed
+    assert "multiples of 0.1 deg, as a pendant shows them" in rounded.warnings[0].text
+    assert sent.is_judged and not sent.changed
+    assert changed.is_judged and changed.changed

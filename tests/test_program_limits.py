@@ -58,6 +58,19 @@ def test_a_chain_of_routines_takes_time_in_proportion() -> None:
     assert seconds(1000) < 10.0 * max(seconds(250), 0.05)
 
 
+def test_computed_jumps_take_time_in_proportion() -> None:
+    """Each may lead to every label."""
+
+    def seconds(count: int) -> float:
+        lines = "".join(f"   1:LBL[{k}] ;\n   1:JMP LBL[R[1]] ;\n" for k in range(count))
+        started = time.process_time()
+        read("FANUC LS", f"/PROG A\n/MN\n{lines}   1:MY_MACRO ;\n/POS\n/END\n")
+        return time.process_time() - started
+
+    seconds(50)
+    assert seconds(1000) < 10.0 * max(seconds(250), 0.05)
+
+
 @pytest.mark.parametrize(
     "pose",
     [

@@ -706,11 +706,15 @@ def test_a_name_without_its_robot_is_refused(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 @pytest.mark.parametrize("name", ["ur10", "panda"])
-def test_a_robot_that_yourdfpy_has_read_is_the_same(name: str, rng: np.random.Generator) -> None:
-    """Joints, limits and masses, and kinematics to rounding; it is also calibrated and exported."""
+def test_a_robot_that_yourdfpy_has_read_is_the_same(
+    name: str, rng: np.random.Generator, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Joints, limits and masses, and kinematics to rounding; nothing is logged."""
     robot = Robot.from_urdf(name)
     there = yourdfpy.URDF.load(io.BytesIO(robot.urdf), load_meshes=False)
+    caplog.clear()
     found = Robot.from_urdf(there, tip=robot.tip)
+    assert caplog.messages == []
     q = robot.random_configurations(5, rng)
 
     assert (found.joint_names, found.joint_types, found.base) == (robot.joint_names, robot.joint_types, robot.base)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
@@ -16,13 +17,14 @@ from pincal.calibration.curve_coverage import knows
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import FrameShift, Placed, fitted_rows, place_station
 from pincal.calibration.row_noise import noise_of_rows
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, PincalWarning, warn
 from pincal.identify.initial import links_of
 from pincal.identify.station import Station, together
 from pincal.measure.admit import scorable, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.measure.stops import StopRows
 from pincal.notes import Note, Severity, doubts_of
+from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_summary, pose_error_sizes
 from pincal.validate.agreement import belongs_to_other_robot, mix_up, nominal_displacements
 from pincal.validate.lack_of_fit import LackOfFit, replicate_statistics
@@ -201,8 +203,66 @@ def validate_rows(
     Raises:
         BadInputError: if the rows are not of a calibrated station, and too few to locate another.
     """
+    if refit:
+        measurements = _between_likely_links(models, measurements)
     found = _judged(models, measurements, name=name, refit=refit, angle=sigma_orientation)
     return replace(found, fitted=together(*(model.rows for model in models)))
+
+
+def _between_likely_links(
+    models: Sequence[FittedRobot], measurements: Measurements
+) -> Measurements:
+    """Return rows with the links between which they are, if they do not name any, and the robot was
+    calibrated between two hands by other readings than theirs.
+
+    An instrument then stands in the cell and sees one of the hands: the one that its rows fit far
+    better than the others, and than the path between the hands. Otherwise they are unchanged.
+    """
+    robot = models[0].model.chain.robot
+    is_known = measurements.kind in {model.sensor_kind for model in models}
+    if measurements.from_link is not None or is_known or robot.path.start == robot.base:
+        return measurements
+    hands = _hands_of(robot, measurements)
+    count = len(measurements)
+    tables = [measurements]
+    for hand in hands:
+        start = np.full(count, robot.base)
+        tip = np.full(count, hand)
+        tables.append(replace(measurements, from_link=start, to_link=tip))
+    ratios = np.array([_misfit_if_placed(models, table) for table in tables])
+    order = np.argsort(ratios)
+    best = int(order[0])
+    second = int(order[1])
+    if best == 0 or ratios[best] ** 2 > OTHER_ROWS.clear * ratios[second] ** 2:
+        return measurements
+    warn(
+        f"{measurements.source}: the rows do not name their links; they are taken as measured from "
+        f"{robot.base} to {hands[best - 1]}, which they fit {ratios[second] / ratios[best]:.3g} "
+        "times better than other ways; if that is wrong, add columns from and to"
+    )
+    return tables[best]
+
+
+def _hands_of(robot: Robot, measurements: Measurements) -> list[str]:
+    """Return the hands of a robot of which rows may be: the one that they name, or all."""
+    if measurements.to_link is not None and len(measurements):
+        return [str(measurements.to_link[0])]
+    pairs = ((robot.path.start, robot.tip), *robot.links)
+    ends = dict.fromkeys(end for pair in pairs for end in pair)
+    return [end for end in ends if end != robot.base]
+
+
+def _misfit_if_placed(models: Sequence[FittedRobot], table: Measurements) -> float:
+    """Return the residuals of rows in units of their noise once instrument and targets are placed;
+    infinite if the rows do not determine these.
+    """
+    try:
+        with warnings.catch_warnings():
+            # Of ways that are rejected.
+            warnings.simplefilter("ignore", PincalWarning)
+            return float(place_station(_anywhere(models), table).misfit.ratio)
+    except BadInputError:
+        return np.inf
 
 
 def _judged(

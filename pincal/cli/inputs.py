@@ -4,7 +4,7 @@ models with placement.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -307,8 +307,14 @@ def load_table(
     is_tree = bool(robot.links) or robot.path.start != robot.base
     pairs = given or links_of_rows(path, reading) if is_tree else [(None, None)]
     chosen = None
+    starts = dict[str, str]()
+    there = set(joint_columns(path, robot.joint_names, reading)) if is_tree else set[str]()
+    if any(start is None and tip is not None for start, tip in pairs):
+        # Rows that name the hand alone are from the model's other hand, or from the base.
+        ends = {tip: _only_start(robot, tip, there) for start, tip in pairs if tip and not start}
+        starts = {tip: start for tip, start in ends.items() if start}
+        pairs = [(start or starts.get(str(tip)), tip) for start, tip in pairs]
     if pairs == [(None, None)] and is_tree:
-        there = set(joint_columns(path, robot.joint_names, reading))
         # An arm that was calibrated by contacts may also be measured by an instrument at the base.
         ends = dict.fromkeys(
             end for pair in ((robot.path.start, robot.tip), *robot.links) for end in pair
@@ -320,12 +326,31 @@ def load_table(
         )
         chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
         pairs = pairs if chosen is None else [chosen]
+        # Between two hands, rows with the joints of both may be of either: what they fit decides.
+        if chosen == ways[0] and robot.path.start != robot.base:
+            chosen = None
     needed = {name for pair in pairs for name in robot.joints_between(*pair)}
     own = [robot.joint_names[i] for i in robot.own_joints]
     resting = {name: 0.0 for name in own if name not in needed} | dict(links.rest)
     reading = of_path(path, needed, reading)
     table = read_measurements(path, robot, **vars(reading), require=require, resting=resting)
+    for tip, start in starts.items():
+        assert table.to_link is not None
+        table = _with_links(table, table.to_link == tip, start, tip)
     return table if chosen is None else _with_links(table, np.ones(len(table), bool), *chosen)
+
+
+def _only_start(robot: Robot, tip: str, there: Collection[str]) -> str | None:
+    """Return the link from which rows of a hand are, of the start of the model's path and the base,
+    by the joints that they have; None if they have those of both ways.
+    """
+    ends = dict.fromkeys((robot.path.start, robot.base))
+    whole = [
+        start
+        for start in ends
+        if start != tip and set(there).issuperset(robot.joints_between(start, tip))
+    ]
+    return whole[0] if len(whole) == 1 else None
 
 
 def options_of(chosen: CalibrationOptions, tables: Mapping[str, Measurements]) -> Options:

@@ -42,7 +42,7 @@ class UrdfExport:
             calibrated geometry [m].
         links_error_m: largest difference of the pose of a link between Pinocchio and yourdfpy [m,
             1], which share no code; infinite if yourdfpy can read neither this URDF nor the
-            original.
+            original, or is not installed.
     """
 
     text: bytes
@@ -112,7 +112,7 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     lost = (*held, *ends, tip) if open_pins else held
     error = _check(edited, tip, model, values, lost=lost)
     readers = read_back(robot, edited, text)
-    notes += () if readers.agree else (f"{readers}, in the URDF that it was made from, too",)
+    notes += (readers.note,) if readers.note else ()
     return UrdfExport(edited, tip, changed, notes, error, readers.error_m)
 
 

@@ -5,17 +5,16 @@ the same places.
 from __future__ import annotations
 
 import io
-import logging
 from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.errors import RobotFileError, needed
+from pincal.errors import RobotFileError
 from pincal.io.file_numbers import IN_FILES
 from pincal.robot.arm_of_tree import arm_model
 from pincal.robot.robot import Robot
 from pincal.robot.tree import UrdfTree
-from pincal.robot.urdf_file import arm_text, parse_urdf
+from pincal.robot.urdf_file import arm_text, parse_urdf, silent_yourdfpy
 from pincal.thresholds import Count
 
 _POSES: Count = 5
@@ -29,16 +28,28 @@ class LinksReadTwice:
         error_m: largest difference of a link's pose in the root's frame [m, 1].
         link: the link of this difference; "" if there is none.
         failure: why yourdfpy can't read the file; "" if it can.
+        is_installed: whether there is a yourdfpy.
     """
 
     error_m: float
     link: str
     failure: str = ""
+    is_installed: bool = True
 
     @property
     def agree(self) -> bool:
         """Whether the file was read by both, and alike."""
         return not self.failure and self.error_m <= IN_FILES.tip_error
+
+    @property
+    def note(self) -> str:
+        """What is to be told of a URDF that was written nevertheless; "" if they agree."""
+        if not self.is_installed:
+            return (
+                "yourdfpy is not installed (pip install yourdfpy): the calibrated URDF was read back "
+                "by Pinocchio alone"
+            )
+        return "" if self.agree else f"{self}, in the URDF that it was made from, too"
 
     def __str__(self) -> str:
         """What they differ in."""
@@ -58,13 +69,15 @@ def read_back(robot: Robot, text: bytes, original: bytes) -> LinksReadTwice:
 
     Returns:
         Where both put the links; if they disagree, they do so about the original as well, as about
-        mimic joints of mimic joints.
+        mimic joints of mimic joints. A small installation has no yourdfpy.
 
     Raises:
-        RobotFileError: if they disagree about the written file alone, or without yourdfpy.
+        RobotFileError: if they disagree about the written file alone.
     """
-    with needed("yourdfpy", "calibrated URDFs, which are read back by it,", error=RobotFileError):
+    try:
         import yourdfpy  # noqa: F401
+    except ImportError as missing:
+        return LinksReadTwice(np.inf, "", str(missing), is_installed=False)
     found = _readings(robot, text)
     if not found.agree and _readings(robot, original).agree:
         raise RobotFileError(
@@ -105,18 +118,12 @@ def _by_yourdfpy(tree: UrdfTree, robot: Robot, q: np.ndarray, links: list[str]) 
 
     # It does not close loops; of these files it reads the tree.
     text = arm_text(tree.text, robot.joint_names, tree.source).encode() if tree.closures else None
-    logger = logging.getLogger("yourdfpy.urdf")
-    before = logger.disabled
-    # Of colours and textures that a file does not declare.
-    logger.disabled = True
-    try:
+    with silent_yourdfpy():
         arm = yourdfpy.URDF.load(io.BytesIO(text or tree.text), load_meshes=False)
         found = []
         for row in q:
             arm.update_cfg(dict(zip(robot.joint_names, row.tolist(), strict=True)))
             found.append([arm.get_transform(link, tree.root)[:3] for link in links])
-    finally:
-        logger.disabled = before
     return np.array(found)
 
 

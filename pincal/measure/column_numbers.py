@@ -12,6 +12,7 @@ _FEW_DEGREES = "test_checks.py::test_few_degrees_beyond_the_limits_are_refused"
 _RAIL = "test_checks.py::test_millimetres_on_a_rail_are_refused"
 _TOLERANCE = "test_checks.py::test_tolerance_of_limits_is_silent"
 _ONE_POSE = "test_checks.py::test_one_pose_repeated_is_refused"
+_ROUNDED = "test_mistakes.py::test_rounded_joints_do_not_make_a_changed_robot"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +53,21 @@ class ColumnNumbers:
         _FEW_DEGREES,
         "of a joint's largest position to its limits, above which another unit may explain it",
         "chosen",
+    )
+    various: float = number(
+        0.7,
+        "ratio",
+        _ROUNDED,
+        "of different positions of a joint to rows, above which they are no grid",
+        "a grid of two joints has a tenth",
+    )
+    explained: tuple[float, float] = number(
+        (0.5, 2.0),
+        "ratio",
+        _ROUNDED,
+        "of what rows are off to what the rounding of their joints explains, between which it may "
+        "be all",
+        "estimated from twenty rows it is known to a fifth",
     )
     constant: float = number(
         1e-4, "rad or m", _ONE_POSE, "range of a joint that is at rest", "the noise of an encoder"

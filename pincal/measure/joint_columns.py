@@ -20,8 +20,20 @@ from pincal.errors import MeasurementError, warn
 from pincal.hypotheses.hypothesis import Hypothesis, exchange_order, explaining
 from pincal.measure.column_numbers import JOINT_COLUMNS
 from pincal.measure.measurements import Measurements
+from pincal.thresholds import Count, Scale
 
 _Columns = Hypothesis[np.ndarray]
+# Steps in which positions are written, largest first [rad]; what they may be off in parts of one,
+# and the digits by which two are told apart.
+_STEPS: tuple[Scale, ...] = (
+    np.deg2rad(1.0),
+    0.01,
+    np.deg2rad(0.1),
+    1e-3,
+    np.deg2rad(0.01),
+)
+_OF_STEP: Scale = 1e-3
+_DIGITS: Count = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +189,33 @@ class JointColumns:
                 f"the worst is {self.table.q[worst, j]:.6g} in line {self.table.rows[worst]}, "
                 f"{self._excess[worst, j]:.3g} too far{hint}; check the sign, the zero and the URDF"
             )
+
+
+def steps_of(table: Measurements) -> dict[str, float]:
+    """Return the step in which each joint that looks rounded is written [rad], by name.
+
+    Its positions are all multiples of the step and hardly ever the same: those of a grid, which are
+    as round, recur.
+
+    Example:
+        >>> from pincal.measure.measurements import measurements
+        >>> q = np.deg2rad(np.round(np.random.default_rng(0).uniform(-90, 90, (20, 2)), [1, 9]))
+        >>> found = steps_of(measurements(["a", "b"], q, distance=np.ones(20)))
+        >>> {name: round(float(np.rad2deg(step)), 3) for name, step in found.items()}
+        {'a': 0.1}
+    """
+    found = {}
+    for name, q in zip(table.joint_names, table.q.T, strict=True):
+        step = next((step for step in _STEPS if _is_in_steps(q, step)), None)
+        values = len(np.unique(np.round(q, _DIGITS)))
+        if step is not None and values > JOINT_COLUMNS.various * len(q):
+            found[name] = float(step)
+    return found
+
+
+def _is_in_steps(q: np.ndarray, step: float) -> bool:
+    """Return whether positions are multiples of a step, to a small part of it."""
+    return bool(np.abs(q / step - np.round(q / step)).max(initial=0.0) < _OF_STEP)
 
 
 def _in_small_unit(i: int, name: str, slides: bool) -> _Columns:

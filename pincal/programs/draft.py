@@ -158,21 +158,26 @@ class Draft:
         known = self._known(program)
         used: dict[PointKey, Point] = {}
         ambiguous: dict[PointKey, str] = {}
+        said = {one.name for one in program.skipped}
+        # Points by the targets that mean them: a computed index means all of an array.
+        meant: dict[str, list[Point]] = {}
         for motion in self.motions:
             stops: list[PointKey | None] = []
             for target in motion.targets:
-                points = self._meant(target, known)
+                if isinstance(target, str) and target not in meant:
+                    meant[target] = self._meant(target, known)
+                points = meant[target] if isinstance(target, str) else self._meant(target, known)
                 if isinstance(target, Skipped):
                     program.skipped.append(target)
+                    said.add(target.name)
                 elif isinstance(target, str) and not (
-                    points
-                    or self._elements(target, self._points)
-                    or any(one.name == target for one in program.skipped)
+                    points or target in said or self._elements(target, self._points)
                 ):
                     reason = self._why(target) or "declared elsewhere"
                     program.skipped.append(
                         Skipped(target, motion.source, motion.statement.line, reason)
                     )
+                    said.add(target)
                 for point in points:
                     loads = program.loads.setdefault(point.key, [])
                     if motion.load not in loads:
@@ -220,12 +225,14 @@ class Draft:
         """Return the reliable points by their names; the others are skipped."""
         known: dict[str, Point] = {}
         frames = self._frame_names()
-        targets = {
-            name
+        named = {
+            target
             for motion in self.motions
             for target in motion.targets
             if isinstance(target, str)
-            for name in (self._elements(target, self._points) or [target])
+        }
+        targets = {
+            name for target in named for name in (self._elements(target, self._points) or [target])
         }
         for name, points in self._points.items():
             if name in frames and name not in targets:

@@ -95,7 +95,9 @@ def followed(
         for statement, step in zip(statements, steps, strict=True):
             for name in step.starts:
                 why = f"{name}, which line {statement.line} starts, may set it at any time"
-                at_any_time |= dict.fromkeys(effects.get(name, ()), why)
+                if name not in effects:
+                    why = f"line {statement.line} starts {name}, which {OUTSIDE}"
+                at_any_time |= dict.fromkeys(effects.get(name, outside), why)
     return [
         _followed(
             statements, steps, around, effects=effects, outside=outside, at_any_time=at_any_time

@@ -4,6 +4,8 @@ what displaces them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pincal.programs.line_flow import ANY, POSITIONS, BlockPart, Line
 from pincal.programs.understood import (
     Understood,
@@ -50,6 +52,8 @@ JOB_WORDS = (
 _INSTRUCTIONS = understood_words(JOB_WORDS, "instruction")
 _OPTIONS = understood_words(JOB_WORDS, "option")
 SHIFT = "shift"
+# Variables that SET may set; of indexed ones the index is left out.
+_VARIABLES = ("B", "I", "D", "R", "S", "P", "PX", "B[]", "I[]", "D[]", "R[]", "S[]", "P[]", "PX[]")
 _BEGINS = ("SFTON", "MFRAME", "PMTON", "SYSTART")
 _ENDS = ("SFTOF", "PMTOF", "SYEND")
 _BLOCKS: dict[str, BlockPart] = {
@@ -84,13 +88,19 @@ def effect_in_job(text: str, number: int) -> Line:
     is_always = "IF" not in rest
     return Line(
         number,
-        _sets(first, text, number),
+        _sets("SET of no variable" if _sets_no_variable(words) else first, text, number),
         ends=(SHIFT,) if first in _ENDS and is_always else (),
         jumps=labels,
         calls=tuple(jobs) or ((ANY,) if is_call else ()),
         is_last=first in ("JUMP", "RET", "END") and is_always,
         block=_BLOCKS.get(first, ""),
     )
+
+
+def _sets_no_variable(words: Sequence[str]) -> bool:
+    """Return whether an instruction sets something else than a variable: ``SET USERFRAME 2``."""
+    name = words[1].lstrip("L").rstrip("0123456789") if len(words) > 1 else ""
+    return words[:1] == ["SET"] and name not in _VARIABLES
 
 
 def _sets(first: str, text: str, number: int) -> tuple[tuple[str, str], ...]:

@@ -111,7 +111,7 @@ _KRL_WORDS = (
         "variable",
         "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; "
         "$TOOL, $BASE, $ORI_TYPE and $LOAD are read",
-        "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ACT_TOOL, $ACT_BASE, $ADVANCE, $VEL, $ACC, "
+        "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, "
         "$APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, "
         "$ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, "
         "$CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, "

@@ -148,7 +148,19 @@ class _Paths:
             elif not (line.is_last and lines[k + 1].label) and lines[k + 1].block != "else":
                 self.next[start + k].append(start + k + 1)
             for label in line.jumps:
-                self.next[start + k] += labels.get(label, [])
+                if label != ANY:
+                    self.next[start + k] += labels.get(label, [])
+        self._connect_computed(start, lines, labels.get(ANY, []))
+
+    def _connect_computed(self, start: int, lines: Sequence[Line], labels: list[int]) -> None:
+        """Connect jumps to computed labels to all labels, over one line that stands for them."""
+        jumps = [k for k, line in enumerate(lines) if ANY in line.jumps]
+        if not jumps:
+            return
+        for k in jumps:
+            self.next[start + k].append(len(self.lines))
+        self.lines.append(Line(0))
+        self.next.append(labels)
 
     def _connect_blocks(self, start: int, lines: Sequence[Line]) -> None:
         """Connect the start of each block, and the ends of its branches, to its end; and the end of
@@ -219,8 +231,10 @@ class _Paths:
                 if not is_ahead[j]:
                     is_ahead[j] = True
                     ahead.append(j)
-        ends = [*self.starts[1:], len(self.lines)]
-        return [before[start:end] for start, end in zip(self.starts, ends, strict=True)]
+        return [
+            before[start : start + len(listing.lines)]
+            for listing, start in zip(self.listings, self.starts, strict=True)
+        ]
 
     def _after(
         self, k: int, before: Mapping[str, str], called: Mapping[str, Mapping[str, str]]

@@ -191,6 +191,17 @@ _ENDS_IT = (
     "FCDEACT",
     "EGMRESET",
 )
+# Instructions that only read their arguments.
+READING = (
+    "TPWRITE",
+    "WRITE",
+    "ERRWRITE",
+    "ERRLOG",
+    "UIMSGBOX",
+    "SETSYSDATA",
+    "MOVEEXTJ",
+    "GRIPLOAD",
+)
 # Instructions that set data by their names, which are texts.
 BY_NAME = ("SETDATAVAL", "SETALLDATAVAL")
 

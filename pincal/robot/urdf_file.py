@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import io
+import logging
 import os
 import re
 import sys
@@ -82,6 +83,20 @@ def arm_text(text: bytes, moving: Collection[str], source: str, *, loops: bool =
     return str(etree.tostring(root, encoding="unicode"))
 
 
+@contextlib.contextmanager
+def silent_yourdfpy() -> Iterator[None]:
+    """Let yourdfpy not log, of meshes that it does not find and colours that are not declared:
+    they are not needed where only joints are read or written.
+    """
+    logger = logging.getLogger("yourdfpy.urdf")
+    before = logger.disabled
+    logger.disabled = True
+    try:
+        yield
+    finally:
+        logger.disabled = before
+
+
 def written_by_yourdfpy(source: Any) -> Any:
     """Return the text of a robot that yourdfpy has read; anything else as it is.
 
@@ -93,7 +108,8 @@ def written_by_yourdfpy(source: Any) -> Any:
     if library is None or not isinstance(source, library.URDF):
         return source
     try:
-        return bytes(source.write_xml_string())
+        with silent_yourdfpy():
+            return bytes(source.write_xml_string())
     except Exception as error:  # The library of others may raise anything for its object.
         raise RobotFileError(
             f"yourdfpy.URDF: can't be written by yourdfpy ({type(error).__name__}: {error}); give "

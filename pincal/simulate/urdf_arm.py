@@ -267,6 +267,11 @@ def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Se
         i: data.oMi[i].homogeneous @ transform(axis) for i, axis in zip(joints, axes, strict=True)
     }
     end = model.frames[_frame_id(model, tip)].parentJoint
+    if not end:
+        raise RobotFileError(
+            f"no joint moves {tip!r}, which is to be measured; expected a link of the arm: simulate "
+            f"it as seen from {tip!r} (--from), and invert the poses for what is seen from the arm"
+        )
     placements = [np.linalg.solve(working[model.parents[i]], working[i]) for i in joints]
     placements.append(np.linalg.solve(working[end], data.oMf[_frame_id(model, tip)].homogeneous))
     lower, upper = _limits(model, prismatic, joints)

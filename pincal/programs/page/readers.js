@@ -296,7 +296,10 @@ for (const $each of py.iter(py.zip(statements, steps))) {
 for (const $each of py.iter(step.starts)) {
 name = $each;
 why = (py.str(name) + ", which line " + py.str(statement.line) + " starts, may set it at any time");
-at_any_time = py.or(at_any_time, py.fromkeys(py.call(effects, "get", name, []), why));
+if (!py.has(effects, name)) {
+why = ("line " + py.str(statement.line) + " starts " + py.str(name) + ", which " + py.str(OUTSIDE));
+}
+at_any_time = py.or(at_any_time, py.fromkeys(py.call(effects, "get", name, outside), why));
 }
 }
 }
@@ -538,9 +541,26 @@ py.call(py.at(this.next, py.add(start, k)), "append", py.add(py.add(start, k), 1
 }
 for (const $each of py.iter(line.jumps)) {
 label = $each;
+if (!py.same(label, ANY)) {
 py.put(this.next, py.add(start, k), py.add(py.at(this.next, py.add(start, k)), py.call(labels, "get", label, [])));
 }
 }
+}
+this._connect_computed(start, lines, py.call(labels, "get", ANY, []));
+return null;
+}
+_connect_computed(start, lines, labels) {
+let jumps, k;
+jumps = (() => { const $out = []; for (const [k, line] of py.iter(py.enumerate(lines))) { if (py.has(line.jumps, ANY)) $out.push(k); } return $out; })();
+if (!py.truth(jumps)) {
+return null;
+}
+for (const $each of py.iter(jumps)) {
+k = $each;
+py.call(py.at(this.next, py.add(start, k)), "append", py.len(this.lines));
+}
+py.call(this.lines, "append", new Line(0));
+py.call(this.next, "append", labels);
 return null;
 }
 _connect_blocks(start, lines) {
@@ -615,7 +635,7 @@ return effects;
 return null;
 }
 reasons() {
-let after, ahead, before, called, called_here, ends, is_ahead, j, k, lasts, state, targets;
+let after, ahead, before, called, called_here, is_ahead, j, k, lasts, state, targets;
 before = (() => { const $out = []; for (const _ of py.iter(this.lines)) { $out.push(new py.Dict([])); } return $out; })();
 called = this._effects_of_calls();
 is_ahead = (() => { const $out = []; for (const _ of py.iter(this.lines)) { $out.push(true); } return $out; })();
@@ -643,8 +663,7 @@ py.call(ahead, "append", j);
 }
 }
 }
-ends = [...py.iter(py.text(this.starts).slice(1, undefined)), py.len(this.lines)];
-return (() => { const $out = []; for (const [start, end] of py.iter(py.zip(this.starts, ends))) { $out.push(py.text(before).slice(start, end)); } return $out; })();
+return (() => { const $out = []; for (const [listing, start] of py.iter(py.zip(this.listings, this.starts))) { $out.push(py.text(before).slice(start, py.add(start, py.len(listing.lines)))); } return $out; })();
 return null;
 }
 _after(k, before, called) {
@@ -937,7 +956,7 @@ this.write(name, why);
 return null;
 }
 finish() {
-let ambiguous, before, frame, framed, frames, is_followed, is_framed, kind, known, loads, motion, point, points, program, reason, stops, target, used, why;
+let ambiguous, before, frame, framed, frames, is_followed, is_framed, kind, known, loads, meant, motion, point, points, program, reason, said, stops, target, used, why;
 frames = new py.Dict((() => { const $out = []; for (const [kind, found] of py.iter(py.call(this._frames, "items"))) { $out.push([kind, new py.Dict((() => { const $out = []; for (const [name, pose] of py.iter(py.call(found, "items"))) { $out.push([name, py.either(this._why(name), () => pose)]); } return $out; })())]); } return $out; })());
 for (const $each of py.iter(this.motions)) {
 motion = $each;
@@ -954,18 +973,25 @@ program = new Program(this.sources, py.at(frames, "tool"), py.at(frames, "base")
 known = this._known(program);
 used = new py.Dict([]);
 ambiguous = new py.Dict([]);
+said = new Set((() => { const $out = []; for (const one of py.iter(program.skipped)) { $out.push(one.name); } return $out; })());
+meant = new py.Dict([]);
 for (const $each of py.iter(this.motions)) {
 motion = $each;
 stops = [];
 for (const $each of py.iter(motion.targets)) {
 target = $each;
-points = this._meant(target, known);
+if (py.truth(py.both(py.isinstance(target, ["str"]), () => !py.has(meant, target)))) {
+py.put(meant, target, this._meant(target, known));
+}
+points = (py.truth(py.isinstance(target, ["str"])) ? py.at(meant, target) : this._meant(target, known));
 if (py.truth(py.isinstance(target, [Skipped]))) {
 py.call(program.skipped, "append", target);
+py.call(said, "add", target.name);
 } else {
-if (py.truth(py.both(py.isinstance(target, ["str"]), () => !py.truth(py.either(points, () => py.either(this._elements(target, this._points), () => py.any((() => { const $out = []; for (const one of py.iter(program.skipped)) { $out.push(py.same(one.name, target)); } return $out; })()))))))) {
+if (py.truth(py.both(py.isinstance(target, ["str"]), () => !py.truth(py.either(points, () => py.either(py.has(said, target), () => this._elements(target, this._points))))))) {
 reason = py.either(this._why(target), () => "declared elsewhere");
 py.call(program.skipped, "append", new Skipped(target, motion.source, motion.statement.line, reason));
+py.call(said, "add", target);
 }
 }
 for (const $each of py.iter(points)) {
@@ -1013,10 +1039,11 @@ return program;
 return null;
 }
 _known(program) {
-let frames, known, name, points, reason, seed, targets;
+let frames, known, name, named, points, reason, seed, targets;
 known = new py.Dict([]);
 frames = this._frame_names();
-targets = new Set((() => { const $out = []; for (const motion of py.iter(this.motions)) { for (const target of py.iter(motion.targets)) { if (py.truth(py.isinstance(target, ["str"]))) for (const name of py.iter(py.either(this._elements(target, this._points), () => [target]))) { $out.push(name); } } } return $out; })());
+named = new Set((() => { const $out = []; for (const motion of py.iter(this.motions)) { for (const target of py.iter(motion.targets)) { if (py.truth(py.isinstance(target, ["str"]))) $out.push(target); } } return $out; })());
+targets = new Set((() => { const $out = []; for (const target of py.iter(named)) { for (const name of py.iter(py.either(this._elements(target, this._points), () => [target]))) { $out.push(name); } } return $out; })());
 for (const $each of py.iter(py.call(this._points, "items"))) {
 [name, points] = $each;
 if (py.truth(py.both(py.has(frames, name), () => !py.has(targets, name)))) {
@@ -1573,6 +1600,8 @@ let _OPTIONS;
 _OPTIONS = understood_words(JOB_WORDS, "option");
 let SHIFT;
 SHIFT = "shift";
+let _VARIABLES;
+_VARIABLES = ["B", "I", "D", "R", "S", "P", "PX", "B[]", "I[]", "D[]", "R[]", "S[]", "P[]", "PX[]"];
 let _BEGINS;
 _BEGINS = ["SFTON", "MFRAME", "PMTON", "SYSTART"];
 let _ENDS;
@@ -1591,7 +1620,13 @@ labels = py.tuple((() => { const $out = []; for (const word of py.iter(rest)) { 
 is_call = py.has(["CALL", "PSTART"], first);
 jobs = (() => { const $out = []; for (const word of py.iter(rest)) { if (py.truth(py.call(word, "startswith", "JOB:"))) $out.push(py.call(word, "removeprefix", "JOB:")); } return $out; })();
 is_always = !py.has(rest, "IF");
-return new Line(number, _sets(first, text, number), (py.truth(py.both(py.has(_ENDS, first), () => is_always)) ? [SHIFT] : []), undefined, labels, py.either(py.tuple(jobs), () => (py.truth(is_call) ? [ANY] : [])), py.both(py.has(["JUMP", "RET", "END"], first), () => is_always), py.call(_BLOCKS, "get", first, ""));
+return new Line(number, _sets((py.truth(_sets_no_variable(words)) ? "SET of no variable" : first), text, number), (py.truth(py.both(py.has(_ENDS, first), () => is_always)) ? [SHIFT] : []), undefined, labels, py.either(py.tuple(jobs), () => (py.truth(is_call) ? [ANY] : [])), py.both(py.has(["JUMP", "RET", "END"], first), () => is_always), py.call(_BLOCKS, "get", first, ""));
+return null;
+}
+function _sets_no_variable(words) {
+let name;
+name = ((py.len(words) > 1) ? py.call(py.call(py.at(words, 1), "lstrip", "L"), "rstrip", "0123456789") : "");
+return py.both(py.same(py.text(words).slice(undefined, 1), ["SET"]), () => !py.has(_VARIABLES, name));
 return null;
 }
 function _sets(first, text, number) {
@@ -1639,7 +1674,7 @@ py.call(found, "append", (py.str((py.same(kind, "PX") ? "P" : kind)) + py.str(py
 return found;
 return null;
 }
-return { _MANUAL, JOB_WORDS, _INSTRUCTIONS, _OPTIONS, SHIFT, _BEGINS, _ENDS, _BLOCKS, effect_in_job, _sets, why_not_reached, named_in };
+return { _MANUAL, JOB_WORDS, _INSTRUCTIONS, _OPTIONS, SHIFT, _VARIABLES, _BEGINS, _ENDS, _BLOCKS, effect_in_job, _sets_no_variable, _sets, why_not_reached, named_in };
 })();
 MODULES.rapid_blocks = (() => {
 const { InForce, Step } = MODULES.flow;
@@ -1696,6 +1731,8 @@ let JOINTS_TOO;
 JOINTS_TOO = ["CORR", "CSS", "EGM", "FORCE", "SENSOR", "SOFT"];
 let _ENDS_IT;
 _ENDS_IT = ["PDISPOFF", "EOFFSOFF", "CORRCLEAR", "SOFTDEACT", "CSSDEACT", "SYNCMOVEOFF", "DROPWOBJ", "DROPSENSOR", "FCDEACT", "EGMRESET"];
+let READING;
+READING = ["TPWRITE", "WRITE", "ERRWRITE", "ERRLOG", "UIMSGBOX", "SETSYSDATA", "MOVEEXTJ", "GRIPLOAD"];
 let BY_NAME;
 BY_NAME = ["SETDATAVAL", "SETALLDATAVAL"];
 function ends_displacement(statement) {
@@ -1821,7 +1858,7 @@ throw source.error((py.repr(found) + " within another routine; expected " + py.s
 }
 return null;
 }
-return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, BY_NAME, ends_displacement, statements_of, _divided, _once, _part, _step, check_blocks };
+return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, statements_of, _divided, _once, _part, _step, check_blocks };
 })();
 MODULES.fanuc_ls = (() => {
 const { Draft, joined } = MODULES.draft;
@@ -2337,7 +2374,7 @@ _SPEEDS = ["#VEL_PTP", "#VEL_CP", "#ACC_PTP", "#ACC_CP", "#OUT_SYNC"];
 let _MANUAL;
 _MANUAL = "KUKA System Software 8, operating and programming instructions for system integrators";
 let _KRL_WORDS;
-_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRLEN, STRDECLLEN, STRCLEAR, STRADD, STRFIND, STRCOMP, STRCOPY, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ACT_TOOL, $ACT_BASE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
+_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRLEN, STRDECLLEN, STRCLEAR, STRADD, STRFIND, STRCOMP, STRCOPY, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(_KRL_WORDS, "instruction");
 let _HARMLESS;
@@ -2869,7 +2906,7 @@ const { Draft } = MODULES.draft;
 const { InForce, Step, followed } = MODULES.flow;
 const { ControllerLanguage } = MODULES.language;
 const { Frame, Load, Motion, Point, Posture, Program, Skipped, Turn } = MODULES.program;
-const { BY_NAME, DISPLACES, GRAMMAR, JOINTS_TOO, MOTION_OPTIONS, MOTIONS, OF_OPTIONS, ONCE, RAPID_FUNCTIONS, RAPID_WORDS, SWITCHES, check_blocks, ends_displacement, statements_of } = MODULES.rapid_blocks;
+const { BY_NAME, DISPLACES, GRAMMAR, JOINTS_TOO, MOTION_OPTIONS, MOTIONS, OF_OPTIONS, ONCE, RAPID_FUNCTIONS, RAPID_WORDS, READING, SWITCHES, check_blocks, ends_displacement, statements_of } = MODULES.rapid_blocks;
 const { EXTERNAL, Entries, Reader, formal_names } = MODULES.statement_reader;
 const { Brackets, Number, Statement, aggregate, calls_in, element_name, number_of, numbers_of, place_of, split, text_of_items, word, words_in } = MODULES.syntax;
 let _SEARCHES;
@@ -2910,7 +2947,7 @@ routines = py.or(routines, new Set((() => { const $out = []; for (const step of 
 entries = new Entries((() => { const $out = []; for (const [[, statements, steps], flow] of py.iter(py.zip(files, flows))) { $out.push([statements, steps, flow]); } return $out; })(), ends_displacement, DISPLACES);
 for (const $each of py.iter(py.enumerate(files))) {
 [i, [, statements, steps]] = $each;
-reader = new _Reader(draft, i, statements, steps, py.at(flows, i), py.or(RAPID_FUNCTIONS, py.sub(routines, changing)), entries, this, switched);
+reader = new _Reader(draft, i, statements, steps, py.at(flows, i), py.or(py.or(RAPID_FUNCTIONS, py.sub(routines, changing)), py.set(READING)), entries, this, switched);
 for (const $each of py.iter(py.range(py.len(statements)))) {
 k = $each;
 reader.statement(k);
