@@ -175,7 +175,7 @@ class DiscrepancyNumbers:
         "one sound arm with six joints in 5000",
     )
     covered: float = number(
-        0.97,
+        0.96,
         "probability",
         _LACKING,
         "of residuals at poses not fitted that the interval of 95 % holds",
