@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from pincal.atomic import write_atomic
 from pincal.calibration.another_day import of_its_day, unrecorded, varied_by
 from pincal.calibration.covered import Covered, Outside
+from pincal.calibration.discrepancy import Discrepancy
 from pincal.calibration.earlier_files import read_model
 from pincal.calibration.fit_evidence import Evidence, FitEvidence, KeptEvidence
 from pincal.calibration.fitted_station import FittedStation
@@ -46,6 +47,7 @@ from pincal.model.augmented import pinocchio_model
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
 from pincal.model.model import Model
+from pincal.model.motions import Motions
 from pincal.parameters import Estimate
 from pincal.result_table import Table
 from pincal.robot.se3 import placed
@@ -76,6 +78,7 @@ class FittedRobot:
         nominal_values: shape (P,), the values with only base and tool fitted; None where unknown.
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
         evidence: what the rows show besides.
+        discrepancy: what the model lacks; None where its residuals are noise, or it is not known.
 
     Example:
         >>> from pincal import Chain, Robot
@@ -94,6 +97,7 @@ class FittedRobot:
     nominal_values: np.ndarray | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     evidence: Evidence = field(default_factory=KeptEvidence)
+    discrepancy: Discrepancy | None = None
 
     @classmethod
     def of(cls, fit: ModelFit, provenance: dict[str, Any] | None = None) -> FittedRobot:
@@ -208,6 +212,7 @@ class FittedRobot:
             self.provenance,
             # The information of all stations counts once.
             self.evidence if k == 0 else KeptEvidence(),
+            self.discrepancy,
         )
 
     @cached_property
@@ -617,25 +622,79 @@ class FittedRobot:
         return (poses, self.position_sigma(conditions)) if return_sigma else poses
 
     def position_sigma(self, conditions: Conditions) -> np.ndarray:
-        r"""Return the standard deviation of the predicted position, shape (N, 3) [m], in the
-        instrument's axes.
+        """Return the standard uncertainty of the predicted position, shape (N, 3) [m], in the
+        instrument's axes, without measurement noise: the root of the sum of
+        :meth:`position_variances`.
+        """
+        return np.asarray(np.sqrt(sum(self.position_variances(conditions).values())))
 
-        :math:`\sqrt{\mathrm{diag}(J C J^T)}`, the uncertainty of the calibration, without
-        measurement noise; plus, where an effect depends on a temperature or time that the
-        conditions lack, its variation over the calibration's rows.
+    def position_variances(self, conditions: Conditions) -> dict[str, np.ndarray]:
+        r"""Return the variance of the predicted position by its sources, shape (N, 3) each [m^2],
+        in the instrument's axes, without measurement noise.
+
+        "parameters" are those of the calibration, :math:`\mathrm{diag}(J C J^T)`, base and target
+        included; "discrepancy" is what the model lacks, see
+        :class:`pincal.calibration.discrepancy.Discrepancy`; "conditions" is the variation over the
+        calibration's rows of effects of a temperature or time that the conditions lack.
         """
         lacking = unrecorded(self.station, conditions)
         conditions = self.of_its_day(conditions)
         values = self.model_values
-        n = self.model.n_parameters
-        C = self.covariance[:n, :n]
-        variance = np.empty((len(conditions), 3))
+        found = {
+            name: np.zeros((len(conditions), 3))
+            for name in ("parameters", "discrepancy", "conditions")
+        }
         for start in range(0, len(conditions), _PIECE):
             rows = slice(start, start + _PIECE)
-            _, J = self.model.linearise(values, conditions.select(rows))
-            variance[rows] = np.einsum("nip,nip->ni", J @ C, J)
-        unknown = [varied_by(self.station, values, of, conditions) ** 2 for of in lacking]
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0) + sum(unknown)))
+            J, levers = self._motion(conditions.select(rows))
+            found["parameters"][rows] = self._by_parameters(J)
+            if self.discrepancy is not None:
+                blocks = self.discrepancy.variances(levers)
+                found["discrepancy"][rows] = np.einsum("naa->na", blocks)
+        for of in lacking:
+            found["conditions"] += varied_by(self.station, values, of, conditions) ** 2
+        return found
+
+    def position_covariance(self, conditions: Conditions) -> np.ndarray:
+        """Return the covariance of the predicted positions of N poses with each other, shape (N, 3,
+        N, 3) [m^2], in the instrument's axes, without measurement noise.
+
+        Near poses err alike: their difference is known better than each of them. What depends on
+        conditions that are not recorded is taken to be common to all.
+        """
+        lacking = unrecorded(self.station, conditions)
+        conditions = self.of_its_day(conditions)
+        J, levers = self._motion(conditions)
+        n = self.model.n_parameters
+        C = self.covariance[:n, :n]
+        found = np.einsum("nap,pq,mbq->namb", J, C, J, optimize=True)
+        if self.discrepancy is not None:
+            found += self.discrepancy.covariance(conditions.q, levers)
+        for of in lacking:
+            size = varied_by(self.station, self.model_values, of, conditions)
+            found += np.einsum("na,mb->namb", size, size)
+        return np.asarray(found)
+
+    def _motion(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
+        """Return the motion of the target by the model's parameters, shape (N, 3, P), and by the
+        drives, shape (n, N, 3); the latter is empty without a discrepancy.
+        """
+        model = self.model
+        n = model.n_parameters
+        if self.discrepancy is None:
+            _, J = model.linearise(self.model_values, conditions)
+            return J, np.zeros((0, len(conditions), 3))
+        drives = Motions(tuple(map(int, model.chain.drives)))
+        moving = model.with_effects((*model.effects, drives))
+        still = np.zeros(len(drives.coordinates))
+        _, J = moving.linearise(np.concatenate([self.model_values, still]), conditions)
+        return J[:, :, :n], np.moveaxis(J[:, :, n:], 2, 0)
+
+    def _by_parameters(self, J: np.ndarray) -> np.ndarray:
+        """Return the variance by the parameters of the model, shape (N, 3)."""
+        n = self.model.n_parameters
+        C = self.covariance[:n, :n]
+        return np.asarray(np.maximum(np.einsum("nip,nip->ni", J @ C, J), 0.0))
 
     # The same robot otherwise
 
@@ -700,6 +759,7 @@ class FittedRobot:
                 self.nominal_values,
                 self.evidence,
                 self.provenance if provenance is None else provenance,
+                self.discrepancy,
             )
 
         write_model_file(path, made)
@@ -763,4 +823,5 @@ def load_model(path: str | os.PathLike[str]) -> FittedRobot:
         file.nominal_values,
         file.provenance,
         KeptEvidence(file.unmodelled, file.information),
+        file.discrepancy,
     )

@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from pincal.calibration.covered import Covered
+from pincal.calibration.discrepancy import Discrepancy
 from pincal.calibration.fit_evidence import Evidence
 from pincal.calibration.fitted_station import FittedStation
 from pincal.calibration.information import RobotInformation
@@ -194,6 +195,8 @@ class ModelFile(Record, frozen=True, kw_only=True):
             tested.
         information: information of the rows on the robot, without any prior, from which types of
             robots are learned; none where it is not known.
+        discrepancy: the covariance of what the model lacks; none where its residuals are noise, or
+            it is not known.
         files: the files written with it, with their SHA-256; none where it was saved alone.
     """
 
@@ -210,6 +213,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
     nominal_values: Annotated[Numbers | None, ArrayShape("parameters")] = None
     unmodelled: Unmodelled | None = None
     information: RobotInformation | None = None
+    discrepancy: Discrepancy | None = None
     files: dict[str, str] | None = None
 
     @classmethod
@@ -220,6 +224,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
         nominal_values: np.ndarray | None,
         evidence: Evidence,
         provenance: dict[str, Any],
+        discrepancy: Discrepancy | None,
     ) -> ModelFile:
         """Return the file of a fitted robot, given by its parts."""
         return cls(
@@ -234,6 +239,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
             nominal_values=nominal_values,
             unmodelled=evidence.unmodelled,
             information=evidence.information,
+            discrepancy=discrepancy,
         )
 
     def __post_init__(self) -> None:

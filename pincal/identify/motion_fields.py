@@ -61,14 +61,14 @@ def fields_of_joints(station: Station, values: np.ndarray) -> Iterator[MotionFie
     :func:`fields_of_setup`.
     """
     robot = station.model.chain.robot
-    by_joint = _displacements_by_drives(station, values)
+    by_joint = displacements_by_drives(station, values)
     for name, unit, directions in zip(robot.joint_names, robot.joint_units, by_joint, strict=True):
         # A joint that these poses do not observe moves nothing.
         if np.abs(directions).max() > _NOTHING:
             yield MotionField(name, directions[:, :, None], unit)
 
 
-def _displacements_by_drives(station: Station, values: np.ndarray) -> np.ndarray:
+def displacements_by_drives(station: Station, values: np.ndarray) -> np.ndarray:
     """Return the displacements of the targets by each drive, as far as readings determine them,
     shape (n, N, 3) [m per rad or m].
 

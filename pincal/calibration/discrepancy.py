@@ -1,0 +1,310 @@
+r"""What a calibrated model lacks, as part of the uncertainty of its predictions.
+
+The covariance of the parameters says nothing of effects that the model does not describe: on real
+arms 95 % intervals by it alone cover a fifth to four fifths of the readings. Residuals at poses
+that a fit has not seen, by folds of whole regions of joint space, do tell (Kennedy and O'Hagan
+2001, J. R. Stat. Soc. B 63, 425-464). At a pose q with the levers L_j of its drives the discrepancy
+of the position is taken to be
+
+.. math:: \delta(q) = \sum_j L_j(q) \, f_j(q_j) + w(q),
+
+with an error f_j of each drive, a Gaussian process in its own angle, and a rest w that no other
+pose shares. So what is near in joint space errs alike, and differences of near poses are known
+better than the poses. The covariance of f_j is a sum over lengths,
+
+.. math:: \operatorname{cov}(f_j(a), f_j(b)) = \sum_l s_{jl}^2 \, (1 + d) e^{-d},
+          \qquad d = \sqrt 3 \, |a - b| / l ,
+
+and all variances are linear in the products of the residuals of two poses: non-negative least
+squares, once plain and once weighted by the covariances found, estimate them. A factor brings the
+intervals to what the residuals show (a conformal quantile: Barber et al. 2021, Ann. Stat. 49,
+486-507).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from msgspec.structs import replace as changed
+from scipy.optimize import nnls
+
+from pincal.calibration.calibration_numbers import DISCREPANCY
+from pincal.identify.fit import ModelFit
+from pincal.identify.folds import left_out_residuals
+from pincal.identify.motion_fields import displacements_by_drives
+from pincal.identify.split import joint_regions
+from pincal.identify.station import Station
+from pincal.io.arrays import ArrayShape, Numbers, Record
+from pincal.io.strict_json import Fault
+from pincal.thresholds import Count, Scale
+from pincal.validate.misfit import Verdict
+
+# Lengths over which drives err alike [rad or m].
+_LENGTHS = (0.05, 0.2, 0.8)
+# Poses from whose pairs the variances are estimated, and their seed.
+_MOST: Count = 100
+_SEED: Count = 0
+# Mean lever of a drive below which it displaces no target [m/rad or m/m].
+_LEVER: Scale = 1e-3
+# Part of the mean variance that weights take at least to be of single poses: where the first
+# estimate has none, they would else rest on differences of a few near poses alone.
+_SINGLE: Scale = 0.1
+# Standard deviations that hold 95 % of a normal variable.
+_NORMAL: Scale = 1.959964
+
+
+class Discrepancy(Record, frozen=True, kw_only=True):
+    """The covariance of what a model lacks, for an arm with n joints.
+
+    Attributes:
+        lengths: shape (L,), over which drives err alike [rad or m].
+        drives: shape (n, L), variances of the errors of the drives [rad^2 or m^2].
+        rest: variance of a coordinate of the target that no other pose shares [m^2].
+        factor: on all standard deviations, by which intervals cover what they say.
+        coordinates: number of coordinates of residuals at poses not fitted on which it rests.
+    """
+
+    lengths: Annotated[Numbers, ArrayShape("lengths")]
+    drives: Annotated[Numbers, ArrayShape("joints", "lengths")]
+    rest: float
+    factor: float
+    coordinates: int
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if np.any(self.drives < 0.0):
+            raise Fault("has a negative entry", "variances of 0 or more", key=".drives")
+        if np.any(self.lengths <= 0.0):
+            raise Fault("has an entry of 0 or less", "positive lengths", key=".lengths")
+        for name in ("rest", "factor"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise Fault(f"is {getattr(self, name)}", "a number of 0 or more", key=f".{name}")
+
+    def variances(self, levers: np.ndarray) -> np.ndarray:
+        """Return the covariance of the target's position at each of N poses, shape (N, 3, 3) [m^2].
+
+        Args:
+            levers: shape (n, N, 3), motion of the target by each drive [m/rad or m/m].
+        """
+        of_drives = np.einsum("j,jna,jnb->nab", self.drives.sum(axis=1), levers, levers)
+        return np.asarray(self.factor**2 * (of_drives + self.rest * np.eye(3)))
+
+    def covariance(self, q: np.ndarray, levers: np.ndarray) -> np.ndarray:
+        """Return the covariance of the target's positions at N poses with each other, shape (N, 3,
+        N, 3) [m^2].
+
+        Args:
+            q: shape (N, n), joint positions [rad or m]; equal ones are one pose.
+            levers: shape (n, N, 3), motion of the target by each drive [m/rad or m/m].
+        """
+        found = np.zeros((len(q), 3, len(q), 3))
+        for j, sizes in enumerate(self.drives):
+            if np.any(sizes):
+                alike = np.einsum("l,lab->ab", sizes, _alike(q[:, j], self.lengths))
+                found += np.einsum("nm,na,mb->namb", alike, levers[j], levers[j])
+        same = np.all(q[:, None] == q[None], axis=2)
+        found += self.rest * np.einsum("nm,ab->namb", same, np.eye(3))
+        return np.asarray(self.factor**2 * found)
+
+
+def _alike(q: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Return the correlation of the errors of a drive at its positions, shape (N,), for each
+    length, shape (L, N, N).
+    """
+    apart = np.sqrt(3.0) * np.abs(q[:, None] - q) / np.asarray(lengths)[:, None, None]
+    return np.asarray((1.0 + apart) * np.exp(-apart))
+
+
+def errs_with_drives(residuals: np.ndarray, q: np.ndarray, levers: np.ndarray) -> float:
+    """Return how significantly the residuals of a fit follow the position of some drive, in
+    standard deviations.
+
+    Residuals along the lever of a drive, sorted by its position, are compared with their
+    neighbours: the products are zero on average if they are noise.
+
+    Args:
+        residuals: shape (N, 3), of the target's positions [m].
+        q: shape (N, n), joint positions.
+        levers: shape (n, N, 3), motion of the target by each drive.
+    """
+    found = [0.0]
+    for position, lever in zip(q.T, levers, strict=True):
+        length = np.linalg.norm(lever, axis=1)
+        moved = length > _LEVER
+        if np.count_nonzero(moved) < DISCREPANCY.fewest or not np.ptp(position[moved]):
+            continue
+        along = np.einsum("na,na->n", residuals[moved], lever[moved]) / length[moved]
+        sign = np.sign(along) * np.sqrt(np.abs(along))
+        in_order = sign[np.argsort(position[moved], kind="stable")]
+        products = in_order[1:] * in_order[:-1]
+        size = np.sqrt(np.sum(products**2))
+        found.append(float(np.sum(products) / size) if size else 0.0)
+    return max(found)
+
+
+def discrepancy_of(
+    residuals: np.ndarray, q: np.ndarray, levers: np.ndarray, noise: np.ndarray
+) -> Discrepancy | None:
+    """Return the discrepancy that residuals at poses not fitted show; None for too few.
+
+    Args:
+        residuals: shape (N, 3), reading minus prediction by a fit without the region of the pose,
+            as displacements of the target [m].
+        q: shape (N, n), joint positions.
+        levers: shape (n, N, 3), motion of the target by each drive.
+        noise: shape (N,), variance of a coordinate that is known to be of the readings [m^2].
+    """
+    if len(residuals) < DISCREPANCY.fewest:
+        return None
+    rng = np.random.default_rng(_SEED)
+    some = np.sort(rng.permutation(len(residuals))[:_MOST])
+    moves = np.sqrt(np.mean(np.sum(levers**2, axis=2), axis=1)) > _LEVER
+    drives = np.zeros((q.shape[1], len(_LENGTHS)))
+    drives[moves], rest = _variances(
+        residuals[some], q[some][:, moves], levers[moves][:, some], noise[some]
+    )
+    plain = Discrepancy(
+        lengths=np.array(_LENGTHS),
+        drives=drives,
+        rest=rest,
+        factor=1.0,
+        coordinates=residuals.size,
+    )
+    variance = np.einsum("naa->na", plain.variances(levers)) + noise[:, None]
+    if not np.all(variance > 0.0):
+        return None
+    reached = np.quantile(np.abs(residuals) / np.sqrt(variance), DISCREPANCY.covered)
+    return changed(plain, factor=float(reached) / _NORMAL)
+
+
+def _variances(
+    residuals: np.ndarray, q: np.ndarray, levers: np.ndarray, noise: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Return the variances of the drives, shape (n, L), and of the rest, by least squares on the
+    products of residuals of all pairs of poses, the second time weighted.
+    """
+    n = len(residuals)
+    known = np.kron(np.diag(noise), np.eye(3))
+    terms = [
+        np.einsum("nm,na,mb->namb", alike, lever, lever).reshape(3 * n, 3 * n)
+        for position, lever in zip(q.T, levers, strict=True)
+        for alike in _alike(position, np.array(_LENGTHS))
+    ]
+    terms.append(np.eye(3 * n))
+    products = np.outer(residuals.ravel(), residuals.ravel()) - known
+    sizes = _least_squares(terms, products)
+    covariance = known + sum(size * term for size, term in zip(sizes, terms, strict=True))
+    covariance += _SINGLE * np.trace(covariance) / len(covariance) * np.eye(3 * n)
+    white = np.linalg.inv(np.linalg.cholesky(covariance))
+    sizes = _least_squares([white @ term @ white.T for term in terms], white @ products @ white.T)
+    return sizes[:-1].reshape(q.shape[1], -1), float(sizes[-1])
+
+
+def _least_squares(terms: list[np.ndarray], products: np.ndarray) -> np.ndarray:
+    """Return the coefficients, none negative, of the terms of a matrix of products."""
+    columns = np.array([term.ravel() for term in terms])
+    gram = columns @ columns.T
+    scale = np.sqrt(np.diag(gram))
+    found, _ = nnls(gram / np.outer(scale, scale), columns @ products.ravel() / scale)
+    return np.asarray(found / scale)
+
+
+def lacking(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
+    """Return the discrepancy of a fit; None where its residuals are noise, or readings do not give
+    positions.
+
+    Where noise was declared or readings were repeated the verdict tells whether they are; else
+    whether they follow the position of a drive. What is then not known to be of the readings counts
+    as the model's.
+    """
+    if verdict is Verdict.ADEQUATE:
+        return None
+    stations = [k for k, at in enumerate(fit.problem.stations) if _gives_positions(at)]
+    if not stations:
+        return None
+    rows = [_Rows.of(fit, k) for k in stations]
+    if verdict is Verdict.NOT_JUDGED:
+        follows = max(errs_with_drives(of.fitted, of.q, of.levers) for of in rows)
+        if follows < DISCREPANCY.significant:
+            return None
+    fold = joint_regions(fit.problem.conditions.q, DISCREPANCY.regions)
+    if not fold.max(initial=0):
+        return None
+    (by_station,) = left_out_residuals(fit, fit.solution, [fold])
+    left_out = [
+        of.at.displacements(of.values, by_station[k]) for k, of in zip(stations, rows, strict=True)
+    ]
+    kept = [
+        of.is_kept & np.isfinite(found).all(axis=1)
+        for of, found in zip(rows, left_out, strict=True)
+    ]
+    return discrepancy_of(
+        np.vstack([found[some] for found, some in zip(left_out, kept, strict=True)]),
+        np.vstack([of.q[some] for of, some in zip(rows, kept, strict=True)]),
+        np.concatenate([of.levers[:, some] for of, some in zip(rows, kept, strict=True)], axis=1),
+        np.concatenate([of.noise[some] for of, some in zip(rows, kept, strict=True)]),
+    )
+
+
+def _gives_positions(station: Station) -> bool:
+    """Return whether each reading of a station that stands still gives a position in 3D."""
+    block = station.sensor.blocks[0]
+    is_still = station.conditions.inertial is None and station.conditions.around is None
+    return is_still and block.unit == "m" and block.size == 3
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """What the rows of a station say of a discrepancy.
+
+    Attributes:
+        at: the station.
+        values: shape (P,), its parameters.
+        q: shape (N, n), joint positions.
+        levers: shape (n, N, 3), motion of the target by each drive.
+        noise: shape (N,), variance of a coordinate that is known to be of the readings [m^2].
+        is_kept: shape (N,), rows that are no outliers.
+    """
+
+    at: Station
+    values: np.ndarray
+    q: np.ndarray
+    levers: np.ndarray
+    noise: np.ndarray
+    is_kept: np.ndarray
+
+    @classmethod
+    def of(cls, fit: ModelFit, k: int) -> _Rows:
+        """Return those of the k-th station of a fit."""
+        at = fit.problem.stations[k]
+        values = fit.solution.values[fit.problem.places[k]]
+        return cls(
+            at,
+            values,
+            at.conditions.q,
+            displacements_by_drives(at, values),
+            _known_noise(fit, k),
+            fit.solution.weights[fit.problem.rows[k]] > 0.0,
+        )
+
+    @property
+    def fitted(self) -> np.ndarray:
+        """Residuals of the fit, shape (N, 3) [m]."""
+        return self.at.displacements(self.values)
+
+
+def _known_noise(fit: ModelFit, k: int) -> np.ndarray:
+    """Return the variance of a coordinate of each row that is known to be of the readings, shape
+    (N,) [m^2]: the declared noise, or the scatter within stops.
+    """
+    at = fit.problem.stations[k]
+    scatter = fit.scatter.get(at.name)
+    declared = fit.noise.declared[fit.problem.block_spans[k].start]
+    size = 0.0
+    if declared is not None:
+        size = declared**2
+    elif scatter is not None and scatter.within_degrees[0] > 0.0:
+        size = float(scatter.within[0]) / scatter.readings
+    return np.asarray(size / np.maximum(at.weights, 1e-300) ** 2)

@@ -1,0 +1,112 @@
+"""What a model lacks, as a part of the uncertainty of its predictions.
+
+Errors are drawn here by a formula of their own: the discrepancy is judged by data that it did not make.
+"""
+
+import numpy as np
+import pytest
+
+from pincal import Robot, calibrate, load_model, measurements_from_arrays, run_calibration
+from pincal.calibration.discrepancy import Discrepancy, discrepancy_of, errs_with_drives
+from pincal.identify.options import Options
+
+NOISE = 2e-5
+
+
+def _levers(n: int, rng: np.random.Generator) -> np.ndarray:
+    """Return levers of three drives at n poses, shape (3, n, 3) [m/rad]."""
+    return rng.normal(0.0, 0.5, (3, n, 3))
+
+
+def _sines(q: np.ndarray, levers: np.ndarray, size: float, cycles: float) -> np.ndarray:
+    """Return the displacement of targets by a sine of each drive, shape (N, 3) [m]."""
+    return np.einsum("nj,jna->na", size * np.sin(cycles * q), levers)
+
+
+def test_what_drives_lack_is_found_with_its_lengths(rng: np.random.Generator) -> None:
+    """Errors of the drives that vary over half a radian are told from what no two poses share, and intervals hold them."""
+    q = rng.uniform(-1.5, 1.5, (150, 3))
+    levers = _levers(len(q), rng)
+    off = _sines(q, levers, 1e-4, 4.0) + 3e-5 * rng.standard_normal((len(q), 3))
+    found = discrepancy_of(off, q, levers, np.zeros(len(q)))
+    assert found is not None
+    variances = found.factor**2 * found.drives.sum(axis=1)
+    assert np.all(np.abs(np.sqrt(variances) / (1e-4 / np.sqrt(2.0)) - 1.0) < 0.5)
+    assert np.sqrt(found.rest) * found.factor < 6e-5
+    others = rng.uniform(-1.5, 1.5, (2000, 3))
+    levers = _levers(len(others), rng)
+    truth = _sines(others, levers, 1e-4, 4.0) + 3e-5 * rng.standard_normal((len(others), 3))
+    sigma = np.sqrt(np.einsum("naa->na", found.variances(levers)))
+    assert 0.93 < np.mean(np.abs(truth) < 1.96 * sigma) < 0.995
+
+
+def test_near_poses_differ_by_less_than_far_ones(rng: np.random.Generator) -> None:
+    """The covariance of two poses gives the variance of their difference."""
+    q = np.array([[0.0, 0.5], [0.01, 0.5], [1.4, -1.0]])
+    levers = np.tile(rng.normal(0.0, 0.5, (2, 1, 3)), (1, 3, 1))
+    found = Discrepancy(lengths=np.array([0.2]), drives=np.array([[1e-8], [1e-8]]), rest=1e-12, factor=1.2, coordinates=30)
+    C = found.covariance(q, levers)
+    near, far = (np.trace(C[0, :, 0] + C[i, :, i] - 2.0 * C[0, :, i]) for i in (1, 2))
+    assert near < 0.05 * far
+    assert np.allclose(np.einsum("nanb->nab", C), found.variances(levers), rtol=1e-12)
+    assert np.linalg.eigvalsh(C.reshape(9, 9)).min() > 0.0
+
+
+def test_noise_is_no_discrepancy(rng: np.random.Generator) -> None:
+    """Residuals without a pattern follow no drive, and those of a sine do."""
+    q = rng.uniform(-1.5, 1.5, (80, 3))
+    levers = _levers(len(q), rng)
+    draws = [errs_with_drives(NOISE * rng.standard_normal((len(q), 3)), q, levers) for _ in range(200)]
+    assert max(draws) < 4.0
+    assert errs_with_drives(_sines(q, levers, 3.0 * NOISE, 3.0), q, levers) > 4.0
+    assert discrepancy_of(np.zeros((5, 3)), q[:5], levers[:, :5], np.zeros(5)) is None
+
+
+@pytest.fixture(scope="module")
+def ripples() -> tuple[Robot, np.ndarray, np.ndarray]:
+    """Return a UR10, joint positions, and positions of its tip with a ripple of two drives that no model here has."""
+    robot = Robot.from_urdf("ur10")
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-1.5, 1.5, (400, 6))
+    from pincal import Chain, Conditions, Model
+
+    turned = q.copy()
+    turned[:, 1] += 3e-4 * np.sin(7.0 * q[:, 1])
+    turned[:, 3] += 5e-4 * np.sin(5.0 * q[:, 3] + 1.0)
+    place = Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(turned))[:, :, 3]
+    return robot, q, place
+
+
+def test_intervals_hold_what_the_model_lacks(ripples: tuple[Robot, np.ndarray, np.ndarray], tmp_path: object) -> None:
+    """A model without the ripple of two drives says how well it predicts, in its file, too."""
+    robot, q, place = ripples
+    rng = np.random.default_rng(6)
+    rows = measurements_from_arrays(robot.joint_names, q[:120], position=place[:120] + NOISE * rng.standard_normal((120, 3)))
+    found = run_calibration(robot, rows, Options(sigma=NOISE)).fit
+    assert found.discrepancy is not None
+    poses, sigma = found.predict(q[120:], return_sigma=True)
+    off = poses[:, :, 3] - place[120:]
+    # Sines stay within their amplitude: an interval of 95 % for normal errors holds nearly all of them.
+    assert np.mean(np.abs(off) < 1.96 * sigma) > 0.93
+    assert np.sqrt(np.mean(sigma**2)) == pytest.approx(np.sqrt(np.mean(off**2)), rel=0.25)
+    by_source = found.position_variances(found.conditions_at(q[120:]))
+    assert np.mean(np.abs(off) < 1.96 * np.sqrt(by_source["parameters"])) < 0.6
+    assert np.allclose(sum(by_source.values()), sigma**2, rtol=1e-12)
+    C = found.position_covariance(found.conditions_at(q[120:140]))
+    assert np.allclose(np.einsum("nana->na", C), sigma[:20] ** 2, rtol=1e-9)
+    found.save(f"{tmp_path}/model.json")
+    again = load_model(f"{tmp_path}/model.json")
+    assert np.allclose(again.predict(q[120:140], return_sigma=True)[1], sigma[:20], rtol=1e-9)
+
+
+def test_an_adequate_model_lacks_nothing(ripples: tuple[Robot, np.ndarray, np.ndarray]) -> None:
+    """Where residuals are noise, the uncertainty is that of the parameters alone."""
+    robot, q, _ = ripples
+    from pincal import Chain, Conditions, Model
+
+    place = Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q[:80]))[:, :, 3]
+    noise = NOISE * np.random.default_rng(7).standard_normal((80, 3))
+    rows = measurements_from_arrays(robot.joint_names, q[:80], position=place + noise)
+    assert run_calibration(robot, rows, Options(sigma=NOISE)).fit.discrepancy is None
+    assert run_calibration(robot, rows, Options()).fit.discrepancy is None
+    assert calibrate(robot, rows, Options(sigma=NOISE)).discrepancy is None
