@@ -2414,7 +2414,7 @@ outside = (() => { const $out = []; for (const [k, s] of py.iter(py.enumerate(st
 if (py.truth(py.either(outside, () => !py.truth(statements)))) {
 throw source.error(py.add("a statement outside DEF or DEFDAT; expected ", _WORDS), (py.truth(outside) ? py.at(outside, 0).start : 0));
 }
-py.call(readers, "append", new _Reader(draft, i, statements, steps, py.at(flows, i), py.or(_HARMLESS, by_value), entries, this));
+py.call(readers, "append", new _SourceReader(draft, i, statements, steps, py.at(flows, i), py.or(_HARMLESS, by_value), entries, this));
 }
 for (const $each of py.iter(readers)) {
 reader = $each;
@@ -2496,8 +2496,8 @@ return py.both(is_data, () => !py.has(this.constant, name));
 return null;
 }
 }
-class _Reader extends Reader {
-constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null, displacements = null) {
+class _SourceReader extends Reader {
+constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null) {
 super();
 this.draft = draft;
 this.file = file;
@@ -2507,7 +2507,6 @@ this.flow = flow;
 this.harmless = harmless;
 this.entries = entries;
 this.language = language;
-this.displacements = displacements;
 }
 declare(k, data) {
 let fields, first, group, is_part, items, line, mass, name, part, sides, statement, turning;
@@ -2899,7 +2898,7 @@ is_known = py.either(py.has(_INSTRUCTIONS, first), () => py.either(py.has(_RELAT
 return (py.truth(py.either(is_known, () => !py.truth(first))) ? py.frozenset() : py.frozenset(new Set([POSITIONS])));
 return null;
 }
-return { _TOKENS, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _MOTIONS, _BY_POSTURE, _RELATIVE, _AFTER, _POSE, _JOINTS, _EXTERNAL, _NULL, _FRAMES, _BY_DATA, _SPEEDS, _MANUAL, _KRL_WORDS, _INSTRUCTIONS, _HARMLESS, _VARIABLES, _TURNING, _ORIENTATION, _ROBOT, _PLACES, _MOVES, _SETTABLE, Krl, _Data, _Reader, _takes_values, _frame_named, _frame_of_data, _frame_data, _fields, _bits, _posture, _by_bas, _step, _set_by_bas, _set_by_assignment };
+return { _TOKENS, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _MOTIONS, _BY_POSTURE, _RELATIVE, _AFTER, _POSE, _JOINTS, _EXTERNAL, _NULL, _FRAMES, _BY_DATA, _SPEEDS, _MANUAL, _KRL_WORDS, _INSTRUCTIONS, _HARMLESS, _VARIABLES, _TURNING, _ORIENTATION, _ROBOT, _PLACES, _MOVES, _SETTABLE, Krl, _Data, _SourceReader, _takes_values, _frame_named, _frame_of_data, _frame_data, _fields, _bits, _posture, _by_bas, _step, _set_by_bas, _set_by_assignment };
 })();
 MODULES.rapid = (() => {
 const { Draft } = MODULES.draft;
@@ -2947,7 +2946,7 @@ routines = py.or(routines, new Set((() => { const $out = []; for (const step of 
 entries = new Entries((() => { const $out = []; for (const [[, statements, steps], flow] of py.iter(py.zip(files, flows))) { $out.push([statements, steps, flow]); } return $out; })(), ends_displacement, DISPLACES);
 for (const $each of py.iter(py.enumerate(files))) {
 [i, [, statements, steps]] = $each;
-reader = new _Reader(draft, i, statements, steps, py.at(flows, i), py.or(py.or(RAPID_FUNCTIONS, py.sub(routines, changing)), py.set(READING)), entries, this, switched);
+reader = new _ModuleReader(draft, i, statements, steps, py.at(flows, i), py.or(py.or(RAPID_FUNCTIONS, py.sub(routines, changing)), py.set(READING)), entries, this, switched);
 for (const $each of py.iter(py.range(py.len(statements)))) {
 k = $each;
 reader.statement(k);
@@ -3010,8 +3009,8 @@ Rapid.prototype.can_insert = true;
 Rapid.prototype.grammars = [GRAMMAR];
 Rapid.prototype.understood = RAPID_WORDS;
 LANGUAGES.register(Rapid);
-class _Reader extends Reader {
-constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null, displacements = null) {
+class _ModuleReader extends Reader {
+constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null, switched = null) {
 super();
 this.draft = draft;
 this.file = file;
@@ -3021,7 +3020,7 @@ this.flow = flow;
 this.harmless = harmless;
 this.entries = entries;
 this.language = language;
-this.displacements = displacements;
+this.switched = switched;
 }
 literal(line, name, items) {
 let group, lists, posture, sizes;
@@ -3312,7 +3311,7 @@ end = py.at(commas, 2);
 return py.add(py.add(py.text(text).slice(undefined, start), " z0"), py.text(text).slice(end, undefined));
 return null;
 }
-return { _SEARCHES, _STORAGE, _TARGETS, _DATA, _CHANGEABLE, _NONE, Rapid, _Reader, _that_change_parameters, _at_rest, _lists, _posture, _in_zone };
+return { _SEARCHES, _STORAGE, _TARGETS, _DATA, _CHANGEABLE, _NONE, Rapid, _ModuleReader, _that_change_parameters, _at_rest, _lists, _posture, _in_zone };
 })();
 MODULES.urscript = (() => {
 const { Draft } = MODULES.draft;
@@ -3365,7 +3364,7 @@ entries = new Entries((() => { const $out = []; for (const [[, statements, steps
 for (const $each of py.iter(py.enumerate(files))) {
 [i, [, statements, steps]] = $each;
 harmless = py.frozenset((() => { const $out = []; for (const statement of py.iter(statements)) { for (const [name, ] of py.iter(calls_in(statement.items))) { $out.push(name); } } return $out; })());
-reader = new _Reader(draft, i, statements, steps, py.at(flows, i), harmless, entries, this, py.sorted(displaced));
+reader = new _ScriptReader(draft, i, statements, steps, py.at(flows, i), harmless, entries, this, py.sorted(displaced));
 for (const $each of py.iter(py.range(py.len(statements)))) {
 k = $each;
 reader.statement(k);
@@ -3396,7 +3395,7 @@ UrScript.prototype.can_insert = true;
 UrScript.prototype.grammars = [nested(_TOKENS, true)];
 UrScript.prototype.understood = _SCRIPT_WORDS;
 LANGUAGES.register(UrScript);
-class _Reader extends Reader {
+class _ScriptReader extends Reader {
 constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null, displacements = null) {
 super();
 this.draft = draft;
@@ -3545,7 +3544,7 @@ return new Frame("tcp", undefined, ("line " + py.str(py.at(this.statements, foun
 return null;
 }
 }
-_Reader.prototype.case = true;
+_ScriptReader.prototype.case = true;
 function _ends_displacement(statement) {
 return py.has(_ENDS_IT, py.str(py.at(statement.items, 0)));
 return null;
@@ -3572,5 +3571,5 @@ return new Step(undefined, undefined, undefined, undefined, true, undefined, und
 return new Step(undefined, undefined, undefined, undefined, undefined, (py.has(_SWITCHES, first) ? py.frozenset(new Set([py.at(_SWITCHES, first)])) : py.frozenset()), undefined, calls);
 return null;
 }
-return { _TOKENS, _WORDS, _MOTIONS, _ENDLESS, _MANUAL, _SCRIPT_WORDS, _HARMLESS, _SWITCHES, _ENDS_IT, _MODE, _OPENS, UrScript, _Reader, _ends_displacement, _step };
+return { _TOKENS, _WORDS, _MOTIONS, _ENDLESS, _MANUAL, _SCRIPT_WORDS, _HARMLESS, _SWITCHES, _ENDS_IT, _MODE, _OPENS, UrScript, _ScriptReader, _ends_displacement, _step };
 })();
