@@ -1,9 +1,9 @@
 """How often intervals of predictions hold the readings of real arms at poses that were never fitted.
 
-``python tests/coverage_study.py`` calibrates on a part of each real series of ``../shared/data`` and predicts the rest: whole
-regions of joint space, the last stretch of the rows, poses at random, or another series of the same arm. A coordinate of
-a position counts as held if it is within 1.96 (95 %) or 1.0 (68 %) standard uncertainties of its prediction. Coordinates are
-not independent, so that a rate of one split says no more than the figures of several splits beside it.
+``python tests/coverage_study.py`` calibrates on a part of each real series of ``../shared/data`` and predicts the rest:
+whole regions of joint space, the last stretch of the rows, or poses at random. A coordinate of a position counts as held if
+it is within 1.96 (95 %) or 1.0 (68 %) standard uncertainties of its prediction. Coordinates are not independent: the rate of
+one split says no more than those of several beside it.
 """
 
 import argparse
