@@ -13,7 +13,7 @@ import numpy as np
 
 from pincal.calibration.agreed import fit_agreed
 from pincal.calibration.benefit import without_harm
-from pincal.calibration.discrepancy import lacking
+from pincal.calibration.discrepancy import discrepancy_in
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import (
     WAYS,
@@ -178,7 +178,7 @@ def run_calibration(
         left_out=tuple(left_out),
         validated=validated,
     )
-    discrepancy = lacking(fitted.fit, result.verdict_of())
+    discrepancy = discrepancy_in(fitted.fit, result.verdict_of())
     calibrated = replace(FittedRobot.of(fitted.fit), discrepancy=discrepancy)
     return Calibration(fitted.robot, fitted.stations, calibrated, result, fitted.notes, validated)
 

@@ -42,7 +42,7 @@ from pincal.thresholds import Count, Scale
 from pincal.validate.misfit import Verdict
 
 # Lengths over which drives err alike [rad or m].
-_LENGTHS = (0.05, 0.2, 0.8)
+_LENGTHS: tuple[Scale, ...] = (0.05, 0.2, 0.8)
 # Poses from whose pairs the variances are estimated, and their seed.
 _MOST: Count = 100
 _SEED: Count = 0
@@ -211,7 +211,7 @@ def _least_squares(terms: list[np.ndarray], products: np.ndarray) -> np.ndarray:
     return np.asarray(found / scale)
 
 
-def lacking(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
+def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
     """Return the discrepancy of a fit; None where its residuals are noise, or readings do not give
     positions.
 
