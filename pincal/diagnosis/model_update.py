@@ -222,8 +222,12 @@ def _taken_in(
             sigma=station.sigma / factor**0.5,
             is_noise_declared=model.is_noise_declared or declared.sigma is not None,
         )
-    found = found.with_station(station)
-    return replace(found, evidence=KeptEvidence(information=information))
+    # New rows do not describe what the model lacks.
+    return replace(
+        found.with_station(station),
+        evidence=KeptEvidence(information=information),
+        discrepancy=model.discrepancy,
+    )
 
 
 def _as_fitted(model: FittedRobot, noise: _Declared, earlier: Estimate) -> Options:
