@@ -11,10 +11,11 @@ import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 
+import click
 import pytest
 
 from pincal.builtin import kuka_urdf_path
-from pincal.cli import _COMMANDS
+from pincal.cli import pincal as command_line
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -103,7 +104,7 @@ def failures(python: Path, folder: Path) -> list[str]:
 
 def test_every_command_is_among_them() -> None:
     """What is run in other environments is all there is."""
-    assert {command.split()[0] for command, _ in COMMANDS} == set(_COMMANDS)
+    assert {command.split()[0] for command, _ in COMMANDS} == set(command_line.list_commands(click.Context(command_line)))
 
 
 def test_lowest_versions_are_taken_of_all_dependencies() -> None:

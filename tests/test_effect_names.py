@@ -18,6 +18,7 @@ ALLOWED = {
     "pincal.model.catalogue.motion": "names what every drive does, which an IMU alone sees",
     "pincal.validate.agreement": "zeros that data have pulled far are looked for",
     "pincal.validate.rough_fit": "looks for the zeros of joints",
+    "pincal.validate.descriptions": "looks for zeros and lengths that a description has wrong",
     "pincal.identify.explain": "a reason names base and tool",
     "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on, and its clock",
     "pincal.compensate.ik_problem": "moves joints as if their offsets were free",

@@ -199,7 +199,8 @@ def steps_of(table: Measurements) -> dict[str, float]:
 
     Example:
         >>> from pincal.measure.measurements import measurements
-        >>> q = np.deg2rad(np.round(np.random.default_rng(0).uniform(-90, 90, (20, 2)), [1, 9]))
+        >>> q = np.random.default_rng(0).uniform(-90, 90, (20, 2))
+        >>> q = np.deg2rad(np.column_stack([q[:, 0].round(1), q[:, 1]]))
         >>> found = steps_of(measurements(["a", "b"], q, distance=np.ones(20)))
         >>> {name: round(float(np.rad2deg(step)), 3) for name, step in found.items()}
         {'a': 0.1}

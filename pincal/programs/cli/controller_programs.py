@@ -5,7 +5,6 @@ left unchanged.
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -153,8 +152,6 @@ def correct_file(
             "one in another folder, so that a "
             "second run does not correct it again"
         )
-    if not 0.0 <= options.payload < math.inf:
-        raise click.UsageError(f"--payload {options.payload:g}: expected a mass in kg, 0 or more")
     if options.pulses is not None:
         language = language.with_pulses(options.pulses)
     program = language.read(read_sources([*files, *options.with_files]))
