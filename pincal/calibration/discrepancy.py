@@ -251,7 +251,7 @@ def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
 def _gives_positions(station: Station) -> bool:
     """Return whether each reading of a station that stands still gives a position in 3D."""
     block = station.sensor.blocks[0]
-    is_still = station.conditions.inertial is None and station.conditions.around is None
+    is_still = not station.conditions.are_of_motion and station.conditions.around is None
     return is_still and block.unit == "m" and block.size == 3
 
 

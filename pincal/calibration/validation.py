@@ -278,7 +278,7 @@ def _judged(
         return _refitted(name, rows, place_station(model, rows, sigma_orientation=angle))
 
     # Another session has other clock parameters.
-    stands = list(_stands(models, measurements, angle)) if measurements.moving is None else []
+    stands = list(_stands(models, measurements, angle)) if not measurements.is_of_motion else []
     if not stands:
         if not refit:
             raise BadInputError(

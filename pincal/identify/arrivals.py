@@ -56,7 +56,7 @@ class ArrivalNoise:
 
 def shares_stops(station: Station) -> bool:
     """Return whether several rows of a station are of one pose, as of several targets or points."""
-    return station.conditions.inertial is None and len(np.unique(poses_of(station))) < len(station)
+    return not station.conditions.are_of_motion and len(np.unique(poses_of(station))) < len(station)
 
 
 def with_arrivals(fit: ModelFit) -> ModelFit:

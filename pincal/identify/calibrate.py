@@ -162,7 +162,7 @@ def _scatter(fit: ModelFit, readings: Sequence[Measurements]) -> dict[str, StopS
     for table, (station, places, blocks), rows in zip(
         readings, fit.stations, fit.problem.rows, strict=True
     ):
-        if table.moving is not None:
+        if table.is_of_motion:
             continue
         plan = plan_of(table)
         means = by_pose(table)

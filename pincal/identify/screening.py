@@ -155,7 +155,7 @@ def _wrong_at(fit: ModelFit, k: int, table: Measurements) -> np.ndarray:
 def _has_single_readings(table: Measurements, sensor: Sensor) -> bool:
     """Return whether rows are single readings of held poses, one independent of the other."""
     is_of_arm = not sensor.is_of_joints and not sensor.is_whole
-    return table.readings_per_row is None and table.moving is None and is_of_arm
+    return table.readings_per_row is None and not table.is_of_motion and is_of_arm
 
 
 def _repeated(table: Measurements, group: np.ndarray) -> np.ndarray:

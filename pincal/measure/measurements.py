@@ -97,6 +97,11 @@ class Measurements(Recorded):
     def __len__(self) -> int:
         return len(self.q)
 
+    @property
+    def is_of_motion(self) -> bool:
+        """Whether the rows were read while the arm moved along a path, and not in poses held."""
+        return self.moving is not None
+
     def __repr__(self) -> str:
         joints = " ".join(self.joint_names)
         return f"Measurements({self.source!r}: {len(self)} rows, {self.kind}, joints {joints})"

@@ -43,7 +43,7 @@ def by_pose(table: Measurements) -> Measurements:
         >>> means.distance.tolist(), means.readings_per_row.tolist()
         ([1.1, 2.0], [2, 1])
     """
-    if table.readings_per_row is not None or table.moving is not None:
+    if table.readings_per_row is not None or table.is_of_motion:
         return table
     return mean_rows(table, replicate_groups([table], within=SCATTER)[0])
 
@@ -204,9 +204,9 @@ def _pose_numbers(
     if any(table.approach is not None for table in tables):
         sides = [np.zeros(t.q.shape, int) if t.approach is None else t.approach for t in tables]
         keys.append(np.unique(np.vstack(sides), axis=0, return_inverse=True)[1].ravel())
-    if any(table.moving is not None for table in tables):
+    if any(table.is_of_motion for table in tables):
         # Rows at a brief stop vibrate less than others, and their filter windows overlap.
-        moves = np.concatenate([np.full(len(table), table.moving is not None) for table in tables])
+        moves = np.concatenate([np.full(len(table), table.is_of_motion) for table in tables])
         keys.append(moves * np.arange(len(moves)))
     poses = _numbered(np.column_stack(keys))
     climate = _same_climate(_stacked(tables, "temperature"), poses)

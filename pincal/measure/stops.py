@@ -121,7 +121,7 @@ def plan_of(table: Measurements) -> Plan:
     thing = replicate_groups([table], within=SCATTER)[0]
     along = table.rows.astype(float) if table.time is None else table.time
     order = np.argsort(along, kind="stable")
-    if table.moving is not None or n < 2:
+    if table.is_of_motion or n < 2:
         number = np.empty(n, int)
         number[order] = np.arange(n)
         return Plan(order, pose, thing, number, np.zeros(n, int), np.zeros(n, int))
@@ -159,7 +159,7 @@ class StopRows:
         itself.
         """
         plan = plan_of(table)
-        if table.readings_per_row is not None or table.moving is not None or not plan.is_repeated:
+        if table.readings_per_row is not None or table.is_of_motion or not plan.is_repeated:
             return cls(table, plan, table, plan, np.arange(len(table)))
         kept = without_copies(table, plan.thing)
         readings = table.select(kept)
@@ -200,7 +200,7 @@ def by_stop(table: Measurements) -> Measurements:
         >>> means.distance.tolist(), means.readings_per_row.tolist()
         ([1.1, 2.0, 1.3], [2, 1, 1])
     """
-    if table.readings_per_row is not None or table.moving is not None:
+    if table.readings_per_row is not None or table.is_of_motion:
         return table
     plan = plan_of(table)
     pairs = np.column_stack([plan.stop, plan.thing])
@@ -212,7 +212,7 @@ def with_stops_counted(means: Measurements, table: Measurements) -> Measurements
     """Return means of poses with the number of stops behind each, from the table of single
     readings.
     """
-    if means is table or means.stops_per_row is not None or table.moving is not None:
+    if means is table or means.stops_per_row is not None or table.is_of_motion:
         return means
     plan = plan_of(table)
     pairs = np.unique(np.column_stack([plan.thing, plan.stop]), axis=0)

@@ -101,6 +101,11 @@ class Conditions(Recorded):
         }
         return replace(self, **chosen)
 
+    @property
+    def are_of_motion(self) -> bool:
+        """Whether they are of an arm that moved along a path, whose links bear inertial loads."""
+        return self.inertial is not None
+
     @cached_property
     def are_in_motion(self) -> bool:
         """Whether the arm moves in any of the poses."""

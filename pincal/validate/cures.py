@@ -271,7 +271,7 @@ def from_hand(robot: Robot, table: Measurements) -> Iterator[Mistake]:
     sensor = table.sensor
     if sensor is None or not sensor.reads_pose or table.from_link is not None:
         return
-    if table.to_link is not None or table.moving is not None:
+    if table.to_link is not None or table.is_of_motion:
         return
     words = f"the rows appear to be of an object beside the robot, seen from {robot.tip!r}"
     advice = f"if a camera is on the hand, state it (--from {robot.tip} --to {robot.base})"

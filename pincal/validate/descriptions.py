@@ -84,7 +84,7 @@ class DescriptionSearch:
         """Return the search for a case; None if its robot or readings allow none."""
         table = case.table
         is_plain = case.robot.is_serial and table.from_link is None and table.to_link is None
-        if table.kind != "position" or not is_plain or table.moving is not None:
+        if table.kind != "position" or not is_plain or table.is_of_motion:
             return None
         found = cls(case, options, enough, resizes)
         return found if len(found.rows) > _UNKNOWNS + case.robot.n_joints else None

@@ -71,7 +71,7 @@ def gathering_of(station: Station, rejected: np.ndarray) -> Gathering | None:
     """Return the most significant cluster of rejected rows, a mask of shape (N,); None if they may
     lie anywhere.
     """
-    if station.conditions.inertial is not None:
+    if station.conditions.are_of_motion:
         # A moving arm passes a place within a moment: consecutive wrong readings there are one.
         rejected = rejected & ~np.append(False, rejected[:-1])
     if not GATHERED.fewest <= np.count_nonzero(rejected) <= min(_MOST, len(rejected) // 2):
@@ -105,7 +105,7 @@ def bump_in(station: Station, values: np.ndarray) -> Gathering | None:
     joint. Arguments as for
     :func:`fields_of_setup`, rejected rows included.
     """
-    is_moving = station.conditions.inertial is not None
+    is_moving = station.conditions.are_of_motion
     if (
         is_moving
         or not station.sensor.reads_pose

@@ -369,11 +369,7 @@ def _largest_difference(visits: Visits, motion: np.ndarray) -> float:
 
 def _rows_of(station: Station, values: np.ndarray, table: Measurements) -> Iterator[_Rows]:
     """Yield the visits of poses, then the readings within stops, where there are several."""
-    if (
-        not station.sensor.reads_pose
-        or table.moving is not None
-        or table.readings_per_row is not None
-    ):
+    if not station.sensor.reads_pose or table.is_of_motion or table.readings_per_row is not None:
         return
     plan = plan_of(table)
     if not (plan.is_revisited or plan.is_repeated):
