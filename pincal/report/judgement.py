@@ -67,33 +67,30 @@ def judged(result: Result, search: SearchReport | None = None) -> Judged:
             "target are calibrated."
         )
         return Judged(verdict, words)
+    return Judged(verdict, _explained(result, verdict))
+
+
+def _explained(result: Result, verdict: Verdict) -> str:
+    """Return what a verdict on a fit without doubt rests on."""
     compared = result.noise_test
     if verdict is Verdict.NOT_ADEQUATE and compared is not None and compared.is_misfit:
-        words = (
-            f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=True)}"
-        )
-        return Judged(verdict, f"{words}: the robot has errors that this model does not describe.")
+        size = relative_to_noise(compared.ratio, compared.noise, is_misfit=True)
+        return f"The residuals are {size}: the robot has errors that this model does not describe."
     if verdict is Verdict.NOT_ADEQUATE:
-        return Judged(verdict, f"{see_doubts(result.doubts)}.")
+        return f"{see_doubts(result.doubts)}."
     if verdict is Verdict.NOT_JUDGED and result.doubts:
-        return Judged(
-            verdict,
-            "There are too few poses to judge whether it is complete; see the doubt stated first.",
+        return (
+            "There are too few poses to judge whether it is complete; see the doubt stated first."
         )
     if verdict is Verdict.NOT_JUDGED:
-        words = (
-            "The noise of the instrument was estimated from the residuals, so they cannot "
-            "show whether the model is "
-            "complete: declare the noise (--noise), measure some poses again, or let "
-            "pincal discover search for "
-            "missing effects."
+        return (
+            "The noise of the instrument was estimated from the residuals, so they cannot show "
+            "whether the model is complete: declare the noise (--noise), measure some poses again, "
+            "or let pincal discover search for missing effects."
         )
-        return Judged(verdict, words)
     assert compared is not None
-    return Judged(
-        verdict,
-        f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=False)}.",
-    )
+    size = relative_to_noise(compared.ratio, compared.noise, is_misfit=False)
+    return f"The residuals are {size}."
 
 
 def see_doubts(doubts: Sequence[Note]) -> str:
