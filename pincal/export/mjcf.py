@@ -328,9 +328,8 @@ def _notes_on_masses_and_springs(calibrated: FittedRobot, springs: _Springs) -> 
         notes += ("loops are closed between sites, which old versions of MuJoCo do not support",)
     if np.any(springs.compliances):
         notes += (
-            "springs reproduce the arm's static deflection under its own weight; their "
-            "armature and damping keep MuJoCo "
-            "stable at a step of 2 ms and are not measured",
+            "springs reproduce the arm's static deflection under its own weight; their armature "
+            "and damping keep MuJoCo stable at a step of 2 ms and are not measured",
             *([] if model.equilibrium else [_bent(calibrated)]),
         )
     return notes

@@ -101,38 +101,11 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
     nominal = formulas_of(nominal_robot(found) if frame == "base" else nominal_in_instrument(found))
     functions += "\n\n\n" + _functions(nominal)[0].replace("def _evaluate(", "def _nominal(", 1)
     lines = header(formulas, frame=frame)
-    own = formulas.joints
-    program = filled(
-        template_of("program.py.in"),
-        formulas,
-        frame=frame,
-        numbers=str,
-        slides=repr([chain.robot.joint_types[i] == "prismatic" for i in own]),
-        start=repr(middle_of_range(chain.robot)[own].tolist()),
-        days=repr(
-            {
-                name: float(found.covered.days[name][0])
-                for name in ("temperature", "time")
-                if name in found.covered.days
-            }
-        ),
-        units=repr(
-            {
-                quantity: {unit: size_of(unit, quantity) for unit in units}
-                for quantity, units in UNITS.items()
-            }
-        ),
-        names=", ".join(as_comment(chain.robot.joint_names[i]) for i in own),
-        reach=repr(float(chain.robot.reach)),
-        numbered=repr(NUMBERED.pattern),
-    )
     return filled(
         template_of("model.py.in"),
         formulas,
         frame=frame,
-        numbers=lambda values: (
-            "[" + ", ".join(repr(float(value)).replace("inf", "np.inf") for value in values) + "]"
-        ),
+        numbers=_list_of_numbers,
         header='"""' + "\n".join(lines) + '\n"""',
         joints=repr(tuple(chain.robot.joint_names[i] for i in formulas.joints)),
         targets=repr(chain.targets),
@@ -140,8 +113,47 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
         needed=repr(tuple(name for name in formulas.inputs if name not in ("payload", "target"))),
         curves=curves,
         evaluate=functions,
-        program=program,
+        program=_program(formulas, frame=frame),
     )
+
+
+def _program(formulas: Formulas, *, frame: str) -> str:
+    """Return the part of the file that is its command."""
+    found = formulas.calibrated
+    chain = found.model.chain
+    own = formulas.joints
+    return filled(
+        template_of("program.py.in"),
+        formulas,
+        frame=frame,
+        numbers=str,
+        slides=repr([chain.robot.joint_types[i] == "prismatic" for i in own]),
+        start=repr(middle_of_range(chain.robot)[own].tolist()),
+        days=repr(_mean_conditions(found)),
+        units=repr(_sizes_of_units()),
+        names=", ".join(as_comment(chain.robot.joint_names[i]) for i in own),
+        reach=repr(float(chain.robot.reach)),
+        numbered=repr(NUMBERED.pattern),
+    )
+
+
+def _mean_conditions(found: FittedRobot) -> dict[str, float]:
+    """Return the means of temperature [deg C] and time [s] over the data, where recorded."""
+    days = found.covered.days
+    return {name: float(days[name][0]) for name in ("temperature", "time") if name in days}
+
+
+def _sizes_of_units() -> dict[str, dict[str, float]]:
+    """Return the size of each unit that a heading may name, by quantity."""
+    return {
+        quantity: {unit: size_of(unit, quantity) for unit in units}
+        for quantity, units in UNITS.items()
+    }
+
+
+def _list_of_numbers(values: np.ndarray) -> str:
+    """Return numbers as NumPy source."""
+    return "[" + ", ".join(repr(float(value)).replace("inf", "np.inf") for value in values) + "]"
 
 
 def refuse_wrong(calibrated: FittedRobot, *, text: str) -> float:
@@ -159,9 +171,8 @@ def refuse_wrong(calibrated: FittedRobot, *, text: str) -> float:
         error = _error(alone, numpy_source(formulas_of(alone), frame="instrument"))
         if not error <= EXPORT.formulas:
             raise BadInputError(
-                f"{effect.name}: its formula differs from its prediction by up to "
-                f"{error:.2g} m, expected at most "
-                f"{EXPORT.formulas:g} m; it can't be exported"
+                f"{effect.name}: its formula differs from its prediction by up to {error:.2g} m, "
+                f"expected at most {EXPORT.formulas:g} m; it can't be exported"
             )
     raise BadInputError(
         f"formulas differ from the model by up to {worst:.2g} m; expected at most "

@@ -226,8 +226,7 @@ def _check_count(
     if sensor.pose_limit and poses < fewest:
         raise MeasurementError(
             f"{measurements.source}: {poses} poses {sensor.pose_limit}: expected at least "
-            f"{fewest}, "
-            f"preferably {min(better, 30)} or more"
+            f"{fewest}, preferably {min(better, 30)} or more"
         )
     needed = -(
         -(len(sensor.base_symbols) + own + tool + joints)
@@ -235,9 +234,8 @@ def _check_count(
     )
     if len(measurements) < needed:
         raise MeasurementError(
-            f"{measurements.source}: {len(measurements)} {measurements.kind} "
-            f"measurements; expected at least {needed} "
-            f"{purpose}, preferably {better} or more"
+            f"{measurements.source}: {len(measurements)} {measurements.kind} measurements; "
+            f"expected at least {needed} {purpose}, preferably {better} or more"
         )
 
 

@@ -34,11 +34,10 @@ class Jump:
 
     def __str__(self) -> str:
         return (
-            f"its clock, or that of the joints, jumps by about {1e3 * abs(self.size):.2g} "
-            f"ms at {self.time:.6g} s of its "
-            "stamps, as when a counted frame is lost, or a sample is missed by polling at "
-            "nearly the rate of the device; "
-            "give the parts before and after as separate sessions, or log the device's own stamps"
+            f"its clock, or that of the joints, jumps by about {1e3 * abs(self.size):.2g} ms at "
+            f"{self.time:.6g} s of its stamps, as when a counted frame is lost, or a sample is "
+            "missed by polling at nearly the rate of the device; give the parts before and after "
+            "as separate sessions, or log the device's own stamps"
         )
 
     def is_sure(self, least: float) -> bool:

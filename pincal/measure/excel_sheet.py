@@ -91,9 +91,8 @@ def _check_widths(body: Sequence[_Line], count: int, top: int, name: str) -> Non
     for row, cells in body:
         if len(cells) > count:
             raise MeasurementError(
-                f"{name}, line {row}: {len(cells)} cells; expected {count} as in the "
-                f"header, line {top}; "
-                "delete the lines above it, or begin them with #"
+                f"{name}, line {row}: {len(cells)} cells; expected {count} as in the header, line "
+                f"{top}; delete the lines above it, or begin them with #"
             )
 
 
@@ -164,9 +163,8 @@ def _of_joints(
             sheet.title + " (hidden)" * (sheet.sheet_state != "visible") for sheet in others
         )
         warn(
-            f"{path.name}: worksheet {chosen.title} is read; worksheets "
-            f"{listed} are not read (--sheet NAME reads "
-            "another one)"
+            f"{path.name}: worksheet {chosen.title} is read; worksheets {listed} are not read "
+            "(--sheet NAME reads another one)"
         )
     return chosen.title, lines
 

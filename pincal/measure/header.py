@@ -429,8 +429,7 @@ def _numbered_joints(
         first, last = (more[0][end(more[0])][0].text for end in (min, max))
         raise MeasurementError(
             f'{sheet.path.name}: "{first}" to "{last}" number {len(more[0])} joints; '
-            f"expected {n} for this arm: "
-            f"leave out others, such as a gripper (--ignore {last})"
+            f"expected {n} for this arm: leave out others, such as a gripper (--ignore {last})"
         )
     return whole
 
@@ -530,10 +529,9 @@ def check_joints(missing: Sequence[str], unknown: Sequence[Label], sheet: Sheet)
         close = difflib.get_close_matches(name, labels, n=1, cutoff=0.6)
         texts.append(f'"{name}"' + (f' (is it "{close[0]}"?)' if close else ""))
     raise MeasurementError(
-        f"{sheet.path.name}: no column for joint {', '.join(texts)}; expected a column "
-        "named as in the URDF, or "
-        f"--columns 'NAME={missing[0]},...'{_columns_for(missing, unknown, sheet)}, or a log of "
-        f"the joints (--joints LOG); {columns_listed(sheet.labels)}"
+        f"{sheet.path.name}: no column for joint {', '.join(texts)}; expected a column named as in "
+        f"the URDF, or --columns 'NAME={missing[0]},...'{_columns_for(missing, unknown, sheet)}, "
+        f"or a log of the joints (--joints LOG); {columns_listed(sheet.labels)}"
     )
 
 
@@ -620,11 +618,9 @@ def _unknown(
         else ""
     )
     return MeasurementError(
-        f"{sheet.path.name}: unknown column {', '.join(map(_short, few))}; known and "
-        "not in the table, nearest first: "
-        f"{known or 'none'}{hint}; leave it out (--ignore '{few[0][:30]}'), or state "
-        "what it holds "
-        f"(--columns '{few[0][:30]}=NAME'; a unit is written as x [mm]); "
+        f"{sheet.path.name}: unknown column {', '.join(map(_short, few))}; known and not in the "
+        f"table, nearest first: {known or 'none'}{hint}; leave it out (--ignore '{few[0][:30]}'), "
+        f"or state what it holds (--columns '{few[0][:30]}=NAME'; a unit is written as x [mm]); "
         f"{columns_listed(sheet.labels)}"
     )
 

@@ -107,9 +107,8 @@ class InstrumentNoise:
         except ValueError:
             known = ", ".join(INSTRUMENTS)
             raise BadInputError(
-                f"instrument {text!r}; expected {known}, or the maximum permissible "
-                "errors of its data sheet along and "
-                f"across the line of sight, such as {_EXAMPLE}"
+                f"instrument {text!r}; expected {known}, or the maximum permissible errors of its "
+                f"data sheet along and across the line of sight, such as {_EXAMPLE}"
             ) from None
         return cls(*(_OF_MPE * number for number in (*along, *across)))
 
@@ -157,9 +156,8 @@ def seen_by(table: Measurements) -> np.ndarray:
     """
     if table.position is None:
         raise MeasurementError(
-            f"{table.source}: --instrument is for positions or poses in the instrument's "
-            "own frame, but this table holds "
-            f"{table.kind}; leave it out and give --noise"
+            f"{table.source}: --instrument is for positions or poses in the instrument's own "
+            f"frame, but this table holds {table.kind}; leave it out and give --noise"
         )
     if table.sigma is not None:
         raise MeasurementError(

@@ -143,10 +143,9 @@ def held_rows(
         means = [mean_turn(turned[a : b + 1]) for a, b in zip(first, last, strict=True)]
         found |= dict(zip(("qx", "qy", "qz", "qw"), np.array(means).T, strict=True))
     warn(
-        f"{source}: a log of {len(rows)} rows at {1.0 / np.median(steps):.0f} Hz is cut "
-        f"into the {len(poses)} poses that "
-        "are held still, each the mean over its middle half; rows in motion left out: "
-        f"{len(kept) - held}"
+        f"{source}: a log of {len(rows)} rows at {1.0 / np.median(steps):.0f} Hz is cut into the "
+        f"{len(poses)} poses that are held still, each the mean over its middle half; rows in "
+        f"motion left out: {len(kept) - held}"
     )
     return found, rows[first]
 
@@ -274,10 +273,8 @@ def _by_columns(
         if lost:
             raise MeasurementError(
                 f'{table.path.name}, line {lines[lost[0]]}, column "{label}": '
-                f"{mine[lost[0]]} is not in "
-                f"{log.sheet.path.name}, whose rows it identifies; rows affected: "
-                f"{len(lost)}; correct them, or "
-                "ignore the column"
+                f"{mine[lost[0]]} is not in {log.sheet.path.name}, whose rows it identifies; rows "
+                f"affected: {len(lost)}; correct them, or ignore the column"
             )
         found[label] = np.array([theirs[key] for key in mine])
     if not found:

@@ -174,8 +174,7 @@ class JointColumns:
                 si = "m" if self.slides[j] else "rad"
                 raise MeasurementError(
                     f'{self.table.source}, line {self.table.rows[row]}, "{name}": '
-                    f"{self.table.q[row, j]:g} {si} {self._units[j].words}; "
-                    f"{self._units[j].advice}"
+                    f"{self.table.q[row, j]:g} {si} {self._units[j].words}; {self._units[j].advice}"
                 )
 
     def _warn_outside(self, swaps: Sequence[str]) -> None:

@@ -400,10 +400,9 @@ def check_one(
         firsts = " and ".join(f'"{family[0].text}"' for family in families)
         cure = f"{families[-1][0].text}={example or what.split()[0]}"
         raise MeasurementError(
-            f"{source}: {what} may be the columns of {firsts}; expected one set: name the "
-            "right ones (--columns "
-            f"'{cure}{',...' if len(families[-1]) > 1 else ''}'), or leave out the others "
-            "(--ignore)"
+            f"{source}: {what} may be the columns of {firsts}; expected one set: name the right "
+            f"ones (--columns '{cure}{',...' if len(families[-1]) > 1 else ''}'), or leave out the "
+            "others (--ignore)"
         )
 
 

@@ -486,9 +486,8 @@ def sensor_of(measurements: Measurements, setup: Setup | None = None) -> Sensor:
     found = measurements.sensor
     if found is None:
         raise MeasurementError(
-            f"{measurements.source}: no sensor reads measurements of kind "
-            f"{measurements.kind!r}; expected columns "
-            f"{expected_columns()}"
+            f"{measurements.source}: no sensor reads measurements of kind {measurements.kind!r}; "
+            f"expected columns {expected_columns()}"
         )
     return found.of(measurements, Setup().over(measurements) if setup is None else setup)
 

@@ -86,11 +86,9 @@ class Convention:
         if self.unit == "rad" and len(size) and size.max() > PLAUSIBLE.longest_turn:
             name = CONVENTIONS[self.name].columns[0]
             raise MeasurementError(
-                f"{where}: an orientation of {size.max():.4g} rad as {self.words}, more "
-                "than a revolution; in degrees? "
-                f"Then write `{name} [deg]` in the header; or choose another convention: "
-                "--orientation "
-                f"{'|'.join(CONVENTIONS)}"
+                f"{where}: an orientation of {size.max():.4g} rad as {self.words}, more than a "
+                f"revolution; in degrees? Then write `{name} [deg]` in the header; or choose "
+                f"another convention: --orientation {'|'.join(CONVENTIONS)}"
             )
         if self.kind == "vector":
             return np.asarray(Rotation.from_rotvec(values).as_quat())

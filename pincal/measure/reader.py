@@ -313,8 +313,7 @@ def _droop(
     fitted = {"commanded": "read back", "read": "commanded"}[kind]
     warn(
         f"{source}: the joints' own columns are fitted, as positions that were {fitted}; "
-        f"{kind}_{given[kind][0]} ... show "
-        "the steady-state position error"
+        f"{kind}_{given[kind][0]} ... show the steady-state position error"
     )
     nothing = np.zeros(len(values[joints[0]]))
     found = [

@@ -270,9 +270,8 @@ def _held_readings(path: Path, arm: _Topic, reading: _Topic, joints: Collection[
             "poses held for some tenths of a second while the instrument reads"
         )
     warn(
-        f"{path.name}: {len(seen)} poses held still, joints from {arm.name}, readings "
-        f"from {reading.name}; poses without a "
-        f"reading: {len(poses) - len(seen)}"
+        f"{path.name}: {len(seen)} poses held still, joints from {arm.name}, readings from "
+        f"{reading.name}; poses without a reading: {len(poses) - len(seen)}"
     )
     values = np.array([_mean(reading.values[first:last]) for first, last in middle[seen]])
     held = poses.means(arm.values)[seen]

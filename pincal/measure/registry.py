@@ -36,9 +36,8 @@ def _check(sensor: type[Sensor]) -> None:
                 other.quantity,
             ):
                 raise TypeError(
-                    f"sensor {sensor.__name__}: the columns {field} are known as "
-                    f"{other.name!r} ({other}, "
-                    f"{other.quantity}); choose other names"
+                    f"sensor {sensor.__name__}: the columns {field} are known as {other.name!r} "
+                    f"({other}, {other.quantity}); choose other names"
                 )
 
 

@@ -234,10 +234,9 @@ def _with_readings(
         gone |= which
     if gone.all():
         raise MeasurementError(
-            f"{sheet.path.name}, line {rows[0]}: none of {len(rows)} rows has a reading; "
-            "all are empty or flagged in "
-            f"{' '.join(column.label for column in readings) or 'the table'}; expected a "
-            "finite number in each row"
+            f"{sheet.path.name}, line {rows[0]}: none of {len(rows)} rows has a reading; all are "
+            f"empty or flagged in {' '.join(column.label for column in readings) or 'the table'}; "
+            "expected a finite number in each row"
         )
     return (frame.filter(~gone), rows[~gone]) if gone.any() else (frame, rows)
 
@@ -350,9 +349,8 @@ def _check_cells(
         )
         raise MeasurementError(
             f'{source}, line {rows[row]}, column "{column.label}": {found}; expected '
-            f"{_expected(column)}; "
-            f"cells affected: {total}; correct them, delete their rows, or leave the "
-            f"column out (--ignore '{column.label}')"
+            f"{_expected(column)}; cells affected: {total}; correct them, delete their rows, or "
+            f"leave the column out (--ignore '{column.label}')"
         )
 
 
@@ -372,7 +370,6 @@ def check_unpacked(path: Path, held: int) -> None:
     if held > max(LAYOUT.always_unpacked, LAYOUT.unpacked * size):
         raise MeasurementError(
             f"{path.name}: holds {held / 1e6:.0f} MB in {size / 1e6:.2g} MB, more than "
-            f"{LAYOUT.unpacked} times its size; "
-            "measured numbers do not compress like that: look for blank or copied rows "
-            "and columns, or save the table as CSV"
+            f"{LAYOUT.unpacked} times its size; measured numbers do not compress like that: look "
+            "for blank or copied rows and columns, or save the table as CSV"
         )

@@ -295,9 +295,8 @@ def _joined(name: str, parts: list[Measurements]) -> Measurements:
     if len(kinds) > 1:
         (kind, source), (other, second) = list(kinds.items())[:2]
         raise BadInputError(
-            f"station {name!r} is read as {kind} in {source} and as {other} in {second}; "
-            "expected one sensor at a station: "
-            "give each its own name in the column station"
+            f"station {name!r} is read as {kind} in {source} and as {other} in {second}; expected "
+            "one sensor at a station: give each its own name in the column station"
         )
     return concatenate(parts)
 
@@ -305,7 +304,6 @@ def _joined(name: str, parts: list[Measurements]) -> Measurements:
 def _same_name(name: str, one: Measurements, other: Measurements) -> BadInputError:
     kinds = f" of different kinds ({one.kind} and {other.kind})" if one.kind != other.kind else ""
     return BadInputError(
-        f"two stations{kinds} are called {name!r}, from {one.source} and {other.source}; "
-        "expected a different name for "
-        "each: rename a file, or name the stations in a column station"
+        f"two stations{kinds} are called {name!r}, from {one.source} and {other.source}; expected "
+        "a different name for each: rename a file, or name the stations in a column station"
     )

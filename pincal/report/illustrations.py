@@ -87,9 +87,8 @@ def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:
                     "calibration"
                 )
                 caption = (
-                    "Share of poses by size of error, on a logarithmic scale: the further "
-                    "left, the better. These poses "
-                    f"were {use} by the fit that predicts them."
+                    "Share of poses by size of error, on a logarithmic scale: the further left, "
+                    f"the better. These poses were {use} by the fit that predicts them."
                 )
                 yield row_figures.histogram_figure(evidence, held=held), title, caption
         caption = (
@@ -98,8 +97,7 @@ def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:
                 ", each predicted by a fit without it. "
                 if evidence.is_held.all()
                 else ": solid lines held-out, dotted lines fitted poses. Where both coincide, "
-                "expect the same accuracy at "
-                "new poses. "
+                "expect the same accuracy at new poses. "
             )
             + "The dashed curve is the noise of the instrument alone."
         )
@@ -140,9 +138,8 @@ def joint_drawings(evidence: RowErrors) -> Iterator[Drawing]:
 def workspace_drawings(evidence: RowErrors) -> Iterator[Drawing]:
     """Yield the mean error over the workspace, from above and from the side."""
     caption = (
-        "The workspace from above, the robot at the origin; each cell shows the mean "
-        "error of its poses, brighter is worse, "
-        "on the same scale before and after."
+        "The workspace from above, the robot at the origin; each cell shows the mean error of its "
+        "poses, brighter is worse, on the same scale before and after."
     )
     yield (
         row_figures.workspace_figure(evidence, "top"),
@@ -175,9 +172,8 @@ def order_drawings(evidence: RowErrors) -> Iterator[Drawing]:
 def correction_drawings(parameters: Sequence[ParameterRow]) -> Iterator[Drawing]:
     """Yield the identified corrections, lengths and angles apart."""
     caption = (
-        "Calibrated minus nominal, largest first, with 95 % intervals. Filled: "
-        "significantly different from nominal; open: "
-        "no significant correction."
+        "Calibrated minus nominal, largest first, with 95 % intervals. Filled: significantly "
+        "different from nominal; open: no significant correction."
     )
     for unit, what in (("m", "lengths"), ("rad", "angles")):
         with contextlib.suppress(ValueError):

@@ -67,33 +67,30 @@ def judged(result: Result, search: SearchReport | None = None) -> Judged:
             "target are calibrated."
         )
         return Judged(verdict, words)
+    return Judged(verdict, _explained(result, verdict))
+
+
+def _explained(result: Result, verdict: Verdict) -> str:
+    """Return what a verdict on a fit without doubt rests on."""
     compared = result.noise_test
     if verdict is Verdict.NOT_ADEQUATE and compared is not None and compared.is_misfit:
-        words = (
-            f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=True)}"
-        )
-        return Judged(verdict, f"{words}: the robot has errors that this model does not describe.")
+        size = relative_to_noise(compared.ratio, compared.noise, is_misfit=True)
+        return f"The residuals are {size}: the robot has errors that this model does not describe."
     if verdict is Verdict.NOT_ADEQUATE:
-        return Judged(verdict, f"{see_doubts(result.doubts)}.")
+        return f"{see_doubts(result.doubts)}."
     if verdict is Verdict.NOT_JUDGED and result.doubts:
-        return Judged(
-            verdict,
-            "There are too few poses to judge whether it is complete; see the doubt stated first.",
+        return (
+            "There are too few poses to judge whether it is complete; see the doubt stated first."
         )
     if verdict is Verdict.NOT_JUDGED:
-        words = (
-            "The noise of the instrument was estimated from the residuals, so they cannot "
-            "show whether the model is "
-            "complete: declare the noise (--noise), measure some poses again, or let "
-            "pincal discover search for "
-            "missing effects."
+        return (
+            "The noise of the instrument was estimated from the residuals, so they cannot show "
+            "whether the model is complete: declare the noise (--noise), measure some poses again, "
+            "or let pincal discover search for missing effects."
         )
-        return Judged(verdict, words)
     assert compared is not None
-    return Judged(
-        verdict,
-        f"The residuals are {relative_to_noise(compared.ratio, compared.noise, is_misfit=False)}.",
-    )
+    size = relative_to_noise(compared.ratio, compared.noise, is_misfit=False)
+    return f"The residuals are {size}."
 
 
 def see_doubts(doubts: Sequence[Note]) -> str:
@@ -250,46 +247,38 @@ _ADVICE = (
     Advice(
         (Cause.ABSORBS,),
         "Placement of instrument and target",
-        "The stated uncertainty only reflects that the placement and the robot's first or "
-        "last link share an offset. "
-        "Predictions are not affected; nothing has to be measured.",
+        "The stated uncertainty only reflects that the placement and the robot's first or last "
+        "link share an offset. Predictions are not affected; nothing has to be measured.",
     ),
     Advice(
         (Cause.BASE, Cause.TOOL, Cause.FRAMES),
         "Absorbed by the unknown placement of instrument or target",
-        "Neither the instrument's nor the target's position is known, and moving either "
-        "is indistinguishable from a change "
-        "of these parameters. Predictions in the instrument's frame do not depend on the "
-        "choice. To separate them, measure "
-        "the robot's foot or the target's offset independently and pass it to the "
-        "calibration (--tool).",
+        "Neither the instrument's nor the target's position is known, and moving either is "
+        "indistinguishable from a change of these parameters. Predictions in the instrument's "
+        "frame do not depend on the choice. To separate them, measure the robot's foot or the "
+        "target's offset independently and pass it to the calibration (--tool).",
     ),
     Advice(
         (Cause.PARALLEL_AXES, Cause.COMBINATION, Cause.ALIASED, Cause.HIDDEN),
         "Parameters with the same effect",
         "In all of these poses these parameters have the same effect as others; only the "
-        "combination moves the target, and "
-        "the combination is calibrated. Predictions at such poses need no more. Where "
-        "axes are parallel, no poses separate "
-        "them; otherwise poses that differ more from each other may, which matters only "
-        "if the robot is used there: the "
+        "combination moves the target, and the combination is calibrated. Predictions at such "
+        "poses need no more. Where axes are parallel, no poses separate them; otherwise poses that "
+        "differ more from each other may, which matters only if the robot is used there: the "
         "summary states the error to expect elsewhere.",
     ),
     Advice(
         (Cause.MASS,),
         "Masses missing in the robot description",
-        "Only compliance times moment deflects the arm; predictions need nothing else. "
-        "The identified moments are listed "
-        "under Static moments. The robot's mass from its data sheet (--mass) or rows with "
-        "other payloads would determine "
-        "their common factor.",
+        "Only compliance times moment deflects the arm; predictions need nothing else. The "
+        "identified moments are listed under Static moments. The robot's mass from its data sheet "
+        "(--mass) or rows with other payloads would determine their common factor.",
     ),
     Advice(
         (Cause.NO_MOMENT,),
         "Never loaded by gravity",
-        "No pose has a moment about this axis, so its compliance is not observable. It "
-        "does not matter as long as the "
-        "mounting does not change; only a tilted mounting would reveal it.",
+        "No pose has a moment about this axis, so its compliance is not observable. It does not "
+        "matter as long as the mounting does not change; only a tilted mounting would reveal it.",
     ),
     Advice(
         (Cause.NOT_EXCITED, Cause.NOT_OBSERVED),
@@ -300,24 +289,21 @@ _ADVICE = (
     Advice(
         (Cause.UNINFORMED, Cause.WEAK),
         "Too little signal in these poses",
-        "The effect of these parameters is small compared with the noise. Measure with "
-        "the heaviest payload, with the arm "
-        "stretched out, and with this joint through its whole range; four times as many "
-        "poses halve the uncertainty.",
+        "The effect of these parameters is small compared with the noise. Measure with the "
+        "heaviest payload, with the arm stretched out, and with this joint through its whole "
+        "range; four times as many poses halve the uncertainty.",
     ),
     Advice(
         (Cause.NOT_IMPROVED,),
         "Not improved by these readings",
-        "The robot is expected to be closer to its description than these readings can "
-        "tell, so that their noise would make "
-        "it worse. Measure more poses, or with less noise.",
+        "The robot is expected to be closer to its description than these readings can tell, so "
+        "that their noise would make it worse. Measure more poses, or with less noise.",
     ),
     Advice(
         (Cause.AT_BOUND,),
         "Stopped at a bound",
-        "The estimate exceeds what the bound allows. Check this length in the URDF and "
-        "the units of the table, or raise "
-        "the bound with --length-bound.",
+        "The estimate exceeds what the bound allows. Check this length in the URDF and the units "
+        "of the table, or raise the bound with --length-bound.",
     ),
     Advice((Cause.GIVEN, Cause.NOT_NEEDED), "Given", "Fixed at your request, or by default."),
 )

@@ -57,6 +57,7 @@ from pincal.report.report_numbers import REPORT
 from pincal.report.subject import Subject
 from pincal.report.words import TERMS, effect_meaning, elsewhere_words, noise_words
 from pincal.result_table import Column, Kind, RowTone, Table
+from pincal.robot.robot import Robot
 from pincal.thresholds import Count
 from pincal.units import fixed
 from pincal.validate.accuracy import cycle_words, leading_unit
@@ -65,10 +66,9 @@ from pincal.validate.outcome import StationRecord
 
 REPEATED = Markup(
     "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its "
-    "measurements; <b>pose "
-    "repeatability RP</b> their scatter about this mean, mean distance plus three "
-    "standard deviations (ISO 9283). "
-    "Calibration improves AP; it cannot improve RP, which includes the noise of the instrument."
+    "measurements; <b>pose repeatability RP</b> their scatter about this mean, mean distance plus "
+    "three standard deviations (ISO 9283). Calibration improves AP; it cannot improve RP, which "
+    "includes the noise of the instrument."
 )
 """Definition of accuracy and repeatability."""
 
@@ -197,16 +197,7 @@ def setup(subject: Subject) -> Section:
     effects = dict.fromkeys(effect.name for effect in calibration.fit.options.effects)
     p_value = "" if result.chi2_p_value is None else f" (p {result.chi2_p_value:.2g})"
     items = (
-        (
-            "robot",
-            rich(
-                "{}: {} joints from {} to {}",
-                robot.name,
-                robot.n_joints,
-                code(robot.base),
-                code(robot.tip),
-            ),
-        ),
+        ("robot", _arm(robot)),
         ("joints", merged(map(code, robot.joint_names), ", ")),
         ("data", _data(subject)),
         (
@@ -215,14 +206,18 @@ def setup(subject: Subject) -> Section:
         ),
         (
             "fit",
-            f"{result.iterations} iterations, {result.seconds:.2f} s in all; "
-            f"{result.rank} combinations of "
-            f"parameters determined, condition number {result.condition:.2g}; "
+            f"{result.iterations} iterations, {result.seconds:.2f} s in all; {result.rank} "
+            f"combinations of parameters determined, condition number {result.condition:.2g}; "
             f"reduced chi-square {result.chi2_reduced:.3f}{p_value}",
         ),
         ("3D view", _view(subject)),
     )
     return Section("subject", "Robot, data and model", (facts(items),))
+
+
+def _arm(robot: Robot) -> Markup:
+    ends = (code(robot.base), code(robot.tip))
+    return rich("{}: {} joints from {} to {}", robot.name, robot.n_joints, *ends)
 
 
 def _view(subject: Subject) -> Markup:
@@ -275,10 +270,9 @@ def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
 
 
 _CLOCKS = (
-    "Instruments that measured the arm in motion have clocks of their own. Each was "
-    "aligned with that of the joints by the "
-    "speeds that both measure; offset and drift were then fitted together with all other "
-    "parameters."
+    "Instruments that measured the arm in motion have clocks of their own. Each was aligned with "
+    "that of the joints by the speeds that both measure; offset and drift were then fitted "
+    "together with all other parameters."
 )
 
 
@@ -286,13 +280,11 @@ def accuracy(subject: Subject) -> Section:
     """Errors before and after, and their distribution."""
     result = subject.result
     intro = rich(
-        "The error at a pose is the distance from the predicted to the measured target: "
-        "the <b>accuracy</b> of a single "
-        "measurement (ISO 9283). It is not the <b>repeatability</b>, the scatter between "
-        "repeated measurements of a pose, "
-        "which no calibration improves. “Nominal” is the robot of the URDF, with only the "
-        "placement of instrument and "
-        "target fitted."
+        "The error at a pose is the distance from the predicted to the measured target: the "
+        "<b>accuracy</b> of a single measurement (ISO 9283). It is not the <b>repeatability</b>, "
+        "the scatter between repeated measurements of a pose, which no calibration improves. "
+        "“Nominal” is the robot of the URDF, with only the placement of instrument and target "
+        "fitted."
     )
     if "mean_mm" not in result.error["calibrated"]["train"]:
         intro = rich(
@@ -303,9 +295,8 @@ def accuracy(subject: Subject) -> Section:
     blocks: list[PageBlock] = [paragraph(intro)]
     if not result.rows["test"]:
         text = (
-            "No rows were held out: the errors are those of the poses that were fitted. "
-            "Expect somewhat larger ones at new "
-            "poses."
+            "No rows were held out: the errors are those of the poses that were fitted. Expect "
+            "somewhat larger ones at new poses."
         )
         blocks.append(paragraph(text, "note"))
     if result.clocks is not UNSET:
@@ -350,15 +341,13 @@ def stations(subject: Subject) -> Section | None:
     if records is UNSET:
         return None
     text = (
-        "Each station, a set-up of instrument and targets, has its own base frame, "
-        "targets and noise; the robot is the same "
-        "at all of them."
+        "Each station, a set-up of instrument and targets, has its own base frame, targets and "
+        "noise; the robot is the same at all of them."
     )
     if any("left_out" in record for record in records):
         text += (
-            " Left out: errors of the model of the other stations, with only the "
-            "placement of this one fitted. This is the "
-            "accuracy to expect on another day."
+            " Left out: errors of the model of the other stations, with only the placement of this "
+            "one fitted. This is the accuracy to expect on another day."
         )
     shown = [_mean_error(record, subject.part) for record in records]
     blocks: list[PageBlock] = [
@@ -400,10 +389,9 @@ def elsewhere(subject: Subject) -> Section | None:
     if subject.result.improvement is UNSET:
         return None
     text = (
-        "No instrument measured the robot. The standard deviation of a position follows "
-        "before the calibration from priors, "
-        "afterwards from priors and readings; both are errors that an instrument would "
-        "measure once it is placed."
+        "No instrument measured the robot. The standard deviation of a position follows before the "
+        "calibration from priors, afterwards from priors and readings; both are errors that an "
+        "instrument would measure once it is placed."
     )
     blocks = (paragraph(text), improvement_table(subject.result.improvement))
     return Section("elsewhere", "Where nothing was measured", blocks, "Elsewhere")
@@ -420,17 +408,14 @@ def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:
     table = moved_table(records)
     if table is None:
         yield paragraph(
-            "No difference between stations was detected in any parameter of the robot; "
-            "if the robot is the same at all "
-            "of them, the probability of a false detection is 1 %."
+            "No difference between stations was detected in any parameter of the robot; if the "
+            "robot is the same at all of them, the probability of a false detection is 1 %."
         )
         return
     yield paragraph(
         "One model describes the robot at all stations, except that these parameters have "
-        "different values at some of "
-        "them. If several could have changed, the one that explains most is named; pincal "
-        "diagnose lists the alternatives "
-        "for the rows of a later station.",
+        "different values at some of them. If several could have changed, the one that explains "
+        "most is named; pincal diagnose lists the alternatives for the rows of a later station.",
         "care",
     )
     yield table
@@ -474,14 +459,11 @@ def moments(subject: Subject) -> Section | None:
     if found is None:
         return None
     held = (
-        f"The robot description has no usable masses for {len(found.links)} links. They "
-        "were estimated with the "
-        "compliances, starting from the shape of the arm. Only compliance times moment "
-        "deflects the arm, so all "
-        "moments share a factor with the inverse of the compliances: it is known to "
-        f"{100.0 * found.factor_sigma:.2g} "
-        "%, and predictions do not depend on it. The robot's mass from its data sheet "
-        "(--mass) or rows with other payloads "
+        f"The robot description has no usable masses for {len(found.links)} links. They were "
+        "estimated with the compliances, starting from the shape of the arm. Only compliance times "
+        "moment deflects the arm, so all moments share a factor with the inverse of the "
+        f"compliances: it is known to {100.0 * found.factor_sigma:.2g} %, and predictions do not "
+        "depend on it. The robot's mass from its data sheet (--mass) or rows with other payloads "
         "would determine it."
     )
     pose = ", ".join(f"{value:.2f}" for value in found.q)
@@ -525,16 +507,13 @@ def parameters(subject: Subject) -> Section:
     """Every parameter with its uncertainty, and the strong correlations."""
     result = subject.result
     intro = rich(
-        "Symbols follow Denavit and Hartenberg: theta and d are about and along the joint "
-        "axis, a and alpha along and about "
-        "the link; s_x and s_y tilt the axis; x, y, z and rx, ry, rz are position and "
-        "rotation of base and tool. k is a "
-        "<b>compliance</b>, the rotation of a joint or bearing per unit of moment. Sigma "
-        "is the standard deviation. Status: "
-        "<b>identified</b>: determined by the data; <b>prior</b>: dominated by prior "
-        "knowledge; <b>unidentifiable</b>: "
-        "these poses cannot determine it by itself, whatever the noise; predictions at "
-        "poses like these do not depend on it."
+        "Symbols follow Denavit and Hartenberg: theta and d are about and along the joint axis, a "
+        "and alpha along and about the link; s_x and s_y tilt the axis; x, y, z and rx, ry, rz are "
+        "position and rotation of base and tool. k is a <b>compliance</b>, the rotation of a joint "
+        "or bearing per unit of moment. Sigma is the standard deviation. Status: "
+        "<b>identified</b>: determined by the data; <b>prior</b>: dominated by prior knowledge; "
+        "<b>unidentifiable</b>: these poses cannot determine it by itself, whatever the noise; "
+        "predictions at poses like these do not depend on it."
     )
     blocks: list[PageBlock] = [
         paragraph(intro),
@@ -543,9 +522,8 @@ def parameters(subject: Subject) -> Section:
     blocks += [parameter_table(result.parameters), heading("Strong correlations")]
     if result.correlations:
         text = (
-            "Each of these pairs is known much better in combination than individually: "
-            "an error of one is compensated by "
-            "the other. Always use both together."
+            "Each of these pairs is known much better in combination than individually: an error "
+            "of one is compensated by the other. Always use both together."
         )
         blocks += [paragraph(text), correlation_table(result.correlations)]
     else:

@@ -28,15 +28,13 @@ _OTHER = {"lens_distortion": "the camera's lens bends the image"}
 TERMS = (
     (
         "accuracy",
-        "distance from the predicted to the measured pose of the tool, of a single "
-        "measurement or of the mean of several "
-        "(ISO 9283: pose accuracy).",
+        "distance from the predicted to the measured pose of the tool, of a single measurement or "
+        "of the mean of several (ISO 9283: pose accuracy).",
     ),
     (
         "repeatability",
-        "scatter between repeated measurements of the same pose. Calibration does not "
-        "improve it; it limits what can be "
-        "achieved.",
+        "scatter between repeated measurements of the same pose. Calibration does not improve it; "
+        "it limits what can be achieved.",
     ),
     ("replicates", "repeated measurements of the same pose, one per measurement cycle."),
     (
@@ -49,21 +47,18 @@ TERMS = (
     ),
     (
         "held out",
-        "poses that were not used by the fit: whole regions of joint space, and stretches "
-        "of consecutive rows. Only these "
-        "show what to expect at new poses.",
+        "poses that were not used by the fit: whole regions of joint space, and stretches of "
+        "consecutive rows. Only these show what to expect at new poses.",
     ),
     ("95 %", "of errors: 95 of 100 poses have a smaller error."),
     ("noise", "standard deviation of the instrument's readings; no model can be better than this."),
     ("sigma", "standard deviation: in 95 of 100 cases the true value lies within two of them."),
     (
         "combinations determined",
-        "number of independent combinations of parameters that the data determine better "
-        "than the priors do (rank). A "
-        "parameter that is only determined together with others is no fault: at poses "
-        "like the measured ones all that "
-        "predictions need is determined, and the expected error elsewhere shows whether "
-        "other poses need more.",
+        "number of independent combinations of parameters that the data determine better than the "
+        "priors do (rank). A parameter that is only determined together with others is no fault: "
+        "at poses like the measured ones all that predictions need is determined, and the expected "
+        "error elsewhere shows whether other poses need more.",
     ),
     (
         "prior",

@@ -143,15 +143,7 @@ def _moving_joints(
     order |= dict.fromkeys(
         joint.name for joint in tree.joints if joint.name in tree.with_loops(order)
     )
-    if base != tree.root and (
-        cut := [
-            name for name in order if name in tree.looped and not _is_above(tree, base, known[name])
-        ]
-    ):
-        raise RobotFileError(
-            f"{tree.source}: base {base!r} is in a loop with {cut[0]!r}; expected a link "
-            "that carries the loop"
-        )
+    _check_base_outside_loops(tree, base, [known[name] for name in order])
     for name in list(order):
         # A mimic joint moves with its source, which may be on another branch.
         order |= dict.fromkeys(_sources(known, name, order))
@@ -162,6 +154,20 @@ def _moving_joints(
             f"{_MOST_JOINTS}: choose other links"
         )
     return _in_preorder(tree, chosen)
+
+
+def _check_base_outside_loops(tree: UrdfTree, base: str, joints: Sequence[UrdfJoint]) -> None:
+    """Refuse a base that is carried by a loop of which joints move."""
+    cut = [
+        joint.name
+        for joint in joints
+        if joint.name in tree.looped and not _is_above(tree, base, joint)
+    ]
+    if cut:
+        raise RobotFileError(
+            f"{tree.source}: base {base!r} is in a loop with {cut[0]!r}; expected a link that "
+            "carries the loop"
+        )
 
 
 def _is_above(tree: UrdfTree, base: str, joint: UrdfJoint) -> bool:

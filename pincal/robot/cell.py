@@ -106,9 +106,8 @@ def _place_of(
     """
     if of.place is None:
         raise RobotFileError(
-            f"{tree.source}: its placement relative to {first.name} is unknown; "
-            "expected contacts of the two, one "
-            "station that sees both, or the placement, as in --beside "
+            f"{tree.source}: its placement relative to {first.name} is unknown; expected contacts "
+            "of the two, one station that sees both, or the placement, as in --beside "
             f"{of.name}={of.source}@1.5,0,0,0,0,3.14159"
         )
     at = ", ".join(f"{number:.4f}" for number in of.place)

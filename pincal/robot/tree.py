@@ -272,10 +272,9 @@ class UrdfTree:
             if total.source not in by_name or total.source in seen:
                 ends = f"between {path[0].parent!r} and {path[-1].child!r}"
                 raise RobotFileError(
-                    f"{self.source}: joint {name!r} {ends} mimics {total.source!r}, which "
-                    "is not an independent joint "
-                    "between base and tip: choose another base or tip, or let it mimic a "
-                    "joint of the arm"
+                    f"{self.source}: joint {name!r} {ends} mimics {total.source!r}, which is not "
+                    "an independent joint between base and tip: choose another base or tip, or let "
+                    "it mimic a joint of the arm"
                 )
             found.append(total)
         return tuple(found)

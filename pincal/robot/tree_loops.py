@@ -62,8 +62,7 @@ class Pins:
         if kind is None:
             raise RobotFileError(
                 f"{tree.source}: {closure.name!r} closes a loop and is "
-                f"{closure.kind or 'of no type'}; expected one of "
-                f"{', '.join(KINDS)}"
+                f"{closure.kind or 'of no type'}; expected one of {', '.join(KINDS)}"
             )
         child = T_base_link[1] @ closure.T_child
         frames = np.array(
@@ -168,9 +167,8 @@ def linkage_of(
     where = f"in the loop closed by {', '.join(closure.name for closure in closures)}"
     if (gap := float(np.abs(free.equations(free.assembled()[None])[0]).max())) > OF_LOOP.loose:
         raise RobotFileError(
-            f"{choice.source}: {where} ends stay {1e3 * gap:.3g} mm or mrad apart at all "
-            "joint positions; expected frames "
-            "on both links that joints can bring together"
+            f"{choice.source}: {where} ends stay {1e3 * gap:.3g} mm or mrad apart at all joint "
+            "positions; expected frames on both links that joints can bring together"
         )
     C = free.equations(_samples(free))[1]
     # Rotations are weighted by the largest lever arm.
@@ -213,9 +211,8 @@ def _check_readings(
     recorded = choice.names if choice.recorded is None else choice.recorded
     if unknown := [choice.names[i] for i in drivers if choice.names[i] not in recorded]:
         raise RobotFileError(
-            f"{choice.source}: {where} {len(drivers)} joints move independently, "
-            f"{len(unknown)} without a reading; expected "
-            f"a column of {' and '.join(unknown)}"
+            f"{choice.source}: {where} {len(drivers)} joints move independently, {len(unknown)} "
+            f"without a reading; expected a column of {' and '.join(unknown)}"
         )
 
 

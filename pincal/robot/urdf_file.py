@@ -173,15 +173,7 @@ def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
     _check_names([joint.name for joint in joints], "joint", source)
     if not root.get("name"):
         raise _fault(root, source, '<robot> has no name; expected <robot name="...">')
-    for element in [*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")]:
-        _numbers(element, "xyz", source)
-        _numbers(element, "rpy", source)
-        if np.abs(_numbers(element, "xyz", source)).max() > LARGEST:
-            raise _fault(
-                element,
-                source,
-                f"<origin xyz={element.get('xyz')!r}> is far beyond any robot; expected metres",
-            )
+    _check_origins(root, source)
     _check_masses(root, source)
     notes = tuple(_settle_axes(root, source))
     text = etree.tostring(root) if notes else text
@@ -198,6 +190,19 @@ def parse_urdf(text: bytes, *, source: str = "URDF") -> UrdfTree:
         closures=closures,
         notes=notes,
     )
+
+
+def _check_origins(root: Any, source: str) -> None:
+    """Refuse an origin of a joint or an inertia that is not of finite numbers in metres."""
+    for element in [*root.iterfind("joint/origin"), *root.iterfind("link/inertial/origin")]:
+        _numbers(element, "xyz", source)
+        _numbers(element, "rpy", source)
+        if np.abs(_numbers(element, "xyz", source)).max() > LARGEST:
+            raise _fault(
+                element,
+                source,
+                f"<origin xyz={element.get('xyz')!r}> is far beyond any robot; expected metres",
+            )
 
 
 def _settle_axes(root: Any, source: str) -> Iterator[str]:

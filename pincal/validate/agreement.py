@@ -248,9 +248,8 @@ class _Suspect:
         """Refuse residuals that no geometric error explains."""
         if self.error[0] > AGREEMENT.hopeless * self.reach:
             raise MeasurementError(
-                f"{self.trials.case.table.source}: {self.found}; expected a few mm. "
-                f"Are units, joint zeros, tip ({self.trials.case.robot.tip}) and URDF those of "
-                "this robot?"
+                f"{self.trials.case.table.source}: {self.found}; expected a few mm. Are units, "
+                f"joint zeros, tip ({self.trials.case.robot.tip}) and URDF those of this robot?"
             )
 
 

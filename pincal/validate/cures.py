@@ -123,9 +123,8 @@ class Correction:
         """The notes on it, in words."""
         notes = [shift_words(name, shift) for name, shift in self.shifts.items()]
         notes += [
-            f"{name} counts in the opposite sense to the URDF: the model reverses its "
-            "axis, and accepts and "
-            "returns positions as they are reported"
+            f"{name} counts in the opposite sense to the URDF: the model reverses its axis, and "
+            "accepts and returns positions as they are reported"
             for name in self.turned
         ]
         for one, lacks in zip(self.couplings, self.lacks, strict=True):

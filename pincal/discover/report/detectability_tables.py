@@ -87,14 +87,12 @@ def _how_judged(report: DataReport, found: DetectabilityTable) -> str:
     )
     source = {"assumed": "assumed: not declared, and too few rows to estimate it"}
     return (
-        "\nSmallest effects that pincal discover would find in addition to the "
-        f"{found.model} model with a probability of "
-        f"{100 * found.power:.0f} %, at a probability of {100 * found.alpha:g} % of any "
-        f"false name and a noise of {noise} "
-        f"({source.get(found.source, found.source)}). An effect with several "
-        "parameters is given by its amplitude, transmission_error by the rms of its "
-        "curve, elastic effects by their largest "
-        "rotation in these poses, joint_coupling by the range over the joints that may "
+        f"\nSmallest effects that pincal discover would find in addition to the {found.model} "
+        f"model with a probability of {100 * found.power:.0f} %, at a probability of "
+        f"{100 * found.alpha:g} % of any false name and a noise of {noise} "
+        f"({source.get(found.source, found.source)}). An effect with several parameters is given "
+        "by its amplitude, transmission_error by the rms of its curve, elastic effects by their "
+        "largest rotation in these poses, joint_coupling by the range over the joints that may "
         "drive it. -: see below."
     )
 

@@ -13,6 +13,7 @@ from pincal.discover.report.found_figures import (
 )
 from pincal.discover.report.found_words import effect_words
 from pincal.discover.run import Discovery
+from pincal.discover.shrink import PartialResidual
 from pincal.report.illustrations import Drawing
 from pincal.validate.misfit import SURE
 
@@ -43,35 +44,37 @@ def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
     gaps = discovery.gaps
     sizes = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
     caption = (
-        "Error on poses used neither by the fit nor by the search, after each step from "
-        "top to bottom. The vertical "
-        "line marks the noise of the instrument."
+        "Error on poses used neither by the fit nor by the search, after each step from top to "
+        "bottom. The vertical line marks the noise of the instrument."
     )
     figure = shrinking_figure([gap.name for gap in gaps], sizes, discovery.findings.noise_floor_mm)
     yield figure, "Error on held-out rows after each step", caption
     for trace in discovery.traces:
-        title = trace.title
+        yield from _drawings_of(trace)
+
+
+def _drawings_of(trace: PartialResidual) -> Iterator[Drawing]:
+    """Yield the residuals without and with an effect, and its map if it is one of two joints."""
+    title = trace.title
+    caption = (
+        f"{title}: error against {trace.variable} with the effect removed from the final model "
+        "(above) and included (below). Small dots are poses, dots with bars the mean of "
+        "neighbouring poses, the line the fitted effect. In the lower panel the bars should "
+        "include zero."
+    )
+    yield (
+        effect_figure(trace, title),
+        f"{title}: error against {trace.variable}, without and with it",
+        caption,
+    )
+    if trace.own is not None:
         caption = (
-            f"{title}: error against {trace.variable} with the effect removed from the "
-            "final model (above) and included "
-            "(below). Small dots are poses, dots with bars the mean of neighbouring "
-            "poses, the line the fitted effect. In "
-            "the lower panel the bars should include zero."
+            f"{title}: error of {trace.joint} over its own position and that of "
+            f"{trace.variable}, where poses were measured: without the effect (left), and the "
+            "fitted effect (right), on the same scale."
         )
         yield (
-            effect_figure(trace, title),
-            f"{title}: error against {trace.variable}, without and with it",
+            map_figure(trace, title),
+            f"{title}: map over the positions of both joints",
             caption,
         )
-        if trace.own is not None:
-            caption = (
-                f"{title}: error of {trace.joint} over its own position and that of "
-                f"{trace.variable}, where poses were "
-                "measured: without the effect (left), and the fitted effect (right), on "
-                "the same scale."
-            )
-            yield (
-                map_figure(trace, title),
-                f"{title}: map over the positions of both joints",
-                caption,
-            )

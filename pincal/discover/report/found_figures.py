@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from pincal.discover.shrink import PartialResidual
@@ -90,31 +91,10 @@ def shrinking_figure(
     steps = np.arange(len(names))[::-1]
     figure, axes = panel(1.5 + _PER_STEP * len(names), left=0.25, top=0.7)
     axes.hlines(steps, sizes.min(axis=0), sizes.max(axis=0), color=MUTED, linewidth=1.0)
-    for k, (statistic, values) in enumerate(errors.items()):
-        axes.plot(
-            values,
-            steps,
-            "osD"[k % 3],
-            color=(AFTER, style.THIRD, BEFORE)[k % 3],
-            markersize=6,
-            label=statistic,
-        )
-    # These lines do not cross the names above.
-    axes.vlines(
-        np.full(len(names), floor),
-        steps - 0.24,
-        steps + 0.14,
-        color=INK,
-        linewidth=1.6,
-        label="noise (rms)",
-    )
+    _draw_statistics(axes, steps, errors)
+    _draw_floor(axes, steps, floor)
     log_axis(axes, "x", 0.6 * min(floor, sizes.min()), 1.6 * max(floor, sizes.max()))
-    # Names are above their lines, where a phone has room for them.
-    for step, name in zip(steps, names, strict=True):
-        where = (0.01, step + 0.26)
-        axes.annotate(
-            drawable(name, 58), where, xycoords=("axes fraction", "data"), fontsize=SMALL, color=INK
-        )
+    _write_names(axes, steps, names)
     axes.set_ylim(-0.5, len(names) - 0.25)
     dress(axes, x="held-out error [mm]")
     axes.set_yticks([])
@@ -128,6 +108,42 @@ def shrinking_figure(
         handlelength=1.6,
     )
     return figure
+
+
+def _draw_statistics(axes: Axes, steps: np.ndarray, errors: Mapping[str, Sequence[float]]) -> None:
+    """Draw each statistic with a mark of its own, one mark per model."""
+    for k, (statistic, values) in enumerate(errors.items()):
+        axes.plot(
+            values,
+            steps,
+            "osD"[k % 3],
+            color=(AFTER, style.THIRD, BEFORE)[k % 3],
+            markersize=6,
+            label=statistic,
+        )
+
+
+def _draw_floor(axes: Axes, steps: np.ndarray, floor: float) -> None:
+    """Draw the rms of the noise alone at each model."""
+    # These lines do not cross the names above.
+    axes.vlines(
+        np.full(len(steps), floor),
+        steps - 0.24,
+        steps + 0.14,
+        color=INK,
+        linewidth=1.6,
+        label="noise (rms)",
+    )
+
+
+def _write_names(axes: Axes, steps: np.ndarray, names: Sequence[str]) -> None:
+    """Write the name of each model."""
+    # Names are above their lines, where a phone has room for them.
+    for step, name in zip(steps, names, strict=True):
+        where = (0.01, step + 0.26)
+        axes.annotate(
+            drawable(name, 58), where, xycoords=("axes fraction", "data"), fontsize=SMALL, color=INK
+        )
 
 
 def effect_figure(trace: PartialResidual, title: str) -> Figure:
@@ -159,10 +175,21 @@ def effect_figure(trace: PartialResidual, title: str) -> Figure:
     panels[1].set_xlabel(label, fontsize=TEXT, color=INK)
     of = f"error of {drawable(trace.joint)}" if trace.joint else "error along the effect"
     figure.supylabel(f"{of} [{unit}]", fontsize=TEXT, color=INK, x=0.015)
+    _entitle(figure, title)
+    _explain_marks(figure, panels[0])
+    return figure
+
+
+def _entitle(figure: Figure, title: str) -> None:
+    """Write the title at the left of the top."""
     figure.suptitle(
         drawable(title), fontsize=TEXT, color=INK, x=0.02, y=0.985, ha="left", fontweight="bold"
     )
-    handles, labels = panels[0].get_legend_handles_labels()
+
+
+def _explain_marks(figure: Figure, axes: Axes) -> None:
+    """Write the legend of a panel below the title of its figure."""
+    handles, labels = axes.get_legend_handles_labels()
     figure.legend(
         handles,
         labels,
@@ -175,7 +202,6 @@ def effect_figure(trace: PartialResidual, title: str) -> Figure:
         columnspacing=1.0,
         handletextpad=0.3,
     )
-    return figure
 
 
 def map_figure(trace: PartialResidual, title: str) -> Figure:
@@ -197,15 +223,7 @@ def map_figure(trace: PartialResidual, title: str) -> Figure:
     most = float(np.abs(trace.fitted).max()) * factor or 1.0
     # Rows with a short lever carry little information on the joint.
     informative = trace.weights > 0.05 * np.quantile(trace.weights, 0.9)
-    extent = (float(x.min()), float(x.max()), float(own.min()), float(own.max()))
-    cells = {
-        "gridsize": _CELLS,
-        "extent": extent,
-        "cmap": "PuOr",
-        "vmin": -most,
-        "vmax": most,
-        "linewidths": 0.1,
-    }
+    cells = _hexagons(x, own, most)
     for axes, errors, rows, name in zip(
         panels,
         (trace.before, trace.fitted),
@@ -218,16 +236,32 @@ def map_figure(trace: PartialResidual, title: str) -> Figure:
     panels[0].set_ylabel(
         f"{drawable(trace.joint or '')} [{'deg' if turns else 'm'}]", fontsize=TEXT, color=INK
     )
+    _add_colour_bar(figure, drawn, unit)
+    _entitle(figure, title)
+    return figure
+
+
+def _hexagons(x: np.ndarray, own: np.ndarray, most: float) -> dict[str, Any]:
+    """Return how both maps are divided and coloured, such that they can be compared."""
+    extent = (float(x.min()), float(x.max()), float(own.min()), float(own.max()))
+    return {
+        "gridsize": _CELLS,
+        "extent": extent,
+        "cmap": "PuOr",
+        "vmin": -most,
+        "vmax": most,
+        "linewidths": 0.1,
+    }
+
+
+def _add_colour_bar(figure: Figure, drawn: PolyCollection, unit: str) -> None:
+    """Show at the right which error a colour stands for."""
     bar = figure.colorbar(
         drawn, cax=figure.add_axes((1.0 - 0.7 / style.FIGURE_WIDTH, 0.2, 0.02, 0.56))
     )
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=SMALL, color=MUTED, labelcolor=INK)
     bar.ax.set_title(unit, fontsize=SMALL, color=INK)
-    figure.suptitle(
-        drawable(title), fontsize=TEXT, color=INK, x=0.02, y=0.985, ha="left", fontweight="bold"
-    )
-    return figure
 
 
 def _axis(trace: PartialResidual) -> tuple[np.ndarray, str]:
@@ -251,7 +285,6 @@ def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndar
     """Draw rows and their means in bins; return the ends of the axis, regardless of rows with short
     levers.
     """
-    shown = thinned(len(x))
     jitter = np.zeros(len(x))
     values = np.unique(x)
     if len(values) <= _CATEGORIES:
@@ -259,9 +292,23 @@ def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndar
             np.diff(values).min() if len(values) > 1 else 1.0
         )
         axes.set_xticks(values)
-    # Rows with a short lever carry little information: they are drawn faintly, in three strengths
-    # to keep files small.
     strength = np.clip(weights / np.quantile(weights, 0.9), 0.05, 1.0)
+    _draw_rows(axes, x + jitter, errors, strength)
+    centres, means, spreads = _binned(x, errors, weights)
+    look: dict[str, Any] = {"color": INK, "markersize": 3.5, "linewidth": 0.9, "elinewidth": 0.9}
+    axes.errorbar(
+        centres, means, spreads, fmt="o", label="mean of neighbouring rows", zorder=3, **look
+    )
+    axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=0)
+    strong = errors[strength > 0.3] if np.any(strength > 0.3) else errors
+    ends = np.concatenate([np.quantile(strong, [0.01, 0.99]), means - spreads, means + spreads])
+    return [float(ends.min()), float(ends.max())]
+
+
+def _draw_rows(axes: Axes, x: np.ndarray, errors: np.ndarray, strength: np.ndarray) -> None:
+    """Draw one dot per row, the fainter the less its information (strength from 0 to 1)."""
+    shown = thinned(len(x))
+    # Three strengths keep files small.
     for k, (low, high) in enumerate(((0.0, 0.2), (0.2, 0.6), (0.6, 1.1))):
         rows = shown[(strength[shown] >= low) & (strength[shown] < high)]
         look: dict[str, Any] = {
@@ -270,18 +317,7 @@ def _draw_errors(axes: Axes, x: np.ndarray, errors: np.ndarray, weights: np.ndar
             "markeredgewidth": 0.0,
             "alpha": 0.25 + 0.25 * k,
         }
-        axes.plot(
-            (x + jitter)[rows], errors[rows], ".", label="one row" if k == 2 else None, **look
-        )
-    centres, means, spreads = _binned(x, errors, weights)
-    look = {"color": INK, "markersize": 3.5, "linewidth": 0.9, "elinewidth": 0.9}
-    axes.errorbar(
-        centres, means, spreads, fmt="o", label="mean of neighbouring rows", zorder=3, **look
-    )
-    axes.axhline(0.0, color=MUTED, linewidth=0.6, zorder=0)
-    strong = errors[strength > 0.3] if np.any(strength > 0.3) else errors
-    ends = np.concatenate([np.quantile(strong, [0.01, 0.99]), means - spreads, means + spreads])
-    return [float(ends.min()), float(ends.max())]
+        axes.plot(x[rows], errors[rows], ".", label="one row" if k == 2 else None, **look)
 
 
 def _binned(

@@ -53,10 +53,9 @@ def found_section(discovery: Discovery) -> Section:
         figures("search", discovery_drawings(discovery)),
     ]
     text = (
-        "Each row starts from the one above; removed effects have their own rows. The "
-        "shares are parts of the total "
-        "reduction of the mean square error, in this order, and add up to 100 %; where "
-        "the error grew they are negative."
+        "Each row starts from the one above; removed effects have their own rows. The shares are "
+        "parts of the total reduction of the mean square error, in this order, and add up to 100 "
+        "%; where the error grew they are negative."
     )
     blocks += [stage_table(found.noise_floor_mm, discovery.gaps), paragraph(text, "mute")]
     n_joints = len(discovery.calibration.fit.problem.chain.robot.joint_names)
@@ -78,11 +77,10 @@ def _of_the_search(discovery: Discovery) -> str:
     )
     beyond = f"; {found.unexplained_mm:.4f} mm rms remain beyond it" if is_declared else ""
     return (
-        "The search starts from a simple model, locates where model and data disagree, "
-        "names the effect that explains most, "
-        f"adds it, refits the whole model, and stops when only noise is left. {noise} amounts to "
-        f"{found.noise_floor_mm:.4f} mm rms{beyond}. A named effect fits the data; this "
-        "does not prove it to be the cause."
+        "The search starts from a simple model, locates where model and data disagree, names the "
+        "effect that explains most, adds it, refits the whole model, and stops when only noise is "
+        f"left. {noise} amounts to {found.noise_floor_mm:.4f} mm rms{beyond}. A named effect fits "
+        "the data; this does not prove it to be the cause."
     )
 
 
@@ -91,11 +89,10 @@ def _located(found: Findings) -> list[PageBlock]:
     if not found.where:
         return []
     text = (
-        "Shares of the residuals in excess of the noise. The share of elasticity is "
-        "of the residuals of the geometric "
-        "model, those of joints are of the residuals of the elastic one, in sequence, "
-        "so that nothing is counted twice. "
-        "Regions show the same error by location."
+        "Shares of the residuals in excess of the noise. The share of elasticity is of the "
+        "residuals of the geometric model, those of joints are of the residuals of the elastic "
+        "one, in sequence, so that nothing is counted twice. Regions show the same error by "
+        "location."
     )
     return [
         heading("Where model and data disagreed"),

@@ -48,22 +48,23 @@ def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -
         ),
         Column("could also be"),
     )
-    rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (
-            effect_words(entry, joint=False),
-            entry.joint or "whole arm",
-            entry.p_value,
-            *([str(entry.stability or "")] if is_repeated else []),
-            *(
-                getattr(entry, f"gap_{when}_{unit}")
-                for unit in units
-                for when in ("before", "after")
-            ),
-            "; ".join(effect_words(other) for other in entry.equivalent),
-        )
-        for entry in effects
-    )
+    rows = tuple(_effect_row(entry, units, is_repeated=is_repeated) for entry in effects)
     return Table(title, columns, rows)
+
+
+def _effect_row(entry: FoundEffect, units: Sequence[str], *, is_repeated: bool) -> tuple[Cell, ...]:
+    """Return the cells of an effect, with its errors in each unit."""
+    errors = (
+        getattr(entry, f"gap_{when}_{unit}") for unit in units for when in ("before", "after")
+    )
+    return (
+        effect_words(entry, joint=False),
+        entry.joint or "whole arm",
+        entry.p_value,
+        *([str(entry.stability or "")] if is_repeated else []),
+        *errors,
+        "; ".join(effect_words(other) for other in entry.equivalent),
+    )
 
 
 def stage_table(floor: float, stages: Sequence[Stage]) -> Table:

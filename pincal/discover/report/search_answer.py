@@ -75,9 +75,8 @@ def _why_not_judged(found: Findings, *, is_of_arrivals: bool) -> str:
         return "there are too few poses to judge whether that is all; see the doubt stated first"
     if is_of_arrivals:
         return (
-            "what exceeds the declared noise of the instrument is as of drives that "
-            "all stop unevenly, and hides "
-            "smaller errors of the model: measure ten poses three times each"
+            "what exceeds the declared noise of the instrument is as of drives that all stop "
+            "unevenly, and hides smaller errors of the model: measure ten poses three times each"
         )
     return (
         "nothing more is detected, but the noise was estimated from the residuals, so "
@@ -98,9 +97,8 @@ def _what_is_wrong(found: Findings, beyond: str) -> list[str]:
         wrong.append(see_doubts(doubts).lower())
     elif not wrong:
         wrong.append(
-            "some residuals are larger than the declared noise, or its estimate from "
-            "neighbouring poses, allow, though "
-            "not on average over all rows"
+            "some residuals are larger than the declared noise, or its estimate from neighbouring "
+            "poses, allow, though not on average over all rows"
         )
     return wrong
 

@@ -114,9 +114,8 @@ class CameraSensor(PointSensor):
         """
         if not known:
             yield (
-                "the points of the calibration object are unknown, so they are identified "
-                "in the robot's base frame; "
-                "--points FILE.csv (columns point x y z) adds information"
+                "the points of the calibration object are unknown, so they are identified in the "
+                "robot's base frame; --points FILE.csv (columns point x y z) adds information"
             )
             if not (self.has_scale or self.points.distances):
                 yield (

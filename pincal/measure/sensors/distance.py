@@ -85,10 +85,9 @@ class Distances(Additive, Plausible):
         unit = table.units.get("distance", "m")
         if middle > PLAUSIBLE.farthest:
             raise MeasurementError(
-                f"{table.source}: distance of {middle:.4g} m under the unit [{unit}]; "
-                "expected at most "
-                f"{PLAUSIBLE.farthest:g} m; looks like millimetres: write `distance [mm]`, "
-                "or their unit"
+                f"{table.source}: distance of {middle:.4g} m under the unit [{unit}]; expected at "
+                f"most {PLAUSIBLE.farthest:g} m; looks like millimetres: write `distance [mm]`, or "
+                "their unit"
             )
         if longest < PLAUSIBLE.nearest * reach_m:
             raise MeasurementError(
@@ -184,9 +183,8 @@ class AnchoredDistanceSensor(PointDistances):
             yield _NO_BASE
         if len(self.points.names) == 1:
             yield (
-                "distances from one anchor measure one direction per pose: several "
-                "anchors around the arm give more "
-                "information"
+                "distances from one anchor measure one direction per pose: several anchors around "
+                "the arm give more information"
             )
 
 

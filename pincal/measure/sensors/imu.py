@@ -292,10 +292,9 @@ class ImuSensor(Sensor, OwnParameters):
     def of(cls, table: TableRows, setup: Setup) -> Self:
         if getattr(table, "moving", None) is None:
             raise MeasurementError(
-                f"{table.source}: an IMU is read along the path of the joints; give both "
-                "as streams with their times: a "
-                "folder with joints.csv and imu.csv, or --joints LOG --imu LOG, which may "
-                "be one file"
+                f"{table.source}: an IMU is read along the path of the joints; give both as "
+                "streams with their times: a folder with joints.csv and imu.csv, or --joints LOG "
+                "--imu LOG, which may be one file"
             )
         return cls(table.array(FORCE.name), table.array(RATE.name))
 
@@ -362,8 +361,7 @@ class ImuSensor(Sensor, OwnParameters):
 
     def unobservable(self) -> Iterator[str]:
         yield (
-            "an IMU does not determine the position and heading of the robot, the zeros "
-            "of the first and the last joint, "
-            "those of parallel joints separately, nor lengths, which are held as in the "
-            "URDF unless other rows give them"
+            "an IMU does not determine the position and heading of the robot, the zeros of the "
+            "first and the last joint, those of parallel joints separately, nor lengths, which are "
+            "held as in the URDF unless other rows give them"
         )

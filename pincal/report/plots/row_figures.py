@@ -111,6 +111,15 @@ def cumulative_figure(evidence: RowErrors) -> Figure:
         x = np.geomspace(low, high, 200)
         share = 100.0 * chdtr(len(evidence.after), (x / evidence.noise) ** 2)
         axes.plot(x, share, "--", color=MUTED, linewidth=1.1, label="noise alone")
+    _mark_most(axes, low)
+    axes.set_ylim(0.0, 101.0)
+    dress(axes, x=_error_label(evidence), y="poses with less error [%]")
+    legend(axes, loc="lower left", bbox_to_anchor=(-0.02, 0.98), ncols=3)
+    return figure
+
+
+def _mark_most(axes: Axes, low: float) -> None:
+    """Draw the level of 95 % of the poses; low is the left end of the axis."""
     axes.axhline(95.0, color=MUTED, linewidth=0.7)
     axes.annotate(
         "95 %",
@@ -120,10 +129,6 @@ def cumulative_figure(evidence: RowErrors) -> Figure:
         fontsize=SMALL,
         color=INK,
     )
-    axes.set_ylim(0.0, 101.0)
-    dress(axes, x=_error_label(evidence), y="poses with less error [%]")
-    legend(axes, loc="lower left", bbox_to_anchor=(-0.02, 0.98), ncols=3)
-    return figure
 
 
 def joint_figure(evidence: RowErrors, joint: int) -> Figure:
@@ -245,21 +250,26 @@ def order_figure(evidence: RowErrors) -> Figure:
             alpha=0.55,
             markeredgewidth=0.0,
         )
-        for i, parts in enumerate(_sessions(x[order], 2 * _BINS, _FEWEST)):
-            middle = [float(np.median(sizes[order][part])) for part in parts]
-            centres = [float(np.mean(x[order][part])) for part in parts]
-            axes.plot(
-                centres,
-                middle,
-                ".-",
-                color=colour,
-                linewidth=1.8,
-                markersize=3.5,
-                label=None if i else which,
-            )
+        _draw_running_median(axes, x[order], sizes[order], colour, which)
     dress(axes, x=label, y=_error_label(evidence), title="Size of the error")
     legend(axes, loc="lower right", ncols=2)
     return figure
+
+
+def _draw_running_median(
+    axes: Axes, x: np.ndarray, sizes: np.ndarray, colour: str, label: str
+) -> None:
+    """Draw medians of neighbouring rows, interrupted at long pauses; x is in ascending order."""
+    for i, parts in enumerate(_sessions(x, 2 * _BINS, _FEWEST)):
+        axes.plot(
+            [float(np.mean(x[part])) for part in parts],
+            [float(np.median(sizes[part])) for part in parts],
+            ".-",
+            color=colour,
+            linewidth=1.8,
+            markersize=3.5,
+            label=None if i else label,
+        )
 
 
 def _order(evidence: RowErrors) -> tuple[np.ndarray, str]:
@@ -291,19 +301,12 @@ def drift_figure(evidence: RowErrors) -> Figure:
     figure, axes = panel(3.3)
     axes.axhline(0.0, color=MUTED, linewidth=0.8)
     width = float(np.ptp(x)) / len(parts) or 1.0
-    factor, unit = (
-        (1e3, evidence.unit.replace("m", "µ", 1))
-        if evidence.unit in ("mm", "mrad")
-        else (1.0, evidence.unit)
-    )
+    factor, unit = _finer(evidence.unit)
+    middles = np.array([np.mean(x[part]) for part in parts])
     for k, (name, left) in enumerate(zip(names, evidence.after, strict=False)):
-        centres = np.array([np.mean(x[part]) for part in parts]) + 0.16 * width * (
-            k - 0.5 * (len(names) - 1)
-        )
+        centres = middles + 0.16 * width * (k - 0.5 * (len(names) - 1))
         means = factor * np.array([np.mean(left[part]) for part in parts])
-        errors = factor * np.array(
-            [2.0 * np.std(left[part]) / np.sqrt(len(part)) for part in parts]
-        )
+        errors = factor * np.array([_uncertainty_of_mean(left[part]) for part in parts])
         colour = (BEFORE, AFTER, style.THIRD)[k]
         axes.errorbar(
             centres,
@@ -317,8 +320,18 @@ def drift_figure(evidence: RowErrors) -> Figure:
         )
     dress(axes, x=label, y=f"mean residual [{unit}]", title="Drift of the residuals")
     if len(names) > 1:
-        axes.set_ylim(
-            axes.get_ylim()[0], axes.get_ylim()[1] + 0.18 * float(np.ptp(axes.get_ylim()))
-        )
+        axes.set_ylim(top=axes.get_ylim()[1] + 0.18 * float(np.ptp(axes.get_ylim())))
         legend(axes, loc="upper right", ncols=3)
     return figure
+
+
+def _finer(unit: str) -> tuple[float, str]:
+    """Return a factor and the unit for means, which are smaller than errors."""
+    if unit in ("mm", "mrad"):
+        return 1e3, unit.replace("m", "µ", 1)
+    return 1.0, unit
+
+
+def _uncertainty_of_mean(values: np.ndarray) -> float:
+    """Return two standard deviations of the mean of independent values."""
+    return float(2.0 * np.std(values) / np.sqrt(len(values)))
