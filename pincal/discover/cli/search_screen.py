@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.console import Console
 
 from pincal.cli.screen import print_doubts, print_elsewhere, print_left_out
-from pincal.discover.discovery_file import FoundEffect
+from pincal.discover.discovery_file import Findings, FoundEffect
 from pincal.discover.report import found_tables
 from pincal.discover.report.detectability_tables import not_testable
 from pincal.discover.report.found_words import (
@@ -62,15 +62,7 @@ def print_discovery(found: Discovery, out: Console) -> None:
     )
     if findings.where:
         out.print(found_tables.location_table(findings.where))
-    named, hints = (
-        [e for e in findings.effects if e.is_hint == is_hint] for is_hint in (False, True)
-    )
-    if named or not hints:
-        out.print(
-            found_tables.effect_table(named) if named else "These data show no missing effect."
-        )
-    if hints:
-        out.print(found_tables.effect_table(hints, HINTS))
+    _print_effects(findings, out)
     if findings.bootstrap:
         out.print(one_line(bootstrap_words(findings.bootstrap)), markup=False)
     if findings.only_in_halves:
@@ -78,23 +70,7 @@ def print_discovery(found: Discovery, out: Console) -> None:
     out.print(found_tables.stage_table(findings.noise_floor_mm, found.gaps))
     print_elsewhere(found.calibration.result, out)
     for entry in findings.effects:
-        if words := line_words(entry):
-            out.print(hanging(effect_words(entry), words))
-        if entry.tell_apart:
-            out.print(
-                hanging(
-                    "to distinguish",
-                    f"{effect_words(entry)} from its alternatives: {entry.tell_apart}",
-                )
-            )
-        if entry.period is not None:
-            unit = {"time": "s", "temperature": "K", "payload": "kg"}.get(
-                entry.depends_on or "", "rad"
-            )
-            out.print(
-                one_line(f"{effect_words(entry)} repeats every {entry.period:.4g} {unit}"),
-                markup=False,
-            )
+        _print_effect(entry, out)
     for scatter in findings.scatter:
         text = (
             f"{scatter.joint} scatters by {scatter.sigma_rad * 1e3:.3f} mrad; record "
@@ -105,3 +81,34 @@ def print_discovery(found: Discovery, out: Console) -> None:
     lost = ((e.effect, e.joint, e.reason) for e in findings.not_testable)
     for line in not_testable(lost, len(joints)):
         out.print(line)
+
+
+def _print_effects(findings: Findings, out: Console) -> None:
+    """Print the tables of the effects found and of the hints."""
+    named = [entry for entry in findings.effects if not entry.is_hint]
+    hints = [entry for entry in findings.effects if entry.is_hint]
+    if named or not hints:
+        out.print(
+            found_tables.effect_table(named) if named else "These data show no missing effect."
+        )
+    if hints:
+        out.print(found_tables.effect_table(hints, HINTS))
+
+
+def _print_effect(entry: FoundEffect, out: Console) -> None:
+    """Print what no table holds of an effect: its words, its alternatives and its period."""
+    if words := line_words(entry):
+        out.print(hanging(effect_words(entry), words))
+    if entry.tell_apart:
+        out.print(
+            hanging(
+                "to distinguish",
+                f"{effect_words(entry)} from its alternatives: {entry.tell_apart}",
+            )
+        )
+    if entry.period is not None:
+        unit = {"time": "s", "temperature": "K", "payload": "kg"}.get(entry.depends_on or "", "rad")
+        out.print(
+            one_line(f"{effect_words(entry)} repeats every {entry.period:.4g} {unit}"),
+            markup=False,
+        )

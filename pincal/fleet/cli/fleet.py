@@ -29,6 +29,8 @@ from pincal.thresholds import Count
 if TYPE_CHECKING:
     from pincal.calibration.fitted_robot import FittedRobot
     from pincal.fleet.machines import Machine
+    from pincal.fleet.robot_type import Learned
+    from pincal.fleet.summary import AtTool
 
 # Number of parameters that are listed.
 _PARAMETERS: Count = 8
@@ -126,14 +128,27 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     if arguments.general.as_json:
         print_json(summary.plain_type(learned, at, error=arguments.error))
         return Exit.DONE
+    _print_type(learned, at, arguments)
+    written = [
+        str(path) for path in (arguments.out, arguments.share, arguments.report) if path is not None
+    ]
+    click.echo(f"written to {' '.join(written)}")
+    return Exit.DONE
+
+
+def _print_type(learned: Learned, at: AtTool | None, arguments: LearnArguments) -> None:
+    """Print how machines of a type differ and, if the arm is known, what that moves at the tool."""
     from pincal.cli.progress import console
+    from pincal.fleet import summary
 
     out = console()
     for line in summary.type_lines(learned, at, error=arguments.error):
         click.echo(line)
     if at is not None:
         out.print(summary.effect_summary(at))
-    out.print(summary.parameter_summary(of, at, most=None if arguments.verbose else _PARAMETERS))
+    out.print(
+        summary.parameter_summary(learned.type, at, most=None if arguments.verbose else _PARAMETERS)
+    )
     if summary.strangers(learned.members):
         out.print(summary.member_summary(learned))
     if at is not None:
@@ -143,11 +158,6 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
             "note: to express this as motion of the tool, the arm must be known: give a "
             "model.json, or --robot URDF"
         )
-    written = [
-        str(path) for path in (arguments.out, arguments.share, arguments.report) if path is not None
-    ]
-    click.echo(f"written to {' '.join(written)}")
-    return Exit.DONE
 
 
 def _machines(texts: Sequence[str]) -> tuple[list[Machine], FittedRobot | None]:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from pincal.robot.robot import Robot
     from pincal.simulate.effect import HiddenEffect
     from pincal.simulate.machine import TrueMachine
+    from pincal.simulate.session import MovingSession
     from pincal.simulate.setup import Campaign, SensorSetup
 
 _Files = dict[str, tuple[Path | None, Callable[[Path], None]]]
@@ -118,24 +119,11 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
     from pincal.measure.table import write_table
     from pincal.simulate.instrument import Instrument
     from pincal.simulate.moving import conditions_along
-    from pincal.simulate.request import Stream, draw_setup
-    from pincal.simulate.session import draw_session
+    from pincal.simulate.request import Stream
     from pincal.simulate.setup import Campaign
 
     log_step("planning a path")
-    rng = Stream.LAYOUT.generator(arguments.setup_seed)
-    tracker = draw_setup(
-        arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options()
-    )
-    path = arguments.motion.path
-    course = via_path(robot, machine.names, path) if isinstance(path, Path) else None
-    session = draw_session(
-        machine.nominal,
-        arguments.session_options(path if course is None else float(course.time[-1])),  # type: ignore[arg-type]
-        tracker=None if arguments.motion.imu and arguments.sensor.sensor is None else tracker,
-        path=course or Stream.POSES.generator(arguments.pose_seed),
-        setup=rng,
-    )
+    session = _drawn_session(robot, machine, arguments)
     log_step("driving it")
     tables = session.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
     time = np.linspace(0.0, session.duration, _LOOKED_AT)
@@ -159,28 +147,14 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
         for name, table in tables.items()
     }
     origin = {"made_by": provenance(robot_files(robot.source, arguments.machine.beside))}
-    try:
-        arguments.out.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(
-            f"{arguments.out}: can't be created ({error.strerror}); choose another --out"
-        ) from None
+    _make_folder(arguments.out)
     write_all(files | _further_files(arguments, seen.setup, found | origin))
     end_progress()
     rows = {name: len(table["time"]) for name, table in tables.items()}
     if arguments.general.as_json:
         print_json({"rows": rows, "out": str(arguments.out)} | found)
         return Exit.DONE
-    logs = ", ".join(f"{count} rows of {name}" for name, count in rows.items())
-    lines = [
-        f"{session.duration:g} s of {robot.name} ({robot.base} to {robot.tip}) in motion: {logs}"
-    ]
-    for name, clock in session.clocks.items():
-        if name in tables:
-            lines.append(
-                f"  the clock of the {name} is {clock.offset:+.3f} s off and drifts by "
-                f"{1e6 * clock.drift:+.0f} ppm"
-            )
+    lines = _log_lines(robot, session, rows)
     written = f", the truth to {arguments.truth}" if arguments.truth else ""
     lines = [*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]
     click.echo(
@@ -194,6 +168,57 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
         )
     )
     return Exit.DONE
+
+
+def _drawn_session(
+    robot: Robot, machine: TrueMachine, arguments: SimulateArguments
+) -> MovingSession:
+    """Draw the sensors and the path that the machine drives."""
+    from pincal.simulate.request import Stream, draw_setup
+    from pincal.simulate.session import draw_session
+
+    rng = Stream.LAYOUT.generator(arguments.setup_seed)
+    tracker = draw_setup(
+        arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options()
+    )
+    path = arguments.motion.path
+    course = via_path(robot, machine.names, path) if isinstance(path, Path) else None
+    return draw_session(
+        machine.nominal,
+        arguments.session_options(path if course is None else float(course.time[-1])),  # type: ignore[arg-type]
+        tracker=None if arguments.motion.imu and arguments.sensor.sensor is None else tracker,
+        path=course or Stream.POSES.generator(arguments.pose_seed),
+        setup=rng,
+    )
+
+
+def _make_folder(folder: Path) -> None:
+    """Make the folder of the logs, if it is not there yet.
+
+    Raises:
+        OutputError: if it can't be made.
+    """
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: can't be created ({error.strerror}); choose another --out"
+        ) from None
+
+
+def _log_lines(robot: Robot, session: MovingSession, rows: dict[str, int]) -> list[str]:
+    """Return the lines that say how long each log is and how far its clock is off."""
+    logs = ", ".join(f"{count} rows of {name}" for name, count in rows.items())
+    lines = [
+        f"{session.duration:g} s of {robot.name} ({robot.base} to {robot.tip}) in motion: {logs}"
+    ]
+    for name, clock in session.clocks.items():
+        if name in rows:
+            lines.append(
+                f"  the clock of the {name} is {clock.offset:+.3f} s off and drifts by "
+                f"{1e6 * clock.drift:+.0f} ppm"
+            )
+    return lines
 
 
 def _further_files(
