@@ -38,6 +38,7 @@ from pincal.identify.split import joint_regions
 from pincal.identify.station import Station
 from pincal.io.arrays import ArrayShape, Numbers, Record
 from pincal.io.strict_json import Fault
+from pincal.measure.poses import SCATTER, same_joints
 from pincal.thresholds import Count, Scale
 from pincal.validate.misfit import Verdict
 
@@ -129,13 +130,17 @@ def errs_with_drives(residuals: np.ndarray, q: np.ndarray, levers: np.ndarray) -
         q: shape (N, n), joint positions.
         levers: shape (n, N, 3), motion of the target by each drive.
     """
+    # Readings of a pose share how its drives arrived: they are one.
+    pose = np.unique(same_joints(q, SCATTER), return_inverse=True)[1].ravel()
+    _, first = np.unique(pose, return_index=True)
     found = [0.0]
-    for position, lever in zip(q.T, levers, strict=True):
-        length = np.linalg.norm(lever, axis=1)
-        moved = length > _LEVER
+    for position, lever in zip(q[first].T, levers, strict=True):
+        squares = np.bincount(pose, np.sum(lever**2, axis=1))
+        projected = np.bincount(pose, np.einsum("na,na->n", residuals, lever))
+        moved = squares > _LEVER**2
         if np.count_nonzero(moved) < DISCREPANCY.fewest or not np.ptp(position[moved]):
             continue
-        along = np.einsum("na,na->n", residuals[moved], lever[moved]) / length[moved]
+        along = projected[moved] / np.sqrt(squares[moved])
         sign = np.sign(along) * np.sqrt(np.abs(along))
         in_order = sign[np.argsort(position[moved], kind="stable")]
         products = in_order[1:] * in_order[:-1]
@@ -192,7 +197,8 @@ def _variances(
         for position, lever in zip(q.T, levers, strict=True)
         for alike in _alike(position, np.array(_LENGTHS))
     ]
-    terms.append(np.eye(3 * n))
+    same = np.all(q[:, None] == q[None], axis=2)
+    terms.append(np.kron(same.astype(float), np.eye(3)))
     products = np.outer(residuals.ravel(), residuals.ravel()) - known
     sizes = _least_squares(terms, products)
     covariance = known + sum(size * term for size, term in zip(sizes, terms, strict=True))

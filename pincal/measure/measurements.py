@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -96,6 +96,20 @@ class Measurements(Recorded):
 
     def __len__(self) -> int:
         return len(self.q)
+
+    @property
+    def is_of_positions(self) -> bool:
+        """Whether its readings are positions of the target alone."""
+        return self.readings.keys() == {"position"}
+
+    @property
+    def has_orientations(self) -> bool:
+        """Whether its readings are poses, positions with orientations."""
+        return self.readings.keys() == {"position", "quaternion"}
+
+    def of_positions(self) -> Self:
+        """Return the positions of poses alone."""
+        return replace(self, readings={"position": self.readings["position"]})
 
     @property
     def is_of_motion(self) -> bool:

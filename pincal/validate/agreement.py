@@ -134,6 +134,9 @@ class _Suspect:
         found = self._of(explanations)
         if found is not None and found.best.mistake.correction is not None:
             return found
+        if self.is_plausible and not self.bounded:
+            # Zeros that the data pull are those of single joints.
+            return found
         # A frame that is left-handed and three signs of joints may be the same.
         described = self.trials.described(self.error[0], resizes=bool(self.bounded))
         if described is None:
@@ -170,7 +173,7 @@ class _Suspect:
     def by_positions(self) -> _Suspect | None:
         """Return the same table without its orientations; None if it has none, or no fit."""
         table = self.trials.case.table
-        if table.kind != "pose":
+        if not table.has_orientations:
             return None
         trials = self.trials.of_positions()
         fit, left = trials.calibrated(trials.case)

@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
+from math import comb
 
 import numpy as np
 
@@ -32,6 +33,8 @@ _ROWS: Count = 60
 _UNKNOWNS: Count = 13
 # Combinations at most: with more joints fewer of them differ by a right angle at once.
 _MOST: Count = 20_000
+# Combinations of signs at most: all of them with up to eight joints.
+_SIGNS: Count = 256
 # Combinations that are looked at together, so that their poses fit into the cache.
 _AT_ONCE: Count = 256
 # The best of them that are fitted with the zeros of joints, and those that are fitted with lengths.
@@ -84,7 +87,7 @@ class DescriptionSearch:
         """Return the search for a case; None if its robot or readings allow none."""
         table = case.table
         is_plain = case.robot.is_serial and table.from_link is None and table.to_link is None
-        if table.kind != "position" or not is_plain or table.is_of_motion:
+        if not table.is_of_positions or not is_plain or table.is_of_motion:
             return None
         found = cls(case, options, enough, resizes)
         return found if len(found.rows) > _UNKNOWNS + case.robot.n_joints else None
@@ -104,11 +107,7 @@ class DescriptionSearch:
         """
         robot = self.case.robot
         turning = revolute_joints(robot)
-        signs = [
-            names
-            for count in range(len(free_joints(robot)) + 1)
-            for names in combinations(free_joints(robot), count)
-        ]
+        signs = list(_signs(free_joints(robot)))
         # The zero of the first joint is a turn of the base, that of the last one of the tool.
         inner = [name for name in turning if 0 < robot.joint_names.index(name) < robot.n_joints - 1]
         shifts = list(_right_angles(inner, _MOST // len(signs)))
@@ -116,13 +115,15 @@ class DescriptionSearch:
         between = [{name: angle} for name in inner for angle in _BETWEEN]
         found += [Correction(shift, names) for shift in between for names in signs]
         single = [shift for shift in shifts if len(shift) == 1] + between
-        for coupling in couplings_of(robot):
-            found += [Correction({}, names, (coupling,)) for names in signs]
+        couplings = list(couplings_of(robot))
+        found += [Correction({}, names, (coupling,)) for coupling in couplings for names in signs]
+        few = [names for names in signs if len(names) <= 1]
+        if len(couplings) * len(single) * len(few) <= _MOST:
             found += [
                 Correction(shift, names, (coupling,))
+                for coupling in couplings
                 for shift in single
-                for names in signs
-                if len(names) <= 1
+                for names in few
             ]
         return sorted(found, key=lambda one: one.size)
 
@@ -237,6 +238,18 @@ def _preference(described: Described) -> tuple[int, int]:
     """
     steps = np.log(max(described.left, 1e-12)) / np.log(AGREEMENT.alike)
     return round(float(steps)), described.correction.size
+
+
+def _signs(names: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Yield joints that count in the opposite sense, none first, then one, two and so on, as far as
+    all of so many joints are few.
+    """
+    total = 0
+    for count in range(len(names) + 1):
+        total += comb(len(names), count)
+        if total > _SIGNS and count > 1:
+            return
+        yield from combinations(names, count)
 
 
 def _right_angles(names: Sequence[str], most: int) -> Iterator[Mapping[str, float]]:

@@ -200,9 +200,7 @@ class Trials:
 
     def of_positions(self) -> Trials:
         """Return the trials of the positions of poses alone."""
-        table = self.case.table
-        position = table.readings["position"]
-        alone = replace(table, readings={"position": position})
+        alone = self.case.table.of_positions()
         options = replace(self.options, sigma_orientation=None)
         return replace(self, case=replace(self.case, table=alone), options=options)
 
