@@ -365,6 +365,7 @@ def test_a_name_is_found_beside_unknown_masses(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_intervals_of_predictions_cover(bare: Robot) -> None:
     """Over 200 draws of noise 95 % intervals of predictions cover 93 to 97 %, although the masses were not known."""
     options = Options(payload_centre=PAYLOAD_COM, sigma=5e-5)

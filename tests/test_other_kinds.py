@@ -156,6 +156,7 @@ def test_the_commands_take_rows_of_another_kind(
 
 
 @pytest.mark.long
+@pytest.mark.rates
 @pytest.mark.parametrize("angle", [5e-5, 1e-4, 1e-3])
 def test_machines_of_a_maker_are_left_alone(shared_data: Path, angle: float) -> None:
     """Of eleven machines with the deviations that their maker measured none is changed by being read as poses."""
