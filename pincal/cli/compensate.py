@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pincal.calibration.fitted_robot import FittedRobot
+    from pincal.cli.inputs import PlacedModel
     from pincal.compensate.targets import CompensatedTable, Targets
     from pincal.robot.robot import Robot
 
@@ -182,14 +183,23 @@ def compensate(arguments: CompensateArguments) -> Exit:
     Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
     from pincal.cli.inputs import find_place
+
+    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    if arguments.program.reads(arguments.targets):
+        robot = place.model.model.chain.robot
+        return arguments.program.correct(place.model, _correction(robot, arguments))
+    return _compensate_table(place, arguments)
+
+
+def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exit:
+    """Write the joint positions to command for a table of targets, and print how well they
+    reach these.
+    """
     from pincal.cli.progress import end_progress
     from pincal.compensate.returned_table import write_returned
     from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
 
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
     robot = place.model.model.chain.robot
-    if arguments.program.reads(arguments.targets):
-        return arguments.program.correct(place.model, _correction(robot, arguments))
     table = read_targets(arguments.targets, robot, options=arguments.table.options)
     place = place.over(table.rows)
     calibrated = place.model
@@ -201,16 +211,11 @@ def compensate(arguments: CompensateArguments) -> Exit:
         any_orientation=arguments.free_orientation,
         limits=not arguments.ignore_limits,
     )
-    columns = _columns(calibrated, done, arguments)
-    if arguments.only_numbers:
-        columns = _joint_columns(robot, done)
+    columns = _returned_columns(calibrated, done, arguments)
     write_returned(arguments.out, table.cells, columns, robot.joint_names)
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
-    result = (
-        _result(robot, done, beyond, max_change=arguments.max_change)
-        | place.contents
-        | {"out": str(arguments.out)}
-    )
+    result = _result(robot, done, beyond, max_change=arguments.max_change)
+    result |= place.contents | {"out": str(arguments.out)}
     result["turn"]["unreached"] = unreached_turns(calibrated, done)
     end_progress()
     if arguments.general.as_json:
@@ -258,6 +263,16 @@ def _seed(robot: Robot, table: Targets | None, text: str | None) -> np.ndarray |
         )
     turns = np.array([kind != "prismatic" for kind in robot.joint_types])
     return np.where(turns & in_degrees, np.deg2rad(seed), seed)
+
+
+def _returned_columns(
+    calibrated: FittedRobot, done: CompensatedTable, arguments: CompensateArguments
+) -> dict[str, np.ndarray]:
+    """Return the columns to write: all of them, or the joints alone."""
+    columns = _columns(calibrated, done, arguments)
+    if arguments.only_numbers:
+        return _joint_columns(calibrated.model.chain.robot, done)
+    return columns
 
 
 def _joint_columns(robot: Robot, done: CompensatedTable) -> dict[str, np.ndarray]:
