@@ -16,12 +16,12 @@ from pincal.identify.quadratic import Form
 from pincal.identify.station import station_of
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.poses import replicate_groups
-from pincal.measure.sensor import Block
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.report.judgement import judged
 from pincal.robot.se3 import quaternions
+from pincal.sensors.sensor import Block
 from pincal.validate.accuracy import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy
 from pincal.validate.lack_of_fit import evenness, lack_of_fit, replicate_squares, scatter_of
 from pincal.validate.misfit import explained_by_uncertainty

@@ -37,9 +37,9 @@ from pincal.identify.mass_error import with_masses_unsure
 from pincal.identify.options import Options
 from pincal.measure.admit import admit, noted, unobservable_notes
 from pincal.measure.measurements import Measurements
-from pincal.measure.setup import Setup
 from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
+from pincal.sensors.setup import Setup
 from pincal.validate.accuracy import leading_unit
 
 log = logging.getLogger(__name__)

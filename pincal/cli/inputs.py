@@ -31,12 +31,12 @@ from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_camera
 from pincal.measure.admit import check_table, usable_rows
-from pincal.measure.fields import TableOptions
 from pincal.measure.instruments import InstrumentNoise
 from pincal.measure.measurements import Measurements
+from pincal.measure.points_table import read_distances, read_points
 from pincal.measure.reader import links_of_rows, of_path
-from pincal.measure.setup import KnownDistance, Setup, read_distances, read_points
 from pincal.measure.table import joint_columns, read_measurements, stations_of
+from pincal.measure.table_schema import TableOptions
 from pincal.model.catalogue.candidates import find_effect
 from pincal.model.chain import Chain
 from pincal.model.effect import Effect
@@ -47,6 +47,7 @@ from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import transform
 from pincal.robot.tree import MOVING_TYPES, UrdfTree
+from pincal.sensors.setup import KnownDistance, Setup
 from pincal.units import readable_unit
 
 

@@ -25,11 +25,11 @@ from pincal.identify.station import together
 from pincal.identify.stop_scatter import shared_in_fit
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
-from pincal.measure.registry import blocks_of
 from pincal.measure.stops import StopRows
 from pincal.model.effect import Effect
 from pincal.model.sizes import largest_basis
 from pincal.parameters import Covariance, Estimate
+from pincal.sensors.registry import blocks_of
 
 
 def update(

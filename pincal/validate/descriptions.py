@@ -21,9 +21,9 @@ import numpy as np
 
 from pincal.identify.criteria import AGREEMENT
 from pincal.identify.options import Options
-from pincal.measure.extrinsics import sample_rows
 from pincal.model.effects import JointOffset, LinkGeometry
 from pincal.robot.mastering import free_joints
+from pincal.sensors.extrinsics import sample_rows
 from pincal.thresholds import Count, Scale
 from pincal.validate.cures import Case, Correction, couplings_of
 from pincal.validate.rough_fit import UNFIT, revolute_joints, roughly_placed, typical_residuals

@@ -342,8 +342,8 @@ def _write(
     sensor: str | None,
 ) -> None:
     """Write the poses with empty columns for the readings; print the predicted accuracy."""
-    from pincal.measure.registry import columns_of
     from pincal.measure.table import write_table
+    from pincal.sensors.registry import columns_of
 
     turns = {
         name

@@ -26,7 +26,7 @@ from pincal.cli.common import (
 )
 from pincal.cli.quantities import ANGLES, LENGTH, NoiseType, QuantityType, masses
 from pincal.errors import BadInputError, MeasurementError, OutputError
-from pincal.measure.fields import TABLE_ENDINGS
+from pincal.measure.table_schema import TABLE_ENDINGS
 from pincal.robot.cell import Beside
 from pincal.simulate.cli.path_options import MotionArguments
 from pincal.thresholds import Count, Scale
