@@ -43,20 +43,24 @@ _EXAMPLES = """
 Examples:
   pincal compensate results/model.json program.csv --out corrected.csv
   pincal compensate results/model.json program.csv --out corrected.csv --false-targets tip
-  pincal compensate results/model.json program.csv --out corrected.csv --placement ten_rows_of_today.csv
-  pincal compensate results/model.json poses.csv --out joints.csv --seed-joints "0 -90 90 0 90 0 deg"
-  pincal compensate results/model.json weld.src --out corrected/weld.src --tool 'TOOL_DATA[1]=0,0,250,0,0,0'
+  pincal compensate results/model.json program.csv --out corrected.csv \
+--placement ten_rows_of_today.csv
+  pincal compensate results/model.json poses.csv --out joints.csv \
+--seed-joints "0 -90 90 0 90 0 deg"
+  pincal compensate results/model.json weld.src --out corrected/weld.src \
+--tool 'TOOL_DATA[1]=0,0,250,0,0,0'
 
-TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls, Universal
-Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted are listed and left
-unchanged. The rest applies to tables.
+TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls,
+Universal Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted
+are listed and left unchanged. The rest applies to tables.
 
 TARGETS.csv has the desired target position x y z (and orientation qx qy qz qw) in the instrument's
 frame, joint positions to start from, and, where they matter, payload, target, temperature, time and
-approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint positions
-is kept. Without x y z, the joint positions are a nominal program: the desired pose is the one that the
-nominal robot would reach, in its base frame. Without joint positions, the search starts from
---seed-joints (default: the middle of the joint ranges, and any orientation if there is no quaternion).
+approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint
+positions is kept. Without x y z, the joint positions are a nominal program: the desired pose is the
+one that the nominal robot would reach, in its base frame. Without joint positions, the search
+starts from --seed-joints (default: the middle of the joint ranges, and any orientation if there is
+no quaternion).
 
 FILE.csv has the joint positions to command, the desired pose, the remaining error predicted by the
 model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm), the largest

@@ -30,10 +30,11 @@ Examples:
   pincal validate results/model.json new_measurements.csv --max-error 0.1mm
   pincal validate results/model.json monday.csv tuesday.csv
 
-Instrument and target are assumed to be where they were at calibration unless the rows indicate another placement,
-which is then identified from them and reported as a displacement; the errors refer to it. If no placement
-explains the rows, they belong to another robot, or it has changed: exit code 6; run pincal diagnose. Of several
-tables, those that the model was not fitted to come first, and --max-error applies to them.
+Instrument and target are assumed to be where they were at calibration unless the rows indicate
+another placement, which is then identified from them and reported as a displacement; the errors
+refer to it. If no placement explains the rows, they belong to another robot, or it has changed:
+exit code 6; run pincal diagnose. Of several tables, those that the model was not fitted to come
+first, and --max-error applies to them.
 """
 
 

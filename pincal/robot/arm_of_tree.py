@@ -292,7 +292,8 @@ class _Neutral:
 @dataclass(frozen=True)
 class _Masses:
     """Masses of the n links [kg], shape (n,), centres of mass in the frames of the links [m], shape
-    (n, 3), which of them are guessed, and the masses that the URDF has instead of some, else 0 [kg].
+    (n, 3), which of them are guessed, and the masses that the URDF has instead of some, else 0
+    [kg].
     """
 
     masses: np.ndarray
@@ -337,8 +338,8 @@ class _Masses:
         if not found:
             return ()
         return (
-            f"the robot description has {few(found, _NAMED)}, which no arm of this reach can weigh: "
-            "placeholders, read as no mass; state the robot's mass (--mass) if it is known",
+            f"the robot description has {few(found, _NAMED)}, which no arm of this reach can "
+            "weigh: placeholders, read as no mass; state the robot's mass (--mass) if it is known",
         )
 
 
@@ -548,8 +549,8 @@ def are_placeholders(masses: Sequence[float]) -> bool:
 
 
 def are_too_light(masses: np.ndarray, ends: np.ndarray, parents: Sequence[int]) -> np.ndarray:
-    """Return which masses [kg], shape (n,), no arm of these links can have, shape (n,); arguments as
-    in :func:`guessed_masses`.
+    """Return which masses [kg], shape (n,), no arm of these links can have, shape (n,); arguments
+    as in :func:`guessed_masses`.
 
     Exporters write a gram or less where a program wants a mass, such as on the frame of a tool.
     """

@@ -41,19 +41,23 @@ if TYPE_CHECKING:
 _EXAMPLES = """
 Examples:
   pincal design robot.urdf --poses 40 --instrument 3.5 -1 1.2 --payload 80 --out poses.csv
-  pincal design robot.urdf --accuracy 0.05mm --noise 0.03mm --out poses.csv     # how many poses do I need?
-  pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     # which poses to add?
+  pincal design robot.urdf --accuracy 0.05mm --noise 0.03mm --out poses.csv     \
+# how many poses do I need?
+  pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     \
+# which poses to add?
   pincal design robot.urdf --poses 40 --out poses.csv \\
       --tell-apart gear_eccentricity:joint_2 gravity_compensator:joint_2
-  pincal design robot.urdf --motion 300s --out motion.csv                       # what to drive with an IMU?
+  pincal design robot.urdf --motion 300s --out motion.csv                       \
+# what to drive with an IMU?
   pincal design results/model.json --check --notice 0.2mm --out check.csv       # has it changed?
   pincal design results/model.json --check --notice 0.5mm --out check.csv \\
-      --socket 0.7 0.3 0.2 --socket 0.5 -0.4 0.4                                # the same with two sockets
+      --socket 0.7 0.3 0.2 --socket 0.5 -0.4 0.4                                \
+# the same with two sockets
 To practise:
   pincal simulate robot.urdf --at poses.csv --out tracker.csv
 
-An effect is NAME[:JOINT][:KEY=VALUE,...], as in discover. Neither the paths from pose to pose nor obstacles
-around the robot are considered: check them before the robot moves.
+An effect is NAME[:JOINT][:KEY=VALUE,...], as in discover. Neither the paths from pose to pose nor
+obstacles around the robot are considered: check them before the robot moves.
 """
 _COUNT = click.IntRange(min=1)
 # Options of poses and of an instrument, on which a motion with an IMU does not depend.

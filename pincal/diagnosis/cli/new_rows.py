@@ -27,8 +27,8 @@ _DIAGNOSE_EXAMPLES = """
 Example:
   pincal diagnose results/model.json new.csv --out diagnosis
 
-DIR then holds diagnosis.json, report.html and model.json: the model in which only what has changed was
-re-identified, or the unchanged model; it predicts at the new station.
+DIR then holds diagnosis.json, report.html and model.json: the model in which only what has changed
+was re-identified, or the unchanged model; it predicts at the new station.
 """
 _UPDATE_EXAMPLES = """
 Examples:
