@@ -54,9 +54,9 @@ class _NewRows:
     def read(self, robot: Robot) -> Measurements:
         """Return the new measurements; of a session, the readings of positions if there are any."""
         from pincal.cli.inputs import load_table, load_tables
-        from pincal.cli.streams import no_streams
+        from pincal.measure.log_reader import reader_of
 
-        if no_streams().joints_of(self.data) is None:
+        if reader_of(self.data) is None:
             return load_table(robot, self.data, options=self.table.options)
         tables = load_tables(robot, [self.data], options=self.table.options)
         return next(
