@@ -111,8 +111,9 @@ def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> 
                 labels, parts, _ = vector_labels(inner, values)
                 found |= dict(zip(labels, parts, strict=True))
             else:
-                *_, above, leaf = ("", *inner.split("."))
-                found["q" * above.startswith(("rot", "ori")) + leaf] = values
+                above, _, leaf = inner.rpartition(".")
+                is_turn = above.rpartition(".")[2].startswith(("rot", "ori"))
+                found["q" * is_turn + leaf] = values
     try:
         place = np.column_stack([np.asarray(found[n], float) for n in ("x", "y", "z")])
         rotations = _rotations(found)

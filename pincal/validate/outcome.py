@@ -24,7 +24,7 @@ class NoiseRecord(TypedDict):
         sigma_m_s2, sigma_rad_s: of an IMU's specific forces [m/s^2] and angular rates [rad/s].
         residual_sigma_m, residual_sigma_rad, residual_sigma_px: estimates from the residuals of the
             fitted rows, corrected for degrees of freedom.
-        residual_sigma_m_s2, residual_sigma_rad_s: such estimates for an IMU.
+        residual_sigma_m_s2, residual_sigma_rad_s: the same, of specific forces and angular rates.
     """
 
     source: Literal["declared", "estimated"]
