@@ -21,6 +21,8 @@ from pincal.cli.streams import MOTION, Streams
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from pincal.calibration.validation import Validation
     from pincal.notes import Note
 
@@ -115,7 +117,7 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
     # Entries of a single station are repeated at top level.
     alone = {
         key: stations[0][key]
-        for key in ("iso9283", "path", "lack_of_fit")
+        for key in ("iso9283", "characteristics", "path", "lack_of_fit")
         if len(found) == 1 and key in stations[0]
     }
     notes = doubts_first([*(note for each in found for note in each.notes), *beyond_notes])
@@ -149,7 +151,7 @@ def _station(found: Validation) -> dict[str, Any]:
         "rows": len(found.table),
         "placed": found.placed,
     }
-    contents |= found.moved.to_dict() | {"error": found.error}
+    contents |= found.moved.to_dict() | {"error": found.error, "intervals": found.intervals}
     contents |= {"fitted_rows": found.fitted_rows}
     contents |= {
         "misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value},
@@ -158,6 +160,7 @@ def _station(found: Validation) -> dict[str, Any]:
     contents |= {"verdict": found.verdict}
     more = {"by_coverage": found.by_coverage, "iso9283": iso, "path": found.path_accuracy}
     more |= {"lack_of_fit": None if lack is None else asdict(lack)}
+    more |= {"characteristics": found.characteristics or None}
     return contents | {name: value for name, value in more.items() if value is not None}
 
 
@@ -165,9 +168,10 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
     """Print the doubts, the placement of each station, and its errors."""
     from pincal.calibration.result_tables import error_table
     from pincal.cli.progress import console
-    from pincal.cli.screen import print_doubts, print_replicates
+    from pincal.cli.screen import print_doubts
     from pincal.result_table import hanging
     from pincal.validate.path_accuracy import path_words
+    from pincal.validate.pose_characteristics import interval_words
 
     out = console()
     print_doubts(notes, out)
@@ -184,9 +188,27 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
     for each in found:
         if each.by_coverage is not None:
             out.print(hanging(f"{each.name}:", _coverage_words(each.by_coverage)))
-        print_replicates(*each.replicate_statistics(), out)
+        out.print(hanging(f"{each.name}:", interval_words(each.intervals)))
+        _print_repeated(each, out)
         if (path := each.path_accuracy) is not None:
             out.print(hanging("path:", path_words(path)))
+
+
+def _print_repeated(found: Validation, out: Console) -> None:
+    """Print what visits of the same poses tell."""
+    from pincal.calibration.result_tables import characteristics_table
+    from pincal.cli.screen import print_replicates
+    from pincal.result_table import hanging
+    from pincal.validate.accuracy import cycle_words
+
+    iso, lack = found.replicate_statistics()
+    has_angles = iso is not None and "AP_a_mrad" in iso["per_pose"][0]
+    if found.characteristics:
+        out.print(characteristics_table(found.characteristics))
+    if iso is not None and found.characteristics and not has_angles:
+        out.print(hanging("cycles:", cycle_words(iso)))
+        iso = None
+    print_replicates(iso, lack, out)
 
 
 def _place_words(found: Validation) -> str:
