@@ -45,11 +45,12 @@ def test_near_poses_differ_by_less_than_far_ones(rng: np.random.Generator) -> No
     q = np.array([[0.0, 0.5], [0.01, 0.5], [1.4, -1.0]])
     levers = np.tile(rng.normal(0.0, 0.5, (2, 1, 3)), (1, 3, 1))
     found = Discrepancy(lengths=np.array([0.2]), drives=np.array([[1e-8], [1e-8]]), rest=1e-12, factor=1.2, coordinates=30)
-    C = found.covariance(q, levers)
+    errors = found.errors(q, levers)
+    C = errors.matrix.reshape(3, 3, 3, 3)
     near, far = (np.trace(C[0, :, 0] + C[i, :, i] - 2.0 * C[0, :, i]) for i in (1, 2))
     assert near < 0.05 * far
-    assert np.allclose(np.einsum("nanb->nab", C), found.variances(levers), rtol=1e-12)
-    assert np.linalg.eigvalsh(C.reshape(9, 9)).min() > 0.0
+    assert np.allclose(errors.blocks, found.variances(levers), rtol=1e-9)
+    assert np.linalg.eigvalsh(errors.matrix).min() > 0.0
 
 
 def test_noise_is_no_discrepancy(rng: np.random.Generator) -> None:
@@ -92,8 +93,8 @@ def test_intervals_hold_what_the_model_lacks(ripples: tuple[Robot, np.ndarray, n
     by_source = found.position_variances(found.conditions_at(q[120:]))
     assert np.mean(np.abs(off) < 1.96 * np.sqrt(by_source["parameters"])) < 0.6
     assert np.allclose(sum(by_source.values()), sigma**2, rtol=1e-12)
-    C = found.position_covariance(found.conditions_at(q[120:140]))
-    assert np.allclose(np.einsum("nana->na", C), sigma[:20] ** 2, rtol=1e-9)
+    C = found.covariance_of(q[120:140])
+    assert np.allclose(np.einsum("naa->na", C.blocks), sigma[:20] ** 2, rtol=1e-8)
     found.save(f"{tmp_path}/model.json")
     again = load_model(f"{tmp_path}/model.json")
     assert np.allclose(again.predict(q[120:140], return_sigma=True)[1], sigma[:20], rtol=1e-9)

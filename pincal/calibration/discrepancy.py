@@ -28,9 +28,11 @@ from typing import Annotated
 
 import numpy as np
 from msgspec.structs import replace as changed
+from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
 from pincal.calibration.calibration_numbers import DISCREPANCY
+from pincal.calibration.position_covariance import SharedErrors
 from pincal.identify.fit import ModelFit
 from pincal.identify.folds import left_out_residuals
 from pincal.identify.motion_fields import displacements_by_drives
@@ -52,6 +54,10 @@ _LEVER: Scale = 1e-3
 # Part of the mean variance that weights take at least to be of single poses: where the first
 # estimate has none, they would else rest on differences of a few near poses alone.
 _SINGLE: Scale = 0.1
+# Angles of a drive between which its errors are interpolated, and the part of their variance that
+# keeps their covariance regular where angles nearly coincide.
+_ANGLES: Count = 128
+_RIDGE: Scale = 1e-10
 # Standard deviations that hold 95 % of a normal variable.
 _NORMAL: Scale = 1.959964
 
@@ -92,29 +98,50 @@ class Discrepancy(Record, frozen=True, kw_only=True):
         of_drives = np.einsum("j,jna,jnb->nab", self.drives.sum(axis=1), levers, levers)
         return np.asarray(self.factor**2 * (of_drives + self.rest * np.eye(3)))
 
-    def covariance(self, q: np.ndarray, levers: np.ndarray) -> np.ndarray:
-        """Return the covariance of the target's positions at N poses with each other, shape (N, 3,
-        N, 3) [m^2].
+    def errors(self, q: np.ndarray, levers: np.ndarray) -> SharedErrors:
+        """Return the errors of the target's positions at N poses, as far as they share them.
+
+        Drives at more angles than can be told apart here are interpolated between as many; what
+        this leaves is then of each pose alone.
 
         Args:
             q: shape (N, n), joint positions [rad or m]; equal ones are one pose.
             levers: shape (n, N, 3), motion of the target by each drive [m/rad or m/m].
         """
-        found = np.zeros((len(q), 3, len(q), 3))
-        for j, sizes in enumerate(self.drives):
+        common = [np.zeros((len(q), 3, 0))]
+        grouped = [np.tile(np.sqrt(self.rest) * np.eye(3), (len(q), 1, 1))]
+        for position, lever, sizes in zip(q.T, levers, self.drives, strict=True):
             if np.any(sizes):
-                alike = np.einsum("l,lab->ab", sizes, _alike(q[:, j], self.lengths))
-                found += np.einsum("nm,na,mb->namb", alike, levers[j], levers[j])
-        same = np.all(q[:, None] == q[None], axis=2)
-        found += self.rest * np.einsum("nm,ab->namb", same, np.eye(3))
-        return np.asarray(self.factor**2 * found)
+                shared, alone = self._of_drive(position, sizes)
+                common.append(lever[:, :, None] * shared[:, None])
+                grouped.append((lever * alone[:, None])[:, :, None])
+        pose = np.unique(q, axis=0, return_inverse=True)[1].ravel()
+        return SharedErrors(
+            self.factor * np.concatenate(common, axis=2),
+            self.factor * np.concatenate(grouped, axis=2),
+            pose,
+        )
+
+    def _of_drive(self, position: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the errors of a drive by common ones, shape (N, r), and what each has beside,
+        shape (N,).
+        """
+        angles = np.unique(position)
+        if len(angles) > _ANGLES:
+            angles = np.linspace(angles[0], angles[-1], _ANGLES)
+        among = np.einsum("l,lab->ab", sizes, _alike(angles, angles, self.lengths))
+        among += _RIDGE * sizes.sum() * np.eye(len(angles))
+        with_them = np.einsum("l,lab->ab", sizes, _alike(position, angles, self.lengths))
+        shared = solve_triangular(np.linalg.cholesky(among), with_them.T, lower=True).T
+        left = sizes.sum() - np.sum(shared**2, axis=1)
+        return np.asarray(shared), np.sqrt(np.maximum(left, 0.0))
 
 
-def _alike(q: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Return the correlation of the errors of a drive at its positions, shape (N,), for each
-    length, shape (L, N, N).
+def _alike(q: np.ndarray, others: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Return the correlation of the errors of a drive at its positions, shape (N,), with those at
+    others, shape (M,), for each length, shape (L, N, M).
     """
-    apart = np.sqrt(3.0) * np.abs(q[:, None] - q) / np.asarray(lengths)[:, None, None]
+    apart = np.sqrt(3.0) * np.abs(q[:, None] - others) / np.asarray(lengths)[:, None, None]
     return np.asarray((1.0 + apart) * np.exp(-apart))
 
 
@@ -195,7 +222,7 @@ def _variances(
     terms = [
         np.einsum("nm,na,mb->namb", alike, lever, lever).reshape(3 * n, 3 * n)
         for position, lever in zip(q.T, levers, strict=True)
-        for alike in _alike(position, np.array(_LENGTHS))
+        for alike in _alike(position, position, np.array(_LENGTHS))
     ]
     same = np.all(q[:, None] == q[None], axis=2)
     terms.append(np.kron(same.astype(float), np.eye(3)))
@@ -303,14 +330,14 @@ class _Rows:
 
 def _known_noise(fit: ModelFit, k: int) -> np.ndarray:
     """Return the variance of a coordinate of each row that is known to be of the readings, shape
-    (N,) [m^2]: the declared noise, or the scatter within stops.
+    (N,) [m^2]: the declared noise, or what the stops of its pose show, whichever is more.
     """
     at = fit.problem.stations[k]
     scatter = fit.scatter.get(at.name)
     declared = fit.noise.declared[fit.problem.block_spans[k].start]
-    size = 0.0
-    if declared is not None:
-        size = declared**2
-    elif scatter is not None and scatter.within_degrees[0] > 0.0:
-        size = float(scatter.within[0]) / scatter.readings
+    size = 0.0 if declared is None else declared**2
+    if scatter is not None:
+        of_row = (1.0, 1.0) if scatter.of_single else (scatter.readings, scatter.stops)
+        shown = scatter.of_row(*of_row)
+        size = max(size, float(shown[0]))
     return np.asarray(size / np.maximum(at.weights, 1e-300) ** 2)
