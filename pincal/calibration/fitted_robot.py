@@ -645,6 +645,22 @@ class FittedRobot:
         """
         return self.uncertainty.variances(conditions)
 
+    def turn_sigma(self, conditions: Conditions) -> np.ndarray:
+        """Return the standard uncertainty of the predicted orientation, shape (N, 3) [rad], as a
+        rotation vector in the instrument's axes, without measurement noise: the root of the sum of
+        :meth:`turn_variances`.
+        """
+        return np.asarray(np.sqrt(sum(self.turn_variances(conditions).values())))
+
+    def turn_variances(self, conditions: Conditions) -> dict[str, np.ndarray]:
+        """Return the variance of the predicted orientation by its sources, shape (N, 3) each
+        [rad^2], see :meth:`position_variances`.
+
+        That of conditions is not known of orientations, and 0. Where the calibration read none,
+        what the model lacks is that of its drives alone.
+        """
+        return self.uncertainty.turn_variances(conditions)
+
     @property
     def uncertainty(self) -> PredictionUncertainty:
         """What is not known of the positions of the only station."""
