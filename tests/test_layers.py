@@ -25,6 +25,7 @@ LAYERS = (
     "compiled",
     "units",
     "notes",
+    "identity",
     "hypotheses",
     "result_table",
     "parameters",

@@ -14,6 +14,7 @@ import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import TABLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
 from pincal.cli.quantities import ANGLE
 from pincal.cli.target_files import PROGRAMS, FileCorrection, TargetFiles
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from pincal.calibration.fitted_robot import FittedRobot
+    from pincal.cli.inputs import PlacedModel
     from pincal.compensate.targets import CompensatedTable, Targets
     from pincal.robot.robot import Robot
 
@@ -81,7 +83,20 @@ class _AtPlace:
     model: Path = model_argument()
     place: PlaceOptions = group("Placement of instrument and target")
     table: TableArguments = group("Tables")
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
+
+    def find_place(self) -> PlacedModel:
+        """Return the model at the place chosen, with a note if it does not state its robot.
+
+        Raises:
+            BadInputError: if it is of another robot than stated; further as for
+                :func:`pincal.cli.inputs.find_place`.
+        """
+        from pincal.cli.inputs import find_place
+
+        place = find_place(self.model, self.place, self.table.options)
+        return place.stated(self.identity.of_model(place.model.identity, self.model))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,11 +115,11 @@ def predict(arguments: PredictArguments) -> Exit:
 
     They are given in the instrument's frame, with their uncertainty.
     """
-    from pincal.cli.inputs import find_place, load_table
+    from pincal.cli.inputs import load_table
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
 
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    place = arguments.find_place()
     chain = place.model.model.chain
     table = load_table(
         chain.robot, arguments.poses, options=arguments.table.options, joints_only=True
@@ -127,6 +142,7 @@ def predict(arguments: PredictArguments) -> Exit:
     if arguments.general.as_json:
         print_json({"rows": len(table), "out": str(arguments.out)} | place.contents | beyond)
     else:
+        _echo_machine(calibrated)
         click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
     echo_notes([*place.notes, *notes], quiet=arguments.general.quiet)
     return Exit.DONE
@@ -181,14 +197,15 @@ def compensate(arguments: CompensateArguments) -> Exit:
 
     Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
-    from pincal.cli.inputs import find_place
     from pincal.cli.progress import end_progress
     from pincal.compensate.returned_table import write_returned
     from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
 
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    place = arguments.find_place()
     robot = place.model.model.chain.robot
     if arguments.program.reads(arguments.targets):
+        if not arguments.general.as_json:
+            _echo_machine(place.model)
         return arguments.program.correct(place.model, _correction(robot, arguments))
     table = read_targets(arguments.targets, robot, options=arguments.table.options)
     place = place.over(table.rows)
@@ -222,10 +239,17 @@ def compensate(arguments: CompensateArguments) -> Exit:
     if arguments.general.as_json:
         print_json(result)
     else:
+        _echo_machine(calibrated)
         click.echo("\n".join(_summary(result)))
     echo_notes([*_failures(result), *place.notes, *notes], quiet=arguments.general.quiet)
     tolerated = 0 if arguments.strict else result["rows"] - 1
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
+
+
+def _echo_machine(model: FittedRobot) -> None:
+    """Print of which robot a model is, if it states that."""
+    if model.identity.machine:
+        click.echo(f"for {model.identity.machine}")
 
 
 def _correction(robot: Robot, arguments: CompensateArguments) -> FileCorrection:

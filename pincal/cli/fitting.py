@@ -23,6 +23,7 @@ from pincal.cli.common import (
     verbose_option,
 )
 from pincal.cli.fit_output import FitOutput
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import print_json, provenance, require_accuracy
 from pincal.cli.robot_priors import load_prior
 from pincal.errors import BadInputError, Exit, IdentificationError
@@ -83,6 +84,7 @@ class FitArguments:
         metavar="ADDRESS",
         words="this machine",
     )
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
 
 
@@ -148,6 +150,7 @@ def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
             known = load_prior(arguments.chosen.fit.type)
             options, members = known.compared(prepared.robot, prepared.tables, options)
         output = run(prepared.robot, prepared.tables, options, **choice)
+        output = output.with_identity(arguments.identity.given)
         calibration = output.calibration
         log_step("writing the model")
         origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
@@ -215,7 +218,7 @@ def write_results(
     write_json(folder / "result.json", calibration.result.to_dict())
     output.write(folder)
     robot = fit.robot_model()
-    export = calibrated_urdf(robot.model, robot.values)
+    export = calibrated_urdf(robot.model, robot.values, comment=fit.identity.machine)
     (folder / "calibrated.urdf").write_bytes(export.text)
     _write_residuals(folder / "residuals.csv", calibration)
     if view:

@@ -227,6 +227,7 @@ def _taken_in(
         found.with_station(station),
         evidence=KeptEvidence(information=information),
         discrepancy=model.discrepancy,
+        identity=model.identity,
     )
 
 

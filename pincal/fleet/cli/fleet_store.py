@@ -87,7 +87,10 @@ class AddArguments:
         "FILE...", "Calibrated models, diagnoses (.json), or tables of measurements."
     )
     machine: str | None = option(
-        "Name of the machine.", metavar="NAME", words="of the file, or its folder"
+        "Name of the machine.",
+        metavar="NAME",
+        words="the serial number that a model or diagnosis states, or the name of the file, or "
+        "its folder",
     )
     day: str | None = option("Day of the measurement.", metavar="YYYY-MM-DD", words="today")
     check: bool = option("Add tables as checks of machines that are calibrated already.", False)
@@ -131,7 +134,9 @@ def fleet_add(arguments: AddArguments) -> Exit:
         )
         if path.suffix.lower() == ".json":
             is_diagnosis = b'"excluded"' in read_bounded(path, MODEL_FILE)
-            (load_diagnosis if is_diagnosis else load_model)(path)
+            stated = load_diagnosis(path).id if is_diagnosis else load_model(path).identity
+            if arguments.machine is None and stated is not None and stated.robot:
+                machine = named_machine(stated.robot)
             kinds.append("diagnosis" if is_diagnosis else "model")
             add: Callable[..., object] = (
                 add_diagnosis if is_diagnosis else partial(add_model, labels=labels)
