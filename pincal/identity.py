@@ -153,6 +153,22 @@ class Identity(msgspec.Struct, frozen=True, omit_defaults=True):
         here = {key: value for key in KEYS if (value := getattr(self, key)) not in ("", None)}
         return msgspec.structs.replace(earlier, **here, note=earlier.note | self.note)
 
+    def require(self, known: Identity, file: str) -> None:
+        """Refuse a file that is of another robot than stated here.
+
+        Args:
+            known: identity in the file.
+            file: its name.
+
+        Raises:
+            BadInputError: with both serial numbers.
+        """
+        if not self.is_of(known):
+            raise BadInputError(
+                f"{file}: is of robot {known.robot}, and --set id.robot={self.robot} expects "
+                f"another one; choose the file of robot {self.robot}, or correct the serial number"
+            )
+
     def is_of(self, other: Identity) -> bool:
         """Return whether two are not of different robots: the same one, or one says nothing."""
         if not (self.robot and other.robot):

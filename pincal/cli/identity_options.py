@@ -64,12 +64,7 @@ class IdentityOptions:
             BadInputError: if the model is of another robot.
         """
         given = self.given
-        if not given.is_of(known):
-            raise BadInputError(
-                f"{path}: is of robot {known.robot}, and --set id.robot={given.robot} expects "
-                f"another one; choose the model of robot {given.robot}, or correct the serial "
-                "number"
-            )
+        given.require(known, str(path))
         if given.robot and not known.robot:
             yield (
                 f"{path} does not state its robot: it was not checked that it is of "
