@@ -19,9 +19,9 @@ from msgspec.inspect import DataclassType, NamedTupleType, StructType, TypedDict
 
 import pincal
 from pincal.cli import pincal as command
-from pincal.measure.registry import SENSORS
 from pincal.programs.language import LANGUAGES
 from pincal.schemas import schema_of, structure_of
+from pincal.sensors.registry import SENSORS
 
 sys.path.insert(0, str(Path(__file__).parent))
 from signatures import ALIKE, Signature, draw, own_effects, signatures

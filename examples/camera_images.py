@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.measure.setup import read_points
+from pincal.measure.points_table import read_points
 from pincal.measure.table import read_columns, write_table
 from pincal.simulate import TrueMachine, plan_poses
 from pincal.simulate.planning import reach

@@ -18,12 +18,12 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from pincal.measure.extrinsics import Extrinsics
-from pincal.measure.fields import POSITIVE, Field, TableRows
-from pincal.measure.registry import register_sensor
-from pincal.measure.sensor import Block, OwnParameters, Sensor
-from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.sensors.extrinsics import Extrinsics
+from pincal.sensors.fields import POSITIVE, Field, TableRows
+from pincal.sensors.registry import register_sensor
+from pincal.sensors.sensor import Block, OwnParameters, Sensor
+from pincal.sensors.setup import Setup
 
 _ROUNDS = 20  # of the search for a start: plane, then laser, then plane ...
 

@@ -47,14 +47,9 @@ from pincal.identify.options import StationOptions as StationOptions
 from pincal.identify.split import cross_validate as cross_validate
 from pincal.identity import Identity as Identity
 from pincal.io.urdf_export import calibrated_urdf as calibrated_urdf
-from pincal.measure.lens import Lens as Lens
 from pincal.measure.measurements import Measurements as Measurements
 from pincal.measure.measurements import measurements as measurements
 from pincal.measure.measurements import measurements_from_arrays as measurements_from_arrays
-from pincal.measure.registry import register_sensor as register_sensor
-from pincal.measure.sensor import Sensor as Sensor
-from pincal.measure.setup import KnownDistance as KnownDistance
-from pincal.measure.setup import Setup as Setup
 from pincal.measure.table import read_measurements as read_measurements
 from pincal.measure.table import row_parts as row_parts
 from pincal.model.augmented import augmented_model as augmented_model
@@ -81,6 +76,11 @@ from pincal.report.drawings import drawings as drawings
 from pincal.robot.cell import Beside as Beside
 from pincal.robot.cell import read_cell as read_cell
 from pincal.robot.robot import Robot as Robot
+from pincal.sensors.lens import Lens as Lens
+from pincal.sensors.registry import register_sensor as register_sensor
+from pincal.sensors.sensor import Sensor as Sensor
+from pincal.sensors.setup import KnownDistance as KnownDistance
+from pincal.sensors.setup import Setup as Setup
 from pincal.validate.misfit import Verdict as Verdict
 from pincal.viewer.page import draw_field as draw_field
 

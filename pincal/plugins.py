@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -183,3 +184,25 @@ def loaded_plugins() -> tuple[str, ...]:
     process.
     """
     return tuple(_loaded)
+
+
+def of_moved_module(old: str, *new: str) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a module whose names moved to other modules: plugins that
+    import it work for one more release, with a warning.
+
+    Args:
+        old: the module.
+        new: where its names are now.
+    """
+
+    def find(name: str) -> Any:
+        for place in new:
+            module = importlib.import_module(place)
+            if hasattr(module, name):
+                warnings.warn(
+                    f"{old}.{name} is now {place}.{name}", DeprecationWarning, stacklevel=2
+                )
+                return getattr(module, name)
+        raise AttributeError(f"module {old!r} has no attribute {name!r}")
+
+    return find

@@ -19,9 +19,9 @@ from rooms import changed_since, is_concerned
 import pincal.model.catalogue  # noqa: F401
 from pincal import plugins
 from pincal.builtin import kuka_urdf_path
-from pincal.measure.registry import SENSORS
 from pincal.model.effect_registry import EFFECTS
 from pincal.robot.robot import Robot
+from pincal.sensors.registry import SENSORS
 
 # Data that is not part of the project stands next to it.
 SHARED = Path(__file__).resolve().parents[2] / "shared"

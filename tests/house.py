@@ -44,6 +44,11 @@ class File:
         return self.name.split(".")[0]
 
     @property
+    def has_moved(self) -> bool:
+        """Whether only its former name is left, for one release."""
+        return "__getattr__ = of_moved_module(" in self.text
+
+    @property
     def is_satellite(self) -> bool:
         """Whether it says what a satellite hands in; each has the same name for it."""
         return self.name.endswith(".satellite")
@@ -165,10 +170,11 @@ class House:
 
     @cached_property
     def twice_named(self) -> dict[str, list[str]]:
-        """Names of files that more than one room has, the simulator's and what satellites hand in left out."""
+        """Names of files that more than one room has, those of the simulator, of satellites and former names left out."""
         homes: dict[str, list[str]] = {}
         for file in self.files:
-            if not file.is_package and file.room not in ("simulate", "__main__") and not file.is_satellite:
+            is_special = file.is_package or file.is_satellite or file.has_moved
+            if not is_special and file.room not in ("simulate", "__main__"):
                 homes.setdefault(file.name.rsplit(".", 1)[-1], []).append(file.name)
         return {name: found for name, found in sorted(homes.items()) if len(found) > 1}
 

@@ -24,7 +24,6 @@ from pincal.cli import _COMMANDS
 from pincal.cli import pincal as pincal_command
 from pincal.errors import MeasurementError
 from pincal.identify.options import Options
-from pincal.measure.registry import SENSORS
 from pincal.measure.table import write_table
 from pincal.model.effect_registry import EFFECTS
 from pincal.model.effects import GEOMETRIC, JointOffset
@@ -32,6 +31,7 @@ from pincal.plugins import load_plugin
 from pincal.report.html import SECTIONS, report_page
 from pincal.report.subject import Subject
 from pincal.satellites import Place
+from pincal.sensors.registry import SENSORS
 from pincal.simulate import TrueMachine, plan_poses
 from pincal.validate.cures import TOPICS
 

@@ -14,12 +14,12 @@ from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.errors import MeasurementError
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.options import Options
-from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, measurements_from_arrays, sensor_of
-from pincal.measure.setup import Setup
 from pincal.measure.table import read_measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
+from pincal.sensors.lens import Lens
+from pincal.sensors.setup import Setup
 
 LENS = Lens(2400.0, 2410.0, 1224.0, 1024.0, -0.08, 0.05, 5e-4, -3e-4)
 TARGETS = {"left": (0.05, 0.08, 0.12), "right": (-0.06, 0.02, 0.15)}

@@ -19,7 +19,6 @@ from pincal.cli import main
 from pincal.cli.inputs import load_tables
 from pincal.cli.quantities import beside
 from pincal.errors import RobotFileError
-from pincal.measure.setup import Setup
 from pincal.measure.table import stations_of
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
@@ -29,6 +28,7 @@ from pincal.robot.cell import NOWHERE, Beside, read_cell
 from pincal.robot.packages import find_mesh
 from pincal.robot.se3 import rotation_of_rpy, transform
 from pincal.robot.urdf_file import find_file, parse_urdf
+from pincal.sensors.setup import Setup
 
 pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 

@@ -35,12 +35,12 @@ from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
 from pincal.identify.prior_scale import prior_scale
 from pincal.measure.measurements import Measurements
-from pincal.measure.sensors.plane import PlaneContactSensor
 from pincal.measure.table import read_measurements, stations_of
 from pincal.model.model import Model
 from pincal.motion.cli.motion_options import MotionOptions
 from pincal.report.judgement import next_steps
 from pincal.robot.urdf_file import arm_text
+from pincal.sensors.plane import PlaneContactSensor
 from pincal.simulate.planning import plan_poses
 from pincal.validate.outcome import Improvement
 

@@ -23,7 +23,7 @@ from pincal.compensate.targets import read_targets
 from pincal.errors import BadInputError, IdentificationError, printable
 from pincal.identify.options import Options
 from pincal.io.camera_file import read_camera
-from pincal.measure.setup import read_distances, read_points
+from pincal.measure.points_table import read_distances, read_points
 from pincal.measure.table import read_measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.fields import TableOptions
 from pincal.measure.joined import held_poses, held_rows, is_log
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import joint_columns, read_measurements, write_table
+from pincal.measure.table_schema import TableOptions
 from pincal.robot.tree import Mimic
 
 JOINTS = ("a", "b", "c")

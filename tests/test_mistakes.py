@@ -20,8 +20,10 @@ from pincal.measure.orientation import columns_of_orientations
 from pincal.measure.table import read_measurements
 from pincal.robot.mastering import resized
 from pincal.robot.robot import Robot
+from pincal.robot.tree import Coupling
 from pincal.validate.cures import Case, Correction, from_hand
 from pincal.validate.descriptions import DescriptionSearch
+from pincal.validate.linear_scan import LinearScan
 from pincal.validate.orientations import OrientationSearch
 from pincal.validate.trials import Remainder
 
@@ -162,6 +164,27 @@ def test_signs_zeros_couplings_and_lengths_are_searched_together() -> None:
     left = search._left_of_linear(search.combinations)
     assert np.sort(left)[0] == pytest.approx(left[search.combinations.index(true)], rel=0.5)
     np.testing.assert_allclose(true.of_urdf(robot, reported.q), table.q, atol=1e-12)
+
+
+def test_a_scan_of_corrections_is_a_linear_fit_of_each() -> None:
+    """Of positions and orientations of the last link, by least squares; joints that rest make no exception."""
+    robot, _ = robot_of("kr125")
+    rng = np.random.default_rng(3)
+    q = 0.9 * robot.random_configurations(40, rng)
+    q[:, 4] = 0.3
+    position = rng.normal(size=(40, 3))
+    coupling = Coupling("joint_3", "joint_2", -1.0)
+    corrections = [
+        Correction(),
+        Correction({"joint_2": np.pi / 2, "joint_5": np.pi}, ("joint_1", "joint_6")),
+        Correction({"joint_4": -np.pi / 4}, ("joint_2",), (coupling,)),
+    ]
+    found = LinearScan(robot, q, position).left(corrections)
+    for one, left in zip(corrections, found, strict=True):
+        frames = robot.kinematics.frames(one.of_urdf(robot, q))[:, -1]
+        columns = np.column_stack([frames[:, :3].reshape(-1, 12), np.ones(len(q))])
+        expected = position - columns @ np.linalg.lstsq(columns, position, rcond=1e-9)[0]
+        assert left == pytest.approx(np.sum(expected**2), rel=1e-6)
 
 
 def test_what_a_camera_on_the_hand_sees_is_a_hypothesis() -> None:

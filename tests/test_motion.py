@@ -15,7 +15,6 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import MeasurementError
 from pincal.measure.clock_jump import likeliest_jump
-from pincal.measure.sensors.imu import ImuErrors, Inertial, Window, imu_parameters
 from pincal.model.catalogue import FrictionWindup, InstrumentClock, JointLag
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
@@ -28,6 +27,7 @@ from pincal.motion.moving_arm import MovingArm, inertial_loads, level_chain
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot
 from pincal.robot.urdf_file import find_file
+from pincal.sensors.imu import ImuErrors, Inertial, Window, imu_parameters
 from pincal.simulate.inertia import link_motions
 from pincal.simulate.moving import FourierPath, draw_path, tip_motion
 from pincal.simulate.session import Clock as TrueClock

@@ -10,12 +10,12 @@ import pytest
 
 from pincal.errors import MeasurementError
 from pincal.measure.clock_jump import Jump
-from pincal.measure.sensors.imu import FORCE, RATE
 from pincal.motion.clocks import Alignment, Clock, SpeedMatch
 from pincal.motion.joint_path import JointPath
 from pincal.motion.stamps import in_order
 from pincal.motion.starts import check_clock, steady
 from pincal.motion.stream import Stream, checked_imu, checked_joints, interpolated
+from pincal.sensors.imu import FORCE, RATE
 
 
 def said(act: Callable[[], object]) -> str:

@@ -18,13 +18,14 @@ from pincal.builtin import kuka_urdf_path
 from pincal.errors import Exit, MeasurementError, PincalWarning
 from pincal.identify.calibrate import doubts_of_known, fit_tables
 from pincal.io.camera_file import read_camera
-from pincal.measure.registry import sensor_class
-from pincal.measure.setup import Setup, read_points
+from pincal.measure.points_table import read_points
 from pincal.motion.joint_path import JointPath
 from pincal.motion.reading_starts import start_readings
 from pincal.motion.sessions import Session, Stream
 from pincal.motion.stamps import in_order
 from pincal.motion.stations import MovingArm, session_tables
+from pincal.sensors.registry import sensor_class
+from pincal.sensors.setup import Setup
 from pincal.simulate.moving import ViaPath
 
 URDF = str(kuka_urdf_path())

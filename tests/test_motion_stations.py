@@ -26,8 +26,8 @@ from pincal.identify.station import Station
 from pincal.identify.whitening import Serial
 from pincal.measure.measurements import concatenate
 from pincal.measure.poses import by_pose
-from pincal.measure.sensors.pose import PositionSensor
 from pincal.recorded import Moving
+from pincal.sensors.pose import PositionSensor
 from pincal.validate.gathered import bump_in, gathering_of
 
 URDF = str(kuka_urdf_path())

@@ -21,13 +21,14 @@ from pincal.identify.options import Options
 from pincal.identify.split import cross_validate
 from pincal.io.camera_file import read_camera
 from pincal.measure.admit import scorable_rows, unobservable_notes, usable_rows
-from pincal.measure.extrinsics import sample_rows
-from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.setup import KnownDistance, NamedPoints, Setup, read_distances, read_points
+from pincal.measure.points_table import read_distances, read_points
 from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot
+from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.lens import Lens
+from pincal.sensors.setup import KnownDistance, NamedPoints, Setup
 
 SOCKETS = {"a": (1.6, 0.3, 0.8), "b": (1.6, -0.4, 0.8), "c": (1.2, 0.9, 1.2), "d": (1.3, 0.0, 1.6)}
 ANCHORS = {"n": (3.0, 2.0, 0.3), "e": (2.5, -3.0, 1.0), "w": (-2.0, 2.5, 2.0), "s": (0.5, 0.4, 3.5)}

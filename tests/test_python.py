@@ -14,7 +14,7 @@ import pytest
 from pinocchio.visualize import MeshcatVisualizer
 
 import pincal
-from pincal.measure.registry import known_fields
+from pincal.sensors.registry import known_fields
 from pincal.simulate import TrueMachine, plan_poses
 from pincal.viewer import deviation_fields
 

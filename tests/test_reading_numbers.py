@@ -19,12 +19,12 @@ from pincal.measure.approach import sides_of
 from pincal.measure.joined import held_poses
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.orientation import CONVENTIONS
+from pincal.measure.parquet_sheet import open_parquet
 from pincal.measure.poses import by_pose, replicate_groups
-from pincal.measure.recordings import open_parquet
-from pincal.measure.sensors.pose import span_m
-from pincal.measure.setup import NamedPoints
 from pincal.measure.sheet import check_unpacked
 from pincal.measure.stops import plan_of
+from pincal.sensors.pose import span_m
+from pincal.sensors.setup import NamedPoints
 
 
 def said(measurements: Measurements) -> str:

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from pincal.identify.station import conditions_of
-from pincal.measure.fields import CONDITIONS
 from pincal.measure.measurements import measurements
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, joined_conditions
 from pincal.model.model import Model
 from pincal.recorded import RECORDABLE, RECORDED, typical_columns
 from pincal.robot.robot import Robot
+from pincal.sensors.fields import CONDITIONS
 from pincal.units import UNITS
 
 ROBOT = Robot.from_urdf("ur10")

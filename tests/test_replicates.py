@@ -16,12 +16,12 @@ from pincal.identify.quadratic import Form
 from pincal.identify.station import station_of
 from pincal.measure.measurements import measurements_from_arrays
 from pincal.measure.poses import replicate_groups
-from pincal.measure.sensor import Block
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.report.judgement import judged
 from pincal.robot.se3 import quaternions
+from pincal.sensors.sensor import Block
 from pincal.validate.accuracy import Replicates, angle_accuracy, cycle_words, iso9283, position_accuracy
 from pincal.validate.lack_of_fit import evenness, lack_of_fit, replicate_squares, scatter_of
 from pincal.validate.misfit import explained_by_uncertainty
@@ -325,7 +325,8 @@ def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys, monkeypa
     assert len(result["iso9283"]["per_pose"]) == 30 and result["lack_of_fit"]["p_value"] > 1e-3
     model = tmp_path / "out" / "model.json"
     assert run("validate", model, tmp_path / "new.csv", "--quiet") == 0
-    assert "pose repeatability RP" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "pose repeatability RP" in text and "distance accuracy" in text and "95 % intervals: mean" in text
     assert run("validate", model, tmp_path / "new.csv", "--quiet", "--json") == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["iso9283"]["poses"] == {"test": 12} and printed["lack_of_fit"]["p_value"] > 1e-3

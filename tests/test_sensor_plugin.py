@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import sys
 from collections.abc import Iterator
@@ -15,10 +16,10 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.cli import pincal as pincal_command
 from pincal.errors import MeasurementError, ModelFileError
-from pincal.measure.fields import TableRows
-from pincal.measure.registry import SENSORS
 from pincal.measure.table import write_table
 from pincal.plugins import load_plugin
+from pincal.sensors.fields import TableRows
+from pincal.sensors.registry import SENSORS
 
 PLUGIN = Path(__file__).parents[1] / "examples" / "line_laser.py"
 # Where the laser sits on the tool [m], and the plane z = offset + slope_x x + slope_y y in the robot's base frame.
@@ -147,6 +148,15 @@ def test_a_sensor_does_not_take_the_columns_of_another(known_sensors: None) -> N
 def test_the_old_name_of_what_a_sensor_reads() -> None:
     """Sensors from outside that were written for 0.1.0 still find the type of a table, with a warning."""
     with pytest.warns(DeprecationWarning, match="TableRows"):
-        from pincal.measure.fields import Table
+        from pincal.sensors.fields import Table
 
     assert Table is TableRows
+
+
+def test_modules_that_moved_work_where_they_were() -> None:
+    """A plugin written before the sensors got a room of their own still loads, with a warning."""
+    for name, there in (("sensor.Sensor", "sensors.sensor"), ("fields.Schema", "measure.table_schema")):
+        module, _, attribute = name.partition(".")
+        with pytest.warns(DeprecationWarning, match=f"is now pincal.{there}"):
+            found = getattr(importlib.import_module(f"pincal.measure.{module}"), attribute)
+        assert found is getattr(importlib.import_module(f"pincal.{there}"), attribute)

@@ -17,10 +17,10 @@ from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
-from pincal.measure.sensor import Sensor
-from pincal.measure.sensors.distance import DistanceSensor
-from pincal.measure.sensors.pose import PoseSensor, PositionSensor
 from pincal.robot.robot import Robot
+from pincal.sensors.distance import DistanceSensor
+from pincal.sensors.pose import PoseSensor, PositionSensor
+from pincal.sensors.sensor import Sensor
 
 PLACEMENTS = [*range(2), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 30))]
 POSES = 80

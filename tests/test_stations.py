@@ -32,15 +32,15 @@ from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.identify.solve import Course, solve
 from pincal.identify.split import bootstrap, bootstrap_stations
-from pincal.measure.lens import Lens
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays
-from pincal.measure.setup import Setup
 from pincal.measure.table import stations_of
 from pincal.model.at_station import AtStation
 from pincal.model.catalogue import Backlash, BaseDrift, GearEccentricity, ThermalExpansion
 from pincal.model.effect import Effect
 from pincal.model.effects import GEOMETRIC, JointElasticity
 from pincal.robot.robot import Robot
+from pincal.sensors.lens import Lens
+from pincal.sensors.setup import Setup
 
 NOISE = 5e-5
 LENS = Lens(2000.0, 2010.0, 1024.0, 768.0, -0.1, 0.05, 1e-3, -5e-4)

@@ -32,15 +32,16 @@ from test_table_kinds import JOINTS, KINDS, MATRICES, TURNED, XYZ, K, Kind, Q, h
 
 from pincal.compensate.returned_table import write_returned
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.fields import Field, Schema, TableOptions
 from pincal.measure.flat_matrices import order_of_matrix, quaternions_of
 from pincal.measure.nameless import has_numbers_for_names, with_poses_in_rows
 from pincal.measure.nested_labels import vector_labels
-from pincal.measure.nested_values import by_path
-from pincal.measure.opencv_storage import matrix
 from pincal.measure.reader import links_of_rows, read_table
 from pincal.measure.reading_numbers import LAYOUT
 from pincal.measure.table import read_measurements
+from pincal.measure.table_schema import Schema, TableOptions
+from pincal.readers.nested_values import by_path
+from pincal.readers.opencv_storage import matrix
+from pincal.sensors.fields import Field
 
 Z90 = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 

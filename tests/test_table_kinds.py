@@ -24,9 +24,9 @@ from pincal.calibration.calibration import run_calibration
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.identify.options import Options
 from pincal.measure.measurements import measurements_from_arrays
-from pincal.measure.nested_sheet import open_nested
 from pincal.measure.table import read_measurements
 from pincal.model.effects import GEOMETRIC
+from pincal.readers.nested_sheet import open_nested
 from pincal.robot.robot import Robot
 from pincal.simulate.machine import TrueMachine
 

@@ -50,8 +50,8 @@ from pincal.identify.options import Kept, PriorScale
 from pincal.identify.prior_scale import observes_places, prior_scale
 from pincal.identify.quadratic import Factor
 from pincal.identify.station import Station
-from pincal.measure.extrinsics import sample_rows
 from pincal.model.conditions import Conditions
+from pincal.sensors.extrinsics import sample_rows
 from pincal.thresholds import Count, Scale
 
 # Factors on the priors that are compared: the URDF as it is (for the arithmetic, a thousandth),

@@ -42,7 +42,6 @@ from pincal.identity import Identity
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.measure.admit import check_joints_of
 from pincal.measure.measurements import Measurements
-from pincal.measure.setup import Setup
 from pincal.measure.table import read_measurements
 from pincal.model.augmented import pinocchio_model
 from pincal.model.conditions import Conditions
@@ -52,6 +51,7 @@ from pincal.model.motions import Motions
 from pincal.parameters import Estimate
 from pincal.result_table import Table
 from pincal.robot.se3 import placed
+from pincal.sensors.setup import Setup
 from pincal.thresholds import Count
 from pincal.units import real_array
 

@@ -10,8 +10,8 @@ from pincal.calibration.covered import Covered
 from pincal.calibration.repeatability import Repeatability
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import fingerprints
-from pincal.measure.setup import Setup
 from pincal.model.model import Model
+from pincal.sensors.setup import Setup
 
 
 @dataclass(frozen=True)

@@ -30,10 +30,10 @@ from pincal.identify.station import Station
 from pincal.measure.admit import admit_test, scorable_rows, usable_rows
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, by_pose, replicate_groups
-from pincal.measure.setup import Setup
 from pincal.measure.stops import StopRows
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
+from pincal.sensors.setup import Setup
 from pincal.spread import spread
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 

@@ -26,12 +26,12 @@ from pincal.identify.options import Options
 from pincal.identify.station import Station
 from pincal.io.urdf_text import rpy_of
 from pincal.measure.measurements import Measurements
-from pincal.measure.sensors.pose import PlausiblePositions
-from pincal.measure.sensors.socket import Coincidences
 from pincal.robot.cell import Beside
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import transform
 from pincal.robot.urdf_file import parse_urdf
+from pincal.sensors.pose import PlausiblePositions
+from pincal.sensors.socket import Coincidences
 from pincal.thresholds import Count
 
 # Contacts used to search for a rotation at most.

@@ -43,9 +43,9 @@ from pincal.io.entries import (
 )
 from pincal.io.robot_entry import RobotEntry
 from pincal.io.strict_json import Fault, write_json
-from pincal.measure.registry import known_kinds
 from pincal.model.model import Model
 from pincal.parameters import Covariance, Estimate
+from pincal.sensors.registry import known_kinds
 from pincal.thresholds import Count
 
 FORMAT_VERSION: Count = 3

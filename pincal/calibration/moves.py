@@ -29,11 +29,11 @@ from pincal.calibration.station_information import (
 )
 from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
-from pincal.measure.extrinsics import sample_rows
 from pincal.model.catalogue.candidates import testable
 from pincal.model.conditions import PoseSet, joined_conditions, recorded_variable
 from pincal.model.effect import Curve
 from pincal.parameters import Parameter
+from pincal.sensors.extrinsics import sample_rows
 from pincal.thresholds import Count, Scale
 from pincal.validate.outcome import MovedParameter
 

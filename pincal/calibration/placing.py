@@ -35,12 +35,12 @@ from pincal.identify.stop_scatter import SharedNoise, StopScatter, scatter_of_st
 from pincal.measure.admit import check_placeable
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
-from pincal.measure.setup import Setup
 from pincal.measure.stops import StopRows
 from pincal.model.effect import Effect
 from pincal.parameters import FRAME_SYMBOLS, Estimate, estimate_of
 from pincal.robot.se3 import placed as frame_at
 from pincal.robot.se3 import rotation_vectors
+from pincal.sensors.setup import Setup
 from pincal.thresholds import Count, Scale
 from pincal.units import format_readable
 from pincal.validate.misfit import Misfit, misfit_at

@@ -22,8 +22,8 @@ from pincal.calibration.repeatability import Repeatability
 from pincal.identify.criteria import CHANGES, STOPS
 from pincal.identify.station import count
 from pincal.identify.stop_scatter import StopScatter
-from pincal.measure.registry import blocks_of
-from pincal.measure.sensor import Block
+from pincal.sensors.registry import blocks_of
+from pincal.sensors.sensor import Block
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from pincal.cli.quantities import (
 )
 from pincal.cli.streams import MOTION, Streams
 from pincal.errors import BadInputError
-from pincal.measure.fields import TABLE_ENDINGS, TableOptions
+from pincal.measure.table_schema import TABLE_ENDINGS, TableOptions
 from pincal.robot.cell import Beside
 from pincal.units import GRAVITIES, is_gravity
 

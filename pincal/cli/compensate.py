@@ -197,16 +197,24 @@ def compensate(arguments: CompensateArguments) -> Exit:
 
     Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
+    place = arguments.find_place()
+    if arguments.program.reads(arguments.targets):
+        if not arguments.general.as_json:
+            _echo_machine(place.model)
+        robot = place.model.model.chain.robot
+        return arguments.program.correct(place.model, _correction(robot, arguments))
+    return _compensate_table(place, arguments)
+
+
+def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exit:
+    """Write the joint positions to command for a table of targets, and print how well they
+    reach these.
+    """
     from pincal.cli.progress import end_progress
     from pincal.compensate.returned_table import write_returned
     from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
 
-    place = arguments.find_place()
     robot = place.model.model.chain.robot
-    if arguments.program.reads(arguments.targets):
-        if not arguments.general.as_json:
-            _echo_machine(place.model)
-        return arguments.program.correct(place.model, _correction(robot, arguments))
     table = read_targets(arguments.targets, robot, options=arguments.table.options)
     place = place.over(table.rows)
     calibrated = place.model
@@ -218,22 +226,11 @@ def compensate(arguments: CompensateArguments) -> Exit:
         any_orientation=arguments.free_orientation,
         limits=not arguments.ignore_limits,
     )
-    columns = _columns(calibrated, done, arguments)
-    if arguments.only_numbers:
-        if not table.has_joints:
-            raise click.UsageError(
-                "--only-numbers changes the numbers of joint columns; this table has "
-                "none: leave it out"
-            )
-        kept = np.where(done.found.is_ok[:, None], done.found.q, robot.as_reported(done.seeds.q))
-        columns = dict(zip(robot.joint_names, kept.T, strict=True))
+    columns = _returned_columns(calibrated, done, arguments)
     write_returned(arguments.out, table.cells, columns, robot.joint_names)
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
-    result = (
-        _result(robot, done, beyond, max_change=arguments.max_change)
-        | place.contents
-        | {"out": str(arguments.out)}
-    )
+    result = _result(robot, done, beyond, max_change=arguments.max_change)
+    result |= place.contents | {"out": str(arguments.out)}
     result["turn"]["unreached"] = unreached_turns(calibrated, done)
     end_progress()
     if arguments.general.as_json:
@@ -290,12 +287,29 @@ def _seed(robot: Robot, table: Targets | None, text: str | None) -> np.ndarray |
     return np.where(turns & in_degrees, np.deg2rad(seed), seed)
 
 
+def _returned_columns(
+    calibrated: FittedRobot, done: CompensatedTable, arguments: CompensateArguments
+) -> dict[str, np.ndarray]:
+    """Return the columns to write: all of them, or the joints alone."""
+    columns = _columns(calibrated, done, arguments)
+    if arguments.only_numbers:
+        return _joint_columns(calibrated.model.chain.robot, done)
+    return columns
+
+
+def _joint_columns(robot: Robot, done: CompensatedTable) -> dict[str, np.ndarray]:
+    """Return the joint positions to command, in rows that are not ok those of the table."""
+    if not done.targets.has_joints:
+        raise click.UsageError(
+            "--only-numbers changes the numbers of joint columns; this table has none: leave it out"
+        )
+    kept = np.where(done.found.is_ok[:, None], done.found.q, robot.as_reported(done.seeds.q))
+    return dict(zip(robot.joint_names, kept.T, strict=True))
+
+
 def _columns(
     calibrated: FittedRobot, done: CompensatedTable, arguments: CompensateArguments
 ) -> dict[str, np.ndarray]:
-    from pincal.compensate.returned_table import false_columns
-    from pincal.compensate.robot_frames import false_targets as poses_to_give
-
     rows = done.targets.rows
     found = done.found
     columns: dict[str, np.ndarray] = dict(zip(rows.joint_names, found.q.T, strict=True))
@@ -317,13 +331,25 @@ def _columns(
         columns |= {"large_change": large.astype(int)} if large.any() else {}
     columns["status"] = found.status
     if arguments.false_targets:
-        poses = poses_to_give(calibrated, done.commanded, of=arguments.false_targets)
-        targets = done.targets
-        has_poses = targets.rows.position is not None and targets.cells.orientation is not None
-        own = false_columns(targets.cells, poses) if has_poses else None
-        named = columns_of_poses(poses, with_orientation=True)
-        columns |= own or {f"false_{name}": column for name, column in named.items()}
+        columns |= _false_targets(calibrated, done, of=arguments.false_targets)
     return columns
+
+
+def _false_targets(
+    calibrated: FittedRobot, done: CompensatedTable, *, of: Literal["tip", "target"]
+) -> dict[str, np.ndarray]:
+    """Return the poses for a controller that uses the nominal model, in the columns of the table's
+    own poses where it has some.
+    """
+    from pincal.compensate.returned_table import false_columns
+    from pincal.compensate.robot_frames import false_targets
+
+    poses = false_targets(calibrated, done.commanded, of=of)
+    targets = done.targets
+    has_poses = targets.rows.position is not None and targets.cells.orientation is not None
+    own = false_columns(targets.cells, poses) if has_poses else None
+    named = columns_of_poses(poses, with_orientation=True)
+    return own or {f"false_{name}": column for name, column in named.items()}
 
 
 def _result(
@@ -334,15 +360,6 @@ def _result(
 
     found = done.found
     lines = done.targets.rows.rows
-    left = [
-        {
-            "line": int(lines[i]),
-            "status": str(found.status[i]),
-            "error_mm": 1e3 * float(found.error[i]),
-            "error_mrad": 1e3 * float(found.turn[i]),
-        }
-        for i in np.flatnonzero(~found.is_ok)
-    ]
     errors = {"commanded": _statistics(found.error)}
     change = None
     large = list[int]()
@@ -350,15 +367,7 @@ def _result(
         errors = {"seeds": _statistics(found.seed_error)} | errors
         moved = np.abs(done.change)
         large = [int(line) for line in lines[moved.max(axis=1) > max_change]]
-        row, joint = np.unravel_index(np.argmax(moved), moved.shape)
-        name = robot.joint_names[joint]
-        unit = robot.joint_units[joint]
-        change = {
-            "joint": name,
-            "line": int(lines[row]),
-            "value": float(moved[row, joint]),
-            "unit": unit,
-        }
+        change = _largest_change(robot, moved, lines)
     return {
         "rows": len(lines),
         "frame": found.frame,
@@ -368,12 +377,43 @@ def _result(
         "change": change,
         "max_change": max_change,
         "large_changes": large,
-        "not_ok": left,
+        "not_ok": _not_ok(done),
         "turn": {
             "max_mrad": 1e3 * float(found.turn.max()),
             "line": int(lines[found.turn.argmax()]),
         },
     } | beyond
+
+
+def _largest_change(robot: Robot, moved: np.ndarray, lines: np.ndarray) -> dict[str, Any]:
+    """Return which joint moves most from its start, by how much, and in which line.
+
+    Args:
+        robot: the arm of n joints.
+        moved: shape (N, n), changes of the joints in N rows.
+        lines: shape (N,), lines of the rows.
+    """
+    row, joint = np.unravel_index(np.argmax(moved), moved.shape)
+    return {
+        "joint": robot.joint_names[joint],
+        "line": int(lines[row]),
+        "value": float(moved[row, joint]),
+        "unit": robot.joint_units[joint],
+    }
+
+
+def _not_ok(done: CompensatedTable) -> list[dict[str, Any]]:
+    """Return the rows that are not ok, each with its remaining error."""
+    found = done.found
+    return [
+        {
+            "line": int(done.targets.rows.rows[i]),
+            "status": str(found.status[i]),
+            "error_mm": 1e3 * float(found.error[i]),
+            "error_mrad": 1e3 * float(found.turn[i]),
+        }
+        for i in np.flatnonzero(~found.is_ok)
+    ]
 
 
 def _statistics(errors: np.ndarray) -> dict[str, float]:

@@ -16,7 +16,6 @@ from pincal.calibration.calibration import Calibration
 from pincal.calibration.precheck import DataReport
 from pincal.calibration.result import Result
 from pincal.errors import counted
-from pincal.measure.registry import blocks_of
 from pincal.notes import Note, doubts_first, doubts_of
 from pincal.report import precheck_tables
 from pincal.report.judgement import SearchReport, judged, next_steps
@@ -27,6 +26,7 @@ from pincal.report.words import (
 )
 from pincal.result_table import hanging, one_line
 from pincal.robot.robot import Robot
+from pincal.sensors.registry import blocks_of
 from pincal.thresholds import Count
 from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.lack_of_fit import LackOfFit

@@ -16,8 +16,8 @@ import click
 from pincal.cli.arguments import option_class
 
 if TYPE_CHECKING:
-    from pincal.measure.fields import TableOptions
     from pincal.measure.measurements import Measurements
+    from pincal.measure.table_schema import TableOptions
     from pincal.robot.robot import Robot
 
 MOTION = "Motion"

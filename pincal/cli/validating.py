@@ -22,6 +22,8 @@ from pincal.cli.streams import MOTION, Streams
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from pincal.calibration.validation import Validation
     from pincal.notes import Note
 
@@ -113,23 +115,14 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
     unseen = [each for each in found if not each.fitted_rows] or found
     error = error_statistics(pose_error_sizes(each.station, each.values) for each in unseen)
     stations = list(map(_station, found))
-    ranges = [extrapolation(each.model, each.station.conditions, each.table.rows) for each in found]
-    beyond = {
-        "outside": sum(part["outside"] for part, _ in ranges),
-        **{
-            name: [curve for part, _ in ranges for curve in part[name]]
-            for name in ("curves", "gaps")
-        },
-    }
+    beyond, beyond_notes = _extrapolated(found)
     # Entries of a single station are repeated at top level.
     alone = {
         key: stations[0][key]
-        for key in ("iso9283", "path", "lack_of_fit")
+        for key in ("iso9283", "characteristics", "path", "lack_of_fit")
         if len(found) == 1 and key in stations[0]
     }
-    notes = doubts_first(
-        [*(note for each in found for note in each.notes), *(n for _, part in ranges for n in part)]
-    )
+    notes = doubts_first([*(note for each in found for note in each.notes), *beyond_notes])
     contents = {
         "verdict": worst(each.verdict for each in found),
         "warnings": to_builtins(notes),
@@ -141,6 +134,17 @@ def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:
     return contents | alone | beyond, notes
 
 
+def _extrapolated(found: list[Validation]) -> tuple[dict[str, Any], list[str]]:
+    """Return where the rows of all stations are outside the range of the calibration, for
+    ``--json`` and in words.
+    """
+    ranges = [extrapolation(each.model, each.station.conditions, each.table.rows) for each in found]
+    contents = {"outside": sum(part["outside"] for part, _ in ranges)} | {
+        name: [curve for part, _ in ranges for curve in part[name]] for name in ("curves", "gaps")
+    }
+    return contents, [note for _, notes in ranges for note in notes]
+
+
 def _station(found: Validation) -> dict[str, Any]:
     iso, lack = found.replicate_statistics()
     contents = {
@@ -149,7 +153,7 @@ def _station(found: Validation) -> dict[str, Any]:
         "rows": len(found.table),
         "placed": found.placed,
     }
-    contents |= found.moved.to_dict() | {"error": found.error}
+    contents |= found.moved.to_dict() | {"error": found.error, "intervals": found.intervals}
     contents |= {"fitted_rows": found.fitted_rows}
     contents |= {
         "misfit": {"ratio": found.misfit.ratio, "p_value": found.misfit.p_value},
@@ -158,6 +162,7 @@ def _station(found: Validation) -> dict[str, Any]:
     contents |= {"verdict": found.verdict}
     more = {"by_coverage": found.by_coverage, "iso9283": iso, "path": found.path_accuracy}
     more |= {"lack_of_fit": None if lack is None else asdict(lack)}
+    more |= {"characteristics": found.characteristics or None}
     return contents | {name: value for name, value in more.items() if value is not None}
 
 
@@ -165,9 +170,10 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
     """Print the doubts, the placement of each station, and its errors."""
     from pincal.calibration.result_tables import error_table
     from pincal.cli.progress import console
-    from pincal.cli.screen import print_doubts, print_replicates
+    from pincal.cli.screen import print_doubts
     from pincal.result_table import hanging
     from pincal.validate.path_accuracy import path_words
+    from pincal.validate.pose_characteristics import interval_words
 
     out = console()
     print_doubts(notes, out)
@@ -179,36 +185,59 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
             )
         )
     for each in found:
-        is_there = each.placed == "as calibrated"
-        place = (
-            "are where they were at calibration"
-            if is_there
-            else f"were located again from these rows: {each.moved}"
-        )
-        out.print(hanging(f"{each.name}:", f"instrument and target {place}; {each.verdict}"))
-    parts = {part["name"]: part["error"] for part in result["stations"]}
-    if len(found) == 1 and found[0].fitted_rows:
-        parts = {
-            "train" if found[0].fitted_rows == len(found[0].table) else "new and fitted": found[
-                0
-            ].error
-        }
-        out.print(error_table({"calibrated": parts}))
-    else:
-        out.print(error_table({"calibrated": parts} if len(found) > 1 else result["error"]))
+        out.print(hanging(f"{each.name}:", f"{_place_words(each)}; {each.verdict}"))
+    out.print(error_table(_errors(found, result)))
     for each in found:
-        if (split := each.by_coverage) is not None:
-            inside = split["determined"]
-            elsewhere = split["elsewhere"]
-            out.print(
-                hanging(
-                    f"{each.name}:",
-                    f"mean {inside['mean']:.4f} {split['unit']} at the {inside['rows']} "
-                    "poses where the calibration had "
-                    f"determined the curve of every drive, {elsewhere['mean']:.4f} "
-                    f"{split['unit']} at the others",
-                )
-            )
-        print_replicates(*each.replicate_statistics(), out)
+        if each.by_coverage is not None:
+            out.print(hanging(f"{each.name}:", _coverage_words(each.by_coverage)))
+        out.print(hanging(f"{each.name}:", interval_words(each.intervals)))
+        _print_repeated(each, out)
         if (path := each.path_accuracy) is not None:
             out.print(hanging("path:", path_words(path)))
+
+
+def _print_repeated(found: Validation, out: Console) -> None:
+    """Print what visits of the same poses tell."""
+    from pincal.calibration.result_tables import characteristics_table
+    from pincal.cli.screen import print_replicates
+    from pincal.result_table import hanging
+    from pincal.validate.accuracy import cycle_words
+
+    iso, lack = found.replicate_statistics()
+    has_angles = iso is not None and "AP_a_mrad" in iso["per_pose"][0]
+    if found.characteristics:
+        out.print(characteristics_table(found.characteristics))
+    if iso is not None and found.characteristics and not has_angles:
+        out.print(hanging("cycles:", cycle_words(iso)))
+        iso = None
+    print_replicates(iso, lack, out)
+
+
+def _place_words(found: Validation) -> str:
+    if found.placed == "as calibrated":
+        return "instrument and target are where they were at calibration"
+    return f"instrument and target were located again from these rows: {found.moved}"
+
+
+def _errors(found: list[Validation], result: dict[str, Any]) -> dict[str, Any]:
+    """Return the errors for the table: of each station, or of the only one by what its rows were
+    for the calibration.
+    """
+    if len(found) > 1:
+        return {"calibrated": {part["name"]: part["error"] for part in result["stations"]}}
+    (alone,) = found
+    if not alone.fitted_rows:
+        return dict(result["error"])
+    name = "train" if alone.fitted_rows == len(alone.table) else "new and fitted"
+    return {"calibrated": {name: alone.error}}
+
+
+def _coverage_words(split: dict[str, Any]) -> str:
+    inside = split["determined"]
+    elsewhere = split["elsewhere"]
+    return (
+        f"mean {inside['mean']:.4f} {split['unit']} at the {inside['rows']} "
+        "poses where the calibration had "
+        f"determined the curve of every drive, {elsewhere['mean']:.4f} "
+        f"{split['unit']} at the others"
+    )

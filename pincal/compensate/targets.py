@@ -27,13 +27,14 @@ from pincal.compensate.robot_frames import (
 )
 from pincal.errors import MeasurementError
 from pincal.measure.admit import check_joints_of
-from pincal.measure.fields import CONDITIONS, Schema, TableOptions
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.reader import Cells, read_table
-from pincal.measure.registry import known_fields
+from pincal.measure.table_schema import Schema, TableOptions
 from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose, inverse, rotation_matrices
+from pincal.sensors.fields import CONDITIONS
+from pincal.sensors.registry import known_fields
 
 # Further columns that the command writes: they are ignored, so that its output can be its input.
 _WRITTEN = ("status", "error_mm", "error_mrad", "sigma_mm", "change_max", "large_change",

@@ -26,8 +26,6 @@ from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
-from pincal.measure.point_sensor import PointSensor
-from pincal.measure.registry import simulatable
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
@@ -35,6 +33,8 @@ from pincal.model.effects import BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.robot.robot import Robot
+from pincal.sensors.point_sensor import PointSensor
+from pincal.sensors.registry import simulatable
 from pincal.thresholds import Scale
 
 # Width of an uninformative prior, in units of the noise: 1 m for 0.05 mm.

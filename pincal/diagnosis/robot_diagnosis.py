@@ -38,13 +38,13 @@ from pincal.identify.solve import solve
 from pincal.identify.station import Station, count, fingerprints, together
 from pincal.measure.admit import check_table
 from pincal.measure.column_numbers import JOINT_COLUMNS
-from pincal.measure.extrinsics import sample_rows
 from pincal.measure.joint_columns import steps_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.stops import StopRows
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
+from pincal.sensors.extrinsics import sample_rows
 from pincal.thresholds import Count
 from pincal.units import format_readable
 from pincal.validate.accuracy import error_summary, pose_error_sizes

@@ -43,9 +43,9 @@ from pincal.identify.dependence import with_blocks
 from pincal.identify.fit import Ending, ModelFit, without
 from pincal.identify.fit_levers import levers
 from pincal.identify.mass_error import MassError
-from pincal.measure.extrinsics import sample_rows
 from pincal.model.catalogue.ripple import resolution_of
 from pincal.model.effect import Curve, Effect, Harmonic
+from pincal.sensors.extrinsics import sample_rows
 from pincal.units import format_small
 
 log = logging.getLogger(__name__)

@@ -37,6 +37,7 @@ from pincal.model.augmented import joint_mounts, joint_placements
 from pincal.model.model import Model
 from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.se3 import placed, rotation, rotation_vectors, translation
+from pincal.robot.tree import Mimic
 from pincal.robot.urdf_file import parse_urdf
 from pincal.thresholds import Count
 
@@ -76,24 +77,30 @@ class DhTable(Format):
                 "another format"
             )
         notes = rigid_notes(model, what="table of DH parameters")
-        notes += tuple(
-            f"{mimic.joint} follows {mimic.source}: {mimic.multiplier!r} times its "
-            f"position plus {mimic.offset!r}"
-            for mimic in robot.mimics
-        )
+        notes += tuple(map(_mimic_words, robot.mimics))
         if np.any(rows[:, 4]):
             flat = _tips("standard", rows * [1.0, 1.0, 1.0, 1.0, 0.0], frames, q=q, slides=slides)
-            off = 1e3 * float(np.linalg.norm(flat - true, axis=1).max())
-            pairs = ", ".join(
-                f"{robot.joint_names[i]} and the next" for i in np.flatnonzero(rows[:, 4])
-            )
-            cost = f"without beta the tip is off by up to {off:.3f} mm"
-            notes += (f"beta (Hayati): the axes of {pairs} are nearly parallel; {cost}",)
+            off = float(np.linalg.norm(flat - true, axis=1).max())
+            notes += (_parallel_words(robot.joint_names, rows, off),)
         text = [f"# {line}" for line in (*machine_lines(calibrated), *notes)]
         text.append(",".join(_HEAD))
         for name, table in tables.items():
             text += _lines(name, table, frames, names=robot.joint_names, types=robot.joint_types)
         return Exported({"": ("\n".join(text) + "\n").encode()}, notes, worst)
+
+
+def _mimic_words(mimic: Mimic) -> str:
+    return (
+        f"{mimic.joint} follows {mimic.source}: {mimic.multiplier!r} times its "
+        f"position plus {mimic.offset!r}"
+    )
+
+
+def _parallel_words(names: tuple[str, ...], rows: np.ndarray, off: float) -> str:
+    """Return the note on axes that are nearly parallel; without beta the tip is off [m]."""
+    pairs = ", ".join(f"{names[i]} and the next" for i in np.flatnonzero(rows[:, 4]).tolist())
+    cost = f"without beta the tip is off by up to {1e3 * off:.3f} mm"
+    return f"beta (Hayati): the axes of {pairs} are nearly parallel; {cost}"
 
 
 def _calibrated_frames(model: Model, values: np.ndarray) -> DhFrames:

@@ -40,7 +40,6 @@ from pincal.identify.stop_scatter import StopScatter, scatter_of_stops, shared_i
 from pincal.identify.visit_weights import weighs_visits, with_visits
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
-from pincal.measure.sensor import KnownParameters, Sensor
 from pincal.measure.stops import plan_of
 from pincal.measure.table import stations_of
 from pincal.model.catalogue.bearing_features import without_idle_features
@@ -51,6 +50,7 @@ from pincal.model.effect import Effect
 from pincal.parameters import is_on_link
 from pincal.recorded import RECORDED
 from pincal.robot.robot import Robot
+from pincal.sensors.sensor import KnownParameters, Sensor
 from pincal.thresholds import Count, Scale
 
 Tables = Measurements | Sequence[Measurements] | Mapping[str, Measurements]

@@ -26,10 +26,10 @@ from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import NULL, Form
 from pincal.identify.station import Station
-from pincal.measure.extrinsics import sample_rows
-from pincal.measure.sensor import KnownParameters
 from pincal.model.effects import BaseFrame
 from pincal.parameters import Parameter
+from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.sensor import KnownParameters
 from pincal.thresholds import Count, Scale
 from pincal.units import format_readable
 

@@ -25,7 +25,6 @@ from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem, effects_at
 from pincal.identify.solve import Course, likeliest_values, solve
 from pincal.identify.station import Station, station_of
-from pincal.measure.extrinsics import Extrinsics
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue.motion import InstrumentClock
 from pincal.model.chain import Chain
@@ -36,6 +35,7 @@ from pincal.parameters import FRAME_SYMBOLS, carried_over
 from pincal.robot.link_path import LinkPath
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import placed as placed_frame
+from pincal.sensors.extrinsics import Extrinsics
 from pincal.thresholds import Count, Scale
 
 # Rows that suffice for a start, and for its short fit; many stations share them, with a minimum for

@@ -19,8 +19,8 @@ import numpy as np
 from pincal.identify.posterior import Eliminated, eliminate
 from pincal.identify.quadratic import Form, Quadratic
 from pincal.identify.station import PIECE, Station
-from pincal.measure.sensor import Grouped
 from pincal.model.effect import Family
+from pincal.sensors.sensor import Grouped
 from pincal.thresholds import Count
 
 Task = tuple[Callable[..., Any], slice, np.ndarray, *tuple[Any, ...]]

@@ -11,11 +11,11 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.identify.noise import Loss
 from pincal.measure.instruments import InstrumentNoise
-from pincal.measure.setup import Setup
 from pincal.model.chain import MomentFrame
 from pincal.model.effect import Effect
 from pincal.model.effects import ELASTIC
 from pincal.parameters import FRAME_SYMBOLS, Estimate
+from pincal.sensors.setup import Setup
 from pincal.thresholds import Scale
 from pincal.units import GRAVITIES, LARGEST, SMALLEST, is_gravity
 

@@ -22,13 +22,13 @@ from pincal.errors import BadInputError
 from pincal.identify.believed import Beliefs, Earlier, scale_of_contacts
 from pincal.identify.normal import Batch, Work, runs
 from pincal.identify.station import Station
-from pincal.measure.extrinsics import sample_rows
-from pincal.measure.sensor import Block
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions, joined_conditions, part_of
 from pincal.model.effect import Effect, Family
 from pincal.model.sizes import largest_bases
 from pincal.parameters import Parameter, carried_over
+from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.sensor import Block
 from pincal.thresholds import Count
 
 # Rows from which sizes are determined.

@@ -21,7 +21,7 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.visit_scatter import Arrivals, arrivals_of, levers_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, numbers_of_copies, replicate_groups, without_copies
-from pincal.measure.sensor import Sensor
+from pincal.sensors.sensor import Sensor
 from pincal.thresholds import Count
 
 # Rounds in which the centre of a pose and its sound readings are found in turn.

@@ -16,14 +16,14 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.identify.jacobian import Jacobian, SharedColumns
 from pincal.identify.whitening import Serial, StopNoise, whitened_rows
-from pincal.measure.extrinsics import sample_rows
 from pincal.measure.instruments import InstrumentNoise, seen_by
 from pincal.measure.measurements import Measurements, sensor_of
-from pincal.measure.sensor import Sensor
-from pincal.measure.setup import Setup
 from pincal.model.conditions import Conditions, part_of
 from pincal.model.model import Model, Shared
 from pincal.parameters import Parameter, is_on_link
+from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.sensor import Sensor
+from pincal.sensors.setup import Setup
 from pincal.thresholds import Count
 
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.

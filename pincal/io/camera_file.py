@@ -12,8 +12,8 @@ from pincal.errors import MeasurementError
 from pincal.io.arrays import Matrix, array_of
 from pincal.io.file_numbers import IN_FILES
 from pincal.io.strict_json import Fault, FileKind, read_json
-from pincal.measure.lens import DISTORTION, PINHOLE, Lens
 from pincal.robot.se3 import are_rotations
+from pincal.sensors.lens import DISTORTION, PINHOLE, Lens
 
 _CAMERA_FILE = FileKind(
     "a camera's JSON",

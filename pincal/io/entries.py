@@ -25,14 +25,14 @@ from pincal.io.arrays import (
 )
 from pincal.io.robot_entry import PathEntry, RobotEntry
 from pincal.io.strict_json import MISSING, MOST_BYTES, Fault, Hook, explained, what_is
-from pincal.measure.lens import Lens
-from pincal.measure.setup import KnownDistance, Setup
 from pincal.model.chain import Chain, MomentFrame
 from pincal.model.effect import Effect
 from pincal.model.effect_registry import EFFECTS
 from pincal.model.model import Model
 from pincal.parameters import Parameter
 from pincal.robot.robot import Robot
+from pincal.sensors.lens import Lens
+from pincal.sensors.setup import KnownDistance, Setup
 
 # JSON Schema common to all effects in a file.
 EFFECT_SCHEMA: dict[str, Any] = {
@@ -177,7 +177,7 @@ class PointEntry(Record, frozen=True, kw_only=True):
 
 
 class SetupEntry(Record, frozen=True, kw_only=True):
-    """Known parts of a measurement set-up, see :class:`pincal.measure.setup.Setup`.
+    """Known parts of a measurement set-up, see :class:`pincal.sensors.setup.Setup`.
 
     Attributes:
         points: the named points.

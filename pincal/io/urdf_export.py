@@ -93,12 +93,7 @@ def calibrated_urdf(
         ('elbow_joint',)
     """
     robot = model.chain.robot
-    text = robot.urdf if urdf is None else urdf
-    if not text:
-        raise RobotFileError(
-            "the model holds no URDF; expected its text: give the file that the robot was "
-            "loaded from"
-        )
+    text = _text_of(robot, urdf)
     tree = parse_urdf(text, source=robot.source)
     paths = [robot.between(*pair) for pair in ((None, None), *robot.links)]
     values = model.own(np.asarray(values, float))
@@ -126,6 +121,21 @@ def calibrated_urdf(
     readers = read_back(robot, edited, text)
     notes += (readers.note,) if readers.note else ()
     return UrdfExport(edited, tip, changed, notes, error, readers.error_m)
+
+
+def _text_of(robot: Robot, urdf: bytes | None) -> bytes:
+    """Return the URDF to edit: the one that is given, or else of the robot.
+
+    Raises:
+        RobotFileError: if there is none.
+    """
+    text = robot.urdf if urdf is None else urdf
+    if not text:
+        raise RobotFileError(
+            "the model holds no URDF; expected its text: give the file that the robot was "
+            "loaded from"
+        )
+    return text
 
 
 def _placements(

@@ -145,31 +145,37 @@ class _Places:
     end: int = 0
 
 
+class _Finder:
+    """Notes the places of joints while a text is parsed."""
+
+    def __init__(self) -> None:
+        self.places = _Places()
+        self.parser = expat.ParserCreate()
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = self._end
+        self._above = list[str]()
+        self._name = ""
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        at = self.parser.CurrentByteIndex
+        if self._above == ["robot"] and tag in _ORIGINS:
+            self._name = attributes.get("name", "")
+            self.places.holders |= {_key(self._name, held): (at, held) for held in _ORIGINS[tag]}
+        elif len(self._above) == 2 and tag in _ORIGINS.get(self._above[1], ()):
+            self.places.origins.setdefault(_key(self._name, tag), at)
+        self._above.append(tag)
+
+    def _end(self, tag: str) -> None:
+        self._above.pop()
+        self.places.end = self.parser.CurrentByteIndex
+
+
 def _places(text: bytes, source: str) -> _Places:
     """Find the joints directly below the root, not those of transmissions and controllers."""
-    places = _Places()
-    above = list[str]()
-    name = ""
-    parser = expat.ParserCreate()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal name
-        at = parser.CurrentByteIndex
-        if above == ["robot"] and tag in _ORIGINS:
-            name = attributes.get("name", "")
-            places.holders |= {_key(name, held): (at, held) for held in _ORIGINS[tag]}
-        elif len(above) == 2 and tag in _ORIGINS.get(above[1], ()):
-            places.origins.setdefault(_key(name, tag), at)
-        above.append(tag)
-
-    def end(tag: str) -> None:
-        above.pop()
-        places.end = parser.CurrentByteIndex
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
+    finder = _Finder()
+    places = finder.places
     try:
-        parser.Parse(text, True)
+        finder.parser.Parse(text, True)
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise RobotFileError(
             f"{source}: can't be edited ({error}); save it as UTF-8 first"

@@ -18,9 +18,9 @@ from pincal.errors import MeasurementError, PincalWarning, few, nearest_first, w
 from pincal.measure.column_numbers import JOINT_COLUMNS
 from pincal.measure.joint_columns import JointColumns
 from pincal.measure.measurements import Measurements, sensor_like, sensor_of
-from pincal.measure.sensor import Excluded, Grouped, Plausible
-from pincal.measure.setup import Setup
 from pincal.robot.robot import Robot
+from pincal.sensors.sensor import Excluded, Grouped, Plausible
+from pincal.sensors.setup import Setup
 from pincal.thresholds import Count
 
 # Lines that a warning lists: of rows left out, and of copies.

@@ -10,7 +10,6 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pincal.errors import MeasurementError, nearest_first, warn
-from pincal.measure.fields import CONDITIONS, SIGMA, Field, Schema
 from pincal.measure.labels import (
     Label,
     check_one,
@@ -44,6 +43,8 @@ from pincal.measure.orientation import (
 )
 from pincal.measure.reading_numbers import LAYOUT
 from pincal.measure.sheet import Sheet, SheetColumn
+from pincal.measure.table_schema import Schema
+from pincal.sensors.fields import CONDITIONS, SIGMA, Field
 from pincal.thresholds import Count
 from pincal.units import SIZES, plain_numbers
 

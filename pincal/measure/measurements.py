@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import BadInputError, MeasurementError, nearest_first
-from pincal.measure.fields import CONDITIONS, FINITE, SIGN, Field
-from pincal.measure.registry import check_fields, expected_columns, known_fields, sensor_class
-from pincal.measure.sensor import Sensor
-from pincal.measure.setup import Setup
 from pincal.recorded import RECORDED, Moving, Recorded
 from pincal.robot.robot import Robot
+from pincal.sensors.fields import CONDITIONS, FINITE, SIGN, Field
+from pincal.sensors.registry import check_fields, expected_columns, known_fields, sensor_class
+from pincal.sensors.sensor import Sensor
+from pincal.sensors.setup import Setup
 from pincal.units import expected_number, is_possible, real_array, unmasked
 
 # Arrays in addition to the readings.

@@ -15,10 +15,11 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.measure.column_numbers import JOINT_COLUMNS
-from pincal.measure.fields import Schema
 from pincal.measure.flat_matrices import order_of_matrix
-from pincal.measure.reading_numbers import LAYOUT, PLAUSIBLE
+from pincal.measure.reading_numbers import LAYOUT
 from pincal.measure.sheet import Sheet
+from pincal.measure.table_schema import Schema
+from pincal.sensors.sensor_numbers import PLAUSIBLE
 from pincal.units import plain_numbers
 
 # What follows or precedes the joints, by the number of columns, and in words.

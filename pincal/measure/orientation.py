@@ -37,7 +37,7 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError
 from pincal.measure.flat_matrices import quaternions_of
-from pincal.measure.reading_numbers import PLAUSIBLE
+from pincal.sensors.sensor_numbers import PLAUSIBLE
 
 
 @dataclass(frozen=True)

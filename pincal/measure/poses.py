@@ -21,7 +21,7 @@ import numpy as np
 
 from pincal.measure.measurements import Measurements
 from pincal.measure.reading_numbers import SAME_POSE
-from pincal.measure.registry import known_fields
+from pincal.sensors.registry import known_fields
 from pincal.thresholds import Count
 
 # Bytes of joint positions whose labels are remembered.

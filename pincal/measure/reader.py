@@ -17,17 +17,6 @@ import numpy as np
 from pincal.errors import MeasurementError, warn
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, gives_order, moves_of_table
 from pincal.measure.excel_sheet import ENDINGS, open_excel
-from pincal.measure.fields import (
-    CONDITIONS,
-    FIRST,
-    OF_EACH_JOINT,
-    OTHERS,
-    SECOND,
-    Field,
-    Schema,
-    TableOptions,
-    link_of,
-)
 from pincal.measure.header import (
     NANOSECONDS,
     check_joints,
@@ -40,11 +29,13 @@ from pincal.measure.joined import Log, held_rows, join
 from pincal.measure.labels import is_named, joint_families, renamed, spelled, unignored
 from pincal.measure.list_cells import with_lists
 from pincal.measure.nameless import check_named
-from pincal.measure.nested_sheet import nested_kind, open_nested
 from pincal.measure.orientation import Convention
-from pincal.measure.recordings import is_bag, is_dataset, open_bag, open_dataset, open_parquet
+from pincal.measure.parquet_sheet import open_parquet
 from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn, read_cells
+from pincal.measure.sheet_reader import SHEET_READERS, SheetOptions
+from pincal.measure.table_schema import OF_EACH_JOINT, OTHERS, Schema, TableOptions
 from pincal.measure.text_sheet import open_text
+from pincal.sensors.fields import CONDITIONS, FIRST, SECOND, Field, link_of
 from pincal.thresholds import Scale
 
 # Step by which the direction of dependent joints is determined [rad or m].
@@ -75,16 +66,14 @@ def open_sheet(
         MeasurementError: for a file that is empty, binary, or not of this format.
     """
     ending = path.suffix.lower()
-    if is_bag(path):
-        return open_bag(path, ignore=ignore, only_joints=only_joints, joints=joints)
-    if is_dataset(path):
-        return open_dataset(path)
+    options = SheetOptions(ignore=ignore, only_joints=only_joints, joints=joints)
+    for reader in SHEET_READERS.all():
+        if reader.reads(path):
+            return reader.open(path, options)
     with path.open("rb") as file:
         head = file.read(4)
     if ending == ".parquet" or head == b"PAR1":
         return open_parquet(path)
-    if kind := nested_kind(path):
-        return open_nested(path, kind, ignore=ignore, joints=len(joints))
     if ending in ENDINGS or head == b"PK\x03\x04":
         return with_lists(open_excel(path, sheet=sheet, joints=joints))
     if ending in _OTHERS:
@@ -175,13 +164,8 @@ def cells_of(
     values |= _resting(schema, joints, values, len(rows), source=path.name)
     if joints and (missing := [name for name in joints if name not in values]):
         values |= _followers(schema, values, missing)
-    if (
-        joints
-        and header.readings
-        and "time" in values
-        and not is_part
-        and not schema.may_lack_joints
-    ):
+    may_move = bool(header.readings) and "time" in values and not schema.may_lack_joints
+    if joints and may_move and not is_part:
         values, rows = held_rows(values, rows, joints, was_joined=was_joined, source=path.name)
     droop = _droop(values, joints, source=path.name)
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}

@@ -24,9 +24,6 @@ _TITLES = "test_formats.py::test_a_row_is_of_the_table_if_most_of_it_is_filled"
 _EPOCH = "test_logs_of_motion.py::test_a_time_since_1970_is_read_in_its_unit"
 _EYE = "test_table_kinds.py::test_samples_that_show_no_camera_on_the_hand_are_refused"
 _KINDS = "test_table_kinds.py::test_most_kinds_need_no_option"
-_MILLIMETRES = _HERE + "test_a_fifth_of_the_rows_is_a_column_at_fault"
-_DECLARED = _HERE + "test_a_target_follows_the_arm_by_a_thousandth_of_its_reach"
-_FIXED = _HERE + "test_distances_are_those_of_instruments"
 _SMALL = _HERE + "test_a_file_holds_no_more_than_measured_numbers"
 _LOAD = _HERE + "test_loads_of_a_pose_agree_to_a_gram"
 _BETWEEN = _HERE + "test_half_of_a_table_is_read_while_the_arm_is_held"
@@ -35,13 +32,7 @@ _LISTS = _HERE + "test_numbers_of_short_lists_are_columns"
 _MATRIX = "test_table_forms.py::test_numbers_are_a_matrix_if_they_form_one"
 _KEYED = "test_table_forms.py::test_keys_are_of_poses_or_of_columns"
 _ALONG = "test_table_forms.py::test_poses_stand_where_the_numbers_show_it"
-_TOOL = _HERE + "test_a_target_is_within_two_metres_of_the_flange"
-_MOVED = _HERE + "test_half_a_radian_moves_a_target"
-_TURN = _HERE + "test_no_rotation_vector_is_longer_than_a_revolution"
-_NORM = _HERE + "test_quaternions_have_the_norm_of_rounded_ones"
-_IN_LINE = _HERE + "test_points_in_a_line_tell_no_rotation"
 _CUT = "test_joined.py::test_a_log_is_cut_where_the_arm_moves"
-_PLANES = "test_cell_sensors.py::test_rows_that_tell_nothing_are_named"
 _SURE_JUMP = "test_motion_numbers.py::test_a_jump_of_a_clock_is_six_standard_deviations"
 _JUMP = "test_motion.py::test_a_jump_of_a_clock_is_found_to_the_row"
 
@@ -147,36 +138,6 @@ class LayoutNumbers:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlausibleNumbers:
-    """By which readings are refused, or doubted, as those of something else."""
-
-    column_at_fault: float = number(0.2, "ratio", _MILLIMETRES,
-        "of rows beyond the limits, above which the column, not the row, is at fault", "chosen")
-    tool_reach: float = number(2.0, "m", _TOOL,
-        "of a target from the flange, at most", "chosen: longer than tools are")
-    moved: float = number(0.5, "rad, m", _MOVED,
-        "median range of the joints, above which the target moves visibly", "chosen")
-    least_spread: float = number(1e-3, "ratio", _DECLARED,
-        "of a target's motion to the reach, below which it does not follow the arm",
-        "the factor between millimetres and metres")
-    farthest: float = number(100.0, "m", _FIXED,
-        "distance, at most", "the range of laser trackers")
-    nearest: float = number(1e-3, "ratio", _FIXED,
-        "of distances to the reach, below which they are deviations, or in another unit",
-        "the factor between millimetres and metres")
-    longest_turn: float = number(6.3, "rad", _TURN,
-        "of an orientation", "a revolution with rounding")
-    norm: float = number(0.01, "1", _NORM,
-        "by which the norm of a quaternion may differ from 1",
-        "above the rounding of four decimals, below the effect of a wrong column")
-    in_line: float = number(1e-3, "ratio", _IN_LINE,
-        "of width to length, below which known points do not determine a rotation",
-        "chosen: a millimetre on a metre")
-    per_plane: int = number(4, "readings", _PLANES,
-        "of a plane, at least", "three determine it, more are redundant")
-
-
-@dataclass(frozen=True, kw_only=True)
 class ClockJumpNumbers:
     """By which the clock of an instrument jumps."""
 
@@ -191,5 +152,4 @@ SAME_POSE = SamePoseNumbers()
 LOGS = LogNumbers()
 DIVISION = VisitDivision()
 LAYOUT = LayoutNumbers()
-PLAUSIBLE = PlausibleNumbers()
 JUMPS = ClockJumpNumbers()

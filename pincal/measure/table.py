@@ -19,7 +19,6 @@ import numpy as np
 
 from pincal.atomic import replacing
 from pincal.errors import BadInputError, MeasurementError, OutputError
-from pincal.measure.fields import CONDITIONS, TABLE_ENDINGS, Schema, TableOptions
 from pincal.measure.measurements import (
     Measurements,
     concatenate,
@@ -27,10 +26,12 @@ from pincal.measure.measurements import (
     validated,
 )
 from pincal.measure.reader import joint_columns, read_columns, read_table, typed_errors
-from pincal.measure.registry import expected_columns, known_fields
-from pincal.measure.sensor import Divided
+from pincal.measure.table_schema import TABLE_ENDINGS, Schema, TableOptions
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Mimic, mimicked
+from pincal.sensors.fields import CONDITIONS
+from pincal.sensors.registry import expected_columns, known_fields
+from pincal.sensors.sensor import Divided
 from pincal.thresholds import Count
 
 __all__ = [
@@ -77,7 +78,7 @@ def read_measurements(
         part: rows of a Parquet file to read, by index, as :func:`row_parts` yields them; default:
             all.
         options: ignore, columns, orientation, joints, sheet, rows_in_order and shares_log, as in
-            :class:`pincal.measure.fields.TableOptions`.
+            :class:`pincal.measure.table_schema.TableOptions`.
 
     Returns:
         The rows in SI units, each with its line in the file (in Parquet: counted as if there were a

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from pincal.measure.sensors.imu import Window
 from pincal.motion.motion_numbers import ON_PATH
+from pincal.sensors.imu import Window
 from pincal.thresholds import Scale
 
 # Spacing of rows in widths of the window, so that adjacent windows overlap.

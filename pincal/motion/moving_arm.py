@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from pincal.measure.sensors.imu import Inertial, Window
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.motion.joint_path import DEGREE, JointPath
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation, shortest_turn, translation
+from pincal.sensors.imu import Inertial, Window
 from pincal.thresholds import Count
 
 # Interpolation points of inertial loads per knot of the joints.

@@ -20,12 +20,12 @@ import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.hypotheses.hypothesis import Hypothesis, explaining
-from pincal.measure.sensor import Sensor
 from pincal.motion.clocks import Alignment, Clock, aligned
 from pincal.motion.motion_numbers import CLOCKS, FOLLOWING
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.starts import OtherMotionError, check_clock, start_positions, steady
 from pincal.motion.stream import Stream
+from pincal.sensors.sensor import Sensor
 from pincal.thresholds import Count, Scale
 
 # Step of the search over offsets [s], rows of each target or point in it, their number, and the

@@ -18,17 +18,18 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.measure.admit import check_joint_values
-from pincal.measure.fields import CONDITIONS, TABLE_ENDINGS, Field, Schema, TableOptions
 from pincal.measure.labels import columns_listed, is_named
 from pincal.measure.measurements import measurements
 from pincal.measure.reader import Cells, cells_of, open_sheet, typed_errors
-from pincal.measure.recordings import is_bag, open_streams
-from pincal.measure.registry import check_fields, known_fields, sensor_class
-from pincal.measure.sensors.imu import FORCE, RATE
 from pincal.measure.sheet import Sheet
+from pincal.measure.table_schema import TABLE_ENDINGS, Schema, TableOptions
 from pincal.motion.stamps import in_order
 from pincal.motion.stream import Stream, checked_imu, checked_joints, interpolated
+from pincal.readers.recordings import is_bag, open_streams
 from pincal.robot.robot import Robot
+from pincal.sensors.fields import CONDITIONS, Field
+from pincal.sensors.imu import FORCE, RATE
+from pincal.sensors.registry import check_fields, known_fields, sensor_class
 
 STREAMS = ("joints", "imu", "tracker")
 """The streams of a session, by the names of their files."""
@@ -75,7 +76,7 @@ def read_session(robot: Robot, folder: str | os.PathLike[str], **options: Any) -
     Args:
         robot: the robot.
         folder: the folder.
-        options: ``columns`` and ``ignore``, see :class:`pincal.measure.fields.TableOptions`.
+        options: ``columns`` and ``ignore``, see :class:`pincal.measure.table_schema.TableOptions`.
 
     Raises:
         MeasurementError: for a file that is missing or can't be read, or an impossible stream.

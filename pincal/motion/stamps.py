@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
-from pincal.measure.sensors.imu import FORCE
 from pincal.motion.motion_numbers import STAMP, STREAM
 from pincal.motion.stream import Stream
+from pincal.sensors.imu import FORCE
 from pincal.thresholds import Count
 
 # Parts of a log whose least delayed packets are compared.

@@ -17,13 +17,13 @@ import numpy as np
 from pincal.errors import MeasurementError, warn
 from pincal.hypotheses.hypothesis import Hypothesis, explaining
 from pincal.measure.reading_numbers import JUMPS
-from pincal.measure.sensors.imu import FORCE, RATE, Window
 from pincal.motion.clocks import Alignment, Clock, SpeedMatch, aligned, correlate
 from pincal.motion.imu_rows import ImuRows
 from pincal.motion.motion_numbers import CLOCKS, FOLLOWING
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.stream import Stream
 from pincal.robot.se3 import nearest_rotation, rotation_vectors
+from pincal.sensors.imu import FORCE, RATE, Window
 from pincal.thresholds import Count, Scale
 from pincal.units import size_of
 

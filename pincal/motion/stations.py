@@ -17,9 +17,6 @@ import numpy as np
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.hypotheses.hypothesis import Hypothesis, exchange_order, explaining
 from pincal.measure.measurements import Measurements, measurements
-from pincal.measure.registry import sensor_class
-from pincal.measure.sensor import Sensor
-from pincal.measure.sensors.imu import FORCE, RATE, Window
 from pincal.motion.clocks import Clock
 from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
@@ -31,6 +28,9 @@ from pincal.motion.starts import OtherMotionError, aligned_forces, start_imu, st
 from pincal.motion.stream import Stream
 from pincal.recorded import Moving
 from pincal.robot.robot import Robot
+from pincal.sensors.imu import FORCE, RATE, Window
+from pincal.sensors.registry import sensor_class
+from pincal.sensors.sensor import Sensor
 from pincal.thresholds import Scale
 
 # Standard deviation of the windows of an IMU's rows [s]; 1 to 12 Hz made no difference on a real

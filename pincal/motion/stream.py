@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from pincal.errors import MeasurementError, warn
-from pincal.measure.sensors.imu import FORCE, RATE
 from pincal.motion.motion_numbers import STREAM
+from pincal.sensors.imu import FORCE, RATE
 from pincal.thresholds import Count, Scale
 from pincal.units import STANDARD_GRAVITY
 

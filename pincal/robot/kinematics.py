@@ -48,6 +48,17 @@ class Kinematics:
         after = [translation(a, 0.0, d) @ rotation("x", alpha) for *_, d, a, alpha in rows]
         return cls(frames.T_base_first, np.array(before), np.array(after), types, parents)
 
+    def part(self, start: int, stop: int) -> Kinematics:
+        """Return a part of a serial arm: the joints from ``start`` to before ``stop``, in the frame
+        of the link that carries the first of them.
+        """
+        joints = slice(start, stop)
+        first = self.first if start == 0 else np.eye(4)
+        parents = tuple(range(-1, stop - start - 1))
+        return Kinematics(
+            first, self.before[joints], self.after[joints], self.types[joints], parents
+        )
+
     def frames(self, q: np.ndarray) -> np.ndarray:
         """Return the base frame and all link frames S_i, in the base frame, at joint positions of
         shape (N, n) [rad or m].

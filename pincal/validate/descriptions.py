@@ -2,10 +2,8 @@
 of joints, their zeros, reports of coupled drives, and lengths.
 
 How joints count is a matter of a few bits and right angles. All combinations of these are looked at
-by one linear fit each: a target that is fixed on the last link is at :math:`m = R p + R R_n t + b`
-for the last link's position p and orientation R_n, which is linear in 13 unknowns of each component
-if R, t and b are free of each other. What the best ones leave is then fitted with base, tool and
-zeros free, and with lengths if that is not enough.
+by one linear fit each (:mod:`pincal.validate.linear_scan`). What the best ones leave is then fitted
+with base, tool and zeros free, and with lengths if that is not enough.
 """
 
 from __future__ import annotations
@@ -21,22 +19,20 @@ import numpy as np
 
 from pincal.identify.criteria import AGREEMENT
 from pincal.identify.options import Options
-from pincal.measure.extrinsics import sample_rows
 from pincal.model.effects import JointOffset, LinkGeometry
 from pincal.robot.mastering import free_joints
+from pincal.sensors.extrinsics import sample_rows
 from pincal.thresholds import Count, Scale
 from pincal.validate.cures import Case, Correction, couplings_of
+from pincal.validate.linear_scan import UNKNOWNS, LinearScan
 from pincal.validate.rough_fit import UNFIT, revolute_joints, roughly_placed, typical_residuals
 
-# Rows by which combinations are looked at, and the unknowns of each component of a position.
+# Rows by which combinations are looked at.
 _ROWS: Count = 60
-_UNKNOWNS: Count = 13
 # Combinations at most: with more joints fewer of them differ by a right angle at once.
 _MOST: Count = 20_000
 # Combinations of signs at most: all of them with up to eight joints.
 _SIGNS: Count = 256
-# Combinations that are looked at together, so that their poses fit into the cache.
-_AT_ONCE: Count = 256
 # The best of them that are fitted with the zeros of joints, and those that are fitted with lengths.
 _FITTED: Count = 24
 _RESIZED: Count = 3
@@ -90,7 +86,7 @@ class DescriptionSearch:
         if not table.is_of_positions or not is_plain or table.is_of_motion:
             return None
         found = cls(case, options, enough, resizes)
-        return found if len(found.rows) > _UNKNOWNS + case.robot.n_joints else None
+        return found if len(found.rows) > UNKNOWNS + case.robot.n_joints else None
 
     @cached_property
     def rows(self) -> np.ndarray:
@@ -147,25 +143,9 @@ class DescriptionSearch:
 
     def _left_of_linear(self, tried: Sequence[Correction]) -> np.ndarray:
         """Return the sum of squares that the linear fit leaves of each correction."""
-        m = self.case.table.readings["position"][self.rows]
-        m = m - m.mean(axis=0)
-        reported = self.case.table.q[self.rows]
-        left = np.empty(len(tried))
-        for first in range(0, len(tried), _AT_ONCE):
-            part = tried[first : first + _AT_ONCE]
-            q = np.array([one.of_urdf(self.case.robot, reported) for one in part])
-            frames = self.case.robot.kinematics.frames(q.reshape(-1, q.shape[-1]))[:, -1]
-            frames = frames.reshape(*q.shape[:2], 4, 4)
-            columns = [
-                frames[..., :3, 3],
-                frames[..., :3, :3].reshape(*q.shape[:2], 9),
-                np.ones((*q.shape[:2], 1)),
-            ]
-            Q = np.linalg.qr(np.concatenate(columns, axis=-1))[0]
-            left[first : first + len(part)] = np.sum(m**2) - np.sum(
-                (np.swapaxes(Q, 1, 2) @ m) ** 2, axis=(1, 2)
-            )
-        return left
+        table = self.case.table
+        position = table.readings["position"][self.rows]
+        return LinearScan(self.case.robot, table.q[self.rows], position).left(tried)
 
     def _fitted(self, correction: Correction, lengths: tuple[str, ...] = ()) -> Described | None:
         """Return a correction with its zeros, and lengths by their parameters, fitted."""

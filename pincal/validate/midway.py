@@ -31,7 +31,7 @@ from pincal.hypotheses.hypothesis import Explanation, likeliest
 from pincal.identify.criteria import MIDWAY
 from pincal.identify.motion_fields import MotionField
 from pincal.identify.station import Station
-from pincal.measure.extrinsics import sample_rows
+from pincal.sensors.extrinsics import sample_rows
 from pincal.thresholds import Count, Scale
 from pincal.validate.causes import (
     BETWEEN_ROWS,

@@ -20,9 +20,9 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.initial import starts_of
 from pincal.identify.options import Options
 from pincal.identify.station import Station
-from pincal.measure.extrinsics import sample_rows
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
+from pincal.sensors.extrinsics import sample_rows
 from pincal.thresholds import Count, Scale
 from pincal.validate.cures import TOPICS, Case, Correction, Mistake, lengths_of, mistakes, scaled
 from pincal.validate.descriptions import DescriptionSearch

@@ -19,11 +19,11 @@ from pincal.identify.problem import Problem
 from pincal.identify.solve import Course, likeliest_values
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
-from pincal.measure.registry import simulatable
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Family
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
+from pincal.sensors.registry import simulatable
 from pincal.thresholds import Count
 
 # Number of poses over which nominal base and tool are fitted to the calibrated robot if there are

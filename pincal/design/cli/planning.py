@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from pincal.design.motion_design import MotionDesign
     from pincal.design.pose_design import Design
     from pincal.design.reach import Limits, SensorSetup
+    from pincal.design.request import DesignRequest
     from pincal.identify.options import Options
     from pincal.robot.robot import Robot
 
@@ -55,7 +56,17 @@ An effect is NAME[:JOINT][:KEY=VALUE,...], as in discover. Neither the paths fro
 around the robot are considered: check them before the robot moves.
 """
 _COUNT = click.IntRange(min=1)
-# Options of an instrument, on which a motion with an IMU does not depend.
+# Options of poses and of an instrument, on which a motion with an IMU does not depend.
+_OF_POSES = (
+    "poses",
+    "accuracy",
+    "task",
+    "measured",
+    "type",
+    "tell_apart",
+    "candidates",
+    "start",
+)
 _OF_RIG = ("sensor", "sockets", "tool", "payload")
 
 
@@ -232,20 +243,34 @@ def design(arguments: DesignArguments) -> Exit:
         return _check(arguments)
     if arguments.driven.motion is not None:
         return _motion(arguments, arguments.driven.motion)
-    from pincal.cli.inputs import load_table
     from pincal.design.pose_design import design_poses
-    from pincal.design.request import DesignRequest
 
     if arguments.poses is None and arguments.accuracy is None:
         raise click.UsageError(
             "give --poses N, --accuracy for as many as are needed, or --motion DURATION for an IMU"
         )
     robot = _robot(arguments)
+    found = design_poses(
+        robot,
+        _request(arguments, robot),
+        _options(arguments, robot),
+        rig=_rig(arguments),
+        limits=_limits(robot, arguments),
+    )
+    _write(arguments, robot, found, sensor=found.rig.sensor)
+    return Exit.DONE
+
+
+def _request(arguments: DesignArguments, robot: Robot) -> DesignRequest:
+    """Return what poses are wanted; joint positions of files are read for the robot."""
+    from pincal.cli.inputs import load_table
+    from pincal.design.request import DesignRequest
+
     task, measured = (
         None if path is None else load_table(robot, path, joints_only=True)
         for path in (arguments.task, arguments.measured)
     )
-    request = DesignRequest(
+    return DesignRequest(
         poses=arguments.poses,
         accuracy=arguments.accuracy,
         criterion=arguments.criterion,
@@ -256,15 +281,6 @@ def design(arguments: DesignArguments) -> Exit:
         candidates=arguments.candidates,
         seed=arguments.seed,
     )
-    found = design_poses(
-        robot,
-        request,
-        _options(arguments, robot),
-        rig=_rig(arguments),
-        limits=_limits(robot, arguments),
-    )
-    _write(arguments, robot, found, sensor=found.rig.sensor)
-    return Exit.DONE
 
 
 def _check(arguments: DesignArguments) -> Exit:
@@ -291,25 +307,7 @@ def _check(arguments: DesignArguments) -> Exit:
 def _motion(arguments: DesignArguments, duration: float) -> Exit:
     from pincal.design.motion_design import design_motion
 
-    rig = arguments.instrument
-    constraints = arguments.constraints
-    of_poses = (
-        "poses",
-        "accuracy",
-        "task",
-        "measured",
-        "type",
-        "tell_apart",
-        "candidates",
-        "start",
-    )
-    wanted = {name: getattr(arguments, name) for name in of_poses} | {
-        name: getattr(rig, name) for name in _OF_RIG
-    }
-    wanted |= {"instrument": constraints.instrument, "normal": constraints.normal}
-    if other := next((name for name, value in wanted.items() if value not in (None, ())), None):
-        flag = {"start": "from", "sockets": "socket"}.get(other, other.replace("_", "-"))
-        raise click.UsageError(f"--{flag} is for poses at rest; leave out --{flag} or --motion")
+    _refuse_of_poses(arguments)
     robot = _robot(arguments)
     driven = arguments.driven
     found = design_motion(
@@ -325,6 +323,17 @@ def _motion(arguments: DesignArguments, duration: float) -> Exit:
     return Exit.DONE
 
 
+def _refuse_of_poses(arguments: DesignArguments) -> None:
+    """Refuse options on which a motion does not depend."""
+    constraints = arguments.constraints
+    given = {name: getattr(arguments, name) for name in _OF_POSES}
+    given |= {name: getattr(arguments.instrument, name) for name in _OF_RIG}
+    given |= {"instrument": constraints.instrument, "normal": constraints.normal}
+    if other := next((name for name, value in given.items() if value not in (None, ())), None):
+        flag = {"start": "from", "sockets": "socket"}.get(other, other.replace("_", "-"))
+        raise click.UsageError(f"--{flag} is for poses at rest; leave out --{flag} or --motion")
+
+
 def _write(
     arguments: DesignArguments,
     robot: Robot,
@@ -333,8 +342,8 @@ def _write(
     sensor: str | None,
 ) -> None:
     """Write the poses with empty columns for the readings; print the predicted accuracy."""
-    from pincal.measure.registry import columns_of
     from pincal.measure.table import write_table
+    from pincal.sensors.registry import columns_of
 
     turns = {
         name

@@ -20,6 +20,7 @@ from pincal.io.result_folder import output_folder
 
 if TYPE_CHECKING:
     from pincal.calibration.fitted_robot import FittedRobot
+    from pincal.diagnosis.diagnosis_file import DiagnosisFile
     from pincal.diagnosis.robot_diagnosis import Diagnosis
     from pincal.measure.measurements import Measurements
     from pincal.robot.robot import Robot
@@ -105,9 +106,6 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
 
     Ten to sixty poses are enough: the calibration, with its uncertainty, serves as prior knowledge.
     """
-    from pincal.cli.progress import console
-    from pincal.cli.screen import print_doubts
-    from pincal.diagnosis.diagnosis_page import curve_table, lines
     from pincal.diagnosis.robot_diagnosis import diagnose
     from pincal.notes import doubts_of
 
@@ -125,11 +123,7 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
     if arguments.general.as_json:
         print_json(found.report)
     else:
-        print_doubts(found.found.warnings, console())
-        for line in lines(found.found):
-            click.echo(line)
-        if found.found.curves is not None:
-            console().print(curve_table(found.found.curves))
+        _print_found(found.found)
         click.echo(f"written to {arguments.out}: diagnosis.json model.json report.html")
     echo_notes([*found.found.warnings, *unchecked], quiet=arguments.general.quiet)
     if not found.found.is_judged:
@@ -137,6 +131,19 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
             f"not judged: {'; '.join(map(str, doubts_of(found.found.warnings)))}"
         )
     return Exit.CHANGED if found.changed else Exit.DONE
+
+
+def _print_found(found: DiagnosisFile) -> None:
+    """Print the doubts about a diagnosis, what changed, and the curves of the drives that did."""
+    from pincal.cli.progress import console
+    from pincal.cli.screen import print_doubts
+    from pincal.diagnosis.diagnosis_page import curve_table, lines
+
+    print_doubts(found.warnings, console())
+    for line in lines(found):
+        click.echo(line)
+    if found.curves is not None:
+        console().print(curve_table(found.curves))
 
 
 def write_diagnosis(folder: Path, diagnosis: Diagnosis, origin: dict[str, Any]) -> None:

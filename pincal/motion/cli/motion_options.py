@@ -13,8 +13,8 @@ from pincal.cli.arguments import option
 from pincal.cli.streams import Streams
 
 if TYPE_CHECKING:
-    from pincal.measure.fields import TableOptions
     from pincal.measure.measurements import Measurements
+    from pincal.measure.table_schema import TableOptions
     from pincal.robot.robot import Robot
 
 

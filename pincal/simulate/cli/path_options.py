@@ -10,7 +10,7 @@ import click
 
 from pincal.cli.arguments import NumberType, option
 from pincal.cli.quantities import ANGLES, DURATION, QuantityType
-from pincal.measure.fields import TABLE_ENDINGS
+from pincal.measure.table_schema import TABLE_ENDINGS
 from pincal.thresholds import Scale
 from pincal.units import UNITS, plain_numbers, size_of
 

@@ -7,7 +7,7 @@ found in the robot's base frame (paper, section IV.A).
 
 Starts: P - R_i (W c_i + t) = p_i, with a point c_i in the camera's frame and P in the base frame,
 is linear in P and in the camera's pose t, W on the tool. P is eliminated by subtracting the mean
-over each point's rows. An image lacks the depth of c_i: :mod:`pincal.measure.lens` finds the pose
+over each point's rows. An image lacks the depth of c_i: :mod:`pincal.sensors.lens` finds the pose
 at which lines of sight intersect in the points.
 """
 
@@ -19,11 +19,14 @@ from typing import ClassVar, Self, final
 
 import numpy as np
 
-from pincal.measure.extrinsics import Extrinsics, by_target, sample_rows
-from pincal.measure.fields import CONDITIONS, POINT, Field, TableRows
-from pincal.measure.lens import NEAREST, Lens, camera_starts, slopes
-from pincal.measure.point_sensor import PointSensor, centred, solved
-from pincal.measure.sensor import (
+from pincal.parameters import FRAME_SYMBOLS, Parameter
+from pincal.robot.se3 import nearest_rotation, transform
+from pincal.sensors.extrinsics import Extrinsics, by_target, sample_rows
+from pincal.sensors.fields import CONDITIONS, POINT, Field, TableRows
+from pincal.sensors.lens import NEAREST, Lens, camera_starts, slopes
+from pincal.sensors.point_sensor import PointSensor, centred, solved
+from pincal.sensors.pose import check_spread
+from pincal.sensors.sensor import (
     Additive,
     Block,
     Excluded,
@@ -31,10 +34,7 @@ from pincal.measure.sensor import (
     OwnParameters,
     Plausible,
 )
-from pincal.measure.sensors.pose import check_spread
-from pincal.measure.setup import Setup
-from pincal.parameters import FRAME_SYMBOLS, Parameter
-from pincal.robot.se3 import nearest_rotation, transform
+from pincal.sensors.setup import Setup
 from pincal.thresholds import Count
 
 PIXEL = Field("pixel", ("u", "v"), "pixel")

@@ -30,12 +30,12 @@ from typing import ClassVar, Self
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.measure.extrinsics import Extrinsics
-from pincal.measure.fields import Field, TableRows
-from pincal.measure.sensor import Block, OwnParameters, Sensor
-from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import nearest_rotation, shortest_turn, transform
+from pincal.sensors.extrinsics import Extrinsics
+from pincal.sensors.fields import Field, TableRows
+from pincal.sensors.sensor import Block, OwnParameters, Sensor
+from pincal.sensors.setup import Setup
 from pincal.thresholds import Count, Scale
 from pincal.units import STANDARD_GRAVITY
 

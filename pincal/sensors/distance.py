@@ -16,15 +16,15 @@ from typing import ClassVar, Self, final
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.measure.extrinsics import Extrinsics, by_target, least_squares
-from pincal.measure.fields import POSITIVE, Field, TableRows
-from pincal.measure.point_sensor import PointSensor
-from pincal.measure.reading_numbers import PLAUSIBLE
-from pincal.measure.sensor import Additive, Block, Plausible, Simulatable
-from pincal.measure.sensors.pose import check_spread
-from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import transform
+from pincal.sensors.extrinsics import Extrinsics, by_target, least_squares
+from pincal.sensors.fields import POSITIVE, Field, TableRows
+from pincal.sensors.point_sensor import PointSensor
+from pincal.sensors.pose import check_spread
+from pincal.sensors.sensor import Additive, Block, Plausible, Simulatable
+from pincal.sensors.sensor_numbers import PLAUSIBLE
+from pincal.sensors.setup import Setup
 
 DISTANCE = Field("distance", ("distance",), "length", POSITIVE)
 _NO_BASE = "distances do not determine the pose of the base, only the arm relative to its anchors"

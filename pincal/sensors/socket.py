@@ -20,14 +20,14 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.measure.extrinsics import Extrinsics, by_target
-from pincal.measure.fields import FIRST, NOT_NEGATIVE, SECOND, Field, link_of
-from pincal.measure.point_sensor import PointSensor, centred, solved
-from pincal.measure.sensor import Block, Divided, Simulatable
-from pincal.measure.sensors.distance import PointDistances
-from pincal.measure.setup import NamedPoints
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import transform
+from pincal.sensors.distance import PointDistances
+from pincal.sensors.extrinsics import Extrinsics, by_target
+from pincal.sensors.fields import FIRST, NOT_NEGATIVE, SECOND, Field, link_of
+from pincal.sensors.point_sensor import PointSensor, centred, solved
+from pincal.sensors.sensor import Block, Divided, Simulatable
+from pincal.sensors.setup import NamedPoints
 
 _SCALE = (
     "contacts without a known length do not determine the scale of the robot, which relies on "

@@ -18,8 +18,10 @@ from pincal.errors import MeasurementError, needed, warn
 from pincal.measure.hand_eye import grouped, is_of_hand, tracked_poses
 from pincal.measure.nameless import with_poses_in_rows
 from pincal.measure.nested_labels import IS_OF_CONTROLLER, TURNED, vector_labels
-from pincal.measure.nested_values import MOST_VALUES, by_path, flat
-from pincal.measure.opencv_storage import (
+from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
+from pincal.measure.sheet_reader import SheetOptions, SheetReader
+from pincal.readers.nested_values import MOST_VALUES, by_path, flat
+from pincal.readers.opencv_storage import (
     TAG,
     is_storage,
     matrix,
@@ -27,7 +29,6 @@ from pincal.measure.opencv_storage import (
     with_arrays,
     without_directive,
 )
-from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
 
 # Keys that state whether the camera is on the hand.
 _ON_HAND = ("eye_on_hand", "eye_in_hand")
@@ -300,3 +301,18 @@ def _scalar_label(path: str) -> str:
         return path
     turned = above and TURNED.fullmatch(above[-1]) and leaf in ("x", "y", "z", "w")
     return f"q{leaf}" if turned else leaf
+
+
+class _Nested:
+    """Reads nested values of all these formats."""
+
+    def reads(self, path: Path) -> bool:
+        return bool(nested_kind(path))
+
+    def open(self, path: Path, options: SheetOptions) -> Sheet:
+        return open_nested(
+            path, nested_kind(path), ignore=options.ignore, joints=len(options.joints)
+        )
+
+
+NESTED: SheetReader = _Nested()

@@ -19,14 +19,14 @@ from typing import ClassVar, Self, final
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.measure.extrinsics import Extrinsics, by_target
-from pincal.measure.fields import Field, TableRows
-from pincal.measure.point_sensor import index_of, poor_groups, rows_of_new
-from pincal.measure.reading_numbers import PLAUSIBLE
-from pincal.measure.sensor import Block, Constraints, Excluded, Grouped, OwnParameters, Sensor
-from pincal.measure.setup import Setup
 from pincal.parameters import ANYWHERE, FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import transform
+from pincal.sensors.extrinsics import Extrinsics, by_target
+from pincal.sensors.fields import Field, TableRows
+from pincal.sensors.point_sensor import index_of, poor_groups, rows_of_new
+from pincal.sensors.sensor import Block, Constraints, Excluded, Grouped, OwnParameters, Sensor
+from pincal.sensors.sensor_numbers import PLAUSIBLE
+from pincal.sensors.setup import Setup
 from pincal.thresholds import Count, Scale
 
 PLANE = Field("plane", ("plane",), "name")

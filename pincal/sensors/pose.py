@@ -15,13 +15,13 @@ import numpy as np
 
 from pincal.compiled import compiled
 from pincal.errors import MeasurementError, warn
-from pincal.measure.extrinsics import RANK, Extrinsics, by_target, least_squares
-from pincal.measure.fields import Field, Rule, TableRows
-from pincal.measure.reading_numbers import PLAUSIBLE
-from pincal.measure.sensor import Additive, Block, Plausible, Sensor, Simulatable
-from pincal.measure.setup import Setup
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.se3 import align, exponentials, nearest_rotation, rotation_matrices, transform
+from pincal.sensors.extrinsics import RANK, Extrinsics, by_target, least_squares
+from pincal.sensors.fields import Field, Rule, TableRows
+from pincal.sensors.sensor import Additive, Block, Plausible, Sensor, Simulatable
+from pincal.sensors.sensor_numbers import PLAUSIBLE
+from pincal.sensors.setup import Setup
 from pincal.thresholds import Count, Scale
 
 

@@ -1,9 +1,6 @@
-"""Parquet files, data sets of LeRobot and recordings of ROS as sheets.
+"""Recordings of ROS as sheets.
 
-In Parquet each number of a list is a column. A data set is a folder with ``data/*/*.parquet`` and
-``meta/info.json``, which names the numbers of each feature.
-
-A recording of ROS (rosbag2 folders, .mcap, .db3, and .bag of ROS 1) gives one row per pose that was
+A recording (rosbag2 folders, .mcap, .db3, and .bag of ROS 1) gives one row per pose that was
 held still. Joints are from a topic of JointState, readings from one of PoseStamped, PointStamped or
 TransformStamped, or else from the one transform of /tf that moves freely, as no joint of a robot
 does. Times are the recorder's, so that clocks of several computers don't matter. Joints and
@@ -12,7 +9,7 @@ readings are means over the pose.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,147 +19,10 @@ from scipy.spatial.transform import Rotation
 
 from pincal.errors import MeasurementError, needed, warn
 from pincal.measure.joined import HeldPoses, held_poses, mean_turn
-from pincal.measure.nested_labels import vector_labels
 from pincal.measure.reading_numbers import LAYOUT
-from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
+from pincal.measure.sheet import FrameSheet, Sheet
+from pincal.measure.sheet_reader import SheetOptions, SheetReader
 from pincal.thresholds import Count
-
-# Size of a number in memory [bytes].
-_BYTES: Count = 8
-
-
-def open_parquet(path: Path) -> FrameSheet:
-    """Read the header of a Parquet file.
-
-    Raises:
-        MeasurementError: if it holds far more than fits into its size.
-    """
-    return _with_vectors(_scanned(path))
-
-
-def _scanned(path: Path) -> FrameSheet:
-    import polars as pl
-
-    lazy = pl.scan_parquet(path, glob=False)
-    labels = lazy.collect_schema().names()
-    check_unpacked(path, _BYTES * len(labels) * int(lazy.select(pl.len()).collect().item()))
-    return FrameSheet(path, tuple(labels), decimal_comma=True, frame=lazy)
-
-
-def is_dataset(path: Path) -> bool:
-    """Return whether a path is the folder of a data set."""
-    return (path / "meta" / "info.json").is_file()
-
-
-def open_dataset(path: Path) -> FrameSheet:
-    """Read the headers of all episodes of a data set.
-
-    Raises:
-        MeasurementError: for a folder without data, or files that differ in their columns.
-    """
-    import polars as pl
-
-    files = sorted((path / "data").rglob("*.parquet"))
-    if not files:
-        raise MeasurementError(
-            f"{path.name}: no Parquet file in data/; expected a data set of LeRobot"
-        )
-    sheets = [_scanned(file) for file in files]
-    if len({sheet.labels for sheet in sheets}) > 1:
-        raise MeasurementError(
-            f"{path.name}: files in data/ differ in their columns; expected one data set"
-        )
-    whole = replace(sheets[0], path=path, frame=pl.concat([sheet.frame for sheet in sheets]))
-    return _with_vectors(whole)
-
-
-def _with_vectors(sheet: FrameSheet) -> FrameSheet:
-    """Return a sheet with a column for each number of short lists of one length; other lists are
-    unchanged.
-    """
-    import polars as pl
-
-    kinds = sheet.frame.collect_schema()
-    lists = [
-        name
-        for name, kind in kinds.items()
-        if isinstance(kind, pl.List | pl.Array) and kind.inner.is_numeric()
-    ]
-    if not lists:
-        return sheet
-    names = _names_above(sheet.path.resolve())
-    sizes = _sizes(sheet, lists)
-    asked = list[Any]()
-    labels = list[str]()
-    for name in kinds.names():
-        found, _, note = vector_labels(name, np.zeros((1, sizes.get(name, 1))))
-        given = names.get(name, [])
-        is_named = len(given) == sizes.get(name) and name != "action"
-        if name not in sizes or (found[0].startswith(name) and not is_named):
-            asked = [*asked, pl.col(name)]
-            labels = [*labels, name]
-            continue
-        if is_named:
-            found = _with_degrees(name, given, source=sheet.path.name)
-        if note:
-            warn(f"{sheet.path.name}: {note}")
-        values = pl.col(name).cast(pl.List(pl.Float64))
-        asked += [values.list.get(i).alias(f"{name} {i}") for i in range(sizes[name])]
-        labels += found
-    return replace(sheet, labels=tuple(labels), frame=sheet.frame.select(asked))
-
-
-def _names_above(place: Path) -> Mapping[str, Sequence[str]]:
-    """Return the names of the numbers in lists, by column, of the data set that a file is in."""
-    return next((_names(folder) for folder in (place, *place.parents) if is_dataset(folder)), {})
-
-
-def _sizes(sheet: FrameSheet, lists: Sequence[str]) -> dict[str, int]:
-    """Return the lengths of the short lists that are equally long in all rows, by column."""
-    import polars as pl
-
-    count = [pl.col(name).cast(pl.List(pl.Float64)).list.len() for name in lists]
-    low, high = (
-        sheet.frame.select(ends).collect().row(0)
-        for ends in ([n.min() for n in count], [n.max() for n in count])
-    )
-    return {
-        name: b
-        for name, a, b in zip(lists, low, high, strict=True)
-        if a == b and 0 < (b or 0) <= LAYOUT.longest_list
-    }
-
-
-def _with_degrees(name: str, given: Sequence[str], *, source: str) -> tuple[str, ...]:
-    """Return the names of a list's numbers, those of positions with their unit; warn of it."""
-    if any(n.endswith(".pos") for n in given):
-        warn(
-            f"{source}: positions in {name} are interpreted as degrees, "
-            "not as fractions of the range"
-        )
-    return tuple(n.removesuffix(".pos") + " [deg]" * n.endswith(".pos") for n in given)
-
-
-def _names(folder: Path) -> dict[str, list[str]]:
-    """Return the names of the numbers of each feature of a data set."""
-    import msgspec
-
-    try:
-        found = msgspec.json.decode((folder / "meta" / "info.json").read_bytes())["features"]
-        listed = {name: feature.get("names") for name, feature in found.items()}
-    except (OSError, msgspec.DecodeError, KeyError, TypeError, AttributeError) as error:
-        raise MeasurementError(
-            f"{folder.name}: meta/info.json can't be read; expected one as LeRobot writes it"
-        ) from error
-    flat = {
-        n: next(iter(v.values()), None) if isinstance(v, Mapping) else v for n, v in listed.items()
-    }
-    return {
-        name: [str(each) for each in value]
-        for name, value in flat.items()
-        if isinstance(value, list)
-    }
-
 
 _ENDINGS = (".mcap", ".db3", ".bag")
 # Topics that a message lists.
@@ -471,3 +331,21 @@ def _topic(
     own, values = (np.array([sample[k] for sample in samples], float)[first] for k in (1, 2))
     name += " " * bool(frames) + " > ".join(frames)
     return _Topic(name, labels, time, values, own, frames)
+
+
+class _Recordings:
+    """Reads recordings of ROS."""
+
+    def reads(self, path: Path) -> bool:
+        return is_bag(path)
+
+    def open(self, path: Path, options: SheetOptions) -> Sheet:
+        return open_bag(
+            path,
+            ignore=options.ignore,
+            only_joints=options.only_joints,
+            joints=options.joints,
+        )
+
+
+RECORDINGS: SheetReader = _Recordings()

@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.measure.extrinsics import RANK
 from pincal.robot.se3 import transform
+from pincal.sensors.extrinsics import RANK
 from pincal.thresholds import Count, Scale
 
 PINHOLE = ("fx", "fy", "u0", "v0")

@@ -1,7 +1,7 @@
 """Base class of sensors each of whose readings involves one named, fixed point.
 
 A point is known in the instrument's frame, or its coordinates are parameters of the sensor; see
-:class:`pincal.measure.setup.NamedPoints`.
+:class:`pincal.sensors.setup.NamedPoints`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import ClassVar, Self, final
 import numpy as np
 
 from pincal.errors import MeasurementError, few
-from pincal.measure.extrinsics import RANK, Extrinsics
-from pincal.measure.fields import TableRows
-from pincal.measure.sensor import Constraints, Excluded, Grouped, OwnParameters, Sensor
-from pincal.measure.setup import NamedPoints, Setup
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import align, transform
+from pincal.sensors.extrinsics import RANK, Extrinsics
+from pincal.sensors.fields import TableRows
+from pincal.sensors.sensor import Constraints, Excluded, Grouped, OwnParameters, Sensor
+from pincal.sensors.setup import NamedPoints, Setup
 from pincal.thresholds import Count
 
 # Names that a message lists.
