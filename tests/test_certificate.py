@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import datetime
 import json
 import re
@@ -399,3 +400,23 @@ def test_a_folder_without_results_is_refused(tmp_path: Path, capsys: pytest.Capt
     """The error says what is expected."""
     assert run("certificate", tmp_path, "--out", tmp_path / "out") == 3
     assert "expected a model.json, or the folder that pincal measure wrote" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_the_sheet_of_a_robot_prints_on_one_page(of_model: Certificate, tmp_path: Path, browser: Any) -> None:
+    """With all entries stated and four doubts of three lines; on a phone nothing is cut off."""
+    doubts = tuple(f"{DOUBT}: {'the model is incomplete, or what was declared is too small; ' * 3}" for _ in range(4))
+    path = tmp_path / "certificate.html"
+    path.write_text(certificate_page(replace(of_model, doubts=doubts)))
+    browser.get(path.as_uri())
+
+    printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
+
+    pdf = base64.b64decode(printed["data"])
+    assert len(re.findall(rb"/Type\s*/Page[^s]", pdf)) == 1
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+    )
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
+    browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    assert not browser.get_log("browser")

@@ -58,8 +58,10 @@ def _identity(certificate: Certificate) -> list[tuple[str, str]]:
     stated = {key: value for key, _, value in certificate.identity.entries()}
     if "temperature" in stated:
         stated["temperature"] += " deg C"
-    known = [(_LABELS[key], stated.get(key, NOT_STATED)) for key in KEYS]
-    return known + [(name, value) for name, value in certificate.identity.note.items()]
+    known = [(_LABELS[key], stated[key]) for key in KEYS if key in stated]
+    known += certificate.identity.note.items()
+    lacking = [_LABELS[key] for key in KEYS if key not in stated]
+    return [*known, (NOT_STATED, ", ".join(lacking))] if lacking else known
 
 
 def _range(of: Range) -> tuple[str, str]:
