@@ -40,6 +40,7 @@ from pincal.identify.fit import ModelFit, Solution
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station, conditions_of, station_of, together
+from pincal.identity import Identity
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.measure.admit import check_joints_of
 from pincal.measure.measurements import Measurements
@@ -78,6 +79,7 @@ class FittedRobot:
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
         evidence: what the rows show besides.
         discrepancy: what the model lacks; None where its residuals are noise, or it is not known.
+        identity: of robot, instrument and circumstances, as far as stated.
 
     Example:
         >>> from pincal import Chain, Robot
@@ -97,6 +99,7 @@ class FittedRobot:
     provenance: dict[str, Any] = field(default_factory=dict)
     evidence: Evidence = field(default_factory=KeptEvidence)
     discrepancy: Discrepancy | None = None
+    identity: Identity = field(default_factory=Identity)
 
     @classmethod
     def of(cls, fit: ModelFit, provenance: dict[str, Any] | None = None) -> FittedRobot:
@@ -212,6 +215,7 @@ class FittedRobot:
             # The information of all stations counts once.
             self.evidence if k == 0 else KeptEvidence(),
             self.discrepancy,
+            self.identity,
         )
 
     @cached_property
@@ -810,6 +814,7 @@ class FittedRobot:
                 self.evidence,
                 self.provenance if provenance is None else provenance,
                 self.discrepancy,
+                self.identity,
             )
 
         write_model_file(path, made)
@@ -823,7 +828,7 @@ class FittedRobot:
             OutputError: if the file can't be written.
         """
         found = self.robot_model()
-        export = calibrated_urdf(found.model, found.values)
+        export = calibrated_urdf(found.model, found.values, comment=self.identity.machine)
         if path is not None:
             write_atomic(path, export.text)
         return export
@@ -895,4 +900,5 @@ def load_model(path: str | os.PathLike[str]) -> FittedRobot:
         file.provenance,
         KeptEvidence(file.unmodelled, file.information),
         file.discrepancy,
+        file.id or Identity(),
     )

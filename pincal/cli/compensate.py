@@ -14,6 +14,7 @@ import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import TABLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
 from pincal.cli.quantities import ANGLE
 from pincal.cli.target_files import PROGRAMS, FileCorrection, TargetFiles
@@ -87,7 +88,20 @@ class _AtPlace:
     model: Path = model_argument()
     place: PlaceOptions = group("Placement of instrument and target")
     table: TableArguments = group("Tables")
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
+
+    def find_place(self) -> PlacedModel:
+        """Return the model at the place chosen, with a note if it does not state its robot.
+
+        Raises:
+            BadInputError: if it is of another robot than stated; further as for
+                :func:`pincal.cli.inputs.find_place`.
+        """
+        from pincal.cli.inputs import find_place
+
+        place = find_place(self.model, self.place, self.table.options)
+        return place.stated(self.identity.of_model(place.model.identity, self.model))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,11 +125,11 @@ def predict(arguments: PredictArguments) -> Exit:
 
     They are given in the instrument's frame, with their uncertainty.
     """
-    from pincal.cli.inputs import find_place, load_table
+    from pincal.cli.inputs import load_table
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
 
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    place = arguments.find_place()
     chain = place.model.model.chain
     table = load_table(
         chain.robot, arguments.poses, options=arguments.table.options, joints_only=True
@@ -136,6 +150,7 @@ def predict(arguments: PredictArguments) -> Exit:
     if arguments.general.as_json:
         print_json({"rows": len(table), "out": str(arguments.out)} | place.contents | beyond)
     else:
+        _echo_machine(calibrated)
         click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
     echo_notes([*place.notes, *notes], quiet=arguments.general.quiet)
     return Exit.DONE
@@ -210,10 +225,10 @@ def compensate(arguments: CompensateArguments) -> Exit:
 
     Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
-    from pincal.cli.inputs import find_place
-
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    place = arguments.find_place()
     if arguments.program.reads(arguments.targets):
+        if not arguments.general.as_json:
+            _echo_machine(place.model)
         robot = place.model.model.chain.robot
         return arguments.program.correct(place.model, _correction(robot, arguments))
     return _compensate_table(place, arguments)
@@ -249,10 +264,17 @@ def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exi
     if arguments.general.as_json:
         print_json(result)
     else:
+        _echo_machine(calibrated)
         click.echo("\n".join(_summary(result)))
     echo_notes([*_failures(result), *place.notes, *notes], quiet=arguments.general.quiet)
     tolerated = 0 if arguments.strict else result["rows"] - 1
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
+
+
+def _echo_machine(model: FittedRobot) -> None:
+    """Print of which robot a model is, if it states that."""
+    if model.identity.machine:
+        click.echo(f"for {model.identity.machine}")
 
 
 def _correction(robot: Robot, arguments: CompensateArguments) -> FileCorrection:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import click
 import numpy as np
+from msgspec import to_builtins
 
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.located import located
@@ -527,6 +528,12 @@ class PlacedModel:
     model: FittedRobot
     notes: tuple[str, ...] = ()
     contents: dict[str, Any] = field(default_factory=dict)
+
+    def stated(self, notes: Iterable[str]) -> PlacedModel:
+        """Return it with what it states of its robot, for ``--json``, and notes on that."""
+        identity = self.model.identity
+        contents = {"id": to_builtins(identity)} if identity else {}
+        return PlacedModel(self.model, (*self.notes, *notes), self.contents | contents)
 
     def over(self, rows: Measurements) -> PlacedModel:
         """Return the model for some rows, without effects of the calibrated station for which they

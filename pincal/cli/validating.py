@@ -16,6 +16,7 @@ from pincal.cli.common import (
     noise_angle_option,
     station_option,
 )
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, require_accuracy
 from pincal.cli.streams import MOTION, Streams
 from pincal.errors import Exit
@@ -58,6 +59,7 @@ class ValidateArguments:
     noise_angle: float | None = noise_angle_option()
     table: TableArguments = group("Tables")
     motion: Streams = group(MOTION, is_handed_in=True)
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
 
 
@@ -73,6 +75,7 @@ def validate(arguments: ValidateArguments) -> Exit:
     from pincal.measure.admit import check_table
 
     calibrated = load_model(arguments.model)
+    unchecked = tuple(arguments.identity.of_model(calibrated.identity, arguments.model))
     chosen = arguments.station
     models = calibrated.each if chosen is None else (calibrated.at(chosen),)
     robot = models[0].model.chain.robot
@@ -92,7 +95,7 @@ def validate(arguments: ValidateArguments) -> Exit:
         print_json(result)
     else:
         _print(found, result, notes)
-    echo_notes(notes, quiet=arguments.general.quiet)
+    echo_notes([*notes, *unchecked], quiet=arguments.general.quiet)
     if doubts := [each.doubt for each in found if each.doubt]:
         raise other_robot("; ".join(doubts), arguments.model)
     require_accuracy(result.get("mean_mm"), arguments.max_error, rows="new")

@@ -254,9 +254,12 @@ def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
         _unchanged(found, robot.joint_names),
         _station(found),
     )
+    lead = f"{found.rows} new poses compared with the calibrated robot"
+    machine = "" if found.id is None else found.id.machine
+    lead += f"; {machine}" if machine else ""
     return render(
         f"Diagnosis of {robot.name}",
-        f"{found.rows} new poses compared with the calibrated robot",
+        lead,
         [section for section in made if section is not None],
         version=version,
     )

@@ -9,6 +9,7 @@ from msgspec import UNSET, UnsetType
 
 from pincal.identify.fit import FitStage
 from pincal.identify.visit_weights import ScatterByLevel
+from pincal.identity import Identity
 from pincal.notes import Note
 from pincal.validate.lack_of_fit import LackOfFit
 
@@ -261,6 +262,7 @@ class Outcome:
         clocks: of the instruments that read an arm in motion.
         elsewhere: position error to expect away from the measured poses; not where no instrument
             observed positions.
+        id: identity of robot, instrument and circumstances; not where nothing was stated.
     """
 
     noise: NoiseRecord
@@ -286,3 +288,4 @@ class Outcome:
     improvement: tuple[Improvement, ...] | UnsetType = UNSET
     clocks: tuple[ClockRecord, ...] | UnsetType = UNSET
     elsewhere: Elsewhere | UnsetType = UNSET
+    id: Identity | UnsetType = UNSET

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pincal.fleet.jobs import Done, Job
     from pincal.fleet.store import Key, Store
     from pincal.identify.options import Options
+    from pincal.identity import Identity
     from pincal.robot.robot import Robot
 
 # Number of failures that are listed.
@@ -88,7 +89,10 @@ class AddArguments:
         "FILE...", "Calibrated models, diagnoses (.json), or tables of measurements."
     )
     machine: str | None = option(
-        "Name of the machine.", metavar="NAME", words="of the file, or its folder"
+        "Name of the machine.",
+        metavar="NAME",
+        words="the serial number that a model or diagnosis states, or the name of the file, or "
+        "its folder",
     )
     day: str | None = option("Day of the measurement.", metavar="YYYY-MM-DD", words="today")
     check: bool = option("Add tables as checks of machines that are calibrated already.", False)
@@ -152,13 +156,23 @@ class _Reader:
         from pincal.io.strict_json import MODEL_FILE, read_bounded
 
         if b'"excluded"' in read_bounded(path, MODEL_FILE):
-            load_diagnosis(path)
+            machine = self._stated(load_diagnosis(path).id) or machine
             return _Entry(
                 "diagnosis", partial(add_diagnosis, machine=machine, day=self.day, path=path)
             )
-        load_model(path)
+        machine = self._stated(load_model(path).identity) or machine
         add = partial(add_model, machine=machine, day=self.day, path=path, labels=self.labels)
         return _Entry("model", add)
+
+    def _stated(self, identity: Identity | None) -> str:
+        """Return the serial number that a file states, as the name of its machine; empty if there
+        is none, or another name was given.
+        """
+        from pincal.fleet.store import named_machine
+
+        if self.arguments.machine is not None or identity is None or not identity.robot:
+            return ""
+        return named_machine(identity.robot)
 
     def _table(self, path: Path, machine: str) -> _Entry:
         """Return what a table of measurements adds."""
