@@ -1,4 +1,4 @@
-"""The certificate of a calibrated robot: of its ``model.json`` and the ``result.json`` beside it."""
+"""The certificate of a calibrated robot, of its ``model.json`` and the ``result.json`` by it."""
 
 from __future__ import annotations
 
