@@ -59,6 +59,7 @@ SATELLITES = (
     "viewer",
     "simulate",
     "certificate",
+    "acceptance",
     "demo",
 )
 # Two layers that know nothing of each other.

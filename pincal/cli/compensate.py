@@ -24,11 +24,12 @@ from pincal.thresholds import Count
 from pincal.units import plain_number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from pincal.calibration.fitted_robot import FittedRobot
     from pincal.cli.inputs import PlacedModel
     from pincal.compensate.targets import CompensatedTable, Targets
+    from pincal.model.conditions import Conditions
     from pincal.robot.robot import Robot
 
 # Number of rows that are listed individually.
@@ -44,20 +45,24 @@ _EXAMPLES = """
 Examples:
   pincal compensate results/model.json program.csv --out corrected.csv
   pincal compensate results/model.json program.csv --out corrected.csv --false-targets tip
-  pincal compensate results/model.json program.csv --out corrected.csv --placement ten_rows_of_today.csv
-  pincal compensate results/model.json poses.csv --out joints.csv --seed-joints "0 -90 90 0 90 0 deg"
-  pincal compensate results/model.json weld.src --out corrected/weld.src --tool 'TOOL_DATA[1]=0,0,250,0,0,0'
+  pincal compensate results/model.json program.csv --out corrected.csv \
+--placement ten_rows_of_today.csv
+  pincal compensate results/model.json poses.csv --out joints.csv \
+--seed-joints "0 -90 90 0 90 0 deg"
+  pincal compensate results/model.json weld.src --out corrected/weld.src \
+--tool 'TOOL_DATA[1]=0,0,250,0,0,0'
 
-TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls, Universal
-Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted are listed and left
-unchanged. The rest applies to tables.
+TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls,
+Universal Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted
+are listed and left unchanged. The rest applies to tables.
 
 TARGETS.csv has the desired target position x y z (and orientation qx qy qz qw) in the instrument's
 frame, joint positions to start from, and, where they matter, payload, target, temperature, time and
-approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint positions
-is kept. Without x y z, the joint positions are a nominal program: the desired pose is the one that the
-nominal robot would reach, in its base frame. Without joint positions, the search starts from
---seed-joints (default: the middle of the joint ranges, and any orientation if there is no quaternion).
+approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint
+positions is kept. Without x y z, the joint positions are a nominal program: the desired pose is the
+one that the nominal robot would reach, in its base frame. Without joint positions, the search
+starts from --seed-joints (default: the middle of the joint ranges, and any orientation if there is
+no quaternion).
 
 FILE.csv has the joint positions to command, the desired pose, the remaining error predicted by the
 model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm), the largest
@@ -107,6 +112,11 @@ class PredictArguments(_AtPlace):
         "POSES.csv", "Joint positions and conditions; other columns are ignored."
     )
     out: Path = option("Table to write.", MISSING, type=TABLE)
+    components: bool = option(
+        "Also write the uncertainty of the position by each source, u_SOURCE_x u_SOURCE_y "
+        "u_SOURCE_z [m]: of the parameters, the model, the arrival, the conditions.",
+        False,
+    )
 
 
 @verb(PredictArguments, examples=_PREDICT_EXAMPLES, exits=(Exit.CHANGED,))
@@ -133,9 +143,7 @@ def predict(arguments: PredictArguments) -> Exit:
     if len(chain.targets) > 1:
         columns["target"] = table.target
     columns |= columns_of_poses(found, with_orientation=calibrated.model.has_tool_orientation)
-    columns |= zip(
-        ("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True
-    )
+    columns |= _uncertainties(calibrated, conditions, by_source=arguments.components)
     write_table(arguments.out, columns)
     beyond, notes = extrapolation(calibrated, conditions, table.rows)
     end_progress()
@@ -146,6 +154,26 @@ def predict(arguments: PredictArguments) -> Exit:
         click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
     echo_notes([*place.notes, *notes], quiet=arguments.general.quiet)
     return Exit.DONE
+
+
+def _uncertainties(
+    calibrated: FittedRobot, conditions: Conditions, *, by_source: bool
+) -> dict[str, np.ndarray]:
+    """Return the columns of standard uncertainties of predicted poses [m, rad]."""
+    variances = calibrated.position_variances(conditions)
+    columns = _of_axes("sigma", "xyz", np.sqrt(sum(variances.values())))
+    if calibrated.model.has_tool_orientation:
+        axes = ("rx", "ry", "rz")
+        columns |= _of_axes("sigma", axes, calibrated.turn_sigma(conditions))
+    if by_source:
+        for source, variance in variances.items():
+            columns |= _of_axes(f"u_{source}", "xyz", np.sqrt(variance))
+    return columns
+
+
+def _of_axes(name: str, axes: Sequence[str], values: np.ndarray) -> dict[str, np.ndarray]:
+    """Return values along axes, shape (N, 3), as columns."""
+    return {f"{name}_{axis}": column for axis, column in zip(axes, values.T, strict=True)}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -266,8 +266,9 @@ def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
 
 
 def _answer(found: DiagnosisFile) -> Section:
-    tone, tag = ("bad", "changed") if found.changed else ("good", "not changed")
-    tone, tag = (tone, tag) if found.is_judged else ("bad", "not judged")
+    judged = "changed" if found.changed else "not changed"
+    tag = judged if found.is_judged else "not judged"
+    tone = "good" if tag == "not changed" else "bad"
     answer = rich('<span class="tag {}">{}</span> {}', tone, tag, headline(found))
     left = arranged(
         "plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings)

@@ -347,9 +347,9 @@ def _rounded(placed: Placed) -> Iterator[Note]:
         step = max(steps.values())
         yield Note(
             Severity.DOUBT,
-            f"the positions of {len(steps)} joints are all multiples of {np.rad2deg(step):.3g} deg, "
-            f"as a pendant shows them: this alone moves targets by {expected * 1e3:.2g} mm, and "
-            f"the rows are off by {found * 1e3:.2g} mm; record the joints with all digits",
+            f"the positions of {len(steps)} joints are all multiples of {np.rad2deg(step):.3g} "
+            f"deg, as a pendant shows them: this alone moves targets by {expected * 1e3:.2g} mm, "
+            f"and the rows are off by {found * 1e3:.2g} mm; record the joints with all digits",
         )
 
 

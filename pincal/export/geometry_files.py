@@ -149,8 +149,9 @@ def _tips(
     for at in q:
         T = frames.T_base_first
         for (theta, d, a, alpha, beta), position, is_sliding in zip(rows, at, slides, strict=True):
-            turned, moved = (theta, d + position) if is_sliding else (theta + position, d)
-            joint = rotation("z", turned) @ translation(0.0, 0.0, moved)
+            turn = theta if is_sliding else theta + position
+            shift = d + position if is_sliding else d
+            joint = rotation("z", turn) @ translation(0.0, 0.0, shift)
             link = translation(a, 0.0, 0.0) @ rotation("x", alpha) @ rotation("y", beta)
             T = T @ (joint @ link if name == "standard" else link @ joint)
         out.append((T @ frames.T_last_tip)[:3, 3])

@@ -23,8 +23,9 @@ class NoiseRecord(TypedDict):
         sigma_m, sigma_rad, sigma_px: noise that the fit used, of lengths [m], angles [rad] and
             image coordinates [px].
         sigma_m_s2, sigma_rad_s: of an IMU's specific forces [m/s^2] and angular rates [rad/s].
-        residual_sigma_m, residual_sigma_rad, residual_sigma_px, residual_sigma_m_s2, residual_sigma_rad_s:
-            estimate from the residuals of the fitted rows, corrected for degrees of freedom.
+        residual_sigma_m, residual_sigma_rad, residual_sigma_px: estimates from the residuals of the
+            fitted rows, corrected for degrees of freedom.
+        residual_sigma_m_s2, residual_sigma_rad_s: the same, of specific forces and angular rates.
     """
 
     source: Literal["declared", "estimated"]

@@ -29,8 +29,8 @@ _DIAGNOSE_EXAMPLES = """
 Example:
   pincal diagnose results/model.json new.csv --out diagnosis
 
-DIR then holds diagnosis.json, report.html and model.json: the model in which only what has changed was
-re-identified, or the unchanged model; it predicts at the new station.
+DIR then holds diagnosis.json, report.html and model.json: the model in which only what has changed
+was re-identified, or the unchanged model; it predicts at the new station.
 """
 _UPDATE_EXAMPLES = """
 Examples:
@@ -57,9 +57,9 @@ class _NewRows:
     def read(self, robot: Robot) -> Measurements:
         """Return the new measurements; of a session, the readings of positions if there are any."""
         from pincal.cli.inputs import load_table, load_tables
-        from pincal.cli.streams import no_streams
+        from pincal.measure.log_reader import reader_of
 
-        if no_streams().joints_of(self.data) is None:
+        if reader_of(self.data) is None:
             return load_table(robot, self.data, options=self.table.options)
         tables = load_tables(robot, [self.data], options=self.table.options)
         return next(

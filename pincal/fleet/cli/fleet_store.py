@@ -49,16 +49,17 @@ Examples:
   pincal fleet add fleet-store check.csv --check --machine R17
   pincal fleet add fleet-store diagnosis/diagnosis.json --machine R17
 
-A store is a folder, or a URL that fsspec can open, such as s3://bucket/fleet; it is created with the first file.
-Several processes may add files at the same time; a file that is added twice is stored once.
+A store is a folder, or a URL that fsspec can open, such as s3://bucket/fleet; it is created with
+the first file. Several processes may add files at the same time; a file that is added twice is
+stored once.
 """
 _JOB_EXAMPLES = """
 Examples:
   pincal fleet {0} fleet-store --noise 0.05mm
   pincal fleet {0} fleet-store --dask tcp://10.0.0.5:8786
 
-Completed work is not repeated: a run that was stopped continues with the rest. To repeat all of it, delete the folder
-{1} of the store.
+Completed work is not repeated: a run that was stopped continues with the rest. To repeat all of it,
+delete the folder {1} of the store.
 """
 _dask = "Work on this Dask cluster, which needs access to the store."
 store_argument = partial(argument, "STORE", "Folder or URL of the store.")
@@ -384,7 +385,7 @@ def _run(
 
 
 def _failures(found: Done, kind: str) -> Iterator[str]:
-    """Yield lines on the tables that failed, now and before; ``kind`` is where the store has why."""
+    """Yield lines on the tables that failed, now and before; ``kind`` is where the reasons are."""
     for path, reason in list(found.failed.items())[:_FAILURES]:
         yield f"failed: {path}: {reason}"
     if len(found.failed) > _FAILURES:
