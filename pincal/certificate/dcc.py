@@ -1,8 +1,9 @@
-r"""The certificate as a digital calibration certificate (DCC) of PTB, in version 3.3.0 of its schema.
+r"""The certificate as a digital calibration certificate (DCC) of PTB, by version 3.3.0 of its
+schema.
 
-Elements and their order are those of the schema ``https://ptb.de/dcc/v3.3.0/dcc.xsd``; quantities are
-written in the digital system of units (D-SI), with units such as ``\milli\metre``. Numbers are those
-of the files that the certificate is made of, digit by digit.
+Elements and their order are those of the schema ``https://ptb.de/dcc/v3.3.0/dcc.xsd``; quantities
+are written in the digital system of units (D-SI), with units such as ``\milli\metre``. Numbers are
+those of the files that the certificate is made of, digit by digit.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The certificate of a calibrated robot: of its ``model.json`` and the ``result.json`` beside it."""
+"""The certificate of a calibrated robot: its ``model.json`` and the ``result.json`` beside it."""
 
 from __future__ import annotations
 
@@ -92,7 +92,8 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
     notes += () if found is None else found.warnings
     verdicts = [result.verdict] if found is None else [result.verdict, found.verdict]
     inputs = fitted.provenance.get("inputs")
-    files = {path.name: file_hash(path), _RESULT: file_hash(result_path)}
+    beside = [result_path, *([] if found is None else [path.with_name(_DISCOVERY)])]
+    files = {file.name: file_hash(file) for file in (path, *beside)}
     return Certificate(
         title="Calibration certificate of a robot",
         issue=issue,
