@@ -113,7 +113,7 @@ def _contacts(found: Sequence[Validation]) -> Contacts:
     return Contacts(
         seat=np.asarray(names),
         position=poses[:, :, 3],
-        covariance=covariance.matrix().reshape(len(poses), 3, len(poses), 3),
+        covariance=covariance.matrix.reshape(len(poses), 3, len(poses), 3),
         source=first.table.source,
     )
 
