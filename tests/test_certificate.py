@@ -131,8 +131,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory, known: FittedRobot) -> Path
     """Return a folder as calibrate writes it."""
     made = tmp_path_factory.mktemp("calibrated")
     known.save(made / "model.json")
-    (made / "result.json").write_text(json.dumps(RESULT))
+    (made / "result.json").write_text(json.dumps(RESULT | {"parameters": parameters_of(known)}))
     return made
+
+
+def parameters_of(known: FittedRobot) -> list[dict[str, Any]]:
+    """Return the parameters of a model as a result lists them."""
+    rest = {"nominal": 0.0, "value": 1e-4, "sigma": 1e-4, "status": "identified", "reason": ""}
+    return [{"name": p.name, "unit": p.unit} | rest for p in known.estimate.parameters]
 
 
 @pytest.fixture(scope="module")
@@ -364,6 +370,47 @@ def test_a_model_without_its_result_is_refused(tmp_path: Path, known: FittedRobo
 
     with pytest.raises(BadInputError, match=r"result\.json: not there.*folder that calibrate or discover wrote"):
         certificate_of_model(tmp_path / "model.json", Identity(), ISSUE)
+
+
+def test_the_result_of_another_model_is_refused(tmp_path: Path, known: FittedRobot) -> None:
+    """A model that was saved beside the result of another has no figures of its own."""
+    known.save(tmp_path / "model.json")
+    others = parameters_of(known)[:-1]
+    (tmp_path / "result.json").write_text(json.dumps(RESULT | {"parameters": others}))
+
+    with pytest.raises(BadInputError, match="not those of the model beside it"):
+        certificate_of_model(tmp_path / "model.json", Identity(), ISSUE)
+
+
+def test_the_verdict_of_a_search_counts(tmp_path: Path, known: FittedRobot) -> None:
+    """What a search says the model lacks stands on the sheet, though the residuals of the fit are noise."""
+    known.save(tmp_path / "model.json")
+    result = RESULT | {"parameters": parameters_of(known), "verdict": "adequate", "warnings": []}
+    (tmp_path / "result.json").write_text(json.dumps(result))
+    gap = {"mean_mm": 0.1, "rms_mm": 0.1, "max_mm": 0.2}
+    found = {"noise_floor_mm": 0.05, "gap": {"before": gap, "after": gap}, "where": [], "scatter": []}
+    found |= {"not_testable": [], "unexplained_mm": 0.0312, "verdict": "not adequate"}
+    effect = {"effect": "backlash", "joint": "joint_2", "parameters": {}, "p_value": 0.0, "equivalent": []}
+    effect |= {"gap_before_mm": 0.2, "gap_after_mm": 0.1, "tell_apart": ""}
+    doubt = [{"severity": "doubt", "text": "joint 3 scatters"}]
+    (tmp_path / "discovery.json").write_text(json.dumps(found | {"effects": [effect], "warnings": doubt}))
+
+    certificate = certificate_of_model(tmp_path / "model.json", Identity(), ISSUE)
+
+    assert (certificate.verdict, certificate.doubts) == ("not adequate", ("joint 3 scatters",))
+    assert certificate.facts["search"] == "backlash of joint_2 found; 0.0312 mm unexplained"
+
+
+def test_text_from_files_is_safe(of_model: Certificate) -> None:
+    """Marks of XML and HTML, and characters that XML has not, stay text."""
+    hostile = "<b>&\x01]]>"
+    certificate = replace(of_model, item=hostile, doubts=(hostile,), facts={hostile: hostile})
+
+    root = etree.fromstring(digital_certificate(certificate))
+
+    assert list(faults(root)) == []
+    assert root.findtext(f".//{{{DCC}}}item/{{{DCC}}}name/{{{DCC}}}content") == r"<b>&\x01]]>"
+    assert "<b>&" not in certificate_page(certificate)
 
 
 def test_the_model_of_another_robot_is_refused(folder: Path) -> None:

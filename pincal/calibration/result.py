@@ -26,6 +26,7 @@ from pincal.calibration.caveats import (
     findings_on_fit,
     findings_on_moves,
     findings_on_plausibility,
+    findings_on_rounding,
     findings_on_scatter,
 )
 from pincal.calibration.elsewhere import elsewhere_of
@@ -228,6 +229,7 @@ class _Assessed:
             *findings_on_benefit(fit),
             *findings_on_fit(fit, self.p_value, arrivals),
             *findings_on_scatter(fit),
+            *findings_on_rounding(fit),
             *findings_on_data(fit, self.read),
             *findings_without_instrument(fit, self.improved),
             *_on_rows(stations, is_left_out=self.is_left_out),

@@ -1,4 +1,4 @@
-r"""The certificate as a digital calibration certificate (DCC) of PTB, in version 3.3.0 of its
+r"""The certificate as a digital calibration certificate (DCC) of PTB, by version 3.3.0 of its
 schema.
 
 Elements and their order are those of the schema ``https://ptb.de/dcc/v3.3.0/dcc.xsd``; quantities
@@ -25,6 +25,7 @@ from pincal.certificate.statement import (
     FigureGroup,
     Range,
 )
+from pincal.errors import printable
 
 DCC_VERSION = "3.3.0"
 DCC = "https://ptb.de/dcc"
@@ -80,8 +81,10 @@ class _Writer:
         return _Writer(made)
 
     def line(self, name: str, text: str) -> None:
-        """Add an element that holds a text."""
-        etree.SubElement(self.element, f"{{{DCC}}}{name}").text = text
+        """Add an element that holds a text, which may be from a file: XML has no characters of
+        control, and the schema no blanks at the ends.
+        """
+        etree.SubElement(self.element, f"{{{DCC}}}{name}").text = printable(text).strip()
 
     def words(self, name: str, text: str) -> None:
         """Add an element that holds a text in the language of the certificate."""

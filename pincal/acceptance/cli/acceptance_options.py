@@ -109,10 +109,11 @@ def _contacts(found: Sequence[Validation]) -> Contacts:
         )
     conditions = first.station.conditions
     poses = first.model.model.predict(first.model.model_values, conditions)
+    covariance = first.model.covariance_of(conditions)
     return Contacts(
         seat=np.asarray(names),
         position=poses[:, :, 3],
-        covariance=first.model.position_covariance(conditions),
+        covariance=covariance.matrix.reshape(len(poses), 3, len(poses), 3),
         source=first.table.source,
     )
 

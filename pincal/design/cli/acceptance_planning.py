@@ -64,7 +64,7 @@ class OutputWanted:
 def write_acceptance_plan(
     reach: Reach, options: AcceptancePlanOptions, wanted: OutputWanted, *, seed: int
 ) -> Exit:
-    """Write the poses of the contacts, and a table of lengths to complete from the certificate."""
+    """Write the poses of the contacts, and the table of lengths, to complete by the certificate."""
     from pincal.design.acceptance_plan import plan_acceptance
     from pincal.measure.table import write_table
 
