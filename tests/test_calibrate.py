@@ -265,6 +265,7 @@ def test_known_base_and_tool_stay_fixed(kuka):
     assert fit.values[fit.model.index("tool.x")] == TOOL[0]
 
 
+@pytest.mark.long
 def test_length_bound_holds(kuka):
     """A length that would have to deviate more stays at its bound and says so."""
     rng = np.random.default_rng(0)
