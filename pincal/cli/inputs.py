@@ -22,6 +22,7 @@ from pincal.cli.common import (
     LinkOptions,
     PlaceOptions,
     SetupOptions,
+    tip_or_to,
 )
 from pincal.cli.progress import log_step
 from pincal.cli.robot_priors import load_prior
@@ -159,7 +160,7 @@ def _described(source: InputOptions) -> Robot:
     """Return the robot of the URDF: the joints between the links of the tables."""
     tree = read_cell(source.robot, source.beside, xacro_args=dict(source.xacro_args))
     known = {joint.name for joint in tree.joints}
-    tip = source.tip or source.links.to
+    tip = tip_or_to(source.tip, source.links.to)
     start = source.links.start
     paths = list[tuple[str | None, str | None]]()
     recorded = dict[str, None]()

@@ -269,8 +269,8 @@ def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Se
     end = model.frames[_frame_id(model, tip)].parentJoint
     if not end:
         raise RobotFileError(
-            f"no joint moves {tip!r}, which is to be measured; expected a link of the arm: simulate "
-            f"it as seen from {tip!r} (--from), and invert the poses for what is seen from the arm"
+            f"no joint moves {tip!r}, which is to be measured; expected a link of the arm, or "
+            f"with it the hand that sees it (--from HAND --to {tip})"
         )
     placements = [np.linalg.solve(working[model.parents[i]], working[i]) for i in joints]
     placements.append(np.linalg.solve(working[end], data.oMf[_frame_id(model, tip)].homogeneous))
