@@ -325,7 +325,8 @@ def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys, monkeypa
     assert len(result["iso9283"]["per_pose"]) == 30 and result["lack_of_fit"]["p_value"] > 1e-3
     model = tmp_path / "out" / "model.json"
     assert run("validate", model, tmp_path / "new.csv", "--quiet") == 0
-    assert "pose repeatability RP" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "pose repeatability RP" in text and "distance accuracy" in text and "95 % intervals: mean" in text
     assert run("validate", model, tmp_path / "new.csv", "--quiet", "--json") == 0
     printed = json.loads(capsys.readouterr().out)
     assert printed["iso9283"]["poses"] == {"test": 12} and printed["lack_of_fit"]["p_value"] > 1e-3

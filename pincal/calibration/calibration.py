@@ -226,12 +226,11 @@ def fit_admitted(
     setup_of = _setups(options)
     admitted = admit(robot, tables, setup_of, holdout=held)
     with noted() as split_notes:
-        if holdout is None:
-            parts = split_rows(
-                admitted.tables, setup_of, fraction=test_fraction, split=split, seed=seed
-            )
-        else:
-            parts = with_holdout(robot, admitted.tables, holdout, setup_of)
+        parts = (
+            split_rows(admitted.tables, setup_of, fraction=test_fraction, split=split, seed=seed)
+            if holdout is None
+            else with_holdout(robot, admitted.tables, holdout, setup_of)
+        )
     trained = {part.name: part.measured[0] for part in parts}
     agreed = fit_agreed(robot, admitted.tables, options, trained=trained)
     fit = agreed.fit
@@ -239,19 +238,13 @@ def fit_admitted(
         warn(text)
     pairs = zip(screened(fit, parts), fit.problem.stations, strict=True)
     rows = tuple(replace(part, name=at.name) for part, at in pairs)
-    notes = [
-        *agreed.notes,
-        *agreed.robot.notes,
-        *dict.fromkeys((*admitted.notes, *split_notes)),
-        *admitted.idle,
-        *unobservable(trained, options),
-        *_on_moment_frame(fit, options.first_frame),
-    ]
+    notes = [*agreed.notes, *agreed.robot.notes]
+    notes += [*dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
+    notes += [*unobservable(trained, options), *_on_moment_frame(fit, options.first_frame)]
     divides = holdout is None and not test_fraction
     folds = Folds.of(fit.problem, WAYS[split], seed=seed) if divides else None
-    return FittedTables(
-        agreed.robot, rows, fit, doubts_first(notes), folds, admitted.tables, options
-    )
+    found = doubts_first(notes)
+    return FittedTables(agreed.robot, rows, fit, found, folds, admitted.tables, options)
 
 
 def _setups(options: Options) -> Callable[[str], Setup]:

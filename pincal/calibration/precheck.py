@@ -131,8 +131,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
         fit = expected_fit(robot, tables, options)
     notes: list[Note | str] = [*(() if corrected is None else corrected.notes)]
     notes += [*admitted.notes, *admitted.idle]
-    notes += unobservable(tables, options)
-    notes += notes_on_masses(robot, options.effects)
+    notes += [*unobservable(tables, options), *notes_on_masses(robot, options.effects)]
     further = {name: _FURTHER[name](robot, fit) for name in _FURTHER.names()}
     notes += [note for found in further.values() for note in found.notes]
     posterior = fit.solution.posterior

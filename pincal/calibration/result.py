@@ -44,7 +44,7 @@ from pincal.calibration.result_tables import ParameterRecord, ParameterRow, para
 from pincal.calibration.unmodelled import instruments_error
 from pincal.calibration.visit_findings import joined_with_means
 from pincal.identify.explain import Cause
-from pincal.identify.fit import ModelFit
+from pincal.identify.fit import ModelFit, Solution
 from pincal.identify.prior_scale import has_instrument
 from pincal.notes import Note, doubts_first, doubts_of
 from pincal.thresholds import Count
@@ -154,6 +154,7 @@ class Result(Outcome):
             "validation",
             "repeatability",
             "elsewhere",
+            "id",
         )
         absent = {name for name in perhaps if getattr(self, name) in (None, UNSET)}
         contents = {
@@ -165,6 +166,8 @@ class Result(Outcome):
             "parameters": [row.to_dict() for row in self.parameters],
             "warnings": to_builtins(self.warnings),
         }
+        if self.id is not UNSET:
+            contents["id"] = to_builtins(self.id)
         return contents | {"verdict": self.verdict_of().value}
 
 
@@ -239,6 +242,28 @@ class _Assessed:
         return _without_explained(found, len(stations))
 
 
+def _to_assess(
+    fit: ModelFit,
+    rows: Sequence[StationRows],
+    left_out: Sequence[LeftOut],
+    validated: Validated | None,
+) -> list[AssessedStation]:
+    """Return the stations; ``left_out`` are their errors by models of the others, if there are."""
+    apart = left_out or [LeftOut(part.name) for part in rows]
+    parts = enumerate(zip(rows, apart, strict=True))
+    return [AssessedStation(fit, k, part, validated, away) for k, (part, away) in parts]
+
+
+def _solved(solution: Solution) -> dict[str, Any]:
+    """Return what the solution says of the equations."""
+    return {
+        "rank": solution.posterior.identifiable_rank,
+        "condition": solution.posterior.condition,
+        "chi2_reduced": solution.cost,
+        "converged": solution.converged,
+    }
+
+
 def result_of(
     fit: ModelFit,
     rows: Sequence[StationRows],
@@ -256,24 +281,19 @@ def result_of(
     the held-out errors. ``arrivals`` is to what all drives stop, if a search has shown that this
     explains what exceeds the declared noise [rad].
     """
-    parts = enumerate(zip(rows, left_out or [LeftOut(part.name) for part in rows], strict=True))
-    stations = [AssessedStation(fit, k, part, validated, apart) for k, (part, apart) in parts]
+    stations = _to_assess(fit, rows, left_out, validated)
     assessed = _Assessed(fit, stations, is_left_out=bool(left_out))
     found = assessed.findings(arrivals)
     error = _errors(stations)
     parameters = parameter_rows(fit)
-    solution = fit.solution
     return Result(
         noise=noise_of(fit),
         rows=_counts(stations),
         parameters=parameters,
-        rank=solution.posterior.identifiable_rank,
-        condition=solution.posterior.condition,
-        chi2_reduced=solution.cost,
         chi2_p_value=assessed.p_value,
         iterations=fit.iterations,
         seconds=seconds,
-        converged=solution.converged,
+        **_solved(fit.solution),
         outliers=tuple(line for station in stations for line in station.outliers),
         correlations=_correlations(fit, parameters),
         stages=fit.stages,

@@ -489,6 +489,47 @@ def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
     return Table("Strong correlations", columns, rows)
 
 
+_CHARACTERISTICS = {
+    "AP": "pose accuracy",
+    "RP": "pose repeatability",
+    "AD": "distance accuracy",
+    "RD": "distance repeatability",
+    "vAP": "variation with direction",
+    "dAP": "drift of accuracy",
+    "dRP": "drift of repeatability",
+}
+
+
+def characteristics_table(found: Mapping[str, Any]) -> Table:
+    """Return the table of the characteristics of ISO 9283, as from
+    :func:`pincal.validate.pose_characteristics.characteristics`, with their 95 % intervals.
+    """
+    columns = (
+        *(Column(name, kind=Kind.LABEL) for name in ("", "characteristic")),
+        Column("mean mm", kind=Kind.NUMBER, show=fixed(4)),
+        Column("95 % interval", kind=Kind.LABEL),
+        Column("max mm", kind=Kind.NUMBER, show=fixed(4)),
+        *(Column(name, kind=Kind.NUMBER, show=str) for name in ("of", "cycles")),
+    )
+    rows = []
+    for name, entry in found.items():
+        symbol = name.removesuffix("_mm")
+        ends = entry["interval"]
+        interval = "" if ends is None else "{:.4f} to {:.4f}".format(*ends)
+        rows.append(
+            (
+                symbol,
+                _CHARACTERISTICS[symbol],
+                entry["mean"],
+                interval,
+                entry["max"],
+                entry["of"],
+                entry["cycles"],
+            )
+        )
+    return Table("Characteristics of repeated poses (ISO 9283)", columns, tuple(rows))
+
+
 def iso9283_table(iso: Mapping[str, Any]) -> Table:
     """Return the table of mean and largest pose accuracy AP and repeatability RP, with a row per
     unit.

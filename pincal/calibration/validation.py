@@ -38,6 +38,7 @@ from pincal.validate.misfit import (
     misfit_at,
 )
 from pincal.validate.path_accuracy import path_accuracy
+from pincal.validate.pose_characteristics import PoseVisits, characteristics, error_intervals
 
 Placement = Literal["as calibrated", "refitted"]
 
@@ -157,6 +158,34 @@ class Validation:
         held poses.
         """
         return path_accuracy(self.station, self.values, self.table)
+
+    @cached_property
+    def characteristics(self) -> dict[str, Any]:
+        """Characteristics of ISO 9283 that visits of poses tell, each with its interval; empty
+        where no pose was visited again, or no position was read.
+        """
+        stops = self.stops
+        if not self.station.sensor.reads_pose or not stops.plan.is_revisited:
+            return {}
+        over = self.model.readings(stops.table)
+        residuals = over.residuals(self.values)[:3].T
+        return characteristics(
+            PoseVisits(
+                residuals=residuals,
+                commanded=stops.table.array("position") - residuals,
+                pose=stops.plan.thing,
+                session=stops.plan.session,
+                side=stops.table.approach,
+            )
+        )
+
+    @cached_property
+    def intervals(self) -> dict[str, tuple[float | None, float | None]]:
+        """The 95 % intervals of the mean and the 95th percentile of the errors, by name and unit;
+        readings of a stop count as one.
+        """
+        stops = len(np.unique(self.stops.plan.stop))
+        return error_intervals(pose_error_sizes(self.station, self.values), independent=stops)
 
     def replicate_statistics(self) -> tuple[dict[str, Any] | None, LackOfFit | None]:
         """Return accuracy and repeatability, and lack of fit; None where no pose was visited again.

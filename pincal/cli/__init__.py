@@ -225,27 +225,7 @@ def main(arguments: list[str] | None = None) -> None:
     gc.set_threshold(_GARBAGE)
     warnings.showwarning = _show_warning
     try:
-        try:
-            code = pincal.main(
-                args=_spread(sys.argv[1:] if arguments is None else arguments),
-                prog_name="pincal",
-                standalone_mode=False,
-            )
-        except SystemExit as error:
-            # Nothing of pincal ends a command this way; 0 would mean that it was done.
-            raise BadInputError(
-                f"a plug-in, or another module that pincal calls, ended the program (SystemExit: "
-                f"{error}); correct it"
-            ) from error
-        except Exception:
-            # An interrupted import may fail as if the library were missing.
-            if _INTERRUPTS:
-                raise click.exceptions.Abort from None
-            raise
-        finally:
-            # The line of progress, if a command has shown one.
-            if progress := sys.modules.get("pincal.cli.progress"):
-                progress.end_progress()
+        code = _run_verb(arguments)
     except click.exceptions.Abort:
         click.echo("pincal: interrupted; nothing was written", err=True)
         sys.exit(Exit.INTERRUPTED)
@@ -258,27 +238,54 @@ def main(arguments: list[str] | None = None) -> None:
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("pincal") or os.environ.get("PINCAL_TRACEBACK"):
             raise
-        click.echo(
-            f"pincal: {error.name} is not installed; README.md lists what each part of "
-            "pincal needs, and what to do where "
-            "it can't be installed",
-            err=True,
-        )
+        click.echo(_missing_words(error), err=True)
         sys.exit(Exit.BAD_INPUT)
     except Exception as error:
         if os.environ.get("PINCAL_TRACEBACK"):
             raise
-        click.echo(
-            f"pincal: internal error: {printable(f'{type(error).__name__}: {error}', LONGEST)}",
-            err=True,
-        )
-        click.echo(
-            "pincal: this is a bug in pincal; please report the output of a run with "
-            "PINCAL_TRACEBACK=1",
-            err=True,
-        )
+        click.echo(_bug_words(error), err=True)
         sys.exit(Exit.INTERNAL_ERROR)
     sys.exit(code if isinstance(code, int) else Exit.DONE)
+
+
+def _run_verb(arguments: list[str] | None) -> object:
+    """Return what the verb of a command line returns, by default of this process's."""
+    try:
+        return pincal.main(
+            args=_spread(sys.argv[1:] if arguments is None else arguments),
+            prog_name="pincal",
+            standalone_mode=False,
+        )
+    except SystemExit as error:
+        # Nothing of pincal ends a command this way; 0 would mean that it was done.
+        raise BadInputError(
+            f"a plug-in, or another module that pincal calls, ended the program (SystemExit: "
+            f"{error}); correct it"
+        ) from error
+    except Exception:
+        # An interrupted import may fail as if the library were missing.
+        if _INTERRUPTS:
+            raise click.exceptions.Abort from None
+        raise
+    finally:
+        # The line of progress, if a command has shown one.
+        if progress := sys.modules.get("pincal.cli.progress"):
+            progress.end_progress()
+
+
+def _missing_words(error: ModuleNotFoundError) -> str:
+    return (
+        f"pincal: {error.name} is not installed; README.md lists what each part of "
+        "pincal needs, and what to do where it can't be installed"
+    )
+
+
+def _bug_words(error: Exception) -> str:
+    return (
+        f"pincal: internal error: {printable(f'{type(error).__name__}: {error}', LONGEST)}\n"
+        "pincal: this is a bug in pincal; please report the output of a run with "
+        "PINCAL_TRACEBACK=1"
+    )
 
 
 def _spread(arguments: list[str]) -> list[str]:

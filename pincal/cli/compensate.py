@@ -14,6 +14,7 @@ import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import TABLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
 from pincal.cli.quantities import ANGLE
 from pincal.cli.target_files import PROGRAMS, FileCorrection, TargetFiles
@@ -23,10 +24,12 @@ from pincal.thresholds import Count
 from pincal.units import plain_number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from pincal.calibration.fitted_robot import FittedRobot
+    from pincal.cli.inputs import PlacedModel
     from pincal.compensate.targets import CompensatedTable, Targets
+    from pincal.model.conditions import Conditions
     from pincal.robot.robot import Robot
 
 # Number of rows that are listed individually.
@@ -42,20 +45,24 @@ _EXAMPLES = """
 Examples:
   pincal compensate results/model.json program.csv --out corrected.csv
   pincal compensate results/model.json program.csv --out corrected.csv --false-targets tip
-  pincal compensate results/model.json program.csv --out corrected.csv --placement ten_rows_of_today.csv
-  pincal compensate results/model.json poses.csv --out joints.csv --seed-joints "0 -90 90 0 90 0 deg"
-  pincal compensate results/model.json weld.src --out corrected/weld.src --tool 'TOOL_DATA[1]=0,0,250,0,0,0'
+  pincal compensate results/model.json program.csv --out corrected.csv \
+--placement ten_rows_of_today.csv
+  pincal compensate results/model.json poses.csv --out joints.csv \
+--seed-joints "0 -90 90 0 90 0 deg"
+  pincal compensate results/model.json weld.src --out corrected/weld.src \
+--tool 'TOOL_DATA[1]=0,0,250,0,0,0'
 
-TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls, Universal
-Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted are listed and left
-unchanged. The rest applies to tables.
+TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls,
+Universal Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted
+are listed and left unchanged. The rest applies to tables.
 
 TARGETS.csv has the desired target position x y z (and orientation qx qy qz qw) in the instrument's
 frame, joint positions to start from, and, where they matter, payload, target, temperature, time and
-approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint positions
-is kept. Without x y z, the joint positions are a nominal program: the desired pose is the one that the
-nominal robot would reach, in its base frame. Without joint positions, the search starts from
---seed-joints (default: the middle of the joint ranges, and any orientation if there is no quaternion).
+approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint
+positions is kept. Without x y z, the joint positions are a nominal program: the desired pose is the
+one that the nominal robot would reach, in its base frame. Without joint positions, the search
+starts from --seed-joints (default: the middle of the joint ranges, and any orientation if there is
+no quaternion).
 
 FILE.csv has the joint positions to command, the desired pose, the remaining error predicted by the
 model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm), the largest
@@ -81,7 +88,20 @@ class _AtPlace:
     model: Path = model_argument()
     place: PlaceOptions = group("Placement of instrument and target")
     table: TableArguments = group("Tables")
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
+
+    def find_place(self) -> PlacedModel:
+        """Return the model at the place chosen, with a note if it does not state its robot.
+
+        Raises:
+            BadInputError: if it is of another robot than stated; further as for
+                :func:`pincal.cli.inputs.find_place`.
+        """
+        from pincal.cli.inputs import find_place
+
+        place = find_place(self.model, self.place, self.table.options)
+        return place.stated(self.identity.of_model(place.model.identity, self.model))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +112,11 @@ class PredictArguments(_AtPlace):
         "POSES.csv", "Joint positions and conditions; other columns are ignored."
     )
     out: Path = option("Table to write.", MISSING, type=TABLE)
+    components: bool = option(
+        "Also write the uncertainty of the position by each source, u_SOURCE_x u_SOURCE_y "
+        "u_SOURCE_z [m]: of the parameters, the model, the arrival, the conditions.",
+        False,
+    )
 
 
 @verb(PredictArguments, examples=_PREDICT_EXAMPLES, exits=(Exit.CHANGED,))
@@ -100,11 +125,11 @@ def predict(arguments: PredictArguments) -> Exit:
 
     They are given in the instrument's frame, with their uncertainty.
     """
-    from pincal.cli.inputs import find_place, load_table
+    from pincal.cli.inputs import load_table
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
 
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    place = arguments.find_place()
     chain = place.model.model.chain
     table = load_table(
         chain.robot, arguments.poses, options=arguments.table.options, joints_only=True
@@ -118,18 +143,37 @@ def predict(arguments: PredictArguments) -> Exit:
     if len(chain.targets) > 1:
         columns["target"] = table.target
     columns |= columns_of_poses(found, with_orientation=calibrated.model.has_tool_orientation)
-    columns |= zip(
-        ("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True
-    )
+    columns |= _uncertainties(calibrated, conditions, by_source=arguments.components)
     write_table(arguments.out, columns)
     beyond, notes = extrapolation(calibrated, conditions, table.rows)
     end_progress()
     if arguments.general.as_json:
         print_json({"rows": len(table), "out": str(arguments.out)} | place.contents | beyond)
     else:
+        _echo_machine(calibrated)
         click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
     echo_notes([*place.notes, *notes], quiet=arguments.general.quiet)
     return Exit.DONE
+
+
+def _uncertainties(
+    calibrated: FittedRobot, conditions: Conditions, *, by_source: bool
+) -> dict[str, np.ndarray]:
+    """Return the columns of standard uncertainties of predicted poses [m, rad]."""
+    variances = calibrated.position_variances(conditions)
+    columns = _of_axes("sigma", "xyz", np.sqrt(sum(variances.values())))
+    if calibrated.model.has_tool_orientation:
+        axes = ("rx", "ry", "rz")
+        columns |= _of_axes("sigma", axes, calibrated.turn_sigma(conditions))
+    if by_source:
+        for source, variance in variances.items():
+            columns |= _of_axes(f"u_{source}", "xyz", np.sqrt(variance))
+    return columns
+
+
+def _of_axes(name: str, axes: Sequence[str], values: np.ndarray) -> dict[str, np.ndarray]:
+    """Return values along axes, shape (N, 3), as columns."""
+    return {f"{name}_{axis}": column for axis, column in zip(axes, values.T, strict=True)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,15 +225,24 @@ def compensate(arguments: CompensateArguments) -> Exit:
 
     Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
-    from pincal.cli.inputs import find_place
+    place = arguments.find_place()
+    if arguments.program.reads(arguments.targets):
+        if not arguments.general.as_json:
+            _echo_machine(place.model)
+        robot = place.model.model.chain.robot
+        return arguments.program.correct(place.model, _correction(robot, arguments))
+    return _compensate_table(place, arguments)
+
+
+def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exit:
+    """Write the joint positions to command for a table of targets, and print how well they
+    reach these.
+    """
     from pincal.cli.progress import end_progress
     from pincal.compensate.returned_table import write_returned
     from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
 
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
     robot = place.model.model.chain.robot
-    if arguments.program.reads(arguments.targets):
-        return arguments.program.correct(place.model, _correction(robot, arguments))
     table = read_targets(arguments.targets, robot, options=arguments.table.options)
     place = place.over(table.rows)
     calibrated = place.model
@@ -201,31 +254,27 @@ def compensate(arguments: CompensateArguments) -> Exit:
         any_orientation=arguments.free_orientation,
         limits=not arguments.ignore_limits,
     )
-    columns = _columns(calibrated, done, arguments)
-    if arguments.only_numbers:
-        if not table.has_joints:
-            raise click.UsageError(
-                "--only-numbers changes the numbers of joint columns; this table has "
-                "none: leave it out"
-            )
-        kept = np.where(done.found.is_ok[:, None], done.found.q, robot.as_reported(done.seeds.q))
-        columns = dict(zip(robot.joint_names, kept.T, strict=True))
+    columns = _returned_columns(calibrated, done, arguments)
     write_returned(arguments.out, table.cells, columns, robot.joint_names)
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
-    result = (
-        _result(robot, done, beyond, max_change=arguments.max_change)
-        | place.contents
-        | {"out": str(arguments.out)}
-    )
+    result = _result(robot, done, beyond, max_change=arguments.max_change)
+    result |= place.contents | {"out": str(arguments.out)}
     result["turn"]["unreached"] = unreached_turns(calibrated, done)
     end_progress()
     if arguments.general.as_json:
         print_json(result)
     else:
+        _echo_machine(calibrated)
         click.echo("\n".join(_summary(result)))
     echo_notes([*_failures(result), *place.notes, *notes], quiet=arguments.general.quiet)
     tolerated = 0 if arguments.strict else result["rows"] - 1
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
+
+
+def _echo_machine(model: FittedRobot) -> None:
+    """Print of which robot a model is, if it states that."""
+    if model.identity.machine:
+        click.echo(f"for {model.identity.machine}")
 
 
 def _correction(robot: Robot, arguments: CompensateArguments) -> FileCorrection:
@@ -266,12 +315,29 @@ def _seed(robot: Robot, table: Targets | None, text: str | None) -> np.ndarray |
     return np.where(turns & in_degrees, np.deg2rad(seed), seed)
 
 
+def _returned_columns(
+    calibrated: FittedRobot, done: CompensatedTable, arguments: CompensateArguments
+) -> dict[str, np.ndarray]:
+    """Return the columns to write: all of them, or the joints alone."""
+    columns = _columns(calibrated, done, arguments)
+    if arguments.only_numbers:
+        return _joint_columns(calibrated.model.chain.robot, done)
+    return columns
+
+
+def _joint_columns(robot: Robot, done: CompensatedTable) -> dict[str, np.ndarray]:
+    """Return the joint positions to command, in rows that are not ok those of the table."""
+    if not done.targets.has_joints:
+        raise click.UsageError(
+            "--only-numbers changes the numbers of joint columns; this table has none: leave it out"
+        )
+    kept = np.where(done.found.is_ok[:, None], done.found.q, robot.as_reported(done.seeds.q))
+    return dict(zip(robot.joint_names, kept.T, strict=True))
+
+
 def _columns(
     calibrated: FittedRobot, done: CompensatedTable, arguments: CompensateArguments
 ) -> dict[str, np.ndarray]:
-    from pincal.compensate.returned_table import false_columns
-    from pincal.compensate.robot_frames import false_targets as poses_to_give
-
     rows = done.targets.rows
     found = done.found
     columns: dict[str, np.ndarray] = dict(zip(rows.joint_names, found.q.T, strict=True))
@@ -293,13 +359,25 @@ def _columns(
         columns |= {"large_change": large.astype(int)} if large.any() else {}
     columns["status"] = found.status
     if arguments.false_targets:
-        poses = poses_to_give(calibrated, done.commanded, of=arguments.false_targets)
-        targets = done.targets
-        has_poses = targets.rows.position is not None and targets.cells.orientation is not None
-        own = false_columns(targets.cells, poses) if has_poses else None
-        named = columns_of_poses(poses, with_orientation=True)
-        columns |= own or {f"false_{name}": column for name, column in named.items()}
+        columns |= _false_targets(calibrated, done, of=arguments.false_targets)
     return columns
+
+
+def _false_targets(
+    calibrated: FittedRobot, done: CompensatedTable, *, of: Literal["tip", "target"]
+) -> dict[str, np.ndarray]:
+    """Return the poses for a controller that uses the nominal model, in the columns of the table's
+    own poses where it has some.
+    """
+    from pincal.compensate.returned_table import false_columns
+    from pincal.compensate.robot_frames import false_targets
+
+    poses = false_targets(calibrated, done.commanded, of=of)
+    targets = done.targets
+    has_poses = targets.rows.position is not None and targets.cells.orientation is not None
+    own = false_columns(targets.cells, poses) if has_poses else None
+    named = columns_of_poses(poses, with_orientation=True)
+    return own or {f"false_{name}": column for name, column in named.items()}
 
 
 def _result(
@@ -310,15 +388,6 @@ def _result(
 
     found = done.found
     lines = done.targets.rows.rows
-    left = [
-        {
-            "line": int(lines[i]),
-            "status": str(found.status[i]),
-            "error_mm": 1e3 * float(found.error[i]),
-            "error_mrad": 1e3 * float(found.turn[i]),
-        }
-        for i in np.flatnonzero(~found.is_ok)
-    ]
     errors = {"commanded": _statistics(found.error)}
     change = None
     large = list[int]()
@@ -326,15 +395,7 @@ def _result(
         errors = {"seeds": _statistics(found.seed_error)} | errors
         moved = np.abs(done.change)
         large = [int(line) for line in lines[moved.max(axis=1) > max_change]]
-        row, joint = np.unravel_index(np.argmax(moved), moved.shape)
-        name = robot.joint_names[joint]
-        unit = robot.joint_units[joint]
-        change = {
-            "joint": name,
-            "line": int(lines[row]),
-            "value": float(moved[row, joint]),
-            "unit": unit,
-        }
+        change = _largest_change(robot, moved, lines)
     return {
         "rows": len(lines),
         "frame": found.frame,
@@ -344,12 +405,43 @@ def _result(
         "change": change,
         "max_change": max_change,
         "large_changes": large,
-        "not_ok": left,
+        "not_ok": _not_ok(done),
         "turn": {
             "max_mrad": 1e3 * float(found.turn.max()),
             "line": int(lines[found.turn.argmax()]),
         },
     } | beyond
+
+
+def _largest_change(robot: Robot, moved: np.ndarray, lines: np.ndarray) -> dict[str, Any]:
+    """Return which joint moves most from its start, by how much, and in which line.
+
+    Args:
+        robot: the arm of n joints.
+        moved: shape (N, n), changes of the joints in N rows.
+        lines: shape (N,), lines of the rows.
+    """
+    row, joint = np.unravel_index(np.argmax(moved), moved.shape)
+    return {
+        "joint": robot.joint_names[joint],
+        "line": int(lines[row]),
+        "value": float(moved[row, joint]),
+        "unit": robot.joint_units[joint],
+    }
+
+
+def _not_ok(done: CompensatedTable) -> list[dict[str, Any]]:
+    """Return the rows that are not ok, each with its remaining error."""
+    found = done.found
+    return [
+        {
+            "line": int(done.targets.rows.rows[i]),
+            "status": str(found.status[i]),
+            "error_mm": 1e3 * float(found.error[i]),
+            "error_mrad": 1e3 * float(found.turn[i]),
+        }
+        for i in np.flatnonzero(~found.is_ok)
+    ]
 
 
 def _statistics(errors: np.ndarray) -> dict[str, float]:

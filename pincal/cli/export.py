@@ -22,7 +22,9 @@ from pincal.errors import Exit
 from pincal.satellites import lacking
 
 if TYPE_CHECKING:
-    pass
+    from collections.abc import Mapping
+
+    from pincal.export import Exported, Format
 
 _EXAMPLES = """
 Examples:
@@ -32,13 +34,13 @@ Examples:
   pincal export results/model.json --page corrector.html
   pincal export results/model.json --frames kuka
 
-Each file is read back and compared with the model (--c and --page by their formulas) before it is kept, and
-lists what it can't represent. --c, --python and --page represent every effect of the model and also compensate;
-the others represent the geometry, --mjcf also the elasticity as springs. --urdf, --mjcf, --dh and --ur-kinematics
-describe the robot alone and need no --station.
+Each file is read back and compared with the model (--c and --page by their formulas) before it is
+kept, and lists what it can't represent. --c, --python and --page represent every effect of the
+model and also compensate; the others represent the geometry, --mjcf also the elasticity as springs.
+--urdf, --mjcf, --dh and --ur-kinematics describe the robot alone and need no --station.
 
---page works in a browser without a network: drop a table or a URScript program on it and save the corrected one. The file of
---python is also a program: python arm.py program.csv corrected.csv
+--page works in a browser without a network: drop a table or a URScript program on it and save the
+corrected one. The file of --python is also a program: python arm.py program.csv corrected.csv
 """
 
 
@@ -102,19 +104,9 @@ def export(arguments: ExportArguments) -> Exit:
     from pincal.cli.inputs import find_place
     from pincal.export import FORMATS, export_model
 
-    # In the order of --help, not of registration. A plugin's format has no option here: it
-    # is written from Python.
     registered = FORMATS.registered()
-    options = (field.name.replace("_", "-") for field in fields(arguments))
-    known = {name: registered[name] for name in options if name in registered}
-    if arguments.page is not None and "page" not in known:
-        raise lacking("--page", "pincal.programs")
-    places = {name: getattr(arguments, name.replace("-", "_")) for name in known}
-    places = {name: place for name, place in places.items() if place is not None}
-    if not places:
-        choices = ", ".join(f"--{name} ({cls.meaning})" for name, cls in known.items())
-        raise click.UsageError(f"nothing to export; give at least one of {choices}")
-    if all(known[name].of_robot for name in places) and not arguments.place.placement:
+    places = _places(arguments, registered)
+    if all(registered[name].of_robot for name in places) and not arguments.place.placement:
         calibrated = load_model(arguments.model).robot_model()
     else:
         calibrated = find_place(arguments.model, arguments.place, arguments.table.options).model
@@ -124,25 +116,43 @@ def export(arguments: ExportArguments) -> Exit:
         # The frames of a controller are a few numbers to type in, not a file.
         path = place if isinstance(place, Path) else None
         exported = export_model(calibrated, name, path, **_options(name, arguments))
-        agrees = exported.max_error_m
         contents |= {name: exported.text if path is None else str(path)}
         contents.setdefault("notes", []).extend(exported.notes)
-        if agrees is not None:
-            contents["max_error_m"] = max(agrees, contents.get("max_error_m", 0.0))
-        if path is None:
-            lines.append(exported.text.rstrip())
-        else:
-            also = (
-                ""
-                if agrees is None
-                else f"; its forward kinematics agree with the model to {agrees:.1e} m"
-            )
-            lines += [f"written to {path}{also}", *(f"note: {note}" for note in exported.notes)]
+        if exported.max_error_m is not None:
+            contents["max_error_m"] = max(exported.max_error_m, contents.get("max_error_m", 0.0))
+        lines += [exported.text.rstrip()] if path is None else _written_lines(path, exported)
     if arguments.general.as_json:
         print_json(contents)
     else:
         click.echo("\n".join(dict.fromkeys(lines)))
     return Exit.DONE
+
+
+def _places(
+    arguments: ExportArguments, registered: Mapping[str, type[Format]]
+) -> dict[str, Path | str]:
+    """Return the formats to write, and the file or the controller of each."""
+    # In the order of --help, not of registration. A plugin's format has no option here: it
+    # is written from Python.
+    options = (field.name.replace("_", "-") for field in fields(arguments))
+    known = {name: registered[name] for name in options if name in registered}
+    if arguments.page is not None and "page" not in known:
+        raise lacking("--page", "pincal.programs")
+    places = {name: getattr(arguments, name.replace("-", "_")) for name in known}
+    places = {name: place for name, place in places.items() if place is not None}
+    if not places:
+        choices = ", ".join(f"--{name} ({cls.meaning})" for name, cls in known.items())
+        raise click.UsageError(f"nothing to export; give at least one of {choices}")
+    return places
+
+
+def _written_lines(path: Path, exported: Exported) -> list[str]:
+    """Return the lines on a written file: how well it agrees with the model, and its notes."""
+    agrees = exported.max_error_m
+    also = (
+        "" if agrees is None else f"; its forward kinematics agree with the model to {agrees:.1e} m"
+    )
+    return [f"written to {path}{also}", *(f"note: {note}" for note in exported.notes)]
 
 
 def _options(name: str, arguments: ExportArguments) -> dict[str, str]:

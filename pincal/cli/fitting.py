@@ -23,6 +23,7 @@ from pincal.cli.common import (
     verbose_option,
 )
 from pincal.cli.fit_output import FitOutput
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import print_json, provenance, require_accuracy
 from pincal.cli.robot_priors import load_prior
 from pincal.errors import BadInputError, Exit, IdentificationError
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from pincal.calibration.calibration import Calibration
+    from pincal.calibration.result import Result
+    from pincal.cli.inputs import Prepared
+    from pincal.measure.measurements import Measurements
 
 # The view in three dimensions that accompanies the report.
 VIEW = "view3d.html"
@@ -83,6 +87,7 @@ class FitArguments:
         metavar="ADDRESS",
         words="this machine",
     )
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
 
 
@@ -105,6 +110,71 @@ def calibrate_verb(arguments: FitArguments) -> Exit:
         return run_fit(arguments, run)
 
 
+@dataclass(frozen=True)
+class _Inputs:
+    """What the files of a command line give to a fit.
+
+    Attributes:
+        prepared: robot, tables and options.
+        holdout: the tables of ``--holdout``.
+        task: the joint positions where accuracy matters.
+        doubts: on whether the robot is of the type whose prior is used.
+    """
+
+    prepared: Prepared
+    holdout: dict[str, Measurements] | None
+    task: Measurements | None
+    doubts: tuple[str, ...]
+
+    @classmethod
+    def read(cls, arguments: FitArguments) -> _Inputs:
+        """Read all files of a command line."""
+        from pincal.cli.inputs import load_table, load_tables, prepare
+
+        source = arguments.source
+        held = arguments.split.holdout
+        known = arguments.chosen.fit.type
+        prepared = prepare(source, arguments.chosen)
+        robot = prepared.robot
+        shared = replace(source.table.options, shares_log=True)
+        holdout = None if held is None else load_tables(robot, [held], options=shared)
+        task = (
+            None if arguments.task is None else load_table(robot, arguments.task, joints_only=True)
+        )
+        doubts: tuple[str, ...] = ()
+        if known is not None:
+            options, doubts = load_prior(known).compared(robot, prepared.tables, prepared.options)
+            prepared = replace(prepared, options=options)
+        return cls(prepared, holdout, task, doubts)
+
+    def fit(self, run: Callable[..., FitOutput], split: SplitOptions) -> FitOutput:
+        """Return the output of a fit, divided as chosen."""
+        return run(
+            self.prepared.robot,
+            self.prepared.tables,
+            self.prepared.options,
+            test_fraction=split.test_fraction,
+            split=split.split,
+            seed=split.seed,
+            holdout=self.holdout,
+        )
+
+    def completed(self, output: FitOutput) -> FitOutput:
+        """Return the output with the doubts, and with the error to expect of the task."""
+        from msgspec import UNSET
+
+        from pincal.calibration.elsewhere import elsewhere_of
+        from pincal.notes import doubts_first
+
+        result = output.calibration.result
+        if self.doubts:
+            result = replace(result, warnings=doubts_first([*self.doubts, *result.warnings]))
+        if self.task is not None:
+            elsewhere = elsewhere_of(output.calibration.fit.fit, self.task)
+            result = replace(result, elsewhere=elsewhere or UNSET)
+        return output.with_result(result)
+
+
 def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
     """Run a fit on the files of the command line, write and print its output.
 
@@ -113,73 +183,55 @@ def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
             between two rows; the files are written nevertheless.
         AccuracyGateError: if the error exceeds the limit; files as above.
     """
-    from msgspec import UNSET
-
-    from pincal.calibration.elsewhere import elsewhere_of
-    from pincal.cli.inputs import load_table, load_tables, prepare
     from pincal.cli.progress import log_step
-    from pincal.notes import doubts_first
-    from pincal.report import plots  # noqa: F401  A missing matplotlib is reported here, not after the fit.
+
+    # A missing matplotlib is reported here, not after the fit.
+    from pincal.report import plots  # noqa: F401
 
     split = arguments.split
-    source = arguments.source
     if arguments.view:
         # Before the fit.
         _VIEWS.only("--view", "pincal.viewer")
     with output_folder(arguments.out) as draft:
-        prepared = prepare(source, arguments.chosen)
-        held = split.holdout
-        shared = replace(source.table.options, shares_log=True)
-        holdout = None if held is None else load_tables(prepared.robot, [held], options=shared)
-        task = (
-            None
-            if arguments.task is None
-            else load_table(prepared.robot, arguments.task, joints_only=True)
-        )
-        choice = {
-            "test_fraction": split.test_fraction,
-            "split": split.split,
-            "seed": split.seed,
-            "holdout": holdout,
-        }
-        options = prepared.options
-        members: tuple[str, ...] = ()
-        if arguments.chosen.fit.type is not None:
-            known = load_prior(arguments.chosen.fit.type)
-            options, members = known.compared(prepared.robot, prepared.tables, options)
-        output = run(prepared.robot, prepared.tables, options, **choice)
-        calibration = output.calibration
+        inputs = _Inputs.read(arguments)
+        output = inputs.fit(run, split).with_identity(arguments.identity.given)
         log_step("writing the model")
-        origin = provenance([*prepared.files, *filter(None, [held])], seed=split.seed)
-        result = calibration.result
-        if members:
-            result = replace(result, warnings=doubts_first([*members, *result.warnings]))
-        if task is not None:
-            result = replace(result, elsewhere=elsewhere_of(calibration.fit.fit, task) or UNSET)
-        output = output.with_result(result)
+        files = [*inputs.prepared.files, *filter(None, [split.holdout])]
+        origin = provenance(files, seed=split.seed)
+        output = inputs.completed(output)
         notes = write_results(draft, output, origin, view=arguments.view)
         written = " ".join(sorted(file.name for file in draft.iterdir()))
     if arguments.general.as_json:
         print_json(output.to_dict())
     else:
-        from pincal.cli.progress import console
-        from pincal.cli.screen import print_brief
-
-        if not arguments.verbose:
-            more = f"--verbose, or {arguments.out / 'report.html'}"
-            print_brief(
-                output.calibration,
-                console(),
-                more=more,
-                search=output.search,
-                found=output.found(),
-                notes=notes,
-            )
-        else:
-            output.print_all(console())
-        for note in notes if arguments.verbose else ():
-            click.echo(f"note: {note}")
+        _print_fit(arguments, output, notes)
         click.echo(f"written to {arguments.out}: {written}")
+    _require_usable(output.calibration.result, arguments)
+    return Exit.DONE
+
+
+def _print_fit(arguments: FitArguments, output: FitOutput, notes: tuple[str, ...]) -> None:
+    """Print the output of a fit, briefly or in full; ``notes`` are on what the URDF lacks."""
+    from pincal.cli.progress import console
+    from pincal.cli.screen import print_brief
+
+    if arguments.verbose:
+        output.print_all(console())
+        for note in notes:
+            click.echo(f"note: {note}")
+        return
+    print_brief(
+        output.calibration,
+        console(),
+        more=f"--verbose, or {arguments.out / 'report.html'}",
+        search=output.search,
+        found=output.found(),
+        notes=notes,
+    )
+
+
+def _require_usable(result: Result, arguments: FitArguments) -> None:
+    """Raise unless the fit converged, its rows agree, and its error is within the limit."""
     if not result.converged:
         raise IdentificationError("the fit did not converge; the files hold its last state")
     if result.doubt:
@@ -188,12 +240,10 @@ def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
         raise IdentificationError(
             f"{result.shift}. The files are written; --accept-shift accepts the result"
         )
-    part = "test" if "test" in result.error["calibrated"] else "train"
+    errors = result.error["calibrated"]
+    part = "test" if "test" in errors else "train"
     rows = {"test": "held-out", "train": "fitted"}[part]
-    require_accuracy(
-        result.error["calibrated"][part].get("mean_mm"), arguments.max_error, rows=rows
-    )
-    return Exit.DONE
+    require_accuracy(errors[part].get("mean_mm"), arguments.max_error, rows=rows)
 
 
 def write_results(
@@ -215,7 +265,7 @@ def write_results(
     write_json(folder / "result.json", calibration.result.to_dict())
     output.write(folder)
     robot = fit.robot_model()
-    export = calibrated_urdf(robot.model, robot.values)
+    export = calibrated_urdf(robot.model, robot.values, comment=fit.identity.machine)
     (folder / "calibrated.urdf").write_bytes(export.text)
     _write_residuals(folder / "residuals.csv", calibration)
     if view:
@@ -315,8 +365,21 @@ def _connected(address: str, stack: ExitStack) -> Any:
         raise BadInputError(
             "--dask needs Dask: run pip install 'pincal[cluster]', here and on the workers"
         ) from error
+    _require_scheduler(address)
+    client = stack.enter_context(Client(address, timeout=_ANSWER, set_as_default=False))
+    try:
+        client.wait_for_workers(1, timeout=_WORKER)
+    except TimeoutError as error:
+        raise BadInputError(
+            f"--dask {address}: the cluster has no workers; start some: dask worker {address}"
+        ) from error
+    _require_same_version(client, address)
+    return client
+
+
+def _require_scheduler(address: str) -> None:
+    """Refuse an address at which no scheduler answers in time."""
     import asyncio
-    from importlib.metadata import PackageNotFoundError, version
 
     try:
         found = asyncio.run(asyncio.wait_for(_identity(address), _ANSWER))
@@ -328,25 +391,24 @@ def _connected(address: str, stack: ExitStack) -> Any:
             f"--dask {address}: {why}; expected the address of a running Dask scheduler, "
             "such as tcp://10.0.0.5:8786"
         ) from error
-    client = stack.enter_context(Client(address, timeout=_ANSWER, set_as_default=False))
-    try:
-        client.wait_for_workers(1, timeout=_WORKER)
-    except TimeoutError as error:
-        raise BadInputError(
-            f"--dask {address}: the cluster has no workers; start some: dask worker {address}"
-        ) from error
+
+
+def _require_same_version(client: Any, address: str) -> None:
+    """Refuse workers that lack pincal, or have another version of it than this command."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    here = version("pincal")
     try:
         there = client.run(version, "pincal")
     except PackageNotFoundError as error:
         raise BadInputError(
-            f"--dask {address}: its workers lack pincal; install version {version('pincal')} there"
+            f"--dask {address}: its workers lack pincal; install version {here} there"
         ) from error
-    if others := {found for found in there.values()} - {version("pincal")}:
+    if others := set(there.values()) - {here}:
         raise BadInputError(
             f"--dask {address}: its workers have pincal {', '.join(sorted(others))}; "
-            f"expected {version('pincal')}, as here"
+            f"expected {here}, as here"
         )
-    return client
 
 
 async def _identity(address: str) -> dict[str, Any]:

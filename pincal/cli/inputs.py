@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import click
 import numpy as np
+from msgspec import to_builtins
 
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.located import located
@@ -33,6 +34,7 @@ from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_camera
 from pincal.measure.admit import check_table, usable_rows
 from pincal.measure.instruments import InstrumentNoise
+from pincal.measure.log_reader import joints_of_log
 from pincal.measure.measurements import Measurements
 from pincal.measure.points_table import read_distances, read_points
 from pincal.measure.reader import links_of_rows, of_path
@@ -47,7 +49,7 @@ from pincal.robot.cell import NOWHERE, read_cell, robot_files
 from pincal.robot.mastering import remastered
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import transform
-from pincal.robot.tree import MOVING_TYPES
+from pincal.robot.tree import MOVING_TYPES, UrdfTree
 from pincal.sensors.setup import KnownDistance, Setup
 from pincal.units import readable_unit
 
@@ -98,16 +100,6 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     tables = load_tables(
         robot, source.data, options=source.table.options, links=source.links, motion=source.motion
     )
-    setup = chosen.setup
-    motion = source.motion
-    others = (
-        source.table.joints,
-        *motion.files,
-        setup.points,
-        setup.distances,
-        setup.camera,
-    )
-    given = [path for path in others if path is not None]
     options = options_of(chosen, tables)
     if unplaced.beside != source.beside:
         robot = load_robot(replace(source, beside=located(robot, source.beside, tables, options)))
@@ -117,12 +109,26 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
         options = replace(
             options, earlier=load_prior(chosen.fit.type).prior_of(robot, options.effects)
         )
-        given.append(chosen.fit.type)
-    return Prepared(
-        robot,
-        tables,
-        options,
-        (*motion.input_files(source.data), *given, *robot_files(robot.source, source.beside)),
+    return Prepared(robot, tables, options, _input_files(source, chosen, robot))
+
+
+def _input_files(
+    source: InputOptions, chosen: CalibrationOptions, robot: Robot
+) -> tuple[Path, ...]:
+    """Return all files that a command line names, and those of the robot."""
+    setup = chosen.setup
+    named = (
+        source.table.joints,
+        *source.motion.files,
+        setup.points,
+        setup.distances,
+        setup.camera,
+        chosen.fit.type,
+    )
+    return (
+        *source.motion.input_files(source.data),
+        *(path for path in named if path is not None),
+        *robot_files(robot.source, source.beside),
     )
 
 
@@ -156,56 +162,80 @@ def as_stated(robot: Robot, *, signs: Sequence[str], couplings: Sequence[str]) -
     return robot.with_couplings(*couplings) if couplings else robot
 
 
+@dataclass(frozen=True)
+class _Named:
+    """Links and joints that the rows of the command line name.
+
+    Attributes:
+        paths: the first and the last link of rows, None for the base.
+        joints: the joint columns of each file.
+    """
+
+    paths: list[tuple[str | None, str | None]]
+    joints: list[tuple[str, ...]]
+
+    @classmethod
+    def of(cls, source: InputOptions, tree: UrdfTree) -> _Named:
+        """Return what the tables, the log of the joints and the options for links name."""
+        tip = tip_or_to(source.tip, source.links.to)
+        start = source.links.start
+        reading = source.table.options
+        given = {name: (first, last) for name, first, last in source.links.stations}
+        known = {joint.name for joint in tree.joints}
+        named = cls([], [])
+        files = [*source.data]
+        if source.motion.files and reading.joints is not None:
+            files = [*files, Path(reading.joints)]
+            reading = replace(reading, joints=None)
+        for path in files:
+            session = joints_of_log(path)
+            is_log = session is not None or path not in source.data
+            pairs: list[tuple[str | None, str | None]] = [given.get(path.stem, (None, None))]
+            if path.stem not in given and not is_log:
+                pairs = links_of_rows(path, reading)
+            way = _movable_above(tree, [last or tip for _, last in pairs])
+            log = session or path
+            columns = joint_columns(log, known, of_path(log, way, reading))
+            named.joints.append(columns)
+            # By default, the end of the chain whose joints are columns of the table.
+            named.add(
+                [
+                    (first or start, last or tip or tree.default_tip(columns or None))
+                    for first, last in pairs
+                ]
+            )
+        named.add(given.values())
+        return named
+
+    def add(self, paths: Iterable[tuple[str | None, str | None]]) -> None:
+        """Add paths that are not named yet."""
+        self.paths.extend([pair for pair in paths if pair not in self.paths])
+
+    def check(self, start: str | None, tip: str | None) -> None:
+        """Refuse a link for all rows, of ``--from`` or ``--to``, that none of them has."""
+        for option, link, named in (
+            ("--from", start, [pair[0] for pair in self.paths]),
+            ("--to", tip, [pair[1] for pair in self.paths]),
+        ):
+            if link is not None and link not in named:
+                raise BadInputError(
+                    f"{option} {link}, but the rows have {', '.join(map(str, named))}; leave "
+                    "one of them out"
+                )
+
+
+def _movable_above(tree: UrdfTree, tips: Iterable[str | None]) -> list[str]:
+    """Return the joints that move these links, None being no link."""
+    above = [joint for tip in tips if tip for joint in tree.above(tip)]
+    return [joint.name for joint in above if joint.kind in MOVING_TYPES]
+
+
 def _described(source: InputOptions) -> Robot:
     """Return the robot of the URDF: the joints between the links of the tables."""
     tree = read_cell(source.robot, source.beside, xacro_args=dict(source.xacro_args))
-    known = {joint.name for joint in tree.joints}
     tip = tip_or_to(source.tip, source.links.to)
-    start = source.links.start
-    paths = list[tuple[str | None, str | None]]()
-    recorded = dict[str, None]()
-    given = {name: (start, tip) for name, start, tip in source.links.stations}
-    joints: dict[Path, tuple[str, ...]] = {}
-    reading = source.table.options
-    files = [*source.data]
-    if source.motion.files and reading.joints is not None:
-        files = [*files, Path(reading.joints)]
-        reading = replace(reading, joints=None)
-    for path in files:
-        session = source.motion.joints_of(path)
-        is_log = session is not None or path not in source.data
-        pairs = (
-            [given[path.stem]]
-            if path.stem in given
-            else [(None, None)]
-            if is_log
-            else links_of_rows(path, reading)
-        )
-        above = [
-            joint
-            for _, last in pairs
-            for joint in (tree.above(last or tip or "") if last or tip else ())
-        ]
-        way = [joint.name for joint in above if joint.kind in MOVING_TYPES]
-        joints[path] = joint_columns(session or path, known, of_path(session or path, way, reading))
-        recorded |= dict.fromkeys(joints[path])
-        # By default, the end of the chain whose joints are columns of the table.
-        ends = [
-            (first or start, last or tip or tree.default_tip(joints[path] or None))
-            for first, last in pairs
-        ]
-        paths += [pair for pair in ends if pair not in paths]
-    paths += [pair for pair in given.values() if pair not in paths]
-    for option, link, named in (
-        ("--from", start, [pair[0] for pair in paths]),
-        ("--to", tip, [pair[1] for pair in paths]),
-    ):
-        if link is not None and link not in named:
-            raise BadInputError(
-                f"{option} {link}, but the rows have {', '.join(map(str, named))}; leave "
-                "one of them out"
-            )
-    (start, tip), *others = paths
+    named = _Named.of(source, tree)
+    named.check(source.links.start, tip)
     movable = [joint.name for joint in tree.joints if joint.kind in MOVING_TYPES]
     rested = [name for name, _ in source.links.rest]
     if unknown := [name for name in rested if name not in movable]:
@@ -213,17 +243,23 @@ def _described(source: InputOptions) -> Robot:
             f"--rest {unknown[0]}; expected one of "
             f"{', '.join(nearest_first(unknown, movable)[:12])}"
         )
-    if not others and start is None and not (source.tip or source.links.to):
-        on_way = [joint.name for joint in tree.above(str(tip)) if joint.name in rested]
+    (first, last), *others = named.paths
+    if not others and first is None and not tip:
+        on_way = [joint.name for joint in tree.above(str(last)) if joint.name in rested]
         wanted = TreeRequest(
-            base=source.base, joints=(*joints[files[0]], *on_way) or None, others=rested
+            base=source.base, joints=(*named.joints[0], *on_way) or None, others=rested
         )
         return Robot.from_tree(tree, wanted, mass=source.mass)
     base = source.base or tree.root
-    further = [(first or base, str(last)) for first, last in others]
-    beyond = [name for name in (*recorded, *rested) if name in movable]
-    driven = tuple(recorded) if tree.loops else None
-    wanted = TreeRequest(tip, start, source.base, driven, paths=further, others=beyond)
+    recorded = tuple(dict.fromkeys(name for columns in named.joints for name in columns))
+    wanted = TreeRequest(
+        last,
+        first,
+        source.base,
+        recorded if tree.loops else None,
+        paths=[(start or base, str(end)) for start, end in others],
+        others=[name for name in (*recorded, *rested) if name in movable],
+    )
     return Robot.from_tree(tree, wanted, mass=source.mass)
 
 
@@ -289,6 +325,61 @@ def _with_links(table: Measurements, rows: np.ndarray, start: str, tip: str) -> 
     )
 
 
+@dataclass(frozen=True)
+class _RowLinks:
+    """Between which links of a robot with several arms the rows of a table are.
+
+    Attributes:
+        pairs: the first and the last link of rows, None for those of the robot.
+        starts: the first link of rows that name the last one alone, by this.
+        of_all: the links of all rows, of a table that names none.
+    """
+
+    pairs: Sequence[tuple[str | None, str | None]] = ((None, None),)
+    starts: Mapping[str, str] = field(default_factory=dict)
+    of_all: tuple[str, str] | None = None
+
+    @classmethod
+    def of(
+        cls, robot: Robot, pairs: Sequence[tuple[str | None, str | None]], there: Collection[str]
+    ) -> _RowLinks:
+        """Return the links of rows that name these, of a table with these joints."""
+        if list(pairs) == [(None, None)]:
+            return cls._of_nameless(robot, there)
+        if not any(start is None and tip is not None for start, tip in pairs):
+            return cls(pairs)
+        # Rows that name the hand alone are from the model's other hand, or from the base.
+        ends = {tip: _only_start(robot, tip, there) for start, tip in pairs if tip and not start}
+        starts = {tip: start for tip, start in ends.items() if start}
+        return cls([(start or starts.get(str(tip)), tip) for start, tip in pairs], starts)
+
+    @classmethod
+    def _of_nameless(cls, robot: Robot, there: Collection[str]) -> _RowLinks:
+        """Return the first arm whose joints are all columns of a table."""
+        own = (robot.path.start, robot.tip)
+        # An arm that was calibrated by contacts may also be measured by an instrument at the base.
+        ends = dict.fromkeys(end for pair in (own, *robot.links) for end in pair)
+        from_base = ((robot.base, end) for end in ends if end != robot.base)
+        ways = (own, *robot.links, *from_base)
+        found = next(
+            (way for way in ways if set(there).issuperset(robot.joints_between(*way))), None
+        )
+        if found is None:
+            return cls()
+        # Between two hands, rows with the joints of both may be of either: what they fit decides.
+        is_open = found == own and robot.path.start != robot.base
+        return cls([found], of_all=None if is_open else found)
+
+    def named_in(self, table: Measurements) -> Measurements:
+        """Return a table whose rows name the links."""
+        for tip, start in self.starts.items():
+            assert table.to_link is not None
+            table = _with_links(table, table.to_link == tip, start, tip)
+        if self.of_all is None:
+            return table
+        return _with_links(table, np.ones(len(table), bool), *self.of_all)
+
+
 def load_table(
     robot: Robot,
     path: Path,
@@ -305,41 +396,18 @@ def load_table(
     require: Literal["measurement", "joints"] = "joints" if joints_only else "measurement"
     reading = options or TableOptions()
     links = links or LinkOptions()
-    given = [(start, tip) for name, start, tip in links.stations if name == path.stem]
-    is_tree = bool(robot.links) or robot.path.start != robot.base
-    pairs = given or links_of_rows(path, reading) if is_tree else [(None, None)]
-    chosen = None
-    starts = dict[str, str]()
-    there = set(joint_columns(path, robot.joint_names, reading)) if is_tree else set[str]()
-    if any(start is None and tip is not None for start, tip in pairs):
-        # Rows that name the hand alone are from the model's other hand, or from the base.
-        ends = {tip: _only_start(robot, tip, there) for start, tip in pairs if tip and not start}
-        starts = {tip: start for tip, start in ends.items() if start}
-        pairs = [(start or starts.get(str(tip)), tip) for start, tip in pairs]
-    if pairs == [(None, None)] and is_tree:
-        # An arm that was calibrated by contacts may also be measured by an instrument at the base.
-        ends = dict.fromkeys(
-            end for pair in ((robot.path.start, robot.tip), *robot.links) for end in pair
-        )
-        ways = (
-            (robot.path.start, robot.tip),
-            *robot.links,
-            *((robot.base, end) for end in ends if end != robot.base),
-        )
-        chosen = next((way for way in ways if there.issuperset(robot.joints_between(*way))), None)
-        pairs = pairs if chosen is None else [chosen]
-        # Between two hands, rows with the joints of both may be of either: what they fit decides.
-        if chosen == ways[0] and robot.path.start != robot.base:
-            chosen = None
-    needed = {name for pair in pairs for name in robot.joints_between(*pair)}
+    between = _RowLinks()
+    if robot.links or robot.path.start != robot.base:
+        given = [(start, tip) for name, start, tip in links.stations if name == path.stem]
+        pairs = given or links_of_rows(path, reading)
+        there = set(joint_columns(path, robot.joint_names, reading))
+        between = _RowLinks.of(robot, pairs, there)
+    needed = {name for pair in between.pairs for name in robot.joints_between(*pair)}
     own = [robot.joint_names[i] for i in robot.own_joints]
     resting = {name: 0.0 for name in own if name not in needed} | dict(links.rest)
     reading = of_path(path, needed, reading)
     table = read_measurements(path, robot, **vars(reading), require=require, resting=resting)
-    for tip, start in starts.items():
-        assert table.to_link is not None
-        table = _with_links(table, table.to_link == tip, start, tip)
-    return table if chosen is None else _with_links(table, np.ones(len(table), bool), *chosen)
+    return between.named_in(table)
 
 
 def _only_start(robot: Robot, tip: str, there: Collection[str]) -> str | None:
@@ -461,6 +529,12 @@ class PlacedModel:
     model: FittedRobot
     notes: tuple[str, ...] = ()
     contents: dict[str, Any] = field(default_factory=dict)
+
+    def stated(self, notes: Iterable[str]) -> PlacedModel:
+        """Return it with what it states of its robot, for ``--json``, and notes on that."""
+        identity = self.model.identity
+        contents = {"id": to_builtins(identity)} if identity else {}
+        return PlacedModel(self.model, (*self.notes, *notes), self.contents | contents)
 
     def over(self, rows: Measurements) -> PlacedModel:
         """Return the model for some rows, without effects of the calibrated station for which they

@@ -23,6 +23,7 @@ from pincal.thresholds import Count
 if TYPE_CHECKING:
     import numpy as np
 
+    from pincal.calibration.covered import CurveGap, OutsideCurve, Turned
     from pincal.calibration.fitted_robot import FittedRobot
     from pincal.model.conditions import Conditions
     from pincal.notes import Note
@@ -112,6 +113,8 @@ def extrapolation(
 
     values = calibrated.outside(conditions)
     curves = outside_curves(calibrated, conditions)
+    gaps = gaps_in_curves(calibrated, conditions)
+    turned = turned_curves(calibrated, conditions)
     robot = calibrated.model.chain.robot
     units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
     units |= {name: variable.unit for name, variable in RECORDABLE.items()}
@@ -121,38 +124,45 @@ def extrapolation(
         notes.append(
             f"line {lines[row]}: {name} = {value:.4g}, calibrated from {low:.4g} to {high:.4g}"
         )
-    for curve in curves:
-        notes.append(
-            f"{curve.rows} rows need the {curve.effect} of {curve.joint} at "
-            f"{curve.variable} {curve.lowest:.4g} to "
-            f"{curve.highest:.4g} {units[curve.variable]}; it was identified from "
-            f"{curve.lower:.4g} to {curve.upper:.4g} "
-            "only and is held constant outside"
-        )
-    gaps = gaps_in_curves(calibrated, conditions)
-    for (effect, joint), group in groupby(gaps, key=lambda gap: (gap.effect, gap.joint)):
-        *narrower, widest = sorted(group, key=lambda gap: gap.upper - gap.lower)
-        more = f" and in {len(narrower)} narrower gap{'s'[: len(narrower) > 1]}" if narrower else ""
-        notes.append(
-            f"rows in gaps of the {effect} of {joint}: "
-            f"{sum(gap.rows for gap in (*narrower, widest))}; {widest.variable} "
-            f"{widest.lower:.4g} to {widest.upper:.4g} {units[widest.variable]}{more}: "
-            "the calibration had too few poses "
-            "there to determine it, and it is interpolated"
-        )
-    turned = turned_curves(calibrated, conditions)
-    for found in turned:
-        notes.append(
-            f"{found.rows} rows have {found.variable} a revolution away from where the "
-            f"{found.effect} of {found.joint} was "
-            "identified; it is assumed to repeat every revolution"
-        )
+    notes += [_curve_words(curve, units[curve.variable]) for curve in curves]
+    notes += _gap_words(gaps, units)
+    notes += map(_turned_words, turned)
     contents = {
         "outside": rows,
         "curves": [curve._asdict() for curve in curves],
         "gaps": [gap._asdict() for gap in gaps],
     }
     return contents | ({"turned": [found._asdict() for found in turned]} if turned else {}), notes
+
+
+def _curve_words(curve: OutsideCurve, unit: str) -> str:
+    return (
+        f"{curve.rows} rows need the {curve.effect} of {curve.joint} at "
+        f"{curve.variable} {curve.lowest:.4g} to "
+        f"{curve.highest:.4g} {unit}; it was identified from "
+        f"{curve.lower:.4g} to {curve.upper:.4g} only and is held constant outside"
+    )
+
+
+def _gap_words(gaps: Iterable[CurveGap], units: Mapping[str, str]) -> Iterator[str]:
+    """Yield a note on each curve with gaps, with the widest of them."""
+    for (effect, joint), group in groupby(gaps, key=lambda gap: (gap.effect, gap.joint)):
+        *narrower, widest = sorted(group, key=lambda gap: gap.upper - gap.lower)
+        more = f" and in {len(narrower)} narrower gap{'s'[: len(narrower) > 1]}" if narrower else ""
+        yield (
+            f"rows in gaps of the {effect} of {joint}: "
+            f"{sum(gap.rows for gap in (*narrower, widest))}; {widest.variable} "
+            f"{widest.lower:.4g} to {widest.upper:.4g} {units[widest.variable]}{more}: "
+            "the calibration had too few poses there to determine it, and it is interpolated"
+        )
+
+
+def _turned_words(found: Turned) -> str:
+    return (
+        f"{found.rows} rows have {found.variable} a revolution away from where the "
+        f"{found.effect} of {found.joint} was "
+        "identified; it is assumed to repeat every revolution"
+    )
 
 
 def write_all(files: dict[str, tuple[Path | None, Callable[[Path], None]]]) -> None:

@@ -97,6 +97,11 @@ def _with_cells(
     return body
 
 
+def _is_row(body: str, spans: Sequence[tuple[int, int]], sheet: TextSheet) -> bool:
+    """Return whether a line has as many cells as the table, and is no comment."""
+    return len(spans) == len(sheet.labels) and not body.lstrip().startswith("#")
+
+
 def _text(
     sheet: TextSheet,
     rows: np.ndarray,
@@ -127,11 +132,7 @@ def _text(
             point = "," if commas else "."
             new = [_plain(values[k]).replace(".", point) for values in more.values()]
             lines[number - 1] = _extended(body, separator, new) + end
-        elif (
-            number > sheet.header_line
-            and len(spans) == len(sheet.labels)
-            and not body.lstrip().startswith("#")
-        ):
+        elif number > sheet.header_line and _is_row(body, spans, sheet):
             nothing = "" if separator != " " else "-"
             lines[number - 1] = _extended(body, separator, [nothing] * len(more)) + end
     return "".join(lines).encode(encoding)

@@ -39,7 +39,7 @@ from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 from pincal.thresholds import Scale
 
-SOURCES = {
+PREDICTED_BY = {
     "O1": "Borm and Menq 1989",
     "O2": "Driels and Pathre 1990",
     "O3": "Nahvi, Hollerbach and Hayward 1994",
@@ -72,7 +72,7 @@ def observability(
     overlap = directions.T @ posterior.directions
     squares = np.linalg.eigvalsh((overlap * posterior.information) @ overlap.T)
     if squares[0] <= NULL * squares[-1]:
-        return dict.fromkeys(SOURCES, 0.0)
+        return dict.fromkeys(PREDICTED_BY, 0.0)
     sigma = np.sqrt(squares)
     return {
         "O1": float(np.exp(np.mean(np.log(sigma))) / np.sqrt(n)),
@@ -260,21 +260,17 @@ def design_poses(
 def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
     begun = time.perf_counter()
     with noted() as notes:
-        study = Study.of(reach, options=options, request=request)
-        needed = None if request.accuracy is None else study.smallest(request.accuracy)
-        n = request.poses or needed or 1
-        _check_count(study, n)
-        _check_limit(study, n)
+        study, needed = _studied(request, reach, options)
+    n = request.poses or needed or 1
     picked = _picked(study, n, request, reach)
     H = study.H + total(study.design_model.readings(picked))
     at_random = study.random(n)
     found = CurvePoint(n, study.quality(H), Quality.median([study.quality(R) for R in at_random]))
-    order, unordered, ordered = order_by_load(picked.q, picked.payload, reach.range)
     indices, indices_random = _indices(study, n, H, at_random)
     criterion: str = "tell apart" if request.tell_apart else request.criterion
     return Design(
         robot=reach.robot,
-        conditions=picked.select(order),
+        **_ordered(picked, reach),
         has_payloads=request.payloads is not None,
         rig=reach.rig,
         criterion=criterion,
@@ -289,11 +285,33 @@ def _design(request: DesignRequest, reach: Reach, options: Options) -> Design:
         observability=indices,
         observability_random=indices_random,
         rank=study.rank(n),
-        path_length=ordered,
-        path_length_unordered=unordered,
         notes=(*_notes_on_robot(reach, options), *notes),
         seconds=time.perf_counter() - begun,
     )
+
+
+def _studied(request: DesignRequest, reach: Reach, options: Options) -> tuple[Study, int | None]:
+    """Return the study of a request, and how many poses its accuracy needs; warn if they determine
+    too little.
+    """
+    study = Study.of(reach, options=options, request=request)
+    needed = None if request.accuracy is None else study.smallest(request.accuracy)
+    n = request.poses or needed or 1
+    _check_count(study, n)
+    _check_limit(study, n)
+    return study, needed
+
+
+def _ordered(picked: Conditions, reach: Reach) -> dict[str, Any]:
+    """Return the poses in an order of short motions, and the length of the path before and
+    after.
+    """
+    order, unordered, ordered = order_by_load(picked.q, picked.payload, reach.range)
+    return {
+        "conditions": picked.select(order),
+        "path_length": ordered,
+        "path_length_unordered": unordered,
+    }
 
 
 def _picked(study: Study, n: int, request: DesignRequest, reach: Reach) -> Conditions:

@@ -204,11 +204,9 @@ def _taken_in(
     if factor > 1.0:
         noise = noise.widened(placed, factor**0.5)
     options = _as_fitted(model, noise, earlier)
-    robot = model.model.chain.robot
-    fit = fit_tables(robot, model.of_its_day(measurements), options)
+    fit = fit_tables(model.model.chain.robot, model.of_its_day(measurements), options)
     found = FittedRobot.of(fit, model.provenance)
     new = RobotInformation.of(fit)
-    information = new if before is None else before + new
     station = replace(
         found.station,
         covered=model.covered.over(found.covered),
@@ -217,16 +215,15 @@ def _taken_in(
     )
     if factor > 1.0:
         # Predictions of single rows have the noise of single rows.
-        station = replace(
-            station,
-            sigma=station.sigma / factor**0.5,
-            is_noise_declared=model.is_noise_declared or declared.sigma is not None,
-        )
+        sigma = station.sigma / factor**0.5
+        is_declared = model.is_noise_declared or declared.sigma is not None
+        station = replace(station, sigma=sigma, is_noise_declared=is_declared)
     # New rows do not describe what the model lacks.
     return replace(
         found.with_station(station),
-        evidence=KeptEvidence(information=information),
+        evidence=KeptEvidence(information=new if before is None else before + new),
         discrepancy=model.discrepancy,
+        identity=model.identity,
     )
 
 

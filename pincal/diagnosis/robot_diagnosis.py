@@ -180,6 +180,7 @@ def diagnose(
         warnings=doubts_first(notes),
         curves=judged.curves,
         is_judged=not judged.doubts,
+        id=model.identity or None,
     )
     return Diagnosis(found, judged.reidentified)
 

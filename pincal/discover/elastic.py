@@ -438,6 +438,11 @@ def _second_load(robot: Robot, c: Conditions) -> float:
     return 2.0 * float(c.payload.max())
 
 
+# Two of the further runs.
+_OTHER_SIDE = "the same poses with the instrument on another side of the robot, as a second station"
+_BOTH_WAYS = "the same poses approached from both directions, with the columns approach_<joint>"
+
+
 def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
     """Return further runs that a user could make instead of these poses, cheapest first; cached."""
     runs: dict[str, Conditions] = chain.kept.about("further runs", c, most=16)
@@ -448,18 +453,12 @@ def _runs(chain: Chain, c: Conditions) -> dict[str, Conditions]:
     if c.sighted is not None:
         # A quarter turn around the poses, its axes unchanged; relocating it costs six readings.
         x, y, _ = c.sighted.mean(axis=0)
-        away = replace(c, sighted=c.sighted - [x + y, y - x, 0.0])
-        runs[
-            "the same poses with the instrument on another side of the robot, as a second station"
-        ] = away
+        runs[_OTHER_SIDE] = replace(c, sighted=c.sighted - [x + y, y - x, 0.0])
     if np.ptp(c.payload) == 0.0:
         load = np.full(len(c), _second_load(robot, c))
         runs["the same poses with a second payload"] = replace(c, payload=load)
     if c.approach is None or not np.ptp(c.approach):
-        sides = replace(c, approach=rng.choice([-1.0, 1.0], c.q.shape))
-        runs[
-            "the same poses approached from both directions, with the columns approach_<joint>"
-        ] = sides
+        runs[_BOTH_WAYS] = replace(c, approach=rng.choice([-1.0, 1.0], c.q.shape))
     if c.move is not None:
         moves = np.random.default_rng(1).choice(SIGHT.moves, c.q.shape)
         reached = replace(c, move=moves, approach=np.sign(moves))

@@ -18,7 +18,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.export.exported import FORMATS, Exported, Format
+from pincal.export.exported import FORMATS, Exported, Format, machine_lines
 from pincal.io.urdf_export import rigid_joints, rigid_notes, rigid_tips
 from pincal.model.augmented import closure_frames, joint_mounts, link_placements
 from pincal.model.conditions import Conditions
@@ -104,7 +104,8 @@ class MujocoModel(Format):
             _add(equality, tag, **attributes)
         ET.indent(root)
         notes = _notes(calibrated, springs)
-        comment = "\n".join("  " + re.sub("-(?=-)", "- ", note) for note in notes)
+        above = (*machine_lines(calibrated), *notes)
+        comment = "\n".join("  " + re.sub("-(?=-)", "- ", line) for line in above)
         text = f"<!--\n{comment}\n-->\n{ET.tostring(root, encoding='unicode')}\n"
         return Exported({"": text.encode()}, notes, _error(model, values, text))
 
@@ -199,6 +200,21 @@ def _entry(term: Term, places: Mapping[int, tuple[int, int]]) -> tuple[int, int,
     return (i, row, column) if joint == i and (row == 2) == (column == 2) else None
 
 
+def _own_joint(robot: Robot, i: int, turning: np.ndarray) -> dict[str, str]:
+    """Return the attributes of a joint of the robot; ``turning``, shape (4, 4), is its frame in its
+    body.
+    """
+    own = {
+        "name": robot.joint_names[i],
+        "type": "slide" if robot.joint_types[i] == "prismatic" else "hinge",
+        "pos": _numbers(turning[:3, 3]),
+        "axis": _numbers(turning[:3, 2]),
+    }
+    if np.isfinite(robot.lower[i]):
+        own["range"] = _numbers(np.array([robot.lower[i], robot.upper[i]]))
+    return own
+
+
 def _joints(
     model: Model, values: np.ndarray, springs: _Springs, *, i: int
 ) -> Iterator[dict[str, str]]:
@@ -208,15 +224,8 @@ def _joints(
     chain = model.chain
     robot = model.chain.robot
     turning = np.linalg.inv(joint_mounts(chain)[i])
-    kind = "slide" if robot.joint_types[i] == "prismatic" else "hinge"
-    own = {
-        "name": robot.joint_names[i],
-        "type": kind,
-        "pos": _numbers(turning[:3, 3]),
-        "axis": _numbers(turning[:3, 2]),
-    }
-    if np.isfinite(robot.lower[i]):
-        own["range"] = _numbers(np.array([robot.lower[i], robot.upper[i]]))
+    own = _own_joint(robot, i, turning)
+    is_slide = own["type"] == "slide"
     before = chain.moment_frame == "before"
     axes = turning[:3, :3]
     rigid = model.rigid_coordinates(values)
@@ -224,7 +233,7 @@ def _joints(
         axes = axes @ rotation("z", -rigid[chain.joint(i, "theta")])[:3, :3]
     axes = axes @ springs.axes[i]
     height = rigid[chain.joint(i, "h")]
-    if kind == "slide":
+    if is_slide:
         # Springs of a carriage are on it, at this place when the joint is at 0.
         height = rigid[chain.joint(i, "d")] - height
     bearing = _numbers(turning[:3, 3] + height * turning[:3, 2])
@@ -239,7 +248,7 @@ def _joints(
         if springs.compliances[i, c] > 0.0
     ]
     # A carriage deflects after it has moved in every convention, see pincal.model.chain.
-    yield from (*elastic, own) if before and kind == "hinge" else (own, *elastic)
+    yield from (*elastic, own) if before and not is_slide else (own, *elastic)
 
 
 def _spring(name: str, foot: str, axis: np.ndarray, stiffness: float) -> dict[str, str]:

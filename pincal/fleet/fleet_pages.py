@@ -128,30 +128,19 @@ def population_figure(learned: Learned, places: np.ndarray, unit: str) -> Figure
         unit: "m" or "rad".
     """
     of = learned.type
-    (factor, word) = readable_unit(unit)
+    factor, word = readable_unit(unit)
     names = [drawable(of.names[k], 26) for k in places]
     figure, axes = panel(1.1 + _PER_ROW * len(places), left=0.3 + _LETTER * max(map(len, names)))
     centre, *spreads = of.determined
     sigmas, sizes = (np.sqrt(np.diag(C)) for C in spreads)
     axes.axvline(0.0, color=MUTED, linewidth=0.9)
     is_off = np.array([bool(member.off) for member in learned.members])
-    shown = np.unique(
-        np.concatenate(
-            [np.linspace(0, len(is_off) - 1, _POINTS).astype(int), np.flatnonzero(is_off)]
-        )
-    )
+    shown = _drawn_members(is_off)
     jitter = np.random.default_rng(0).uniform(-0.22, 0.22, len(is_off))
     for i, k in enumerate(places):
         mean, spread, sigma = (factor * float(x[k]) for x in (centre, sizes, sigmas))
-        axes.barh(
-            i,
-            3.92 * spread,
-            left=mean - 1.96 * spread,
-            height=0.62,
-            color=AFTER,
-            alpha=0.16,
-            linewidth=0.0,
-        )
+        left = mean - 1.96 * spread
+        axes.barh(i, 3.92 * spread, left=left, height=0.62, color=AFTER, alpha=0.16, linewidth=0.0)
         values = factor * learned.values[shown, k]
         for mask, colour in ((~is_off[shown], MUTED), (is_off[shown], BEFORE)):
             axes.plot(values[mask], i + jitter[shown][mask], ".", color=colour, markersize=4.0)
@@ -162,6 +151,14 @@ def population_figure(learned: Learned, places: np.ndarray, unit: str) -> Figure
     dress(axes, x=f"minus the data sheet [{word}]", title={"m": "Lengths", "rad": "Angles"}[unit])
     axes.set_yticks(range(len(places)), names, fontsize=SMALL, color=INK)
     return figure
+
+
+def _drawn_members(is_off: np.ndarray) -> np.ndarray:
+    """Return the indices of the machines that are drawn: all that do not belong, and some others,
+    evenly chosen.
+    """
+    some = np.linspace(0, len(is_off) - 1, _POINTS).astype(int)
+    return np.unique(np.concatenate([some, np.flatnonzero(is_off)]))
 
 
 def _poses(at: summary.AtTool) -> Drawing:
@@ -201,18 +198,15 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
         alpha: fraction of the alarms that may be false.
         version: version of pincal.
     """
-    tone, words = (
-        ("bad", f"{len(found.open)} to inspect") if found.open else ("good", "nothing to inspect")
-    )
-    if found.drifted:
-        words = (
-            f"{words}, {len(found.drifted)} drifted"
-            if found.open
-            else f"{len(found.drifted)} drifted"
-        )
-        tone = "bad"
     lines = list(summary.history_lines(found))
-    answer = rich('<p><span class="tag {}">{}</span> {}</p>', tone, words, lines[0])
+    counts = {"to inspect": len(found.open), "drifted": len(found.drifted)}
+    words = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
+    answer = rich(
+        '<p><span class="tag {}">{}</span> {}</p>',
+        "bad" if words else "good",
+        words or "nothing to inspect",
+        lines[0],
+    )
     blocks = [answer, *(paragraph(line, "care") for line in lines[1:])]
     first = arranged(
         "split",

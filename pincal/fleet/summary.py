@@ -386,18 +386,9 @@ def plain_type(
 ) -> dict[str, Any]:
     """Return the summary of a type as plain data; arguments as for :func:`type_lines`."""
     of = learned.type
-    members = [
-        {
-            "machine": one.machine,
-            "p_value": one.p_value,
-            "like_others": one.probability,
-            "differs_in": list(one.off),
-        }
-        for one in learned.members
-    ]
     found = {
         "robot": of.robot,
-        "machines": members,
+        "machines": _plain_members(learned),
         "parameters": _plain_parameters(of),
         "hit": of.hit,
     }
@@ -416,6 +407,18 @@ def plain_type(
         "errors_mm": {str(n): [1e3 * both[0], 1e3 * both[1]] for n, both in at.needed.items()},
         "poses": poses,
     }
+
+
+def _plain_members(learned: Learned) -> list[dict[str, Any]]:
+    return [
+        {
+            "machine": one.machine,
+            "p_value": one.p_value,
+            "like_others": one.probability,
+            "differs_in": list(one.off),
+        }
+        for one in learned.members
+    ]
 
 
 def _plain_parameters(of: RobotType) -> list[dict[str, Any]]:

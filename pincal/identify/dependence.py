@@ -301,10 +301,8 @@ class _FittedStation:
             if first.dependence_in(turns) < CRITERIA.dependent or first.follows_joints(some, turns):
                 continue
             columns = every if turns is None else turned_into(turns[some], every)
-            each = [
-                _RestrictedLikelihood(columns[:, rows], near, *priors).likeliest()
-                for rows in first.station.block_rows
-            ]
+            blocks = (columns[:, rows] for rows in first.station.block_rows)
+            each = [_RestrictedLikelihood(block, near, *priors).likeliest() for block in blocks]
             gain = sum(found.gain for found in each if found is not None)
             if gain > most:
                 phi, share = _by_reading(each, first.station.block_sizes)

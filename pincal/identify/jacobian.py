@@ -204,9 +204,7 @@ class Jacobian:
         apart = self.places
         A = dense.reshape(len(dense), residuals.size)
         group = np.zeros(self.size, int) if groups is None else groups
-        # Runs of columns of one group.
-        cuts = [0, *(np.flatnonzero(np.diff(group[apart])) + 1).tolist(), len(apart)]
-        for at in (slice(a, b) for a, b in pairwise(cuts) if a < b):
+        for at in _runs(group[apart]):
             own = span(apart[at])
             G[block(own, own)] += A[at] @ A[at].T
         g[span(apart)] += A @ np.ascontiguousarray(residuals).ravel()
@@ -302,6 +300,14 @@ def block(
     if isinstance(rows, np.ndarray) and isinstance(columns, np.ndarray):
         return np.ix_(rows, columns)  # type: ignore[return-value]
     return rows, columns
+
+
+def _runs(groups: np.ndarray) -> Iterator[slice]:
+    """Yield the runs of columns of one group, of the group of each column."""
+    cuts = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(groups)]
+    for start, end in pairwise(cuts):
+        if start < end:
+            yield slice(start, end)
 
 
 def _poses(basis: Basis, rows: slice) -> Basis:

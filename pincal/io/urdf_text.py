@@ -25,6 +25,8 @@ _ORIGINS = {"joint": ("origin",), "constraint": ("parent_origin", "child_origin"
 _TAG = re.compile(rb"<[^\s/>]+(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 _ATTRIBUTE = re.compile(rb"([^\s=<>/\"']+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 _BLANKS = re.compile(rb"\s*")
+# What precedes the root: a mark of the byte order, and the declaration of the encoding.
+_DECLARATION = re.compile(rb"(?:\xef\xbb\xbf)?(?:<\?xml[^>]*\?>[ \t]*\r?\n?)?")
 
 
 @dataclass(frozen=True)
@@ -143,31 +145,37 @@ class _Places:
     end: int = 0
 
 
+class _Finder:
+    """Notes the places of joints while a text is parsed."""
+
+    def __init__(self) -> None:
+        self.places = _Places()
+        self.parser = expat.ParserCreate()
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = self._end
+        self._above = list[str]()
+        self._name = ""
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        at = self.parser.CurrentByteIndex
+        if self._above == ["robot"] and tag in _ORIGINS:
+            self._name = attributes.get("name", "")
+            self.places.holders |= {_key(self._name, held): (at, held) for held in _ORIGINS[tag]}
+        elif len(self._above) == 2 and tag in _ORIGINS.get(self._above[1], ()):
+            self.places.origins.setdefault(_key(self._name, tag), at)
+        self._above.append(tag)
+
+    def _end(self, tag: str) -> None:
+        self._above.pop()
+        self.places.end = self.parser.CurrentByteIndex
+
+
 def _places(text: bytes, source: str) -> _Places:
     """Find the joints directly below the root, not those of transmissions and controllers."""
-    places = _Places()
-    above = list[str]()
-    name = ""
-    parser = expat.ParserCreate()
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal name
-        at = parser.CurrentByteIndex
-        if above == ["robot"] and tag in _ORIGINS:
-            name = attributes.get("name", "")
-            places.holders |= {_key(name, held): (at, held) for held in _ORIGINS[tag]}
-        elif len(above) == 2 and tag in _ORIGINS.get(above[1], ()):
-            places.origins.setdefault(_key(name, tag), at)
-        above.append(tag)
-
-    def end(tag: str) -> None:
-        above.pop()
-        places.end = parser.CurrentByteIndex
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
+    finder = _Finder()
+    places = finder.places
     try:
-        parser.Parse(text, True)
+        finder.parser.Parse(text, True)
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise RobotFileError(
             f"{source}: can't be edited ({error}); save it as UTF-8 first"
@@ -228,3 +236,17 @@ def _inserted(
     assert blanks is not None
     words = "".join(f' {key}="{_words(values)}"' for key, values in changes.items())
     return start, start, blanks.group() + f"<{tag}{words}/>".encode()
+
+
+def with_comment(text: bytes, comment: str) -> bytes:
+    """Return the text of a URDF with a comment of a line at its top, behind the declaration that
+    has to be first; without a comment the text itself.
+
+    Characters beyond ASCII are escaped, since the encoding is only known to extend it.
+    """
+    if not comment:
+        return text
+    words = re.sub("-(?=-|$)", "- ", comment).encode("ascii", "xmlcharrefreplace")
+    found = _DECLARATION.match(text)
+    start = found.end() if found else 0
+    return b"%b<!-- %b -->\n%b" % (text[:start], words, text[start:])

@@ -164,13 +164,8 @@ def cells_of(
     values |= _resting(schema, joints, values, len(rows), source=path.name)
     if joints and (missing := [name for name in joints if name not in values]):
         values |= _followers(schema, values, missing)
-    if (
-        joints
-        and header.readings
-        and "time" in values
-        and not is_part
-        and not schema.may_lack_joints
-    ):
+    may_move = bool(header.readings) and "time" in values and not schema.may_lack_joints
+    if joints and may_move and not is_part:
         values, rows = held_rows(values, rows, joints, was_joined=was_joined, source=path.name)
     droop = _droop(values, joints, source=path.name)
     arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}

@@ -4,9 +4,9 @@ show them against.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -19,6 +19,7 @@ from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.report.judgement import SearchReport
+from pincal.robot.robot import Robot
 from pincal.units import readable_unit
 
 
@@ -156,37 +157,40 @@ def _of_station(calibration: Calibration, k: int) -> Iterator[RowErrors]:
         if validated is None
         else _left_out(calibration, k, validated)
     )
-    problems = shown.problems
-    before = shown.before
-    after = shown.after
     if not len(shown.line):
         return
-    q = np.vstack([problem.conditions.q for problem in problems])
-    gravity = station.model.chain.gravity
-    up = np.array([0.0, 0.0, 1.0]) if not np.any(gravity) else -gravity / np.linalg.norm(gravity)
-    place = Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q))[:, :, 3]
+    made = _errors_at(shown, robot, station.model.chain.gravity)
     ends = np.cumsum([0, *(block.size for block in station.sensor.blocks)])
-    times = [time for problem in problems if (time := problem.conditions.time) is not None]
     for b, block in enumerate(station.sensor.blocks, blocks.start):
         factor, unit = readable_unit(block.unit)
         declared = fit.noise.declared[b]
         here = slice(*ends[b - blocks.start : b - blocks.start + 2])
-        yield RowErrors(
+        yield made(
             name=block.name,
             unit=unit,
-            before=before[here] * factor,
-            after=after[here] * factor,
-            is_held=shown.is_held,
-            is_outlier=shown.is_outlier,
+            before=shown.before[here] * factor,
+            after=shown.after[here] * factor,
             noise=float(fit.solution.estimated[b] if declared is None else declared) * factor,
-            joint_names=tuple(robot.joint_names),
-            is_prismatic=np.array([kind == "prismatic" for kind in robot.joint_types]),
-            q=q,
-            place=place,
-            up=up,
-            line=shown.line,
-            time=np.concatenate(times) if len(times) == len(problems) else None,
         )
+
+
+def _errors_at(shown: _Shown, robot: Robot, gravity: np.ndarray) -> Callable[..., RowErrors]:
+    """Return a function that makes the errors of a kind of reading, at these rows."""
+    problems = shown.problems
+    q = np.vstack([problem.conditions.q for problem in problems])
+    times = [time for problem in problems if (time := problem.conditions.time) is not None]
+    return partial(
+        RowErrors,
+        is_held=shown.is_held,
+        is_outlier=shown.is_outlier,
+        joint_names=tuple(robot.joint_names),
+        is_prismatic=np.array([kind == "prismatic" for kind in robot.joint_types]),
+        q=q,
+        place=Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q))[:, :, 3],
+        up=-gravity / np.linalg.norm(gravity) if np.any(gravity) else np.array([0.0, 0.0, 1.0]),
+        line=shown.line,
+        time=np.concatenate(times) if len(times) == len(problems) else None,
+    )
 
 
 def _together(parts: list[RowErrors]) -> RowErrors:

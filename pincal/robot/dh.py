@@ -103,6 +103,8 @@ def dh_frames(
     tips = np.broadcast_to(T_base_tip, (n, 4, 4))
     # The first joint that a link carries continues its frames.
     following = {parent: i for i, parent in reversed(list(enumerate(parents)))}
+    ends = {i: (pin[:3, 3], pin[:3, 2]) for i, pin in (pins or {}).items()}
+    ends |= {parent: (origins[i], axes[i]) for parent, i in following.items()}
     parameters = []
     frames = list[np.ndarray]()
     branches = dict[int, np.ndarray]()
@@ -114,13 +116,7 @@ def dh_frames(
             branches[i] = start if parent < 0 else np.linalg.inv(carried) @ start
         tilt = _tilt(start, axes[i])
         frame = start @ rotation("x", tilt[0]) @ rotation("y", tilt[1])
-        k = following.get(i)
-        if k is not None:
-            step = _step(frame, origins[k], axes[k])
-        elif pins is not None and i in pins:
-            step = _step(frame, pins[i][:3, 3], pins[i][:3, 2])
-        else:
-            step = _last_step(frame, tips[i])
+        step = _step(frame, *ends[i]) if i in ends else _last_step(frame, tips[i])
         parameters.append([*tilt, *step])
         theta, d, a, alpha = step
         frames.append(frame @ rotation("z", theta) @ translation(a, 0, d) @ rotation("x", alpha))

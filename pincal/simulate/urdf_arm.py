@@ -256,6 +256,31 @@ def _axes(model: Any, data: Any, joints: Sequence[int]) -> tuple[np.ndarray, np.
     return np.array(axes), prismatic
 
 
+def _moving_joint(model: Any, tip: str) -> int:
+    """Return the joint that moves a link.
+
+    Raises:
+        RobotFileError: if none does.
+    """
+    joint = int(model.frames[_frame_id(model, tip)].parentJoint)
+    if not joint:
+        raise RobotFileError(
+            f"no joint moves {tip!r}, which is to be measured; expected a link of the arm, or "
+            f"with it the hand that sees it (--from HAND --to {tip})"
+        )
+    return joint
+
+
+def _bodies(model: Any, joints: Sequence[int], axes: np.ndarray) -> dict[str, Any]:
+    """Return masses, centres of mass and inertias of the links, about the axes of their joints."""
+    bodies = [(model.inertias[i], axis) for i, axis in zip(joints, axes, strict=True)]
+    return {
+        "masses": np.array([body.mass for body, _ in bodies]),
+        "centres": np.array([axis.T @ body.lever for body, axis in bodies]),
+        "inertias": np.array([axis.T @ body.inertia @ axis for body, axis in bodies]),
+    }
+
+
 def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Sequence[str]) -> Arm:
     import pinocchio as pin
 
@@ -266,25 +291,17 @@ def _arm(model: Any, tip: str, base: str | None, *, start: str | None, order: Se
     working = {0: origin.homogeneous} | {
         i: data.oMi[i].homogeneous @ transform(axis) for i, axis in zip(joints, axes, strict=True)
     }
-    end = model.frames[_frame_id(model, tip)].parentJoint
-    if not end:
-        raise RobotFileError(
-            f"no joint moves {tip!r}, which is to be measured; expected a link of the arm, or "
-            f"with it the hand that sees it (--from HAND --to {tip})"
-        )
+    end = _moving_joint(model, tip)
     placements = [np.linalg.solve(working[model.parents[i]], working[i]) for i in joints]
     placements.append(np.linalg.solve(working[end], data.oMf[_frame_id(model, tip)].homogeneous))
     lower, upper = _limits(model, prismatic, joints)
-    bodies = [(model.inertias[i], axis) for i, axis in zip(joints, axes, strict=True)]
     carrier = model.frames[_frame_id(model, start)].parentJoint if start else 0
     seen_from = data.oMf[_frame_id(model, start)] if start else pin.SE3.Identity()
     return Arm(
         names=tuple(order),
         prismatic=prismatic,
         placements=np.array(placements),
-        masses=np.array([body.mass for body, _ in bodies]),
-        centres=np.array([axis.T @ body.lever for body, axis in bodies]),
-        inertias=np.array([axis.T @ body.inertia @ axis for body, axis in bodies]),
+        **_bodies(model, joints, axes),
         axes=axes,
         lower=lower,
         upper=upper,

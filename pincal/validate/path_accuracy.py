@@ -117,33 +117,50 @@ def cycles_of(time: np.ndarray, q: np.ndarray) -> tuple[float, float, int]:
     lags = np.concatenate(
         [np.asarray(hits) - i for hits, i in zip(found, asked, strict=False)] or [np.zeros(0, int)]
     )
+    lag = _shortest_common(lags, count)
+    if lag is None:
+        return once
+    period = float(step) * lag
+    later = np.stack([np.interp(even + period, even, joint) for joint in z])
+    same = (np.sum((later - z) ** 2, axis=0) < near**2) & (even + period <= even[-1])
+    if not same.any():
+        return once
+    start, end = _longest_run(same)
+    n = 1 + int((end - start) * step / period + PATHS.short)
+    return (float(even[start]), period, n) if n > 1 else once
+
+
+def _shortest_common(lags: np.ndarray, count: int) -> float | None:
+    """Return the first lag [steps] after which the arm is often back, of ``count`` steps; None if
+    it never is after having moved away.
+    """
     often = np.convolve(
         np.bincount(lags[lags > 0], minlength=count), np.ones(2 * _BESIDE + 1), "same"
     )
     away = int(np.argmin(often))
     if not often[away:].any():
-        return once
+        return None
     first = away + int(np.argmax(often[away:] > PATHS.often * often[away:].max()))
     most = first + int(np.argmax(often[first : first + 4 * _BESIDE]))
-    period = float(step) * float(np.mean(lags[np.abs(lags - most) <= 2 * _BESIDE]))
-    later = np.stack([np.interp(even + period, even, joint) for joint in z])
-    same = (np.sum((later - z) ** 2, axis=0) < near**2) & (even + period <= even[-1])
-    # The longest run of rows that repeat.
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
-    if not len(edges):
-        return once
+    return float(np.mean(lags[np.abs(lags - most) <= 2 * _BESIDE]))
+
+
+def _longest_run(holds: np.ndarray) -> tuple[int, int]:
+    """Return start and end of the longest run of rows for which something holds, shape (N,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]]).astype(int)))
     longest = int(np.argmax(edges[1::2] - edges[::2]))
-    start, end = edges[2 * longest : 2 * longest + 2]
-    n = 1 + int((end - start) * step / period + PATHS.short)
-    return (float(even[start]), period, n) if n > 1 else once
+    return int(edges[2 * longest]), int(edges[2 * longest + 1])
 
 
 def path_words(found: dict[str, Any]) -> str:
     """Return accuracy and repeatability in words.
 
     Example:
-        >>> path_words({"cycles": 1, "points": 9, "standard": 10, "AT_mm": 0.25})
-        'AT 0.2500 mm; one cycle, the noise of the instrument included: repeat the path, ISO 9283 specifies 10 cycles'
+        >>> found = {"cycles": 1, "points": 9, "standard": 10, "AT_mm": 0.25}
+        >>> for part in path_words(found).split(": "):
+        ...     print(part)
+        AT 0.2500 mm; one cycle, the noise of the instrument included
+        repeat the path, ISO 9283 specifies 10 cycles
     """
     parts = {name: name.rsplit("_", 1) for name in found if name.startswith(("AT_", "RT_"))}
     sizes = [

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     from pincal.calibration.calibration import Calibration
     from pincal.diagnosis.robot_diagnosis import Diagnosis
     from pincal.discover.run import Discovery
+    from pincal.identify.options import Options
     from pincal.measure.measurements import Measurements
+    from pincal.model.effect import Effect
     from pincal.robot.robot import Robot
     from pincal.simulate.instrument import Instrument
     from pincal.simulate.paper_machine import PaperMachine
@@ -48,6 +50,9 @@ _HIT: Scale = 1e-3
 _HIT_JOINT = "joint_3"
 _HIT_ROWS: Count = 10
 _HIT_FOLDER = "hit"
+# Names of files in these folders.
+_DATA = "measurements.csv"
+_URDF = "kuka_kr125_2.urdf"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,74 +68,129 @@ class DemoArguments:
 def demo(arguments: DemoArguments) -> Exit:
     """Run the complete example on a KUKA KR 125/2; no data needed."""
     from pincal.builtin import kuka_urdf_path
-    from pincal.calibration.calibration import run_calibration
-    from pincal.cli.fit_output import FitOutput
-    from pincal.cli.fitting import write_results
-    from pincal.cli.progress import console
     from pincal.diagnosis.cli.new_rows import write_diagnosis
-    from pincal.discover.cli.search_output import SearchOutput
-    from pincal.discover.run import run_discovery
-    from pincal.identify.options import Options
-    from pincal.io.strict_json import write_json
-    from pincal.model.effects import ELASTIC, GEOMETRIC
-    from pincal.report.plots.found import deviation_figure
     from pincal.robot.robot import Robot
-    from pincal.simulate.paper_machine import PAYLOAD_COM, PaperMachine
-    from pincal.simulate.typical import hidden_effect
 
     robot = Robot.from_urdf(kuka_urdf_path())
     out = arguments.out
     seed = arguments.seed
-    bad = PaperMachine(
-        effects=(hidden_effect("gear_eccentricity", joint=_JOINT, order=2, size=_SIZE),)
-    )
-    folders = out, out / _HIDDEN_FOLDER, out / _HIT_FOLDER
+    bad = _hidden_machine()
     with (
-        output_folder(folders[0]) as draft,
-        output_folder(folders[1]) as second,
-        output_folder(folders[2]) as fourth,
+        output_folder(out) as draft,
+        output_folder(out / _HIDDEN_FOLDER) as second,
+        output_folder(out / _HIT_FOLDER) as fourth,
     ):
-        urdf = draft / "kuka_kr125_2.urdf"
-        data = draft / "measurements.csv"
-        again = second / "measurements.csv"
-        urdf.write_bytes(kuka_urdf_path().read_bytes())
-        table, _ = _measure(data, PaperMachine(), robot, rng=np.random.default_rng(seed))
-        runs = {}
-        for name, effects in (("DH,s", GEOMETRIC), ("DH,s,e", ELASTIC)):
-            options = Options(effects=effects, payload_centre=PAYLOAD_COM, sigma=_NOISE)
-            runs[name] = run_calibration(robot, table, options, seed=seed)
-        write_results(
-            draft, FitOutput(runs["DH,s,e"]), provenance([data, urdf], seed=seed), view=True
-        )
-        deviation_figure(_deviations(runs)).savefig(draft / "deviations.png", dpi=120)
-        table, tracker = _measure(again, bad, robot, rng=np.random.default_rng([seed, 2]))
-        found = run_discovery(robot, table, options, seed=seed)
-        write_results(second, SearchOutput.of(found), provenance([again], seed=seed), view=True)
-        write_json(second / "discovery.json", found.report)
+        runs = _calibrate(draft, robot, seed)
+        found, tracker = _discover(second, robot, seed, machine=bad)
         q = robot.random_configurations(_PROGRAM, np.random.default_rng([seed, 3]))
         missed = _compensate(second, found, q, machine=bad, tracker=tracker)
-        diagnosis = _collide(
-            second / "model.json", fourth, robot, machine=bad, rng=np.random.default_rng([seed, 4])
-        )
-        write_diagnosis(
-            fourth,
-            diagnosis,
-            provenance([second / "model.json", fourth / "measurements.csv"], seed=seed),
-        )
+        model = second / "model.json"
+        rng = np.random.default_rng([seed, 4])
+        diagnosis = _collide(model, fourth, robot, machine=bad, rng=rng)
+        origin = provenance([model, fourth / _DATA], seed=seed)
+        write_diagnosis(fourth, diagnosis, origin)
+    acts = _Acts(runs, found, missed, diagnosis)
     if arguments.general.as_json:
-        results = {name: run.result.to_dict() for name, run in runs.items()}
-        print_json(
-            results
-            | {"discovery": found.report, "program_error_mm": missed, "diagnosis": diagnosis.report}
-        )
+        print_json(acts.to_dict())
     else:
-        screen = console()
-        _print_calibration(runs, screen)
-        _print_hidden(found, screen, folder=out / _HIDDEN_FOLDER)
-        _print_program(missed, screen)
-        _print_collision(diagnosis, screen)
-        _print_files(out, screen)
+        acts.print(out)
     return Exit.DONE
+
+
+@dataclass(frozen=True)
+class _Acts:
+    """What the acts of the demo give.
+
+    Attributes:
+        runs: the calibrations, by the name of the model.
+        found: the search for the hidden effect.
+        missed: mean and largest error of the program [mm], as programmed and corrected.
+        diagnosis: of the poses after the collision.
+    """
+
+    runs: dict[str, Calibration]
+    found: Discovery
+    missed: dict[str, dict[str, float]]
+    diagnosis: Diagnosis
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all results as plain data."""
+        return {name: run.result.to_dict() for name, run in self.runs.items()} | {
+            "discovery": self.found.report,
+            "program_error_mm": self.missed,
+            "diagnosis": self.diagnosis.report,
+        }
+
+    def print(self, out: Path) -> None:
+        """Print all acts, and what was written to a folder."""
+        from pincal.cli.progress import console
+
+        screen = console()
+        _print_calibration(self.runs, screen)
+        _print_hidden(self.found, screen, folder=out / _HIDDEN_FOLDER)
+        _print_program(self.missed, screen)
+        _print_collision(self.diagnosis, screen)
+        _print_files(out, screen)
+
+
+def _hidden_machine() -> PaperMachine:
+    """Return the machine of the paper with an elliptical gear wheel."""
+    from pincal.simulate.paper_machine import PaperMachine
+    from pincal.simulate.typical import hidden_effect
+
+    effect = hidden_effect("gear_eccentricity", joint=_JOINT, order=2, size=_SIZE)
+    return PaperMachine(effects=(effect,))
+
+
+def _calibrate(folder: Path, robot: Robot, seed: int) -> dict[str, Calibration]:
+    """Calibrate the machine of the paper, with and without elasticity, and write the former."""
+    from pincal.builtin import kuka_urdf_path
+    from pincal.calibration.calibration import run_calibration
+    from pincal.cli.fit_output import FitOutput
+    from pincal.cli.fitting import write_results
+    from pincal.model.effects import ELASTIC, GEOMETRIC
+    from pincal.report.plots.found import deviation_figure
+    from pincal.simulate.paper_machine import PaperMachine
+
+    urdf = folder / _URDF
+    data = folder / _DATA
+    urdf.write_bytes(kuka_urdf_path().read_bytes())
+    table, _ = _measure(data, PaperMachine(), robot, rng=np.random.default_rng(seed))
+    runs = {
+        name: run_calibration(robot, table, _options(effects), seed=seed)
+        for name, effects in (("DH,s", GEOMETRIC), ("DH,s,e", ELASTIC))
+    }
+    origin = provenance([data, urdf], seed=seed)
+    write_results(folder, FitOutput(runs["DH,s,e"]), origin, view=True)
+    deviation_figure(_deviations(runs)).savefig(folder / "deviations.png", dpi=120)
+    return runs
+
+
+def _discover(
+    folder: Path, robot: Robot, seed: int, *, machine: PaperMachine
+) -> tuple[Discovery, Instrument]:
+    """Measure a machine with a hidden effect, search for it and write the result; return the
+    tracker too, which stays where it is.
+    """
+    from pincal.cli.fitting import write_results
+    from pincal.discover.cli.search_output import SearchOutput
+    from pincal.discover.run import run_discovery
+    from pincal.io.strict_json import write_json
+    from pincal.model.effects import ELASTIC
+
+    data = folder / _DATA
+    table, tracker = _measure(data, machine, robot, rng=np.random.default_rng([seed, 2]))
+    found = run_discovery(robot, table, _options(ELASTIC), seed=seed)
+    write_results(folder, SearchOutput.of(found), provenance([data], seed=seed), view=True)
+    write_json(folder / "discovery.json", found.report)
+    return found, tracker
+
+
+def _options(effects: tuple[Effect, ...]) -> Options:
+    from pincal.identify.options import Options
+    from pincal.simulate.paper_machine import PAYLOAD_COM
+
+    return Options(effects=effects, payload_centre=PAYLOAD_COM, sigma=_NOISE)
 
 
 def _measure(
@@ -156,7 +216,8 @@ def _measure(
 
     q = robot.random_configurations(rows, rng)
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = Rotation.random(rng=rng).as_matrix(), rng.uniform(-4.0, 4.0, 3)
+    pose[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    pose[:3, 3] = rng.uniform(-4.0, 4.0, 3)
     tracker = Instrument(pose=pose, targets=_TOOL, sigma=_NOISE)
     shift = hit * np.array([name == _HIT_JOINT for name in robot.joint_names])
     read = tracker.measure(machine, q + shift, rng=rng, payload=PAYLOAD_MASS)
@@ -206,9 +267,7 @@ def _collide(
     from pincal.calibration.fitted_robot import load_model
     from pincal.diagnosis.robot_diagnosis import diagnose
 
-    table, _ = _measure(
-        folder / "measurements.csv", machine, robot, rng=rng, rows=_HIT_ROWS, hit=_HIT
-    )
+    table, _ = _measure(folder / _DATA, machine, robot, rng=rng, rows=_HIT_ROWS, hit=_HIT)
     return diagnose(load_model(model), table)
 
 
@@ -335,7 +394,7 @@ def _print_files(out: Path, screen: Console) -> None:
 
     folder = out / _HIDDEN_FOLDER
     hit = out / _HIT_FOLDER
-    urdf = out / "kuka_kr125_2.urdf"
+    urdf = out / _URDF
     screen.print("\nOpen", style="bold")
     for path, words in (
         (out / "report.html", "accuracy, where errors are, every parameter with its uncertainty"),
@@ -351,8 +410,8 @@ def _print_files(out: Path, screen: Console) -> None:
     screen.print("\nThen try your own robot, or a simulated one:", style="bold")
     for line in (
         f"pincal compensate {folder / 'model.json'} {folder / 'program.csv'} --out again.csv",
-        f"pincal diagnose   {folder / 'model.json'} {hit / 'measurements.csv'} --out again",
-        f"pincal check      {urdf} {out / 'measurements.csv'} --payload-com .08 -.05 .22",
+        f"pincal diagnose   {folder / 'model.json'} {hit / _DATA} --out again",
+        f"pincal check      {urdf} {out / _DATA} --payload-com .08 -.05 .22",
         f"pincal simulate   {urdf} --poses 300 --effect backlash:joint_2 --out mine.csv",
         f"pincal discover   {urdf} mine.csv --out found --noise 0.05mm",
     ):

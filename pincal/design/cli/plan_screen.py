@@ -10,7 +10,7 @@ from pincal.cli.screen import print_notes
 from pincal.design.health import HealthCheck
 from pincal.design.motion_design import MotionDesign
 from pincal.design.plan_tables import motion_table, pose_count_table
-from pincal.design.pose_design import SOURCES, Design
+from pincal.design.pose_design import PREDICTED_BY, Design
 from pincal.design.study import RANDOM_DESIGNS
 from pincal.discover.policy import SIGHT
 from pincal.result_table import hanging, one_line
@@ -91,11 +91,18 @@ def print_check(found: HealthCheck, out: Console) -> None:
             "or reduce the noise"
         )
         out.print(hanging("not met:", text))
+    for mark, text in _check_facts(found):
+        out.print(hanging(f"{mark}:", text))
+    print_notes(found.notes, out)
+
+
+def _check_facts(found: HealthCheck) -> Iterator[tuple[str, str]]:
+    """Yield the change that is hardest to detect, the simulated rates, and what a check misses."""
     hardest = found.changes[0]
     where = f"{hardest.change.name} {hardest.change.joint or ''}".strip()
     parameters = ", ".join(hardest.change.parameters)
     signal = f"signal {hardest.noncentrality:.1f}, needed {hardest.needed:.1f}"
-    out.print(hanging("hardest:", f"{where} ({parameters}): {signal}"))
+    yield "hardest", f"{where} ({parameters}): {signal}"
     rates = (
         f"alarms in {100 * found.alarms:.1f} % of {found.draws} checks of an unchanged robot, in "
     )
@@ -103,29 +110,24 @@ def print_check(found: HealthCheck, out: Console) -> None:
         f"{100 * found.noticed:.1f} % of {found.draws} if the hardest change by "
         f"{1e3 * found.notice:.3g} mm has occurred"
     )
-    out.print(hanging("simulated:", rates))
+    yield "simulated", rates
     if found.absorbed:
-        known, new = (
-            [c for c in found.absorbed if (c.effect is None) is is_known]
-            for is_known in (True, False)
-        )
+        known = [change for change in found.absorbed if change.effect is None]
+        new = len(found.absorbed) - len(known)
         parts = [*dict.fromkeys(name for change in known for name in change.parameters)]
-        names = ", ".join([*parts, *([f"{len(new)} new effects"] if new else [])])
+        names = ", ".join([*parts, *([f"{new} new effects"] if new else [])])
         why = (
             "the new poses of instrument and target absorb them, or they never move any point "
             "this far"
         )
-        out.print(hanging("undetectable:", f"{names}: {why}"))
+        yield "undetectable", f"{names}: {why}"
     curves = "free curves of a drive, and dependences on temperature, time or direction of approach"
-    out.print(hanging("not covered:", curves))
-    out.print(hanging("candidates:", found.drawn.in_words()))
-    print_notes(found.notes, out)
+    yield "not covered", curves
+    yield "candidates", found.drawn.in_words()
 
 
 def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
     """Yield how the poses were chosen, and their predicted accuracy compared with random ones."""
-    designed = found.found.designed
-    random = found.found.random
     yield "candidates", found.drawn.in_words()
     path = (
         f"{found.path_length:.1f} joint ranges from first to last pose, "
@@ -134,11 +136,25 @@ def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
     yield "path length", path
     if found.needed is not None:
         yield "accuracy", f"{found.needed} of the candidates are the fewest poses that reach it"
-    what = found.design_model.quantity
+    yield from _error_facts(found)
+    yield from _rival_facts(found)
+    yield "rank", f"{found.rank} identifiable directions of the parameters"
+    for name in _SHOWN:
+        if name in found.observability:
+            numbers = (
+                f"{found.observability[name]:.3g}, random {found.observability_random[name]:.3g}"
+            )
+            yield f"index {name}", f"{numbers} (observability, {PREDICTED_BY[name]})"
+
+
+def _error_facts(found: Design) -> Iterator[tuple[str, str]]:
+    """Yield the predicted error: of the poses, without them, of random ones, and its bound."""
+    designed = found.found.designed
+    random = found.found.random
     yield (
         "predicted",
-        f"{what} error over the task {1e3 * designed.error:.4f} mm rms, if the model has "
-        "the right form",
+        f"{found.design_model.quantity} error over the task {1e3 * designed.error:.4f} mm rms, "
+        "if the model has the right form",
     )
     if found.before is not None:
         yield "before", f"{1e3 * found.before.error:.4f} mm with the poses already measured"
@@ -158,8 +174,14 @@ def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
             "lower bound",
             f"no selection of the candidates has less than {1e3 * found.bound:.4f} mm{beyond}",
         )
+
+
+def _rival_facts(found: Design) -> Iterator[tuple[str, str]]:
+    """Yield how well each of two effects can be told apart from the other."""
+    apart = found.found.designed.apart
+    by_chance = found.found.random.apart
     for mine, other, left, chance in zip(
-        found.rivals, found.rivals[::-1], designed.apart, random.apart, strict=False
+        found.rivals, found.rivals[::-1], apart, by_chance, strict=False
     ):
         verdict = (
             "distinguishable"
@@ -171,10 +193,3 @@ def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
             "rivals",
             f"{mine} of typical size leaves {left:.3g} that {other} can't explain: {verdict}",
         )
-    yield "rank", f"{found.rank} identifiable directions of the parameters"
-    for name in _SHOWN:
-        if name in found.observability:
-            numbers = (
-                f"{found.observability[name]:.3g}, random {found.observability_random[name]:.3g}"
-            )
-            yield f"index {name}", f"{numbers} (observability, {SOURCES[name]})"

@@ -28,6 +28,11 @@ from pincal.cli.common import (
 )
 from pincal.cli.outputs import print_json
 from pincal.cli.quantities import ANGLE, DURATION, LENGTH, masses
+from pincal.design.cli.acceptance_planning import (
+    AcceptancePlanOptions,
+    OutputWanted,
+    write_acceptance_plan,
+)
 from pincal.errors import Exit
 from pincal.robot.cell import Beside
 
@@ -36,28 +41,45 @@ if TYPE_CHECKING:
     from pincal.design.motion_design import MotionDesign
     from pincal.design.pose_design import Design
     from pincal.design.reach import Limits, SensorSetup
+    from pincal.design.request import DesignRequest
     from pincal.identify.options import Options
     from pincal.robot.robot import Robot
 
 _EXAMPLES = """
 Examples:
   pincal design robot.urdf --poses 40 --instrument 3.5 -1 1.2 --payload 80 --out poses.csv
-  pincal design robot.urdf --accuracy 0.05mm --noise 0.03mm --out poses.csv     # how many poses do I need?
-  pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     # which poses to add?
+  pincal design robot.urdf --accuracy 0.05mm --noise 0.03mm --out poses.csv     \
+# how many poses do I need?
+  pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     \
+# which poses to add?
   pincal design robot.urdf --poses 40 --out poses.csv \\
       --tell-apart gear_eccentricity:joint_2 gravity_compensator:joint_2
-  pincal design robot.urdf --motion 300s --out motion.csv                       # what to drive with an IMU?
+  pincal design robot.urdf --motion 300s --out motion.csv                       \
+# what to drive with an IMU?
+  pincal design robot.urdf --acceptance 300mm,800mm --out test.csv              \
+# where to put calibrated lengths?
   pincal design results/model.json --check --notice 0.2mm --out check.csv       # has it changed?
   pincal design results/model.json --check --notice 0.5mm --out check.csv \\
-      --socket 0.7 0.3 0.2 --socket 0.5 -0.4 0.4                                # the same with two sockets
+      --socket 0.7 0.3 0.2 --socket 0.5 -0.4 0.4                                \
+# the same with two sockets
 To practise:
   pincal simulate robot.urdf --at poses.csv --out tracker.csv
 
-An effect is NAME[:JOINT][:KEY=VALUE,...], as in discover. Neither the paths from pose to pose nor obstacles
-around the robot are considered: check them before the robot moves.
+An effect is NAME[:JOINT][:KEY=VALUE,...], as in discover. Neither the paths from pose to pose nor
+obstacles around the robot are considered: check them before the robot moves.
 """
 _COUNT = click.IntRange(min=1)
-# Options of an instrument, on which a motion with an IMU does not depend.
+# Options of poses and of an instrument, on which a motion with an IMU does not depend.
+_OF_POSES = (
+    "poses",
+    "accuracy",
+    "task",
+    "measured",
+    "type",
+    "tell_apart",
+    "candidates",
+    "start",
+)
 _OF_RIG = ("sensor", "sockets", "tool", "payload")
 
 
@@ -220,6 +242,7 @@ class DesignArguments:
     signs: tuple[str, ...] = sign_option()
     driven: DrivenOptions = group("Motion")
     health: CheckOptions = group("Health check")
+    tested: AcceptancePlanOptions = group("Acceptance test")
     constraints: ConstraintOptions = group("Constraints")
     instrument: InstrumentOptions = group("Instrument")
     model: ModelOptions = group("Model")
@@ -234,22 +257,38 @@ def design(arguments: DesignArguments) -> Exit:
     """
     if arguments.health.check:
         return _check(arguments)
+    if arguments.tested.acceptance is not None:
+        return _acceptance(arguments)
     if arguments.driven.motion is not None:
         return _motion(arguments, arguments.driven.motion)
-    from pincal.cli.inputs import load_table
     from pincal.design.pose_design import design_poses
-    from pincal.design.request import DesignRequest
 
     if arguments.poses is None and arguments.accuracy is None:
         raise click.UsageError(
             "give --poses N, --accuracy for as many as are needed, or --motion DURATION for an IMU"
         )
     robot = _robot(arguments)
+    found = design_poses(
+        robot,
+        _request(arguments, robot),
+        _options(arguments, robot),
+        rig=_rig(arguments),
+        limits=_limits(robot, arguments),
+    )
+    _write(arguments, robot, found, sensor=found.rig.sensor)
+    return Exit.DONE
+
+
+def _request(arguments: DesignArguments, robot: Robot) -> DesignRequest:
+    """Return what poses are wanted; joint positions of files are read for the robot."""
+    from pincal.cli.inputs import load_table
+    from pincal.design.request import DesignRequest
+
     task, measured = (
         None if path is None else load_table(robot, path, joints_only=True)
         for path in (arguments.task, arguments.measured)
     )
-    request = DesignRequest(
+    return DesignRequest(
         poses=arguments.poses,
         accuracy=arguments.accuracy,
         criterion=arguments.criterion,
@@ -260,15 +299,6 @@ def design(arguments: DesignArguments) -> Exit:
         candidates=arguments.candidates,
         seed=arguments.seed,
     )
-    found = design_poses(
-        robot,
-        request,
-        _options(arguments, robot),
-        rig=_rig(arguments),
-        limits=_limits(robot, arguments),
-    )
-    _write(arguments, robot, found, sensor=found.rig.sensor)
-    return Exit.DONE
 
 
 def _check(arguments: DesignArguments) -> Exit:
@@ -292,29 +322,25 @@ def _check(arguments: DesignArguments) -> Exit:
     return Exit.DONE if found.is_met else Exit.INACCURATE
 
 
+def _acceptance(arguments: DesignArguments) -> Exit:
+    from pincal.design.reach import Reach
+
+    if arguments.poses is not None or arguments.accuracy is not None:
+        raise click.UsageError("--acceptance chooses all poses; leave out --poses and --accuracy")
+    robot = _robot(arguments)
+    reach = Reach(robot, _rig(arguments), _limits(robot, arguments))
+    wanted = OutputWanted(
+        out=arguments.out,
+        in_degrees=arguments.degrees,
+        as_json=arguments.general.as_json,
+    )
+    return write_acceptance_plan(reach, arguments.tested, wanted, seed=arguments.seed)
+
+
 def _motion(arguments: DesignArguments, duration: float) -> Exit:
     from pincal.design.motion_design import design_motion
 
-    rig = arguments.instrument
-    constraints = arguments.constraints
-    of_poses = (
-        "poses",
-        "accuracy",
-        "task",
-        "measured",
-        "type",
-        "tell_apart",
-        "candidates",
-        "start",
-        "to",
-    )
-    wanted = {name: getattr(arguments, name) for name in of_poses} | {
-        name: getattr(rig, name) for name in _OF_RIG
-    }
-    wanted |= {"instrument": constraints.instrument, "normal": constraints.normal}
-    if other := next((name for name, value in wanted.items() if value not in (None, ())), None):
-        flag = {"start": "from", "sockets": "socket"}.get(other, other.replace("_", "-"))
-        raise click.UsageError(f"--{flag} is for poses at rest; leave out --{flag} or --motion")
+    _refuse_of_poses(arguments)
     robot = _robot(arguments)
     driven = arguments.driven
     found = design_motion(
@@ -328,6 +354,17 @@ def _motion(arguments: DesignArguments, duration: float) -> Exit:
     )
     _write(arguments, robot, found, sensor=None)
     return Exit.DONE
+
+
+def _refuse_of_poses(arguments: DesignArguments) -> None:
+    """Refuse options on which a motion does not depend."""
+    constraints = arguments.constraints
+    given = {name: getattr(arguments, name) for name in _OF_POSES}
+    given |= {name: getattr(arguments.instrument, name) for name in _OF_RIG}
+    given |= {"instrument": constraints.instrument, "normal": constraints.normal}
+    if other := next((name for name, value in given.items() if value not in (None, ())), None):
+        flag = {"start": "from", "sockets": "socket"}.get(other, other.replace("_", "-"))
+        raise click.UsageError(f"--{flag} is for poses at rest; leave out --{flag} or --motion")
 
 
 def _write(

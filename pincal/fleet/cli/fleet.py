@@ -4,7 +4,7 @@ of machines.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,8 +28,9 @@ from pincal.thresholds import Count
 
 if TYPE_CHECKING:
     from pincal.calibration.fitted_robot import FittedRobot
+    from pincal.fleet.history import FleetHistory, Visit
     from pincal.fleet.machines import Machine
-    from pincal.fleet.robot_type import Learned
+    from pincal.fleet.robot_type import Learned, RobotType
     from pincal.fleet.summary import AtTool
 
 # Number of parameters that are listed.
@@ -38,7 +39,8 @@ _LEARN_EXAMPLES = """
 Examples:
   pincal fleet learn r1/model.json r2/model.json r3/model.json --out type.json --report type.html
   pincal fleet learn fleet-store --out type.json --error 0.1mm
-  pincal fleet learn */model.json --out type.json --share site.parquet     # for another site, without names
+  pincal fleet learn */model.json --out type.json --share site.parquet     \
+# for another site, without names
   pincal fleet learn */model.json other-site.parquet --out type.json       # there
 Then:
   pincal calibrate robot.urdf few.csv --type type.json --out results
@@ -100,25 +102,12 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     from pincal.fleet import summary
     from pincal.fleet.machines import save_machines
     from pincal.fleet.robot_type import learn_type
-    from pincal.model.effects import ELASTIC, GEOMETRIC
-    from pincal.robot.robot import Robot
 
     machines, model = _machines(arguments.machines)
     learned = learn_type(machines)
-    of = learned.type
-    robot = None
-    effects = GEOMETRIC
-    if model is not None:
-        robot = model.model.chain.robot
-        effects = tuple(effect for effect in model.model.effects if effect.scope == "robot")
-    if arguments.robot is not None:
-        robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
-        effects = (
-            ELASTIC if any(parameter.is_compliance for parameter in of.parameters) else GEOMETRIC
-        )
-    at = None if robot is None else summary.at_tool(of, robot, effects, noise=arguments.noise)
+    at = _at_tool(learned.type, model, arguments)
     origin = provenance([Path(text) for text in arguments.machines])
-    of.save(arguments.out, provenance=origin)
+    learned.type.save(arguments.out, provenance=origin)
     if arguments.share is not None:
         save_machines(arguments.share, machines)
     if arguments.report is not None:
@@ -134,6 +123,26 @@ def fleet_learn(arguments: LearnArguments) -> Exit:
     ]
     click.echo(f"written to {' '.join(written)}")
     return Exit.DONE
+
+
+def _at_tool(of: RobotType, first: FittedRobot | None, arguments: LearnArguments) -> AtTool | None:
+    """Return what a type moves at the tool, of the arm of the command line or else of the first
+    model; None if neither is given.
+    """
+    from pincal.fleet import summary
+    from pincal.model.effects import ELASTIC, GEOMETRIC
+    from pincal.robot.robot import Robot
+
+    if arguments.robot is not None:
+        robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
+        is_elastic = any(parameter.is_compliance for parameter in of.parameters)
+        return summary.at_tool(
+            of, robot, ELASTIC if is_elastic else GEOMETRIC, noise=arguments.noise
+        )
+    if first is None:
+        return None
+    effects = tuple(effect for effect in first.model.effects if effect.scope == "robot")
+    return summary.at_tool(of, first.model.chain.robot, effects, noise=arguments.noise)
 
 
 def _print_type(learned: Learned, at: AtTool | None, arguments: LearnArguments) -> None:
@@ -225,42 +234,55 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
 
     of = load_type(arguments.type)
     store = open_store(arguments.store)
-    visits = sorted(visits_of(store), key=lambda visit: visit.day)
-    begun = {visit.machine: visit.day for visit in reversed(visits) if visit.is_calibration}
-    known = [visit for visit in visits if begun.get(visit.machine, "9999") <= visit.day]
+    known, strangers = _since_calibration(visits_of(store))
     found = fleet_changes(of, known, alpha=arguments.alpha, every=arguments.every)
     if arguments.report is not None:
         from pincal.fleet.fleet_pages import fleet_page
 
         version = provenance([])["pincal"]
-        write_atomic(
-            arguments.report, fleet_page(of, found, alpha=arguments.alpha, version=version)
-        )
+        page = fleet_page(of, found, alpha=arguments.alpha, version=version)
+        write_atomic(arguments.report, page)
     if arguments.general.as_json:
         print_json(summary.plain_history(found))
     else:
-        from pincal.cli.progress import console
-
-        for line in summary.history_lines(found):
-            click.echo(line)
-        if found.changes:
-            console().print(summary.change_summary(found))
-        if found.checks:
-            console().print(summary.look_first(found))
-        if strangers := sorted({visit.machine for visit in visits} - begun.keys()):
-            names = ", ".join(strangers[:_PARAMETERS]) + (
-                " and others" if len(strangers) > _PARAMETERS else ""
-            )
-            click.echo(f"note: ignored: checks of {names}, which have no calibration")
+        _print_history(found)
+        if strangers:
+            click.echo(f"note: ignored: checks of {_some(strangers)}, which have no calibration")
         if left := len(without_information(store)):
-            click.echo(
-                f"note: {counted(left, 'table')} of the store not calibrated yet: pincal "
-                "fleet calibrate ROBOT.urdf "
-                f"{arguments.store} --type {arguments.type}"
-            )
+            calibrate = f"calibrate ROBOT.urdf {arguments.store} --type {arguments.type}"
+            tables = counted(left, "table")
+            click.echo(f"note: {tables} of the store not calibrated yet: pincal fleet {calibrate}")
         if arguments.report is not None:
             click.echo(f"written to {arguments.report}")
     return Exit.CHANGED if found.open or found.drifted else Exit.DONE
+
+
+def _since_calibration(visits: Iterable[Visit]) -> tuple[list[Visit], list[str]]:
+    """Return the visits from the first calibration of each machine on, and the machines that have
+    none.
+    """
+    ordered = sorted(visits, key=lambda visit: visit.day)
+    begun = {visit.machine: visit.day for visit in reversed(ordered) if visit.is_calibration}
+    known = [visit for visit in ordered if begun.get(visit.machine, "9999") <= visit.day]
+    return known, sorted({visit.machine for visit in ordered} - begun.keys())
+
+
+def _print_history(found: FleetHistory) -> None:
+    """Print what changed in a fleet, and which robots to look at first."""
+    from pincal.cli.progress import console
+    from pincal.fleet import summary
+
+    for line in summary.history_lines(found):
+        click.echo(line)
+    if found.changes:
+        console().print(summary.change_summary(found))
+    if found.checks:
+        console().print(summary.look_first(found))
+
+
+def _some(names: Sequence[str]) -> str:
+    others = " and others" if len(names) > _PARAMETERS else ""
+    return ", ".join(names[:_PARAMETERS]) + others
 
 
 fleet = click.Group(

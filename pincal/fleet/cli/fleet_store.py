@@ -5,10 +5,10 @@ work on all of it.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,9 +30,10 @@ from pincal.errors import BadInputError, Exit, counted
 from pincal.thresholds import Count
 
 if TYPE_CHECKING:
-    from pincal.fleet.jobs import Job
+    from pincal.fleet.jobs import Done, Job
     from pincal.fleet.store import Key, Store
     from pincal.identify.options import Options
+    from pincal.identity import Identity
     from pincal.robot.robot import Robot
 
 # Number of failures that are listed.
@@ -48,16 +49,17 @@ Examples:
   pincal fleet add fleet-store check.csv --check --machine R17
   pincal fleet add fleet-store diagnosis/diagnosis.json --machine R17
 
-A store is a folder, or a URL that fsspec can open, such as s3://bucket/fleet; it is created with the first file.
-Several processes may add files at the same time; a file that is added twice is stored once.
+A store is a folder, or a URL that fsspec can open, such as s3://bucket/fleet; it is created with
+the first file. Several processes may add files at the same time; a file that is added twice is
+stored once.
 """
 _JOB_EXAMPLES = """
 Examples:
   pincal fleet {0} fleet-store --noise 0.05mm
   pincal fleet {0} fleet-store --dask tcp://10.0.0.5:8786
 
-Completed work is not repeated: a run that was stopped continues with the rest. To repeat all of it, delete the folder
-{1} of the store.
+Completed work is not repeated: a run that was stopped continues with the rest. To repeat all of it,
+delete the folder {1} of the store.
 """
 _dask = "Work on this Dask cluster, which needs access to the store."
 store_argument = partial(argument, "STORE", "Folder or URL of the store.")
@@ -87,7 +89,10 @@ class AddArguments:
         "FILE...", "Calibrated models, diagnoses (.json), or tables of measurements."
     )
     machine: str | None = option(
-        "Name of the machine.", metavar="NAME", words="of the file, or its folder"
+        "Name of the machine.",
+        metavar="NAME",
+        words="the serial number that a model or diagnosis states, or the name of the file, or "
+        "its folder",
     )
     day: str | None = option("Day of the measurement.", metavar="YYYY-MM-DD", words="today")
     check: bool = option("Add tables as checks of machines that are calibrated already.", False)
@@ -105,70 +110,129 @@ class AddArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(AddArguments, examples=_ADD_EXAMPLES)
-def fleet_add(arguments: AddArguments) -> Exit:
-    """Add models, diagnoses or tables of measurements to a store."""
-    import datetime
+@dataclass(frozen=True)
+class _Entry:
+    """What a file adds to a store: its kind, and how it is added, with False for a model without
+    information.
+    """
 
-    from pincal.calibration.fitted_robot import load_model
-    from pincal.cli.inputs import load_table
-    from pincal.fleet.jobs import add_diagnosis, add_model, last_model, load_diagnosis
-    from pincal.fleet.store import Store, iso_day, named_machine, open_store
-    from pincal.fleet.stored_rows import CALIBRATION, CHECK
-    from pincal.io.strict_json import MODEL_FILE, read_bounded
-    from pincal.robot.robot import Robot
+    kind: str
+    add: Callable[[Store], object]
 
-    day = iso_day(arguments.day or datetime.datetime.now(tz=datetime.UTC).date().isoformat())
-    labels = dict(pair(text, "KEY=VALUE, such as hall=north") for text in arguments.label)
-    names = machine_names([str(path) for path in arguments.files])
-    # Everything is read before anything is written.
-    adding = list[Callable[[Store], object]]()
-    robot = None
-    kinds = list[str]()
-    for path in arguments.files:
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads the files of a command line for a store."""
+
+    arguments: AddArguments
+    day: str
+    labels: dict[str, str]
+    names: dict[str, str]
+
+    def entry(self, path: Path) -> _Entry:
+        """Return what a file adds.
+
+        Raises:
+            BadInputError: for a folder, a file or a name of a machine that is invalid.
+        """
+        from pincal.fleet.store import named_machine
+
         machine = named_machine(
-            names[str(path)] if arguments.machine is None else arguments.machine
+            self.names[str(path)] if self.arguments.machine is None else self.arguments.machine
         )
         if path.suffix.lower() == ".json":
-            is_diagnosis = b'"excluded"' in read_bounded(path, MODEL_FILE)
-            (load_diagnosis if is_diagnosis else load_model)(path)
-            kinds.append("diagnosis" if is_diagnosis else "model")
-            add: Callable[..., object] = (
-                add_diagnosis if is_diagnosis else partial(add_model, labels=labels)
-            )
-            adding.append(partial(add, machine=machine, day=day, path=path))
-            continue
+            return self._document(path, machine)
         if path.is_dir():
             raise BadInputError(
                 f"{path}: a folder, such as a session in motion; calibrate it and add its "
                 "model.json"
             )
-        if robot is None and arguments.robot is not None:
-            robot = Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base)
-        elif robot is None:
-            known = None
-            with suppress(BadInputError):
-                known = last_model(open_store(arguments.store))
-            if known is None:
-                raise BadInputError(
-                    f"{path}: the store has no model, so it is unknown which columns are "
-                    "joints; give --robot URDF"
-                )
-            robot = known.model.chain.robot
-        table = load_table(robot, path, options=arguments.table.options)
-        kinds.append(CHECK if arguments.check else "table")
-        role = CHECK if arguments.check else CALIBRATION
-        adding.append(
-            partial(
-                Store.add_table, machine=machine, day=day, table=table, role=role, labels=labels
+        return self._table(path, machine)
+
+    def _document(self, path: Path, machine: str) -> _Entry:
+        """Return what a model or a diagnosis adds."""
+        from pincal.calibration.fitted_robot import load_model
+        from pincal.fleet.jobs import add_diagnosis, add_model, load_diagnosis
+        from pincal.io.strict_json import MODEL_FILE, read_bounded
+
+        if b'"excluded"' in read_bounded(path, MODEL_FILE):
+            machine = self._stated(load_diagnosis(path).id) or machine
+            return _Entry(
+                "diagnosis", partial(add_diagnosis, machine=machine, day=self.day, path=path)
             )
+        machine = self._stated(load_model(path).identity) or machine
+        add = partial(add_model, machine=machine, day=self.day, path=path, labels=self.labels)
+        return _Entry("model", add)
+
+    def _stated(self, identity: Identity | None) -> str:
+        """Return the serial number that a file states, as the name of its machine; empty if there
+        is none, or another name was given.
+        """
+        from pincal.fleet.store import named_machine
+
+        if self.arguments.machine is not None or identity is None or not identity.robot:
+            return ""
+        return named_machine(identity.robot)
+
+    def _table(self, path: Path, machine: str) -> _Entry:
+        """Return what a table of measurements adds."""
+        from pincal.cli.inputs import load_table
+        from pincal.fleet.store import Store
+        from pincal.fleet.stored_rows import CALIBRATION, CHECK
+
+        if self._robot is None:
+            raise BadInputError(
+                f"{path}: the store has no model, so it is unknown which columns are "
+                "joints; give --robot URDF"
+            )
+        table = load_table(self._robot, path, options=self.arguments.table.options)
+        role = CHECK if self.arguments.check else CALIBRATION
+        add = partial(
+            Store.add_table,
+            machine=machine,
+            day=self.day,
+            table=table,
+            role=role,
+            labels=self.labels,
         )
+        return _Entry(CHECK if self.arguments.check else "table", add)
+
+    @cached_property
+    def _robot(self) -> Robot | None:
+        """The arm of all tables: of the command line, or of the last model of the store."""
+        from pincal.fleet.jobs import last_model
+        from pincal.fleet.store import open_store
+        from pincal.robot.robot import Robot
+
+        given = self.arguments
+        if given.robot is not None:
+            return Robot.from_urdf(given.robot, tip=given.tip, base=given.base)
+        known = None
+        with suppress(BadInputError):
+            known = last_model(open_store(given.store))
+        return None if known is None else known.model.chain.robot
+
+
+@verb(AddArguments, examples=_ADD_EXAMPLES)
+def fleet_add(arguments: AddArguments) -> Exit:
+    """Add models, diagnoses or tables of measurements to a store."""
+    import datetime
+
+    from pincal.fleet.store import iso_day, open_store
+
+    day = iso_day(arguments.day or datetime.datetime.now(tz=datetime.UTC).date().isoformat())
+    labels = dict(pair(text, "KEY=VALUE, such as hall=north") for text in arguments.label)
+    names = machine_names([str(path) for path in arguments.files])
+    reader = _Reader(arguments, day, labels, names)
+    # Everything is read before anything is written.
+    entries = [reader.entry(path) for path in arguments.files]
     store = open_store(arguments.store, create=True)
-    without = [add(store) for add in adding].count(False)
+    without = [entry.add(store) for entry in entries].count(False)
+    kinds = Counter(entry.kind for entry in entries)
     if arguments.general.as_json:
-        print_json({"store": arguments.store, "day": day, "added": dict(Counter(kinds))})
+        print_json({"store": arguments.store, "day": day, "added": dict(kinds)})
     else:
-        found = ", ".join(counted(count, kind) for kind, count in Counter(kinds).items())
+        found = ", ".join(counted(count, kind) for kind, count in kinds.items())
         click.echo(f"added to {arguments.store}: {found} of {day}")
     if without:
         words = (
@@ -303,31 +367,34 @@ def _run(
     with workers(dask, repeats=dask is not None or len(tables) >= _SEVERAL) as executor:
         found = run_job(store, job, tables=tables, executor=executor)
     good = found.done - len(found.failed)
+    before += found.before
     if general.as_json:
-        counts = {
-            "done": good,
-            "before": before + found.before,
-            "failed_before": found.failed_before,
-        }
+        counts = {"done": good, "before": before, "failed_before": found.failed_before}
         print_json({"job": job.name, **counts, "failed": found.failed})
     else:
-        words = f"; {before} done before" if (before := before + found.before) else ""
+        words = f"; {before} done before" if before else ""
         click.echo(f"{counted(good, 'table')} {done}{words}")
-        for path, reason in list(found.failed.items())[:_FAILURES]:
-            click.echo(f"failed: {path}: {reason}")
-        if len(found.failed) > _FAILURES:
-            click.echo(
-                f"failed: {len(found.failed) - _FAILURES} more, see the column failure of "
-                f"{job.kind} in the store"
-            )
-        if found.failed_before:
-            click.echo(
-                f"{found.failed_before} failed before, not tried again: see the column "
-                f"failure of {job.kind}"
-            )
+        for line in _failures(found, job.kind):
+            click.echo(line)
     if found.failed and not good:
         all_of_them = counted(found.done, "table")
         raise BadInputError(
             f"{store.place}: none of {all_of_them} could be processed; the reasons are in the store"
         )
     return Exit.DONE
+
+
+def _failures(found: Done, kind: str) -> Iterator[str]:
+    """Yield lines on the tables that failed, now and before; ``kind`` is where the reasons are."""
+    for path, reason in list(found.failed.items())[:_FAILURES]:
+        yield f"failed: {path}: {reason}"
+    if len(found.failed) > _FAILURES:
+        yield (
+            f"failed: {len(found.failed) - _FAILURES} more, see the column failure of "
+            f"{kind} in the store"
+        )
+    if found.failed_before:
+        yield (
+            f"{found.failed_before} failed before, not tried again: see the column "
+            f"failure of {kind}"
+        )

@@ -16,7 +16,12 @@ from pincal.cli.arguments import verb
 from pincal.cli.outputs import print_json, provenance, write_all, write_plain
 from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 from pincal.robot.cell import read_cell, robot_files
-from pincal.simulate.cli.simulate_options import SensorArguments, SimulateArguments, via_path
+from pincal.simulate.cli.simulate_options import (
+    MachineArguments,
+    SensorArguments,
+    SimulateArguments,
+    via_path,
+)
 from pincal.thresholds import Count
 
 if TYPE_CHECKING:
@@ -34,18 +39,22 @@ _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
   pincal simulate robot.urdf --poses 300 --payload 0,80 --masses-off 3 \\
       --effect gear_eccentricity:joint_3:size=1e-4,order=1 --out tracker.csv --truth truth.json
-  pincal simulate robot.urdf --poses 500 --pose-seed 1 --noise 0mm --out exact.csv   # the same machine
+  pincal simulate robot.urdf --poses 500 --pose-seed 1 --noise 0mm --out exact.csv   \
+# the same machine
 Other sensors:
   pincal simulate robot.urdf --sensor pose --noise-angle 0.05mrad --poses 200 --out poses.csv
-  pincal simulate robot.urdf --sensor camera_point --points-out object.csv --out seen.csv   # as in the paper
+  pincal simulate robot.urdf --sensor camera_point --points-out object.csv --out seen.csv   \
+# as in the paper
   pincal simulate robot.urdf --sensor camera_pixel --object grid --poses 60 --noise 0.1px \\
       --points-out grid.csv --camera-out camera.json --out image.csv
   pincal simulate robot.urdf --sockets 6 --poses 240 --points-out sockets.csv --out contacts.csv
   pincal simulate robot.urdf --anchors 3 --poses 200 --points-out anchors.csv --out wires.csv
   pincal simulate robot.urdf --ball-bar 300mm --anchors 2 --poses 200 --out bar.csv
 In motion:
-  pincal simulate robot.urdf --path 300s --imu --out monday   # joints.csv and imu.csv, each on its own clock
-  pincal simulate robot.urdf --path 5min --imu --sensor position --effect joint_lag:joint_2 --out tuesday
+  pincal simulate robot.urdf --path 300s --imu --out monday   \
+# joints.csv and imu.csv, each on its own clock
+  pincal simulate robot.urdf --path 5min --imu --sensor position --effect joint_lag:joint_2 \
+--out tuesday
 Then:
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
 """
@@ -77,19 +86,10 @@ def simulate(arguments: SimulateArguments) -> Exit:
     """Simulate the measurement of a machine with chosen errors and hidden effects."""
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
-    from pincal.robot.arm_of_tree import TreeRequest
-    from pincal.robot.robot import Robot
     from pincal.simulate.request import Stream
 
     arguments.check()
-    given = arguments.machine
-    tree = read_cell(arguments.robot, given.beside, xacro_args=dict(given.xacro_args))
-    wanted = TreeRequest(given.end, given.start, given.base)
-    robot = Robot.from_tree(tree, wanted)
-    if given.also:
-        robot = Robot.from_tree(
-            tree, replace(wanted, paths=[(robot.base, link) for link in given.also])
-        )
+    robot = _robot(arguments)
     if arguments.motion.path is not None and _is_from_hand(robot):
         raise click.UsageError(
             f"--path: readings from {robot.path.start} to {robot.tip}, which no joint moves, are "
@@ -108,9 +108,9 @@ def simulate(arguments: SimulateArguments) -> Exit:
     if start != robot.base or robot.links:
         table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
     found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
-    origin = {"made_by": provenance(robot_files(robot.source, given.beside))}
     out: _Files = {"--out": (arguments.out, lambda path: write_table(path, table))}
-    write_all(out | _further_files(arguments, campaign.setup, found | origin))
+    truth = found | _made_by(robot, arguments)
+    write_all(out | _further_files(arguments, campaign.setup, truth))
     end_progress()
     if arguments.general.as_json:
         print_json({"rows": rows, "columns": list(table), "out": str(arguments.out)} | found)
@@ -119,61 +119,79 @@ def simulate(arguments: SimulateArguments) -> Exit:
     return Exit.DONE
 
 
+def _robot(arguments: SimulateArguments) -> Robot:
+    """Return the arm, and others of the same URDF if the command line names their ends."""
+    from pincal.robot.arm_of_tree import TreeRequest
+    from pincal.robot.robot import Robot
+
+    given = arguments.machine
+    tree = read_cell(arguments.robot, given.beside, xacro_args=dict(given.xacro_args))
+    wanted = TreeRequest(given.end, given.start, given.base)
+    robot = Robot.from_tree(tree, wanted)
+    if not given.also:
+        return robot
+    return Robot.from_tree(tree, replace(wanted, paths=[(robot.base, link) for link in given.also]))
+
+
 def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Exit:
     """Write the logs of joints, IMU and tracker of a path driven by the machine."""
     from pincal.cli.progress import end_progress, log_step
-    from pincal.measure.table import write_table
-    from pincal.simulate.instrument import Instrument
-    from pincal.simulate.moving import conditions_along
     from pincal.simulate.request import Stream
-    from pincal.simulate.setup import Campaign
 
     log_step("planning a path")
     session = _drawn_session(robot, machine, arguments)
     log_step("driving it")
     tables = session.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
-    time = np.linspace(0.0, session.duration, _LOOKED_AT)
-    along = conditions_along(session.path, time, **session.conditions)
-    seen = Campaign(
-        q=session.path.at(time),
-        conditions=along,  # type: ignore[arg-type]
-        setup=session.tracker or Instrument(),
-        hidden=(),
-    )
-    found = (
-        _origin(robot, machine, arguments)
-        | seen.truth(machine, tip=robot.tip)
-        | session.truth(machine.nominal)
-    )
-    files: _Files = {
-        f"--out {name}": (
-            arguments.out / f"{name}.csv",
-            lambda path, table=table: write_table(path, table),  # type: ignore[misc]
-        )
-        for name, table in tables.items()
-    }
-    origin = {"made_by": provenance(robot_files(robot.source, arguments.machine.beside))}
+    seen = _seen_along(session)
+    found = _origin(robot, machine, arguments) | seen.truth(machine, tip=robot.tip)
+    found |= session.truth(machine.nominal)
     _make_folder(arguments.out)
-    write_all(files | _further_files(arguments, seen.setup, found | origin))
+    truth = found | _made_by(robot, arguments)
+    write_all(_log_files(arguments.out, tables) | _further_files(arguments, seen.setup, truth))
     end_progress()
     rows = {name: len(table["time"]) for name, table in tables.items()}
     if arguments.general.as_json:
         print_json({"rows": rows, "out": str(arguments.out)} | found)
         return Exit.DONE
-    lines = _log_lines(robot, session, rows)
     written = f", the truth to {arguments.truth}" if arguments.truth else ""
-    lines = [*lines, *_hidden_lines(found), f"written to {arguments.out}{written}"]
-    click.echo(
-        "\n".join(
-            [
-                *lines,
-                "next: "
-                f"{' '.join([_of_arm('calibrate', arguments), *_known(arguments.sensor)])} "
-                "--out results",
-            ]
-        )
-    )
+    calibrate = " ".join([_of_arm("calibrate", arguments), *_known(arguments.sensor)])
+    lines = [
+        *_log_lines(robot, session, rows),
+        *_hidden_lines(found),
+        f"written to {arguments.out}{written}",
+        f"next: {calibrate} --out results",
+    ]
+    click.echo("\n".join(lines))
     return Exit.DONE
+
+
+def _log_files(folder: Path, tables: dict[str, dict[str, np.ndarray]]) -> _Files:
+    """Return the files of the logs, by name."""
+    from pincal.measure.table import write_table
+
+    return {
+        f"--out {name}": (
+            folder / f"{name}.csv",
+            lambda path, table=table: write_table(path, table),  # type: ignore[misc]
+        )
+        for name, table in tables.items()
+    }
+
+
+def _seen_along(session: MovingSession) -> Campaign:
+    """Return poses along a path, at which the sizes of effects are evaluated for the truth."""
+    from pincal.simulate.instrument import Instrument
+    from pincal.simulate.moving import conditions_along
+    from pincal.simulate.setup import Campaign
+
+    time = np.linspace(0.0, session.duration, _LOOKED_AT)
+    along = conditions_along(session.path, time, **session.conditions)
+    return Campaign(
+        q=session.path.at(time),
+        conditions=along,  # type: ignore[arg-type]
+        setup=session.tracker or Instrument(),
+        hidden=(),
+    )
 
 
 def _drawn_session(
@@ -189,9 +207,10 @@ def _drawn_session(
     )
     path = arguments.motion.path
     course = via_path(robot, machine.names, path) if isinstance(path, Path) else None
+    duration = path if course is None else float(course.time[-1])
     return draw_session(
         machine.nominal,
-        arguments.session_options(path if course is None else float(course.time[-1])),  # type: ignore[arg-type]
+        arguments.session_options(duration),  # type: ignore[arg-type]
         tracker=None if arguments.motion.imu and arguments.sensor.sensor is None else tracker,
         path=course or Stream.POSES.generator(arguments.pose_seed),
         setup=rng,
@@ -262,24 +281,19 @@ def _origin(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) ->
     return names | seeds | ({"drawn_masses_kg": masses} if masses else {})
 
 
+def _made_by(robot: Robot, arguments: SimulateArguments) -> dict[str, Any]:
+    """Return the command and its input files, for JSON."""
+    return {"made_by": provenance(robot_files(robot.source, arguments.machine.beside))}
+
+
 def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
-    from pincal.robot.urdf_file import arm_text
-    from pincal.simulate.machine import TrueMachine
     from pincal.simulate.request import draw_machine
 
     given = arguments.machine
     urdf = (
         robot.urdf if given.type is None else _of_type(robot, given.type, arguments.campaign.seed)
     )
-    made = partial(
-        TrueMachine.from_urdf,
-        arm_text(urdf, robot.joint_names, robot.source, loops=True),
-        base=robot.base,
-        joints=_in_one_order(robot),
-        passive=robot.passive,
-        moment_frame=given.moment_frame,
-        gravity=given.gravity or tuple(robot.gravity.tolist()),
-    )
+    made = _machine_between(robot, given, urdf)
     # Errors are in proportion to an arm, for a tree always the same one, whatever the links of the
     # readings are.
     start, tip = _arm_ends(robot)
@@ -313,6 +327,26 @@ def _arm_ends(robot: Robot) -> tuple[str, str]:
 
 def _setup_options(robot: Robot, arguments: SimulateArguments) -> SetupOptions:
     return replace(arguments.setup_options(), on_hand=_is_from_hand(robot))
+
+
+def _machine_between(
+    robot: Robot, given: MachineArguments, urdf: bytes
+) -> Callable[..., TrueMachine]:
+    """Return a function of links, ``tip`` and ``start``, that returns the machine of a URDF with
+    readings between these.
+    """
+    from pincal.robot.urdf_file import arm_text
+    from pincal.simulate.machine import TrueMachine
+
+    return partial(
+        TrueMachine.from_urdf,
+        arm_text(urdf, robot.joint_names, robot.source, loops=True),
+        base=robot.base,
+        joints=_in_one_order(robot),
+        passive=robot.passive,
+        moment_frame=given.moment_frame,
+        gravity=given.gravity or tuple(robot.gravity.tolist()),
+    )
 
 
 def _of_type(robot: Robot, path: Path, seed: int) -> bytes:

@@ -362,20 +362,10 @@ class SimulateArguments:
 
     def _check_motion(self) -> None:
         """Refuse options of poses at rest for a path, and options of a path for poses at rest."""
-        motion = self.motion
-        campaign = self.campaign
-        if motion.path is None:
-            if name := motion.first_given():
-                raise click.UsageError(
-                    f"--{name.replace('_', '-')} is for an arm in motion; add --path DURATION|FILE"
-                )
-            if self.out.suffix.lower() not in TABLE_ENDINGS:
-                raise OutputError(
-                    f"--out {self.out}: a table can't be written as a file without an "
-                    "extension; end the name in "
-                    f"{' or '.join(TABLE_ENDINGS)}"
-                )
+        if self.motion.path is None:
+            self._check_at_rest()
             return
+        campaign = self.campaign
         if self.kind == "socket" or self.sensor.ball_bar is not None:
             raise click.UsageError(
                 f"--path is logged by an IMU or a --sensor that reads in motion, not by {self.kind}"
@@ -392,6 +382,19 @@ class SimulateArguments:
         if self.out.suffix:
             raise OutputError(
                 f"--out {self.out}: with --path a folder is written; give the name of a folder"
+            )
+
+    def _check_at_rest(self) -> None:
+        """Refuse options of a path, and a folder instead of a table."""
+        if name := self.motion.first_given():
+            raise click.UsageError(
+                f"--{name.replace('_', '-')} is for an arm in motion; add --path DURATION|FILE"
+            )
+        if self.out.suffix.lower() not in TABLE_ENDINGS:
+            raise OutputError(
+                f"--out {self.out}: a table can't be written as a file without an "
+                "extension; end the name in "
+                f"{' or '.join(TABLE_ENDINGS)}"
             )
 
     def session_options(self, duration: float) -> SessionOptions:

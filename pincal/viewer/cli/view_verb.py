@@ -17,6 +17,7 @@ from pincal.errors import BadInputError, Exit
 from pincal.units import plain_numbers
 
 if TYPE_CHECKING:
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.measure.measurements import Measurements
     from pincal.viewer.scene import Scene
 
@@ -98,48 +99,69 @@ def view(arguments: ViewArguments) -> Exit:
     return Exit.DONE
 
 
-def _scene(arguments: ViewArguments) -> Scene:
-    from pincal.calibration.fitted_robot import load_model
+@dataclass(frozen=True)
+class _Shown:
+    """The measurements of a scene.
+
+    Attributes:
+        table: their N rows; None if there are none.
+        held_out: shape (N,), which of them the calibration did not use; None if it is unknown.
+        notes: how this is known, for the user.
+    """
+
+    table: Measurements | None = None
+    held_out: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+
+
+def _shown_rows(arguments: ViewArguments, calibrated: FittedRobot) -> _Shown:
+    """Return the rows of the tables, and which of them were held out: those of ``--holdout``, or
+    by the files of the calibration.
+    """
     from pincal.cli.inputs import load_table
     from pincal.measure.table import concatenate
-    from pincal.viewer import build_scene, held_out_rows
+    from pincal.viewer import held_out_rows
 
-    stations = load_model(arguments.model)
+    robot = calibrated.model.chain.robot
     data = arguments.data
     holdout = arguments.holdout
+    if data is None and holdout is not None:
+        raise BadInputError(
+            f"{holdout}: --holdout without DATA.csv; give the fitted table first, or only this one"
+        )
+    if data is None:
+        return _Shown()
+    table = load_table(robot, data, options=arguments.table.options)
+    if holdout is None:
+        residuals = arguments.model.with_name("residuals.csv")
+        held, why = held_out_rows(calibrated.provenance, residuals, data, table)
+        return _Shown(table, held, (why,))
+    more = load_table(robot, holdout, options=arguments.table.options)
+    held = np.repeat([False, True], [len(table), len(more)])
+    return _Shown(concatenate([table, more]), held)
+
+
+def _scene(arguments: ViewArguments) -> Scene:
+    from pincal.calibration.fitted_robot import load_model
+    from pincal.viewer import build_scene
+
+    stations = load_model(arguments.model)
     calibrated = stations.at(stations.names[0] if arguments.station is None else arguments.station)
     robot = calibrated.model.chain.robot
-    table = None
-    held = None
-    notes = []
-    if data is not None:
-        table = load_table(robot, data, options=arguments.table.options)
-        if holdout is None:
-            residuals = arguments.model.with_name("residuals.csv")
-            held, why = held_out_rows(calibrated.provenance, residuals, data, table)
-            notes.append(why)
-    if holdout is not None:
-        if table is None:
-            raise BadInputError(
-                f"{holdout}: --holdout without DATA.csv; give the fitted table first, or "
-                "only this one"
-            )
-        more = load_table(robot, holdout, options=arguments.table.options)
-        held = np.repeat([False, True], [len(table), len(more)])
-        table = concatenate([table, more])
-    q = _pose(arguments.pose, table)
+    shown = _shown_rows(arguments, calibrated)
+    q = _pose(arguments.pose, shown.table)
     if q is not None and len(q) == robot.n_joints:
         q = robot.from_reported(q[None])[0]
     scene = build_scene(
         calibrated,
-        table,
-        held_out=held,
+        shown.table,
+        held_out=shown.held_out,
         grid=arguments.grid,
         scale=arguments.scale,
         axis_scale=arguments.axis_scale,
         mesh_folders=arguments.meshes,
     )
-    return scene.opening(q, notes=notes)
+    return scene.opening(q, notes=shown.notes)
 
 
 def _pose(text: str | None, table: Measurements | None) -> np.ndarray | None:
