@@ -28,6 +28,7 @@ from pincal.certificate.of_model import certificate_of_model, position_budget
 from pincal.certificate.statement import Certificate, Figure, Issue
 from pincal.errors import BadInputError
 from pincal.identity import Identity
+from pincal.io.result_folder import output_folder
 from pincal.model.chain import Chain
 from pincal.model.effects import GEOMETRIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
@@ -434,6 +435,19 @@ def test_the_command_writes_both_files_beside_the_results(folder: Path, capsys: 
     printed = capsys.readouterr()
     assert f"doubt: {DOUBT}" in printed.out and "No. C-18" in printed.out
     assert b"<dcc:issueDate>2026-11-30<" in (folder / "dcc.xml").read_bytes()
+
+
+def test_a_certificate_does_not_outlive_its_calibration(tmp_path: Path) -> None:
+    """A run into the same folder removes it: it would seem to be of the new model."""
+    folder = tmp_path / "results"
+    folder.mkdir()
+    for name in ("model.json", "certificate.html", "dcc.xml", "notes.txt"):
+        (folder / name).write_text("{\n}\n")
+
+    with output_folder(folder) as draft:
+        (draft / "model.json").write_text("{\n}\n")
+
+    assert {file.name for file in folder.iterdir()} == {"model.json", "notes.txt"}
 
 
 @pytest.mark.parametrize("words", [["--issued", "30.11.2026"], ["--set", "id.robt=1"]])
