@@ -283,6 +283,15 @@ def _figure(to: _Writer, of: Figure) -> None:
         expanded.number("valueExpandedMU", of.expanded)
         expanded.number("coverageFactor", of.coverage)
         expanded.number("coverageProbability", CERTIFICATE.probability)
+    if of.interval is not None and of.unit in _UNITS:
+        ends = {"least": of.interval[0], "largest": of.interval[1]}
+        stated = {
+            f"{end} value of the 95 % interval": repr(value)
+            for end, value in ends.items()
+            if value is not None
+        }
+        if stated:
+            _facts(made.inner("measurementMetaData"), stated.items())
     if of.decision is not None and of.limits is not None:
         _conformity(
             made.inner("measurementMetaData").inner("metaData", kind="basic_conformity"), of

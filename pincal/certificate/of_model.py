@@ -238,7 +238,9 @@ def _groups(result: ResultFile, budget: Budget) -> Iterator[FigureGroup]:
         ("calibrated", "Error of the calibrated robot"),
         ("nominal", "Error of the nominal robot, base and tool fitted"),
     ):
-        figures = tuple(_statistics(result.error[model][part], rows))
+        is_stated = model == "calibrated" and part == "test"
+        intervals = {} if result.intervals is UNSET or not is_stated else result.intervals
+        figures = tuple(_statistics(result.error[model][part], intervals))
         # Readings of an IMU, say, have no errors in these units.
         if figures:
             yield FigureGroup(title=title, figures=figures, remark=f"{rows} rows, {seen}")
@@ -256,24 +258,20 @@ def _groups(result: ResultFile, budget: Budget) -> Iterator[FigureGroup]:
     )
 
 
-def _statistics(error: Mapping[str, float], rows: int) -> Iterator[Figure]:
-    """Yield the statistics of errors; the mean with its uncertainty, rows taken as independent."""
+def _statistics(
+    error: Mapping[str, float], intervals: Mapping[str, tuple[float | None, float | None]]
+) -> Iterator[Figure]:
+    """Yield the statistics of errors, with their intervals where these are known."""
     for unit in ("mm", "mrad", "px"):
         for key, name in _STATISTICS.items():
-            if (value := error.get(f"{key}_{unit}")) is None:
-                continue
-            expanded = None
-            square = error.get(f"rms_{unit}")
-            if key == "mean" and square is not None and rows > 1:
-                spread = math.sqrt(max(square**2 - value**2, 0.0) / (rows - 1))
-                expanded = CERTIFICATE.coverage * spread
-            yield Figure(
-                name=name,
-                value=value,
-                unit=unit,
-                expanded=expanded,
-                coverage=None if expanded is None else CERTIFICATE.coverage,
-            )
+            statistic = f"{key}_{unit}"
+            if statistic in error:
+                yield Figure(
+                    name=name,
+                    value=error[statistic],
+                    unit=unit,
+                    interval=intervals.get(statistic),
+                )
 
 
 def _elsewhere(result: ResultFile) -> Iterator[Figure]:
