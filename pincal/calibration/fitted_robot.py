@@ -32,6 +32,7 @@ from pincal.calibration.result_tables import (
     parameter_table,
     residual_table,
 )
+from pincal.calibration.statement import ModelStatement
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify import split
@@ -78,6 +79,7 @@ class FittedRobot:
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
         evidence: what the rows show besides.
         discrepancy: what the model lacks; None where its residuals are noise, or it is not known.
+        statement: what the calibration states of the model; None where it is not known.
 
     Example:
         >>> from pincal import Chain, Robot
@@ -97,6 +99,7 @@ class FittedRobot:
     provenance: dict[str, Any] = field(default_factory=dict)
     evidence: Evidence = field(default_factory=KeptEvidence)
     discrepancy: Discrepancy | None = None
+    statement: ModelStatement | None = None
 
     @classmethod
     def of(cls, fit: ModelFit, provenance: dict[str, Any] | None = None) -> FittedRobot:
@@ -212,6 +215,7 @@ class FittedRobot:
             # The information of all stations counts once.
             self.evidence if k == 0 else KeptEvidence(),
             self.discrepancy,
+            self.statement,
         )
 
     @cached_property
@@ -810,6 +814,7 @@ class FittedRobot:
                 self.evidence,
                 self.provenance if provenance is None else provenance,
                 self.discrepancy,
+                self.statement,
             )
 
         write_model_file(path, made)
@@ -895,4 +900,5 @@ def load_model(path: str | os.PathLike[str]) -> FittedRobot:
         file.provenance,
         KeptEvidence(file.unmodelled, file.information),
         file.discrepancy,
+        file.statement,
     )

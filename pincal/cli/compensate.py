@@ -211,7 +211,9 @@ def compensate(arguments: CompensateArguments) -> Exit:
     place = find_place(arguments.model, arguments.place, arguments.table.options)
     if arguments.program.reads(arguments.targets):
         robot = place.model.model.chain.robot
-        return arguments.program.correct(place.model, _correction(robot, arguments))
+        code = arguments.program.correct(place.model, _correction(robot, arguments))
+        echo_notes(place.notes, quiet=arguments.general.quiet)
+        return code
     return _compensate_table(place, arguments)
 
 

@@ -110,6 +110,7 @@ def export(arguments: ExportArguments) -> Exit:
         calibrated = load_model(arguments.model).robot_model()
     else:
         calibrated = find_place(arguments.model, arguments.place, arguments.table.options).model
+    said = [] if calibrated.statement is None else list(calibrated.statement.notes())
     contents: dict[str, Any] = {}
     lines: list[str] = []
     for name, place in places.items():
@@ -121,6 +122,8 @@ def export(arguments: ExportArguments) -> Exit:
         if exported.max_error_m is not None:
             contents["max_error_m"] = max(exported.max_error_m, contents.get("max_error_m", 0.0))
         lines += [exported.text.rstrip()] if path is None else _written_lines(path, exported)
+    contents["notes"] += said
+    lines += [f"note: {note}" for note in said]
     if arguments.general.as_json:
         print_json(contents)
     else:
