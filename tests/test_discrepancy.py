@@ -45,11 +45,12 @@ def test_near_poses_differ_by_less_than_far_ones(rng: np.random.Generator) -> No
     q = np.array([[0.0, 0.5], [0.01, 0.5], [1.4, -1.0]])
     levers = np.tile(rng.normal(0.0, 0.5, (2, 1, 3)), (1, 3, 1))
     found = Discrepancy(lengths=np.array([0.2]), drives=np.array([[1e-8], [1e-8]]), rest=1e-12, factor=1.2, coordinates=30)
-    C = found.covariance(q, levers)
+    errors = found.errors(q, levers)
+    C = errors.matrix.reshape(3, 3, 3, 3)
     near, far = (np.trace(C[0, :, 0] + C[i, :, i] - 2.0 * C[0, :, i]) for i in (1, 2))
     assert near < 0.05 * far
-    assert np.allclose(np.einsum("nanb->nab", C), found.variances(levers), rtol=1e-12)
-    assert np.linalg.eigvalsh(C.reshape(9, 9)).min() > 0.0
+    assert np.allclose(errors.blocks, found.variances(levers), rtol=1e-9)
+    assert np.linalg.eigvalsh(errors.matrix).min() > 0.0
 
 
 def test_noise_is_no_discrepancy(rng: np.random.Generator) -> None:
@@ -92,8 +93,8 @@ def test_intervals_hold_what_the_model_lacks(ripples: tuple[Robot, np.ndarray, n
     by_source = found.position_variances(found.conditions_at(q[120:]))
     assert np.mean(np.abs(off) < 1.96 * np.sqrt(by_source["parameters"])) < 0.6
     assert np.allclose(sum(by_source.values()), sigma**2, rtol=1e-12)
-    C = found.position_covariance(found.conditions_at(q[120:140]))
-    assert np.allclose(np.einsum("nana->na", C), sigma[:20] ** 2, rtol=1e-9)
+    C = found.covariance_of(q[120:140])
+    assert np.allclose(np.einsum("naa->na", C.blocks), sigma[:20] ** 2, rtol=1e-8)
     found.save(f"{tmp_path}/model.json")
     again = load_model(f"{tmp_path}/model.json")
     assert np.allclose(again.predict(q[120:140], return_sigma=True)[1], sigma[:20], rtol=1e-9)
@@ -110,3 +111,16 @@ def test_an_adequate_model_lacks_nothing(ripples: tuple[Robot, np.ndarray, np.nd
     assert run_calibration(robot, rows, Options(sigma=NOISE)).fit.discrepancy is None
     assert run_calibration(robot, rows, Options()).fit.discrepancy is None
     assert calibrate(robot, rows, Options(sigma=NOISE)).discrepancy is None
+
+
+def test_orientations_are_as_uncertain_as_drives_and_the_rest_make_them(rng: np.random.Generator) -> None:
+    """Intervals of orientations hold fresh ones, of drives that turn the target and of errors of its mount."""
+    found = Discrepancy(lengths=np.array([0.2]), drives=np.full((3, 1), 1e-8), rest=0.0, factor=1.0, coordinates=30)
+    axes = rng.normal(size=(3, 4000, 3))
+    axes /= np.linalg.norm(axes, axis=2, keepdims=True)
+    off = np.einsum("jn,jna->na", 1e-4 * rng.standard_normal((3, 4000)), axes) + 2e-4 * rng.standard_normal((4000, 3))
+    learned = found.with_turns(off[:1000], axes[:, :1000], np.zeros(1000))
+    assert np.sqrt(learned.turn_rest) == pytest.approx(2e-4, rel=0.05)
+    sigma = np.sqrt(learned.turn_variances(axes[:, 1000:]))
+    assert np.mean(np.abs(off[1000:]) < 1.96 * sigma) == pytest.approx(0.95, abs=0.01)
+    assert np.mean(np.abs(off[1000:]) < sigma) == pytest.approx(0.683, abs=0.02)

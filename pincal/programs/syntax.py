@@ -196,7 +196,8 @@ class Source:
             is_end = isinstance(error, UnexpectedToken) and error.token.type == "$END"
             if is_end or at == len(text):
                 raise self.truncated(words) from None
-            found = text[at] if isinstance(error, UnexpectedCharacters) else str(error.token)  # type: ignore[attr-defined]
+            is_character = isinstance(error, UnexpectedCharacters)
+            found = text[at] if is_character else str(error.token)  # type: ignore[attr-defined]
             raise self.error(f"{found[:30]!r}; expected {words}", at) from None
 
     def statements(self, tokens: str, words: str, *, over_lines: bool = False) -> list[Statement]:
