@@ -180,6 +180,7 @@ DISPLACED = {
             "$WORLD={X 1,Y 0,Z 0,A 0,B 0,C 0}",
             "$NULLFRAME.X=5",
             "$IPO_MODE=#TCP",
+            "$IPO_MODE=X",
             "$ET1_TA1KR={X 1}",
             "$TECH.CLASS=1",
             "$CORR={X 1}",

@@ -102,8 +102,8 @@ _KRL_WORDS = (
         "B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, "
         "SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, "
         "SJERK, SORI_TYP, SLOAD, PATH, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, "
-        "INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, STRLEN, STRDECLLEN, STRFIND, STRCOMP, "
-        "MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, "
+        "INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, STRLEN, STRDECLLEN, STRFIND, "
+        "STRCOMP, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, "
         "EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM",
     ),
     Understood(
@@ -113,7 +113,7 @@ _KRL_WORDS = (
     ),
     Understood(
         "filler",
-        f"{_MANUAL}, and CREAD/CWRITE for KSS 8: texts and channels, which write to their arguments",
+        "KUKA, CREAD/CWRITE for KSS 8: texts and channels, which write to their arguments",
         "CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, "
         "CIOCTL, STRCLEAR, STRADD, STRCOPY",
     ),
@@ -123,7 +123,8 @@ _KRL_WORDS = (
         "$TOOL, $BASE, $ORI_TYPE and $LOAD are read",
         "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, "
         "$APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, "
-        "$OUT_C, $COLLMON_TOL_PRO, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, "
+        "$OUT_C, $COLLMON_TOL_PRO, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, "
+        "$CYCFLAG, $BWDSTART, $H_POS, "
         "$CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, "
         "$CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, "
         "$ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, "
@@ -229,7 +230,7 @@ class _Data:
     constant: set[str] = field(default_factory=set)
 
     def tool_is_fixed(self) -> None:
-        """Note that the tool is fixed in the cell."""
+        """Note that the tool is fixed in the cell, or may be."""
         self.is_fixed = True
 
     def turns(self, statement: Statement) -> bool:
@@ -303,7 +304,9 @@ class _SourceReader(Reader):
         turning = fields.get("ORI_TYP", ())
         if turning and text_of_items(turning) not in _TURNING:
             self.data.constant.add(name)
-        if name == "$IPO_MODE" and text_of_items(value) == "#TCP":
+        # With data of motions the mode is that of their frame data.
+        is_mode = name == "$IPO_MODE" and call_of(value) is None
+        if is_mode and text_of_items(value) != "#BASE":
             self.data.tool_is_fixed()
         if "TOOL_NO" in fields and "BASE_NO" in fields:
             is_new = name not in self.data.frames
@@ -358,23 +361,18 @@ class _SourceReader(Reader):
         statement = self.statements[k]
         items = statement.items
         first = word(items[0])
-        run = self.flow[k].run
         if first in _RELATIVE:
-            self.draft.read(self.words(items[1:]))
-            lost = self.skip(text_of_items(items)[:40], statement.line, "a relative motion")
-            self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=run))
+            self._move_relatively(k)
             return
         if first not in _MOTIONS or len(items) < 2 or is_token(items[1], "SIGN", "="):
             return
         places = _places(items[1:])
         if not places.parts:
             return
-        usual = _MOTIONS[first]
-        is_usual = not places.is_arc and len(places.parts) == 1 + (usual == "circle")
-        path = usual if is_usual else "joint"
+        path = places.path(_MOTIONS[first])
         tool = self._frame("$TOOL", k)
         displaced = self.displaced(k, [POSITIONS])
-        why = displaced or self._why_moved(k, is_line=usual != "joint")
+        why = displaced or self._why_moved(k, is_line=_MOTIONS[first] != "joint")
         self.draft.motions.append(
             Motion(
                 path,
@@ -384,13 +382,22 @@ class _SourceReader(Reader):
                 tool,
                 Frame("$BASE", reason=why) if why else self._frame("$BASE", k),
                 place_of(places.parts[-1]),
-                run,
+                self.flow[k].run,
                 can_insert=path == "line" and not self._splines(k),
                 takes_posture=first in _BY_POSTURE,
                 load=self.load(k) or self._load_of_tool(k, tool),
                 displaced=displaced,
             )
         )
+
+    def _move_relatively(self, k: int) -> None:
+        """Note a motion by a distance, whose end is not known."""
+        statement = self.statements[k]
+        self.draft.read(self.words(statement.items[1:]))
+        name = text_of_items(statement.items)[:40]
+        lost = self.skip(name, statement.line, "a relative motion")
+        run = self.flow[k].run
+        self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=run))
 
     def _splines(self, k: int) -> list[int]:
         """Return the statements that open the splines around a motion."""
@@ -506,6 +513,11 @@ class _Places:
 
     parts: Sequence[Sequence[Any]]
     is_arc: bool
+
+    def path(self, usual: Path) -> Path:
+        """Return the path through the places: another than the usual one is not followed."""
+        is_usual = not self.is_arc and len(self.parts) == 1 + (usual == "circle")
+        return usual if is_usual else "joint"
 
 
 def _places(items: Sequence[Any]) -> _Places:

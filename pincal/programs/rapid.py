@@ -270,8 +270,7 @@ class _ModuleReader(Reader):
         count = 2 if path == "circle" else 1
         places = given.plain[:count]
         if len(places) < count:
-            name = f"{first} of line {statement.line}"
-            self.draft.skipped.append(self.skip(name, statement.line, "not understood"))
+            self.not_understood(first, statement.line)
             return
         displaced = self._displaced(k, given.options)
         targets = tuple(self.target(k, part) for part in places)

@@ -285,9 +285,7 @@ class _ScriptReader(Reader):
         count = 2 if path == "circle" else 1
         places = given.places(count)
         if len(places) < count:
-            self.draft.skipped.append(
-                self.skip(f"{called} of line {statement.line}", statement.line, "not understood")
-            )
+            self.not_understood(called, statement.line)
             return
         targets = tuple(self.target(k, part) for part in places)
         if path == "circle" and given.mode not in ("", "0"):

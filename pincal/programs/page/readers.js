@@ -1348,6 +1348,10 @@ skip(name, line, reason) {
 return new Skipped(name, this.file, line, reason);
 return null;
 }
+not_understood(motion, line) {
+py.call(this.draft.skipped, "append", this.skip((py.str(motion) + " of line " + py.str(line)), line, "not understood"));
+return null;
+}
 words(items) {
 return py.set(words_in(items, this.case));
 return null;
@@ -2440,57 +2444,22 @@ return joined((() => { const $out = []; for (const draft of py.iter(drafts)) { $
 return null;
 }
 _positions(draft, i, source, parts) {
-let counts, expected, name, part, place, point, posture, rest, seen, tags, values;
-tags = new py.Dict([["TOOL", ""], ["USER", ""], ["POSTYPE", ""]]);
-posture = new Posture();
+let counts, expected, head, part, seen;
+head = new _Head();
 seen = 0;
 for (const $each of py.iter(parts)) {
 part = $each;
-if (py.same(part.data, "tag")) {
-[name, ...rest] = [...py.iter((() => { const $out = []; for (const child of py.iter(part.children)) { $out.push(py.str(child)); } return $out; })())];
-py.put(tags, py.call(name, "lstrip", "/"), (py.truth(rest) ? py.call(py.at(rest, 0), "strip") : ""));
-} else {
-if (py.same(part.data, "configuration")) {
-posture = _posture((() => { const $out = []; for (const token of py.iter(py.text(part.children).slice(1, undefined))) { $out.push(number_at(token)); } return $out; })());
-} else {
+head.take(part);
 if (py.same(part.data, "position")) {
 seen = py.add(seen, 1);
-[place, ...values] = [...py.iter(part.children)];
-name = _name(py.str(place));
-point = this._point(draft, i, name, place.line, (() => { const $out = []; for (const token of py.iter(values)) { $out.push(number_at(token)); } return $out; })(), tags, posture);
-if (py.truth(point)) {
-draft.take((py.truth(py.isinstance(point, ["str"])) ? new Skipped(name, i, place.line, point) : point));
+_note_position(draft, i, part, head);
 }
 }
-}
-}
-}
-counts = (() => { const $out = []; for (const text of py.iter(py.call(py.call(tags, "get", "NPOS", py.str(seen)), "split", ","))) { $out.push(py.call(text, "strip")); } return $out; })();
+counts = (() => { const $out = []; for (const text of py.iter(py.call(py.call(head.tags, "get", "NPOS", py.str(seen)), "split", ","))) { $out.push(py.call(text, "strip")); } return $out; })();
 expected = py.sum((() => { const $out = []; for (const text of py.iter(counts)) { if (py.truth(py.call(text, "isdigit"))) $out.push(py.int(text)); } return $out; })());
 if (!py.same(seen, expected)) {
 throw source.error((py.str(seen) + " position" + py.str((py.same(seen, 1) ? "" : "s")) + "; expected the " + py.str(expected) + " of ///NPOS"), 0);
 }
-return null;
-}
-_point(draft, i, name, line, values, tags, posture) {
-let base, kind, numbers;
-numbers = py.tuple((() => { const $out = []; for (const number of py.iter(values)) { if (((number) ?? null) !== (null)) $out.push(number); } return $out; })());
-kind = py.at(tags, "POSTYPE");
-if (py.truth(py.call(name, "startswith", ["BC", "EC", "BP", "EX"]))) {
-py.put(draft.at_rest, name, py.all((() => { const $out = []; for (const number of py.iter(numbers)) { $out.push(py.same(number.value, 0.0)); } return $out; })()));
-return "";
-}
-if (py.same(kind, "PULSE")) {
-return new Point(name, i, line, "joints", numbers);
-}
-if (py.truth(py.either(!py.has(["BASE", "ROBOT", "USER"], kind), () => !py.has([6, 7], py.len(numbers))))) {
-return ("positions of the type " + py.str(kind) + " are not supported");
-}
-if (py.truth(py.both(py.same(py.len(numbers), 7), () => py.at(numbers, 6).value))) {
-return "its elbow angle is not 0";
-}
-base = (py.same(kind, "USER") ? new Frame(py.either(py.at(tags, "USER"), () => "USER")) : new Frame(kind, np.eye(4)));
-return new Point(name, i, line, "pose", py.text(numbers).slice(undefined, 6), posture, new Frame(py.either(py.at(tags, "TOOL"), () => "TOOL")), base);
 return null;
 }
 _motions(draft, i, parts, displaced) {
@@ -2552,6 +2521,57 @@ if (py.truth(why)) {
 draft.write(name, why);
 }
 return name;
+return null;
+}
+class _Head {
+constructor(tags = new py.Dict([["TOOL", ""], ["USER", ""], ["POSTYPE", ""]]), posture = py.Posture()) {
+this.tags = tags;
+this.posture = posture;
+}
+take(part) {
+let name, rest;
+if (py.same(part.data, "tag")) {
+[name, ...rest] = [...py.iter((() => { const $out = []; for (const child of py.iter(part.children)) { $out.push(py.str(child)); } return $out; })())];
+py.put(this.tags, py.call(name, "lstrip", "/"), (py.truth(rest) ? py.call(py.at(rest, 0), "strip") : ""));
+} else {
+if (py.same(part.data, "configuration")) {
+this.posture = _posture((() => { const $out = []; for (const token of py.iter(py.text(part.children).slice(1, undefined))) { $out.push(number_at(token)); } return $out; })());
+}
+}
+return null;
+}
+point(i, place, numbers) {
+let base, kind, name, tool, user;
+name = _name(py.str(place));
+kind = py.at(this.tags, "POSTYPE");
+if (py.same(kind, "PULSE")) {
+return new Point(name, i, place.line, "joints", numbers);
+}
+if (py.truth(py.either(!py.has(["BASE", "ROBOT", "USER"], kind), () => !py.has([6, 7], py.len(numbers))))) {
+return ("positions of the type " + py.str(kind) + " are not supported");
+}
+if (py.truth(py.both(py.same(py.len(numbers), 7), () => py.at(numbers, 6).value))) {
+return "its elbow angle is not 0";
+}
+user = new Frame(py.either(py.at(this.tags, "USER"), () => "USER"));
+base = (py.same(kind, "USER") ? user : new Frame(kind, np.eye(4)));
+tool = new Frame(py.either(py.at(this.tags, "TOOL"), () => "TOOL"));
+return new Point(name, i, place.line, "pose", py.text(numbers).slice(undefined, 6), this.posture, tool, base);
+return null;
+}
+}
+function _note_position(draft, i, part, head) {
+let found, name, numbers, place, point, values;
+[place, ...values] = [...py.iter(part.children)];
+name = _name(py.str(place));
+found = (() => { const $out = []; for (const token of py.iter(values)) { $out.push(number_at(token)); } return $out; })();
+numbers = py.tuple((() => { const $out = []; for (const number of py.iter(found)) { if (((number) ?? null) !== (null)) $out.push(number); } return $out; })());
+if (py.truth(py.call(name, "startswith", ["BC", "EC", "BP", "EX"]))) {
+py.put(draft.at_rest, name, py.all((() => { const $out = []; for (const number of py.iter(numbers)) { $out.push(py.same(number.value, 0.0)); } return $out; })()));
+return null;
+}
+point = head.point(i, place, numbers);
+draft.take((py.truth(py.isinstance(point, ["str"])) ? new Skipped(name, i, place.line, point) : point));
 return null;
 }
 function _instructions(parts) {
@@ -2620,7 +2640,7 @@ turns = py.tuple((() => { const $out = []; for (const [k, j] of py.iter([[3, 3],
 return new Posture(!py.truth(py.at(flags, 2)), !py.truth(py.at(flags, 1)), py.at(flags, 0), turns);
 return null;
 }
-return { _GRAMMAR, _WORDS, _PATHS, _JUMPS, Jbi, _target, _instructions, _listing, _why_left, _note_changes, _name, _posture };
+return { _GRAMMAR, _WORDS, _PATHS, _JUMPS, Jbi, _target, _Head, _note_position, _instructions, _listing, _why_left, _note_changes, _name, _posture };
 })();
 MODULES.krl = (() => {
 const { Draft } = MODULES.draft;
@@ -2668,7 +2688,7 @@ _SPEEDS = ["#VEL_PTP", "#VEL_CP", "#ACC_PTP", "#ACC_CP", "#OUT_SYNC"];
 let _MANUAL;
 _MANUAL = "KUKA System Software 8, operating and programming instructions for system integrators";
 let _KRL_WORDS;
-_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, PATH, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, STRLEN, STRDECLLEN, STRFIND, STRCOMP, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("function", "KUKA System Software 8.3 and later: collision detection, as their inline forms call it", "USE_CM_PRO_VALUES, SET_CD_PARAMS"), new Understood("filler", (py.str(_MANUAL) + ", and CREAD/CWRITE for KSS 8: texts and channels, which write to their arguments"), "CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRCLEAR, STRADD, STRCOPY"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $OUT_C, $COLLMON_TOL_PRO, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
+_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, PATH, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, STRLEN, STRDECLLEN, STRFIND, STRCOMP, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("function", "KUKA System Software 8.3 and later: collision detection, as their inline forms call it", "USE_CM_PRO_VALUES, SET_CD_PARAMS"), new Understood("filler", "KUKA, CREAD/CWRITE for KSS 8: texts and channels, which write to their arguments", "CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRCLEAR, STRADD, STRCOPY"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $OUT_C, $COLLMON_TOL_PRO, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(_KRL_WORDS, "instruction");
 let _HARMLESS;
@@ -2853,14 +2873,15 @@ this._set(statement.line, name, is_part, py.at(sides, 1));
 return null;
 }
 _note_data(name, value) {
-let fields, group, is_new, mass, turning;
+let fields, group, is_mode, is_new, mass, turning;
 group = aggregate(value, "{");
 fields = py.either((((group) ?? null) !== (null) ? _fields(group) : null), () => new py.Dict([]));
 turning = py.call(fields, "get", "ORI_TYP", []);
 if (py.truth(py.both(turning, () => !py.has(_TURNING, text_of_items(turning))))) {
 py.call(this.data.constant, "add", name);
 }
-if (py.truth(py.both(py.same(name, "$IPO_MODE"), () => py.same(text_of_items(value), "#TCP")))) {
+is_mode = py.both(py.same(name, "$IPO_MODE"), () => ((call_of(value)) ?? null) === (null));
+if (py.truth(py.both(is_mode, () => !py.same(text_of_items(value), "#BASE")))) {
 this.data.tool_is_fixed();
 }
 if (py.truth(py.both(py.has(fields, "TOOL_NO"), () => py.has(fields, "BASE_NO")))) {
@@ -2924,15 +2945,12 @@ return new Point(name, this.file, line, "pose", found, posture);
 return null;
 }
 move(k) {
-let displaced, first, is_usual, items, lost, path, places, run, statement, tool, usual, why;
+let displaced, first, items, path, places, statement, tool, why;
 statement = py.at(this.statements, k);
 items = statement.items;
 first = word(py.at(items, 0));
-run = py.at(this.flow, k).run;
 if (py.has(_RELATIVE, first)) {
-this.draft.read(this.words(py.text(items).slice(1, undefined)));
-lost = this.skip(py.text(text_of_items(items)).slice(undefined, 40), statement.line, "a relative motion");
-py.call(this.draft.motions, "append", new Motion("joint", [lost], statement, this.file, undefined, undefined, undefined, run));
+this._move_relatively(k);
 return null;
 }
 if (py.truth(py.either(!py.has(_MOTIONS, first), () => py.either((py.len(items) < 2), () => is_token(py.at(items, 1), "SIGN", "="))))) {
@@ -2942,13 +2960,21 @@ places = _places(py.text(items).slice(1, undefined));
 if (!py.truth(places.parts)) {
 return null;
 }
-usual = py.at(_MOTIONS, first);
-is_usual = py.both(!py.truth(places.is_arc), () => py.same(py.len(places.parts), py.add(1, py.same(usual, "circle"))));
-path = (py.truth(is_usual) ? usual : "joint");
+path = places.path(py.at(_MOTIONS, first));
 tool = this._frame("$TOOL", k);
 displaced = this.displaced(k, [POSITIONS]);
-why = py.either(displaced, () => this._why_moved(k, !py.same(usual, "joint")));
-py.call(this.draft.motions, "append", new Motion(path, py.tuple((() => { const $out = []; for (const part of py.iter(places.parts)) { $out.push(this.target(k, part)); } return $out; })()), statement, this.file, tool, (py.truth(why) ? new Frame("$BASE", undefined, why) : this._frame("$BASE", k)), place_of(py.at(places.parts, -1)), run, py.both(py.same(path, "line"), () => !py.truth(this._splines(k))), py.has(_BY_POSTURE, first), py.either(this.load(k), () => this._load_of_tool(k, tool)), displaced));
+why = py.either(displaced, () => this._why_moved(k, !py.same(py.at(_MOTIONS, first), "joint")));
+py.call(this.draft.motions, "append", new Motion(path, py.tuple((() => { const $out = []; for (const part of py.iter(places.parts)) { $out.push(this.target(k, part)); } return $out; })()), statement, this.file, tool, (py.truth(why) ? new Frame("$BASE", undefined, why) : this._frame("$BASE", k)), place_of(py.at(places.parts, -1)), py.at(this.flow, k).run, py.both(py.same(path, "line"), () => !py.truth(this._splines(k))), py.has(_BY_POSTURE, first), py.either(this.load(k), () => this._load_of_tool(k, tool)), displaced));
+return null;
+}
+_move_relatively(k) {
+let lost, name, run, statement;
+statement = py.at(this.statements, k);
+this.draft.read(this.words(py.text(statement.items).slice(1, undefined)));
+name = py.text(text_of_items(statement.items)).slice(undefined, 40);
+lost = this.skip(name, statement.line, "a relative motion");
+run = py.at(this.flow, k).run;
+py.call(this.draft.motions, "append", new Motion("joint", [lost], statement, this.file, undefined, undefined, undefined, run));
 return null;
 }
 _splines(k) {
@@ -3092,6 +3118,12 @@ class _Places {
 constructor(parts = null, is_arc = null) {
 this.parts = parts;
 this.is_arc = is_arc;
+}
+path(usual) {
+let is_usual;
+is_usual = py.both(!py.truth(this.is_arc), () => py.same(py.len(this.parts), py.add(1, py.same(usual, "circle"))));
+return (py.truth(is_usual) ? usual : "joint");
+return null;
 }
 }
 function _places(items) {
@@ -3543,7 +3575,7 @@ this.draft.write(name, (py.truth(value) ? "a computed value" : "it is set while 
 return null;
 }
 _move(k) {
-let count, displaced, first, given, name, path, places, statement, targets, tool, tools;
+let count, displaced, first, given, path, places, statement, targets, tool, tools;
 statement = py.at(this.statements, k);
 first = word(py.at(statement.items, 0));
 path = py.at(MOTIONS, first);
@@ -3551,8 +3583,7 @@ given = _arguments(py.text(statement.items).slice(1, undefined));
 count = (py.same(path, "circle") ? 2 : 1);
 places = py.text(given.plain).slice(undefined, count);
 if ((py.len(places) < count)) {
-name = (py.str(first) + " of line " + py.str(statement.line));
-py.call(this.draft.skipped, "append", this.skip(name, statement.line, "not understood"));
+this.not_understood(first, statement.line);
 return null;
 }
 displaced = this._displaced(k, given.options);
@@ -3889,7 +3920,7 @@ path = py.at(_MOTIONS, called);
 count = (py.same(path, "circle") ? 2 : 1);
 places = given.places(count);
 if ((py.len(places) < count)) {
-py.call(this.draft.skipped, "append", this.skip((py.str(called) + " of line " + py.str(statement.line)), statement.line, "not understood"));
+this.not_understood(called, statement.line);
 return null;
 }
 targets = py.tuple((() => { const $out = []; for (const part of py.iter(places)) { $out.push(this.target(k, part)); } return $out; })());
