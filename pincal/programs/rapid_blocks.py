@@ -53,6 +53,7 @@ _HEADS = {"IF": "THEN", "ELSEIF": "THEN", "FOR": "DO", "WHILE": "DO", "CASE": ":
 _JUMPS = ("ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD")
 _ALONE = (*_CLOSES, "ELSE", "ERROR", "UNDO", "BACKWARD")
 _CONDITIONS = ("IF", "TEST", *_LOOPS)
+_LEAVING = ("RETURN", "EXITCYCLE", "EXIT", "GOTO", "RAISE", "RETRY", "TRYNEXT", "STOP", "BREAK")
 ONCE = "IF without THEN"
 _STORAGE = ("CONST", "PERS", "VAR", "LOCAL", "TASK", "ALIAS")
 _PLAIN = {"MOVEL": "line", "MOVEJ": "joint", "MOVEC": "circle", "MOVEABSJ": "joint"}
@@ -305,11 +306,8 @@ def _distance(items: Sequence[Any], k: int, words: Sequence[str]) -> int:
 
 def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, Step]]:
     """Yield a condition and its only statement: a motion, an assignment, or all that follows."""
-    motions = [
-        k
-        for k in range(1, len(items))
-        if word(items[k]) in MOTIONS or word(items[k]) in SWITCHES or word(items[k]) in BY_NAME
-    ]
+    own = (MOTIONS, SWITCHES, BY_NAME, _LEAVING)
+    motions = [k for k in range(1, len(items)) if any(word(items[k]) in words for words in own)]
     k = motions[-1] if motions else 1
     sides = split(items, ":=")
     if not motions and len(sides) == 2 and is_assignment(items):

@@ -173,7 +173,8 @@ class UrScript(ControllerLanguage):
 
     def read(self, sources: Sequence[Source]) -> Program:
         draft = Draft(sources)
-        files = followed([_code(source) for source in sources], outside=frozenset({POSITIONS}))
+        files = [_code(source) for source in sources]
+        files = followed(files, outside=frozenset({POSITIONS}), ends=_ends_displacement)
         switched = {name for code in files for step in code.steps for name in step.sets}
         displaced = sorted({POSITIONS, *switched} - {"tcp", STATED_LOAD})
         entries = Entries(files, _ends_displacement)

@@ -262,7 +262,7 @@ return null;
 return { Understood, _PAIRS, understood_words, without_brackets, tokens_of, first_phrase, not_understood };
 })();
 MODULES.flow = (() => {
-const { Statement } = MODULES.syntax;
+const { Statement, word } = MODULES.syntax;
 let _DEEPEST;
 _DEEPEST = 100;
 let OUTSIDE;
@@ -306,11 +306,31 @@ return ((opening >= 0) ? py.at(this.steps, opening).routine : "");
 return null;
 }
 }
-function followed(files, outside = py.frozenset()) {
-let around, at_any_time, blocks, code, effects, found, name, statement, step, walk, why;
+function followed(files, outside = py.frozenset(), ends = null) {
+let around, at_any_time, blocks, code, effects, ended, found, paired, walk;
 blocks = (() => { const $out = []; for (const code of py.iter(files)) { $out.push(_blocks(code)); } return $out; })();
-effects = _effects((() => { const $out = []; for (const [code, around] of py.iter(py.zip(files, blocks))) { $out.push([code.steps, around]); } return $out; })());
-at_any_time = new py.Dict([]);
+paired = (() => { const $out = []; for (const [code, around] of py.iter(py.zip(files, blocks))) { $out.push([code.steps, around]); } return $out; })();
+effects = _effects(paired, new py.Dict([]));
+at_any_time = _at_any_time(files, effects, outside);
+function walked(effects) {
+let around, code, found, walk;
+found = [];
+for (const $each of py.iter(py.zip(files, blocks))) {
+[code, around] = $each;
+walk = new _Walk(code.statements, code.steps, around, effects, outside, at_any_time);
+py.call(found, "append", new Code(code.source, code.statements, code.steps, walk.through()));
+}
+return found;
+return null;
+}
+found = walked(effects);
+ended = (((ends) ?? null) !== (null) ? _ended(found, ends) : new py.Dict([]));
+return (py.truth(py.any(py.call(ended, "values"))) ? walked(_effects(paired, ended)) : found);
+return null;
+}
+function _at_any_time(files, effects, outside) {
+let code, found, name, statement, step, why;
+found = new py.Dict([]);
 for (const $each of py.iter(files)) {
 code = $each;
 for (const $each of py.iter(py.zip(code.statements, code.steps))) {
@@ -321,15 +341,33 @@ why = (py.str(name) + ", which line " + py.str(statement.line) + " starts, may s
 if (!py.has(effects, name)) {
 why = ("line " + py.str(statement.line) + " starts " + py.str(name) + ", which " + py.str(OUTSIDE));
 }
-at_any_time = py.or(at_any_time, py.fromkeys(py.call(effects, "get", name, outside), why));
+found = py.or(found, py.fromkeys(py.call(effects, "get", name, outside), why));
 }
 }
 }
-found = [];
-for (const $each of py.iter(py.zip(files, blocks))) {
-[code, around] = $each;
-walk = new _Walk(code.statements, code.steps, around, effects, outside, at_any_time);
-py.call(found, "append", new Code(code.source, code.statements, code.steps, walk.through()));
+return found;
+return null;
+}
+function leaves(statement) {
+return py.has(["RETURN", "EXITCYCLE"], word(py.at(statement.items, 0)));
+return null;
+}
+function _ended(files, ends) {
+let clean, code, found, is_end, k, routine, states, step;
+found = py.dict();
+for (const $each of py.iter(files)) {
+code = $each;
+for (const $each of py.iter(py.enumerate(code.steps))) {
+[k, step] = $each;
+is_end = py.both(py.bool(step.closes), () => py.bool(py.at(code.steps, py.at(py.at(code.flow, k).blocks, -1)).routine));
+if (!py.truth(py.either(is_end, () => leaves(py.at(code.statements, k))))) {
+continue;
+}
+states = py.call(py.at(code.flow, k).setters, "items");
+clean = new Set((() => { const $out = []; for (const [name, state] of py.iter(states)) { if (py.truth(py.both(py.isinstance(state, ["int"]), () => ends(py.at(code.statements, state))))) $out.push(name); } return $out; })());
+routine = code.routine(k);
+py.put(found, routine, new Set((() => { const $out = []; for (const name of py.iter(clean)) { if (py.has(py.call(found, "get", routine, clean), name)) $out.push(name); } return $out; })()));
+}
 }
 return found;
 return null;
@@ -433,7 +471,7 @@ function _routine(steps, blocks) {
 return py.next((() => { const $out = []; for (const i of py.iter(py.reversed(blocks))) { if (py.truth(py.at(steps, i).routine)) $out.push(i); } return $out; })(), -1);
 return null;
 }
-function _effects(files) {
+function _effects(files, ended) {
 let ahead, blocks, called, callers, calls, changed, i, k, name, other, own, size, step, steps;
 own = py.dict();
 calls = py.dict();
@@ -449,6 +487,7 @@ py.put(calls, name, py.or(py.call(calls, "get", name, py.set()), py.set(step.cal
 }
 }
 }
+own = new py.Dict((() => { const $out = []; for (const [name, found] of py.iter(py.call(own, "items"))) { $out.push([name, py.sub(found, py.call(ended, "get", name, py.set()))]); } return $out; })());
 callers = py.dict();
 for (const $each of py.iter(py.call(calls, "items"))) {
 [name, called] = $each;
@@ -463,7 +502,7 @@ changed = py.call(ahead, "pop");
 for (const $each of py.iter(py.call(callers, "get", changed, []))) {
 name = $each;
 size = py.len(py.at(own, name));
-py.put(own, name, py.or(py.at(own, name), py.at(own, changed)));
+py.put(own, name, py.or(py.at(own, name), py.sub(py.at(own, changed), py.call(ended, "get", name, py.set()))));
 if ((py.len(py.at(own, name)) > size)) {
 py.call(ahead, "append", name);
 }
@@ -514,7 +553,7 @@ throw code.source.error((py.repr(word) + " within " + py.str(opens) + " of line 
 }
 return null;
 }
-return { _DEEPEST, OUTSIDE, Step, InForce, Code, followed, _Walk, _routine, _effects, _blocks, _check_closing };
+return { _DEEPEST, OUTSIDE, Step, InForce, Code, followed, _at_any_time, leaves, _ended, _Walk, _routine, _effects, _blocks, _check_closing };
 })();
 MODULES.line_flow = (() => {
 const { OUTSIDE } = MODULES.flow;
@@ -930,6 +969,7 @@ return { Turn, Posture, Frame, Point, Skipped, Load, Motion, Program, Edit, coun
 MODULES.draft = (() => {
 const { ANY, STATED_LOAD, Line } = MODULES.line_flow;
 const { FrameKind, Motion, Point, PointKey, Program, Skipped } = MODULES.program;
+const { Statement } = MODULES.syntax;
 let MOST_USES;
 MOST_USES = 1000000;
 let EVERY;
@@ -1179,7 +1219,7 @@ this.loads = loads;
 this.work = work;
 }
 follow(motion) {
-let point, points, stops, target;
+let at, place, point, points, stops, target;
 stops = [];
 for (const $each of py.iter(motion.targets)) {
 target = $each;
@@ -1193,7 +1233,9 @@ this._use(point, motion);
 }
 py.call(stops, "append", (py.same(py.len(points), 1) ? py.at(points, 0).key : null));
 }
-py.call(this.program.motions, "append", [motion, py.tuple(stops)]);
+at = motion.statement;
+place = new Statement([], at.start, at.end, at.line);
+py.call(this.program.motions, "append", [py.replace(motion, { statement: place }), py.tuple(stops)]);
 return null;
 }
 _points_of(target) {
@@ -1312,7 +1354,7 @@ return { MOST_USES, EVERY, Draft, _Uses, joined, _stem, _any };
 })();
 MODULES.statement_reader = (() => {
 const { Draft } = MODULES.draft;
-const { Code, InForce, Step } = MODULES.flow;
+const { Code, InForce, Step, leaves } = MODULES.flow;
 const { STATED_LOAD } = MODULES.line_flow;
 const { Frame, Load, Point, Skipped } = MODULES.program;
 const { Brackets, Statement, calls_in, element_name, split, text_of_items, words_in } = MODULES.syntax;
@@ -1509,7 +1551,7 @@ this.heirs = heirs;
 this.is_clean = is_clean;
 }
 look_at(code, k) {
-let is_clean, name, routine, state, step;
+let is_clean, is_end, name, routine, state, step;
 step = py.at(code.steps, k);
 state = py.call(py.at(code.flow, k).setters, "get", this.kind);
 is_clean = py.either(((state) ?? null) === (null), () => py.both(py.isinstance(state, ["int"]), () => this.ends(py.at(code.statements, state))));
@@ -1526,8 +1568,9 @@ py.call(py.call(this.heirs, "setdefault", routine, []), "append", name);
 }
 }
 }
-if (py.truth(py.both(step.closes, () => py.at(code.steps, py.at(py.at(code.flow, k).blocks, -1)).routine))) {
-py.put(this.is_clean, routine, is_clean);
+is_end = py.both(py.bool(step.closes), () => py.bool(py.at(code.steps, py.at(py.at(code.flow, k).blocks, -1)).routine));
+if (py.truth(py.either(is_end, () => leaves(py.at(code.statements, k))))) {
+py.put(this.is_clean, routine, py.both(is_clean, () => py.call(this.is_clean, "get", routine, true)));
 }
 return null;
 }
@@ -1927,6 +1970,8 @@ let _ALONE;
 _ALONE = [...py.iter(_CLOSES), "ELSE", "ERROR", "UNDO", "BACKWARD"];
 let _CONDITIONS;
 _CONDITIONS = ["IF", "TEST", ...py.iter(_LOOPS)];
+let _LEAVING;
+_LEAVING = ["RETURN", "EXITCYCLE", "EXIT", "GOTO", "RAISE", "RETRY", "TRYNEXT", "STOP", "BREAK"];
 let ONCE;
 ONCE = "IF without THEN";
 let _STORAGE;
@@ -2047,8 +2092,9 @@ return -1;
 return null;
 }
 function* _once(whole, items) {
-let condition, k, motions, sides, statement;
-motions = (() => { const $out = []; for (const k of py.iter(py.range(1, py.len(items)))) { if (py.truth(py.either(py.has(MOTIONS, word(py.at(items, k))), () => py.either(py.has(SWITCHES, word(py.at(items, k))), () => py.has(BY_NAME, word(py.at(items, k))))))) $out.push(k); } return $out; })();
+let condition, k, motions, own, sides, statement;
+own = [MOTIONS, SWITCHES, BY_NAME, _LEAVING];
+motions = (() => { const $out = []; for (const k of py.iter(py.range(1, py.len(items)))) { if (py.truth(py.any((() => { const $out = []; for (const words of py.iter(own)) { $out.push(py.has(words, word(py.at(items, k)))); } return $out; })()))) $out.push(k); } return $out; })();
 k = (py.truth(motions) ? py.at(motions, -1) : 1);
 sides = split(items, ":=");
 if (py.truth(py.both(!py.truth(motions), () => py.both(py.same(py.len(sides), 2), () => is_assignment(items))))) {
@@ -2133,7 +2179,7 @@ throw source.error((py.repr(found) + " within another routine; expected " + py.s
 }
 return null;
 }
-return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, _CONDITIONS, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, _FILLERS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, _routines, _called_by_text, is_assignment, check_blocks };
+return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, _CONDITIONS, _LEAVING, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, _FILLERS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, _routines, _called_by_text, is_assignment, check_blocks };
 })();
 MODULES.fanuc_ls = (() => {
 const { Draft, joined } = MODULES.draft;
@@ -2382,6 +2428,8 @@ let _WORDS;
 _WORDS = "a job: /JOB, //POS with positions, //INST with motions, END";
 let _PATHS;
 _PATHS = new py.Dict([["MOVL", "line"], ["MOVJ", "joint"], ["MOVS", "joint"], ["MOVC", "joint"]]);
+let _ANY_POSTURE;
+_ANY_POSTURE = new Posture();
 let _JUMPS;
 _JUMPS = ["*", "JUMP", "CALL", "IF", "ELSE", "ENDIF", "FOR", "NEXT", "WHILE", "ENDWHILE", "RET", "PSTART"];
 class Jbi extends ControllerLanguage {
@@ -2524,7 +2572,7 @@ return name;
 return null;
 }
 class _Head {
-constructor(tags = new py.Dict([["TOOL", ""], ["USER", ""], ["POSTYPE", ""]]), posture = py.Posture()) {
+constructor(tags = new py.Dict([["TOOL", ""], ["USER", ""], ["POSTYPE", ""]]), posture = _ANY_POSTURE) {
 this.tags = tags;
 this.posture = posture;
 }
@@ -2640,7 +2688,7 @@ turns = py.tuple((() => { const $out = []; for (const [k, j] of py.iter([[3, 3],
 return new Posture(!py.truth(py.at(flags, 2)), !py.truth(py.at(flags, 1)), py.at(flags, 0), turns);
 return null;
 }
-return { _GRAMMAR, _WORDS, _PATHS, _JUMPS, Jbi, _target, _Head, _note_position, _instructions, _listing, _why_left, _note_changes, _name, _posture };
+return { _GRAMMAR, _WORDS, _PATHS, _ANY_POSTURE, _JUMPS, Jbi, _target, _Head, _note_position, _instructions, _listing, _why_left, _note_changes, _name, _posture };
 })();
 MODULES.krl = (() => {
 const { Draft } = MODULES.draft;
@@ -3334,14 +3382,16 @@ let _NONE;
 _NONE = 8900000000.0;
 class Rapid extends ControllerLanguage {
 read(sources) {
-let code, draft, entries, files, harmless, i, k, reader, switched;
+let code, draft, ends, entries, files, harmless, has_handlers, i, k, reader, switched;
 draft = new Draft(sources);
 draft.frame("TOOL0", np.eye(4), ["tool"]);
 draft.frame("WOBJ0", np.eye(4), ["base"]);
 py.call(draft.constants, "update", ["TOOL0", "WOBJ0"]);
 files = (() => { const $out = []; for (const source of py.iter(sources)) { $out.push(code_of(source)); } return $out; })();
 switched = py.frozenset((() => { const $out = []; for (const code of py.iter(files)) { for (const step of py.iter(code.steps)) { for (const name of py.iter(step.sets)) { $out.push(name); } } } return $out; })());
-files = followed(files, py.and(switched, py.set(DISPLACES)));
+has_handlers = py.any((() => { const $out = []; for (const code of py.iter(files)) { for (const statement of py.iter(code.statements)) { $out.push(py.same(word(py.at(statement.items, 0)), "ERROR")); } } return $out; })());
+ends = (py.truth(has_handlers) ? null : ends_displacement);
+files = followed(files, py.and(switched, py.set(DISPLACES)), ends);
 for (const $each of py.iter(files)) {
 code = $each;
 check_blocks(code);
@@ -3789,7 +3839,8 @@ class UrScript extends ControllerLanguage {
 read(sources) {
 let code, displaced, draft, entries, files, harmless, i, k, reader, switched;
 draft = new Draft(sources);
-files = followed((() => { const $out = []; for (const source of py.iter(sources)) { $out.push(_code(source)); } return $out; })(), py.frozenset(new Set([POSITIONS])));
+files = (() => { const $out = []; for (const source of py.iter(sources)) { $out.push(_code(source)); } return $out; })();
+files = followed(files, py.frozenset(new Set([POSITIONS])), _ends_displacement);
 switched = new Set((() => { const $out = []; for (const code of py.iter(files)) { for (const step of py.iter(code.steps)) { for (const name of py.iter(step.sets)) { $out.push(name); } } } return $out; })());
 displaced = py.sorted(py.sub(new Set([POSITIONS, ...py.iter(switched)]), new Set(["tcp", STATED_LOAD])));
 entries = new Entries(files, _ends_displacement);
