@@ -279,7 +279,8 @@ CONTENT: Mapping[str, str] = {
     "real": "label? quantityTypeQUDT? value unit measurementUncertaintyUnivariate?",
     "measurementUncertaintyUnivariate": "standardMU|expandedMU|coverageIntervalMU",
     "expandedMU": "valueExpandedMU coverageFactor coverageProbability distribution?",
-    **dict.fromkeys(("description", "declaration", "noQuantity", "further"), RICH),
+    "usedSoftware": "software+",
+    **dict.fromkeys(("description", "declaration", "noQuantity", "further", "text"), RICH),
 }
 NUMBER = r"[-+]?(\d*\.\d+|\d+\.?)([Ee][-+]?\d+)?"
 LINE = r"\S+(\s+\S+)*"
@@ -351,6 +352,19 @@ def test_the_digital_certificate_is_valid(which: str, request: pytest.FixtureReq
     schema = etree.XMLSchema(etree.parse(path))
 
     schema.assertValid(etree.fromstring(digital_certificate(request.getfixturevalue(which))))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("which", ["of_model", "of_part"])
+def test_the_digital_certificate_keeps_the_rules_of_ptb(which: str, request: pytest.FixtureRequest) -> None:
+    """By the Schematron rules that PTB keeps beside its schema: methods, conditions, releases, languages, units."""
+    rules = pytest.importorskip("dcclib.validation.schematron", reason="no dcclib here, which has the rules of PTB")
+    # A country that was not stated is none by these rules.
+    certificate = replace(request.getfixturevalue(which), identity=Identity(country="DE"))
+
+    found = rules.SchematronValidator.for_dcc().validate_str(digital_certificate(certificate).decode())
+
+    assert found.is_valid, found.failed_assertions
 
 
 def test_what_is_not_stated_is_marked(of_model: Certificate) -> None:
