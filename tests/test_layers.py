@@ -60,6 +60,8 @@ SATELLITES = (
     "simulate",
     "certificate",
     "acceptance",
+    "features",
+    "simulate",
     "demo",
 )
 # Two layers that know nothing of each other.

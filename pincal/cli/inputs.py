@@ -23,6 +23,7 @@ from pincal.cli.common import (
     LinkOptions,
     PlaceOptions,
     SetupOptions,
+    tip_or_to,
 )
 from pincal.cli.progress import log_step
 from pincal.cli.robot_priors import load_prior
@@ -176,7 +177,7 @@ class _Named:
     @classmethod
     def of(cls, source: InputOptions, tree: UrdfTree) -> _Named:
         """Return what the tables, the log of the joints and the options for links name."""
-        tip = source.tip or source.links.to
+        tip = tip_or_to(source.tip, source.links.to)
         start = source.links.start
         reading = source.table.options
         given = {name: (first, last) for name, first, last in source.links.stations}
@@ -232,7 +233,7 @@ def _movable_above(tree: UrdfTree, tips: Iterable[str | None]) -> list[str]:
 def _described(source: InputOptions) -> Robot:
     """Return the robot of the URDF: the joints between the links of the tables."""
     tree = read_cell(source.robot, source.beside, xacro_args=dict(source.xacro_args))
-    tip = source.tip or source.links.to
+    tip = tip_or_to(source.tip, source.links.to)
     named = _Named.of(source, tree)
     named.check(source.links.start, tip)
     movable = [joint.name for joint in tree.joints if joint.kind in MOVING_TYPES]
@@ -520,7 +521,7 @@ class PlacedModel:
 
     Attributes:
         model: the model.
-        notes: for the user, on the placement.
+        notes: for the user, on the placement, and what the model states of itself.
         contents: how the placement was identified, for ``--json``; empty for one of the
             calibration.
     """
@@ -562,12 +563,14 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
         )
     stations = load_model(path)
     first = stations.each[0]
+    said = () if stations.statement is None else tuple(stations.statement.notes())
     if chosen.start or chosen.to:
-        return PlacedModel(stations.robot_model().between(chosen.start, chosen.to))
+        return PlacedModel(stations.robot_model().between(chosen.start, chosen.to), said)
     if chosen.placement is not None:
-        return _placed(path, first, chosen.placement, reading)
+        placed = _placed(path, first, chosen.placement, reading)
+        return replace(placed, notes=(*said, *placed.notes))
     if chosen.station is not None:
-        return PlacedModel(stations.at(chosen.station))
+        return PlacedModel(stations.at(chosen.station), said)
     if len(stations.stations) > 1:
         raise BadInputError(
             f"{path}: calibrated at the stations {', '.join(stations.names)}; expected a "
@@ -575,7 +578,7 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
             "them, --placement FEW.csv with some measured rows for a new place, or links "
             "of the robot: --from LINK --to LINK"
         )
-    return PlacedModel(first)
+    return PlacedModel(first, said)
 
 
 def _placed(file: Path, model: FittedRobot, path: Path, reading: TableOptions) -> PlacedModel:
