@@ -60,6 +60,7 @@ RESULT: dict[str, Any] = {
     "warnings": [{"severity": "doubt", "text": DOUBT}, {"severity": "note", "text": "three rows are left out"}],
     "validation": {"way": "regions", "folds": 25},
     "intervals": {"mean_mm": [0.0613, 0.0765], "p95_mm": [0.10123, None]},
+    "uncertainty": {"here_mm": 0.0512345, "anywhere_mm": 0.1123456, "k": 2.0, "rests_on": "declared noise"},
     "elsewhere": {"mean_mm": 0.2668293, "worst_mm": 0.392384, "where": "", "poses": 400, "over": ""},
     "verdict": "not adequate",
 }
@@ -181,9 +182,11 @@ def test_every_figure_of_a_model_is_in_the_digital_certificate(of_model: Certifi
         for key, value in RESULT["error"][model]["test"].items():
             assert found[f"{title}: {names[key]}"] == (value, r"\milli\metre")
     elsewhere = RESULT["elsewhere"]
-    title = "Uncertainty of predicted positions: expected within the joint limits"
-    assert found[f"{title}, mean"][0] == elsewhere["mean_mm"]
-    assert found[f"{title}, worst"][0] == elsewhere["worst_mm"]
+    title = "Uncertainty of predicted positions"
+    assert found[f"{title}: expected within the joint limits, mean"][0] == elsewhere["mean_mm"]
+    assert found[f"{title}: expected within the joint limits, worst"][0] == elsewhere["worst_mm"]
+    assert found[f"{title}: U (k = 2) at the measured poses"][0] == RESULT["uncertainty"]["here_mm"]
+    assert found[f"{title}: U (k = 2) within the joint limits"][0] == RESULT["uncertainty"]["anywhere_mm"]
 
 
 def test_the_page_shows_the_figures_of_the_result(of_model: Certificate) -> None:
@@ -214,8 +217,7 @@ def test_the_uncertainty_of_positions_is_twice_the_root_of_the_budget(known: Fit
     assert sum(line.share for line in budget.lines) == pytest.approx(1.0)
     assert position_budget(calibrated_of(known.model, known.values)).lines == ()
     combined = np.sqrt(sum(line.standard**2 for line in budget.lines))
-    assert of_model.groups[-1].figures[0].value == pytest.approx(CERTIFICATE.coverage * combined)
-    assert CERTIFICATE.coverage == 2.0
+    assert of_model.groups[-1].figures[2].value == pytest.approx(2.0 * combined)
 
 
 def test_a_part_keeps_values_limits_and_decisions(of_part: Certificate) -> None:
