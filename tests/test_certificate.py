@@ -113,7 +113,8 @@ MEASURED: dict[str, Any] = {
         {"source": "sensor", "type": "B", "u": 0.01, "dof": None, "share": 0.2},
         {"source": "parameters", "type": "A", "u": 0.02, "dof": 48.0, "share": 0.8},
     ],
-    "datum": {"kind": "3-2-1", "features": ["plane", "edge"]},
+    "datum": {"kind": "3-2-1", "features": ["plane", "edge"], "frame": "base", "rotation": [[1.0, 0.0, 0.0]]},
+    "provenance": {"pincal": "0.1.0", "inputs": {"part.toml": "cd" * 32}},
     "rule": "ISO 14253-1, guard band U",
     "id": {"robot": "2021-17", "note": {"part": "door 4"}},
 }
@@ -235,6 +236,8 @@ def test_a_part_keeps_values_limits_and_decisions(of_part: Certificate) -> None:
     page = certificate_page(of_part)
     assert "11.9000 to 12.1000" in page and "any to 100.1000" in page and "undecided" in page
     assert "ISO 14253-1, guard band U" in page and "door 4" in page
+    assert of_part.facts["datum"] == "3-2-1 by plane, edge in the frame of the base"
+    assert of_part.files["part.toml"] == "cd" * 32
 
 
 # The content of elements by the published schema, versions 3.2.1 and 3.3.0 alike, as far as certificates use them:
