@@ -236,6 +236,7 @@ def test_a_part_keeps_values_limits_and_decisions(of_part: Certificate) -> None:
     page = certificate_page(of_part)
     assert "11.9000 to 12.1000" in page and "any to 100.1000" in page and "undecided" in page
     assert "ISO 14253-1, guard band U" in page and "door 4" in page
+    assert of_part.facts["decisions"] == "conforms: 1, undecided: 1" and "-0.0000" not in page
     assert of_part.facts["datum"] == "3-2-1 by plane, edge in the frame of the base"
     assert of_part.files["part.toml"] == "cd" * 32
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
@@ -116,7 +117,7 @@ def certificate_of_measured(folder: Path, stated: Identity, issue: Issue) -> Cer
         issue=issue,
         item=identity.note.get("part", f"part {NOT_STATED}"),
         identity=identity,
-        facts={"datum": _words(found.datum), "features": str(len(found.features))},
+        facts={"datum": _words(found.datum), **_decided(found.features)},
         doubts=tuple(doubt.text for doubt in doubts_of(found.warnings)),
         groups=tuple(map(_group, found.features)),
         budget=_budget(found.budget),
@@ -148,6 +149,17 @@ def _words(datum: Any) -> str:
     words += [f"by {', '.join(map(str, features))}"] if features else []
     words += [f"in the frame of the {datum['frame']}"] if "frame" in datum else []
     return " ".join(words)
+
+
+def _decided(features: tuple[_Feature, ...]) -> dict[str, str]:
+    """Return how many features there are, and how many quantities conform to their limits."""
+    counts = Counter(
+        value.decision for of in features for value in of.values.values() if value.decision
+    )
+    found = {"features": str(len(features))}
+    if counts:
+        found["decisions"] = ", ".join(f"{decision}: {count}" for decision, count in counts.items())
+    return found
 
 
 def _group(feature: _Feature) -> FigureGroup:
