@@ -153,6 +153,18 @@ def test_predict_gives_positions_in_the_instruments_frame(results, tmp_path, kuk
     assert "sigma_x" in header
 
 
+def test_predict_splits_the_uncertainty_by_source(results, tmp_path, kuka):
+    """The squares of the components sum to that of the whole, in every row and axis."""
+    write_table(tmp_path / "poses.csv", columns_of(paper_table(kuka, 4, 8)))
+    out = tmp_path / "p.csv"
+    assert run("predict", results / "model.json", tmp_path / "poses.csv", "--out", out, "--components", "--quiet") == 0
+    lines = out.read_text().splitlines()
+    table = dict(zip(lines[0].split(","), np.array([line.split(",") for line in lines[1:]], float).T, strict=True))
+    for axis in "xyz":
+        parts = [table[f"u_{source}_{axis}"] for source in ("parameters", "model", "arrival", "conditions")]
+        np.testing.assert_allclose(np.sqrt(np.sum(np.square(parts), axis=0)), table[f"sigma_{axis}"], rtol=1e-6)
+
+
 def test_predict_warns_outside_the_covered_poses(results, tmp_path, kuka, capsys):
     """A joint beyond the measured range is named with its line."""
     table = columns_of(paper_table(kuka, 5, 8))

@@ -111,3 +111,16 @@ def test_an_adequate_model_lacks_nothing(ripples: tuple[Robot, np.ndarray, np.nd
     assert run_calibration(robot, rows, Options(sigma=NOISE)).fit.discrepancy is None
     assert run_calibration(robot, rows, Options()).fit.discrepancy is None
     assert calibrate(robot, rows, Options(sigma=NOISE)).discrepancy is None
+
+
+def test_orientations_are_as_uncertain_as_drives_and_the_rest_make_them(rng: np.random.Generator) -> None:
+    """Intervals of orientations hold fresh ones, of drives that turn the target and of errors of its mount."""
+    found = Discrepancy(lengths=np.array([0.2]), drives=np.full((3, 1), 1e-8), rest=0.0, factor=1.0, coordinates=30)
+    axes = rng.normal(size=(3, 4000, 3))
+    axes /= np.linalg.norm(axes, axis=2, keepdims=True)
+    off = np.einsum("jn,jna->na", 1e-4 * rng.standard_normal((3, 4000)), axes) + 2e-4 * rng.standard_normal((4000, 3))
+    learned = found.with_turns(off[:1000], axes[:, :1000], np.zeros(1000))
+    assert np.sqrt(learned.turn_rest) == pytest.approx(2e-4, rel=0.05)
+    sigma = np.sqrt(learned.turn_variances(axes[:, 1000:]))
+    assert np.mean(np.abs(off[1000:]) < 1.96 * sigma) == pytest.approx(0.95, abs=0.01)
+    assert np.mean(np.abs(off[1000:]) < sigma) == pytest.approx(0.683, abs=0.02)

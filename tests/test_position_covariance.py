@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pincal import BadInputError, Chain, Model, Robot
 from pincal.calibration.covered import Covered
@@ -95,6 +96,20 @@ def test_the_target_has_its_own_covariance(ur10: FittedRobot, rng: np.random.Gen
     for name, errors in found.sources.items():
         np.testing.assert_allclose(np.einsum("naa->na", errors.blocks), by_source[name], rtol=1e-8)
     assert np.abs(found.matrix - found.matrix.T).max() < 1e-20
+
+
+def test_orientations_turn_as_differences_say(ur10: FittedRobot, rng: np.random.Generator) -> None:
+    """The variance of predicted orientations is that of their rotation by parameters, and by drives that err."""
+    at = ur10.conditions_at(rng.uniform(-1.5, 1.5, (3, 6)))
+    step = 1e-6
+    J = np.zeros((3, 3, len(ur10.values)))
+    for k in range(len(ur10.values)):
+        moved = [ur10.values + side * np.eye(len(ur10.values))[k] for side in (-step, step)]
+        before, after = (ur10.model.predict(values, at)[:, :, :3] for values in moved)
+        J[:, :, k] = Rotation.from_matrix(after @ before.swapaxes(1, 2)).as_rotvec() / (2.0 * step)
+    found = ur10.turn_variances(at)
+    np.testing.assert_allclose(found["parameters"], np.einsum("nap,pq,naq->na", J, ur10.covariance, J), rtol=1e-5)
+    np.testing.assert_allclose(ur10.turn_sigma(at) ** 2, sum(found.values()), rtol=1e-12)
 
 
 def test_linear_functions_need_no_matrix_of_all_positions(ur10: FittedRobot, rng: np.random.Generator) -> None:

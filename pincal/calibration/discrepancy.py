@@ -23,7 +23,7 @@ intervals to what the residuals show (a conformal quantile: Barber et al. 2021, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -41,6 +41,7 @@ from pincal.identify.station import Station
 from pincal.io.arrays import ArrayShape, Numbers, Record
 from pincal.io.strict_json import Fault
 from pincal.measure.poses import SCATTER, same_joints
+from pincal.model.motions import with_moving_drives
 from pincal.thresholds import Count, Scale
 from pincal.validate.misfit import Verdict
 
@@ -71,6 +72,9 @@ class Discrepancy(Record, frozen=True, kw_only=True):
         rest: variance of a coordinate of the target that no other pose shares [m^2].
         factor: on all standard deviations, by which intervals cover what they say.
         coordinates: number of coordinates of residuals at poses not fitted on which it rests.
+        turn_rest: variance of a component of the target's orientation beside that of the drives, of
+            no other pose [rad^2]; 0 where no orientations were read.
+        turn_factor: on standard deviations of orientations.
     """
 
     lengths: Annotated[Numbers, ArrayShape("lengths")]
@@ -78,6 +82,8 @@ class Discrepancy(Record, frozen=True, kw_only=True):
     rest: float
     factor: float
     coordinates: int
+    turn_rest: float = 0.0
+    turn_factor: float = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -85,7 +91,7 @@ class Discrepancy(Record, frozen=True, kw_only=True):
             raise Fault("has a negative entry", "variances of 0 or more", key=".drives")
         if np.any(self.lengths <= 0.0):
             raise Fault("has an entry of 0 or less", "positive lengths", key=".lengths")
-        for name in ("rest", "factor"):
+        for name in ("rest", "factor", "turn_rest", "turn_factor"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise Fault(f"is {getattr(self, name)}", "a number of 0 or more", key=f".{name}")
 
@@ -97,6 +103,36 @@ class Discrepancy(Record, frozen=True, kw_only=True):
         """
         of_drives = np.einsum("j,jna,jnb->nab", self.drives.sum(axis=1), levers, levers)
         return np.asarray(self.factor**2 * (of_drives + self.rest * np.eye(3)))
+
+    def turn_variances(self, turns: np.ndarray) -> np.ndarray:
+        """Return the variance of the target's orientation at each of N poses, shape (N, 3) [rad^2].
+
+        Args:
+            turns: shape (n, N, 3), rotation of the target by each drive [rad/rad or rad/m].
+        """
+        of_drives = np.einsum("j,jna->na", self.drives.sum(axis=1), turns**2)
+        return np.asarray(self.turn_factor**2 * (of_drives + self.turn_rest))
+
+    def with_turns(
+        self, residuals: np.ndarray, turns: np.ndarray, noise: np.ndarray
+    ) -> Discrepancy:
+        """Return the discrepancy with what orientations show of it.
+
+        Args:
+            residuals: shape (N, 3), rotation from predicted to read orientations at poses not
+                fitted [rad].
+            turns: shape (n, N, 3), rotation of the target by each drive [rad/rad or rad/m].
+            noise: shape (N,), variance of a component that is known to be of the readings [rad^2].
+        """
+        # The axes of the residuals are not those of the levers: a mean over them needs none.
+        of_drives = np.einsum("j,jna->n", self.drives.sum(axis=1), turns**2) / 3.0
+        left = np.mean(residuals**2) - np.mean(of_drives + noise)
+        rest = max(float(left), 0.0)
+        variance = of_drives + rest + noise
+        if not np.all(variance > 0.0):
+            return self
+        reached = np.quantile(np.abs(residuals) / np.sqrt(variance)[:, None], DISCREPANCY.covered)
+        return changed(self, turn_rest=rest, turn_factor=float(reached) / _NORMAL)
 
     def errors(self, q: np.ndarray, levers: np.ndarray) -> SharedErrors:
         """Return the errors of the target's positions at N poses, as far as they share them.
@@ -266,18 +302,20 @@ def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
     if not fold.max(initial=0):
         return None
     (by_station,) = left_out_residuals(fit, fit.solution, [fold])
-    left_out = [
-        of.at.displacements(of.values, by_station[k]) for k, of in zip(stations, rows, strict=True)
-    ]
-    kept = [
-        of.is_kept & np.isfinite(found).all(axis=1)
-        for of, found in zip(rows, left_out, strict=True)
-    ]
-    return discrepancy_of(
-        np.vstack([found[some] for found, some in zip(left_out, kept, strict=True)]),
-        np.vstack([of.q[some] for of, some in zip(rows, kept, strict=True)]),
-        np.concatenate([of.levers[:, some] for of, some in zip(rows, kept, strict=True)], axis=1),
-        np.concatenate([of.noise[some] for of, some in zip(rows, kept, strict=True)]),
+    left_out = [_LeftOut.of(rows[i], by_station[k]) for i, k in enumerate(stations)]
+    found = discrepancy_of(
+        np.vstack([of.displacements for of in left_out]),
+        np.vstack([of.rows.q for of in left_out]),
+        np.concatenate([of.rows.levers for of in left_out], axis=1),
+        np.concatenate([of.rows.noise for of in left_out]),
+    )
+    turned = [of for of in left_out if of.turns is not None]
+    if found is None or not turned:
+        return found
+    return found.with_turns(
+        np.vstack([of.turns for of in turned if of.turns is not None]),
+        np.concatenate([of.turn_levers for of in turned], axis=1),
+        np.concatenate([of.turn_noise for of in turned]),
     )
 
 
@@ -286,6 +324,12 @@ def _gives_positions(station: Station) -> bool:
     block = station.sensor.blocks[0]
     is_still = not station.conditions.are_of_motion and station.conditions.around is None
     return is_still and block.unit == "m" and block.size == 3
+
+
+def _gives_turns(station: Station) -> bool:
+    """Return whether each reading of a station gives a position, and then an orientation."""
+    blocks = station.sensor.blocks
+    return len(blocks) > 1 and blocks[1].unit == "rad" and blocks[1].size == 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,6 +343,7 @@ class _Rows:
         levers: shape (n, N, 3), motion of the target by each drive.
         noise: shape (N,), variance of a coordinate that is known to be of the readings [m^2].
         is_kept: shape (N,), rows that are no outliers.
+        turn_noise: as ``noise``, of a component of orientations [rad^2]; None where none are read.
     """
 
     at: Station
@@ -307,6 +352,7 @@ class _Rows:
     levers: np.ndarray
     noise: np.ndarray
     is_kept: np.ndarray
+    turn_noise: np.ndarray | None
 
     @classmethod
     def of(cls, fit: ModelFit, k: int) -> _Rows:
@@ -320,6 +366,19 @@ class _Rows:
             displacements_by_drives(at, values),
             _known_noise(fit, k),
             fit.solution.weights[fit.problem.rows[k]] > 0.0,
+            _known_noise(fit, k, 1) if _gives_turns(at) else None,
+        )
+
+    def select(self, rows: np.ndarray) -> _Rows:
+        """Return what some rows say (mask or indices)."""
+        return replace(
+            self,
+            at=self.at.select(rows),
+            q=self.q[rows],
+            levers=self.levers[:, rows],
+            noise=self.noise[rows],
+            is_kept=self.is_kept[rows],
+            turn_noise=None if self.turn_noise is None else self.turn_noise[rows],
         )
 
     @property
@@ -328,16 +387,57 @@ class _Rows:
         return self.at.displacements(self.values)
 
 
-def _known_noise(fit: ModelFit, k: int) -> np.ndarray:
-    """Return the variance of a coordinate of each row that is known to be of the readings, shape
-    (N,) [m^2]: the declared noise, or what the stops of its pose show, whichever is more.
+@dataclass(frozen=True, eq=False)
+class _LeftOut:
+    """Rows of a station with their residuals by fits without them.
+
+    Attributes:
+        rows: the N rows that are no outliers and have such residuals.
+        displacements: shape (N, 3), of the target's position [m].
+        turns: shape (N, 3), rotation from predicted to read orientations [rad]; None where none are
+            read.
+    """
+
+    rows: _Rows
+    displacements: np.ndarray
+    turns: np.ndarray | None
+
+    @classmethod
+    def of(cls, rows: _Rows, residuals: np.ndarray) -> _LeftOut:
+        """Return the rows of residuals, shape (m, N), that are finite."""
+        displacements = rows.at.displacements(rows.values, residuals)
+        some = np.flatnonzero(rows.is_kept & np.isfinite(displacements).all(axis=1))
+        turns = residuals[3:6, some].T if rows.turn_noise is not None else None
+        return cls(rows.select(some), displacements[some], turns)
+
+    @property
+    def turn_noise(self) -> np.ndarray:
+        """Variance of a component that is known to be of the readings, shape (N,) [rad^2]."""
+        noise = self.rows.turn_noise
+        return np.zeros(len(self.displacements)) if noise is None else noise
+
+    @property
+    def turn_levers(self) -> np.ndarray:
+        """Rotation of the target by each drive, shape (n, N, 3) [rad/rad or rad/m]."""
+        station = self.rows.at
+        model = with_moving_drives(station.model)
+        of_model, _ = station.split(self.rows.values)
+        values = np.concatenate([of_model, np.zeros(model.n_parameters - len(of_model))])
+        _, J = model.linearise(values, station.conditions, rows=6)
+        return np.moveaxis(J[:, 3:, len(of_model) :], 2, 0)
+
+
+def _known_noise(fit: ModelFit, k: int, block: int = 0) -> np.ndarray:
+    """Return the variance of a component of a block of each row that is known to be of the
+    readings, shape (N,) [m^2 or rad^2]: the declared noise, or what the stops of its pose show,
+    whichever is more.
     """
     at = fit.problem.stations[k]
     scatter = fit.scatter.get(at.name)
-    declared = fit.noise.declared[fit.problem.block_spans[k].start]
+    declared = fit.noise.declared[fit.problem.block_spans[k].start + block]
     size = 0.0 if declared is None else declared**2
     if scatter is not None:
         of_row = (1.0, 1.0) if scatter.of_single else (scatter.readings, scatter.stops)
         shown = scatter.of_row(*of_row)
-        size = max(size, float(shown[0]))
+        size = max(size, float(shown[block]))
     return np.asarray(size / np.maximum(at.weights, 1e-300) ** 2)

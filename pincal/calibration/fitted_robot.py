@@ -40,6 +40,7 @@ from pincal.identify.fit import ModelFit, Solution
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station, conditions_of, station_of, together
+from pincal.identity import Identity
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.measure.admit import check_joints_of
 from pincal.measure.measurements import Measurements
@@ -78,6 +79,7 @@ class FittedRobot:
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
         evidence: what the rows show besides.
         discrepancy: what the model lacks; None where its residuals are noise, or it is not known.
+        identity: of robot, instrument and circumstances, as far as stated.
 
     Example:
         >>> from pincal import Chain, Robot
@@ -97,6 +99,7 @@ class FittedRobot:
     provenance: dict[str, Any] = field(default_factory=dict)
     evidence: Evidence = field(default_factory=KeptEvidence)
     discrepancy: Discrepancy | None = None
+    identity: Identity = field(default_factory=Identity)
 
     @classmethod
     def of(cls, fit: ModelFit, provenance: dict[str, Any] | None = None) -> FittedRobot:
@@ -212,6 +215,7 @@ class FittedRobot:
             # The information of all stations counts once.
             self.evidence if k == 0 else KeptEvidence(),
             self.discrepancy,
+            self.identity,
         )
 
     @cached_property
@@ -645,6 +649,22 @@ class FittedRobot:
         """
         return self.uncertainty.variances(conditions)
 
+    def turn_sigma(self, conditions: Conditions) -> np.ndarray:
+        """Return the standard uncertainty of the predicted orientation, shape (N, 3) [rad], as a
+        rotation vector in the instrument's axes, without measurement noise: the root of the sum of
+        :meth:`turn_variances`.
+        """
+        return np.asarray(np.sqrt(sum(self.turn_variances(conditions).values())))
+
+    def turn_variances(self, conditions: Conditions) -> dict[str, np.ndarray]:
+        """Return the variance of the predicted orientation by its sources, shape (N, 3) each
+        [rad^2], see :meth:`position_variances`.
+
+        That of conditions is not known of orientations, and 0. Where the calibration read none,
+        what the model lacks is that of its drives alone.
+        """
+        return self.uncertainty.turn_variances(conditions)
+
     @property
     def uncertainty(self) -> PredictionUncertainty:
         """What is not known of the positions of the only station."""
@@ -794,6 +814,7 @@ class FittedRobot:
                 self.evidence,
                 self.provenance if provenance is None else provenance,
                 self.discrepancy,
+                self.identity,
             )
 
         write_model_file(path, made)
@@ -807,7 +828,7 @@ class FittedRobot:
             OutputError: if the file can't be written.
         """
         found = self.robot_model()
-        export = calibrated_urdf(found.model, found.values)
+        export = calibrated_urdf(found.model, found.values, comment=self.identity.machine)
         if path is not None:
             write_atomic(path, export.text)
         return export
@@ -879,4 +900,5 @@ def load_model(path: str | os.PathLike[str]) -> FittedRobot:
         file.provenance,
         KeptEvidence(file.unmodelled, file.information),
         file.discrepancy,
+        file.id or Identity(),
     )

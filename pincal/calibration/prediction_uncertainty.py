@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,6 +17,8 @@ from pincal.model.model import Model
 from pincal.model.motions import with_moving_drives
 from pincal.thresholds import Count
 
+# What makes predictions uncertain, as budgets name it, besides a point on the tip.
+SOURCES = ("parameters", "model", "arrival", "conditions")
 # Rows per piece: with 60 parameters a piece is about 6 MB.
 _PIECE: Count = 4096
 # Kinds of readings whose repeatability is that of a position.
@@ -27,13 +30,19 @@ class PointOnTip:
     """A point fixed to the tip at each of N poses.
 
     Attributes:
-        place: shape (3,) or (N, 3), in the tip's frame [m].
+        place: shape (N, 3), in the tip's frame [m].
         covariance: shape (3, 3) of a point that all poses have in common, or (N, 3, 3) of one of
             each pose, in the tip's frame [m^2]; None for one that is known.
     """
 
     place: np.ndarray
     covariance: np.ndarray | None = None
+
+    def offsets(self, rotations: np.ndarray) -> np.ndarray:
+        """Return where it is relative to the tip, shape (N, 3) [m], along the axes to which
+        rotations, shape (N, 3, 3), turn.
+        """
+        return np.asarray(np.einsum("nij,nj->ni", rotations, self.place))
 
     def errors(self, rotations: np.ndarray) -> SharedErrors | None:
         """Return its errors in the frame to which rotations, shape (N, 3, 3), turn; None for one
@@ -68,32 +77,34 @@ class PredictionUncertainty:
     covariance: np.ndarray
     discrepancy: Discrepancy | None
 
-    @property
-    def arrival(self) -> float:
-        """Variance of a coordinate from one visit of a pose to another [m^2]; 0 if unknown."""
-        of = self.station.repeatability
-        if of is None or self.station.sensor_kind not in _PLACES or not of.between_degrees[0]:
-            return 0.0
-        return float(of.between_stops[0] ** 2)
-
     def variances(self, conditions: Conditions) -> dict[str, np.ndarray]:
         """Return the variance of the target's position by each source, shape (N, 3) [m^2]."""
         lacking = unrecorded(self.station, conditions)
         conditions = of_its_day(self.station, conditions)
-        n = len(conditions)
-        found = {name: np.zeros((n, 3)) for name in ("parameters", "model", "arrival")}
-        found["conditions"] = np.zeros((n, 3))
-        for start in range(0, n, _PIECE):
-            rows = slice(start, start + _PIECE)
-            J, levers = self._motion(conditions.select(rows), None)
-            by_parameters = np.einsum("nip,nip->ni", J @ self.covariance, J)
-            found["parameters"][rows] = np.maximum(by_parameters, 0.0)
+        found = {name: np.zeros((len(conditions), 3)) for name in SOURCES}
+        for rows in _pieces(len(conditions)):
+            J, levers = self._motion(conditions.select(rows), 3)
+            found["parameters"][rows] = self._along(J)
             if self.discrepancy is not None:
                 blocks = self.discrepancy.variances(levers)
                 found["model"][rows] = np.einsum("naa->na", blocks)
-        found["arrival"] += self.arrival
+        found["arrival"] += self._arrival(0)
         for effect in lacking:
             found["conditions"] += varied_by(self.station, self.values, effect, conditions) ** 2
+        return found
+
+    def turn_variances(self, conditions: Conditions) -> dict[str, np.ndarray]:
+        """Return the variance of the target's orientation by each source, shape (N, 3) [rad^2], of
+        a rotation vector in the instrument's axes.
+        """
+        conditions = of_its_day(self.station, conditions)
+        found = {name: np.zeros((len(conditions), 3)) for name in SOURCES}
+        for rows in _pieces(len(conditions)):
+            J, levers = self._motion(conditions.select(rows), 6)
+            found["parameters"][rows] = self._along(J[:, 3:])
+            if self.discrepancy is not None:
+                found["model"][rows] = self.discrepancy.turn_variances(levers[:, :, 3:])
+        found["arrival"] += self._arrival(1)
         return found
 
     def covariance_of(
@@ -113,27 +124,24 @@ class PredictionUncertainty:
         """
         lacking = unrecorded(self.station, conditions)
         conditions = of_its_day(self.station, conditions)
-        rotations = None
-        if point is not None:
+        found: dict[str, SharedErrors] = {}
+        if point is None:
+            J, levers = self._motion(conditions, 3)
+        else:
             rotations = self.station.model.predict(self.values, conditions)[:, :, :3]
-        offset = None if point is None or rotations is None else _turned(rotations, point.place)
-        J, levers = self._motion(conditions, offset)
-        found = {"parameters": SharedErrors.of_all(J @ self._root)}
+            J, levers = self._motion_of(conditions, point.offsets(rotations))
+            if (errors := point.errors(rotations)) is not None:
+                found["point"] = errors
+        found["parameters"] = SharedErrors.of_all(J @ self._root)
         if self.discrepancy is not None:
             found["model"] = self.discrepancy.errors(conditions.q, levers)
-        if self.arrival:
-            where = (
-                np.unique(conditions.q, axis=0, return_inverse=True)[1] if stop is None else stop
-            )
-            each = np.tile(np.sqrt(self.arrival) * np.eye(3), (len(J), 1, 1))
-            found["arrival"] = SharedErrors.of_groups(each, np.ravel(where))
+        if arrival := self._arrival(0):
+            of_pose = np.unique(conditions.q, axis=0, return_inverse=True)[1].ravel()
+            each = np.tile(np.sqrt(arrival) * np.eye(3), (len(J), 1, 1))
+            found["arrival"] = SharedErrors.of_groups(each, of_pose if stop is None else stop)
         if lacking:
             moved = [varied_by(self.station, self.values, of, conditions) for of in lacking]
             found["conditions"] = SharedErrors.of_all(np.stack(moved, axis=2))
-        if point is not None and rotations is not None:
-            errors = point.errors(rotations)
-            if errors is not None:
-                found["point"] = errors
         return PositionCovariance(found)
 
     @cached_property
@@ -148,26 +156,46 @@ class PredictionUncertainty:
         """The model with its drives as further parameters."""
         return with_moving_drives(self.station.model)
 
-    def _motion(
-        self, conditions: Conditions, offset: np.ndarray | None
+    def _arrival(self, block: int) -> float:
+        """Return the variance of a component of a block, position [m^2] or orientation [rad^2],
+        from one visit of a pose to another; 0 if unknown.
+        """
+        of = self.station.repeatability
+        if of is None or self.station.sensor_kind not in _PLACES:
+            return 0.0
+        if len(of.between_stops) <= block or not of.between_degrees[block]:
+            return 0.0
+        return float(of.between_stops[block] ** 2)
+
+    def _along(self, J: np.ndarray) -> np.ndarray:
+        """Return the variances by the parameters through J, shape (N, 3, P), as shape (N, 3)."""
+        return np.asarray(np.maximum(np.einsum("nip,nip->ni", J @ self.covariance, J), 0.0))
+
+    def _motion_of(
+        self, conditions: Conditions, offsets: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the motion of the target, or of what is at an offset from it, shape (N, 3) [m], by
-        the model's parameters, shape (N, 3, P), and by the drives, shape (n, N, 3); the latter is
+        """Return as :meth:`_motion` the motion of what is at offsets from the target, shape (N, 3)
+        [m].
+        """
+        J, levers = self._motion(conditions, 6)
+        return (
+            J[:, :3] + np.cross(J[:, 3:], offsets[:, :, None], axis=1),
+            levers[:, :, :3] + np.cross(levers[:, :, 3:], offsets),
+        )
+
+    def _motion(self, conditions: Conditions, rows: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the motion of the target, 3 rows of its position or 6 with its rotation, by the
+        model's parameters, shape (N, rows, P), and by the drives, shape (n, N, rows); the latter is
         empty without a discrepancy.
         """
         model = self.station.model if self.discrepancy is None else self._moving
         n = len(self.values)
         values = np.concatenate([self.values, np.zeros(model.n_parameters - n)])
-        _, J = model.linearise(values, conditions, rows=3 if offset is None else 6)
-        if offset is not None:
-            J = J[:, :3] + np.cross(J[:, 3:], offset[:, :, None], axis=1)
+        _, J = model.linearise(values, conditions, rows=rows)
         return J[:, :, :n], np.moveaxis(J[:, :, n:], 2, 0)
 
 
-def _turned(rotations: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Return a place on the tip, shape (3,) or (N, 3), along the axes to which rotations turn,
-    shape (N, 3).
-    """
-    return np.asarray(
-        (rotations @ np.broadcast_to(place, (len(rotations), 3))[:, :, None])[:, :, 0]
-    )
+def _pieces(n: int) -> Iterator[slice]:
+    """Yield the rows of a table of n, piece by piece."""
+    for start in range(0, n, _PIECE):
+        yield slice(start, start + _PIECE)

@@ -153,6 +153,7 @@ class Result(Outcome):
             "validation",
             "repeatability",
             "elsewhere",
+            "id",
         )
         absent = {name for name in perhaps if getattr(self, name) in (None, UNSET)}
         contents = {
@@ -164,6 +165,8 @@ class Result(Outcome):
             "parameters": [row.to_dict() for row in self.parameters],
             "warnings": to_builtins(self.warnings),
         }
+        if self.id is not UNSET:
+            contents["id"] = to_builtins(self.id)
         return contents | {"verdict": self.verdict_of().value}
 
 

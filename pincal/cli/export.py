@@ -34,13 +34,13 @@ Examples:
   pincal export results/model.json --page corrector.html
   pincal export results/model.json --frames kuka
 
-Each file is read back and compared with the model (--c and --page by their formulas) before it is kept, and
-lists what it can't represent. --c, --python and --page represent every effect of the model and also compensate;
-the others represent the geometry, --mjcf also the elasticity as springs. --urdf, --mjcf, --dh and --ur-kinematics
-describe the robot alone and need no --station.
+Each file is read back and compared with the model (--c and --page by their formulas) before it is
+kept, and lists what it can't represent. --c, --python and --page represent every effect of the
+model and also compensate; the others represent the geometry, --mjcf also the elasticity as springs.
+--urdf, --mjcf, --dh and --ur-kinematics describe the robot alone and need no --station.
 
---page works in a browser without a network: drop a table or a URScript program on it and save the corrected one. The file of
---python is also a program: python arm.py program.csv corrected.csv
+--page works in a browser without a network: drop a table or a URScript program on it and save the
+corrected one. The file of --python is also a program: python arm.py program.csv corrected.csv
 """
 
 

@@ -16,8 +16,10 @@ from pincal.cli.common import (
     noise_angle_option,
     station_option,
 )
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, require_accuracy
 from pincal.cli.streams import MOTION, Streams
+from pincal.cli.tested_rows import ACCEPTANCE, TestedRows
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
@@ -32,10 +34,11 @@ Examples:
   pincal validate results/model.json new_measurements.csv --max-error 0.1mm
   pincal validate results/model.json monday.csv tuesday.csv
 
-Instrument and target are assumed to be where they were at calibration unless the rows indicate another placement,
-which is then identified from them and reported as a displacement; the errors refer to it. If no placement
-explains the rows, they belong to another robot, or it has changed: exit code 6; run pincal diagnose. Of several
-tables, those that the model was not fitted to come first, and --max-error applies to them.
+Instrument and target are assumed to be where they were at calibration unless the rows indicate
+another placement, which is then identified from them and reported as a displacement; the errors
+refer to it. If no placement explains the rows, they belong to another robot, or it has changed:
+exit code 6; run pincal diagnose. Of several tables, those that the model was not fitted to come
+first, and --max-error applies to them.
 """
 
 
@@ -57,6 +60,8 @@ class ValidateArguments:
     noise_angle: float | None = noise_angle_option()
     table: TableArguments = group("Tables")
     motion: Streams = group(MOTION, is_handed_in=True)
+    identity: IdentityOptions = group(HEADING)
+    acceptance: TestedRows = group(ACCEPTANCE, is_handed_in=True)
     general: GeneralOptions = group("General")
 
 
@@ -68,10 +73,12 @@ def validate(arguments: ValidateArguments) -> Exit:
     """
     from pincal.calibration.fitted_robot import load_model
     from pincal.calibration.validation import validate_rows
-    from pincal.cli.inputs import load_tables, other_robot
+    from pincal.cli.inputs import load_tables
     from pincal.measure.admit import check_table
 
+    is_test = arguments.acceptance.is_wanted
     calibrated = load_model(arguments.model)
+    unchecked = tuple(arguments.identity.of_model(calibrated.identity, arguments.model))
     chosen = arguments.station
     models = calibrated.each if chosen is None else (calibrated.at(chosen),)
     robot = models[0].model.chain.robot
@@ -86,16 +93,28 @@ def validate(arguments: ValidateArguments) -> Exit:
         )
         for name, table in tables.items()
     ]
+    if is_test:
+        general = arguments.general
+        code = arguments.acceptance.judge(found, as_json=general.as_json, quiet=general.quiet)
+        _refuse_others(found, arguments.model)
+        return code
     result, notes = _result(found)
     if arguments.general.as_json:
         print_json(result)
     else:
         _print(found, result, notes)
-    echo_notes(notes, quiet=arguments.general.quiet)
-    if doubts := [each.doubt for each in found if each.doubt]:
-        raise other_robot("; ".join(doubts), arguments.model)
+    echo_notes([*notes, *unchecked], quiet=arguments.general.quiet)
+    _refuse_others(found, arguments.model)
     require_accuracy(result.get("mean_mm"), arguments.max_error, rows="new")
     return Exit.DONE
+
+
+def _refuse_others(found: Sequence[Validation], model: Path) -> None:
+    """Refuse rows that are not of the robot as it was calibrated."""
+    from pincal.cli.inputs import other_robot
+
+    if doubts := [each.doubt for each in found if each.doubt]:
+        raise other_robot("; ".join(doubts), model)
 
 
 def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:

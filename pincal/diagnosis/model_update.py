@@ -223,6 +223,7 @@ def _taken_in(
         found.with_station(station),
         evidence=KeptEvidence(information=new if before is None else before + new),
         discrepancy=model.discrepancy,
+        identity=model.identity,
     )
 
 

@@ -182,6 +182,7 @@ def diagnose(
         warnings=doubts_first(notes),
         curves=judged.curves,
         is_judged=not judged.doubts,
+        id=model.identity or None,
     )
     return Diagnosis(found, judged.reidentified)
 
@@ -346,9 +347,9 @@ def _rounded(placed: Placed) -> Iterator[Note]:
         step = max(steps.values())
         yield Note(
             Severity.DOUBT,
-            f"the positions of {len(steps)} joints are all multiples of {np.rad2deg(step):.3g} deg, "
-            f"as a pendant shows them: this alone moves targets by {expected * 1e3:.2g} mm, and "
-            f"the rows are off by {found * 1e3:.2g} mm; record the joints with all digits",
+            f"the positions of {len(steps)} joints are all multiples of {np.rad2deg(step):.3g} "
+            f"deg, as a pendant shows them: this alone moves targets by {expected * 1e3:.2g} mm, "
+            f"and the rows are off by {found * 1e3:.2g} mm; record the joints with all digits",
         )
 
 

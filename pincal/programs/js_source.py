@@ -107,6 +107,7 @@ class CorrectorPage(Format):
         )
         html = page.render(
             title=calibrated.model.chain.robot.name,
+            machine=calibrated.identity.machine,
             version=version("pincal"),
             notes=notes_on(calibrated),
             about=in_script(json.dumps(_about(calibrated, formulas, self.frame), allow_nan=False)),

@@ -161,7 +161,8 @@ class Source:
                 raise self.error(
                     f"the end of the file; expected more of {words}: is it truncated?", len(text)
                 ) from None
-            found = text[at] if isinstance(error, UnexpectedCharacters) else str(error.token)  # type: ignore[attr-defined]
+            is_character = isinstance(error, UnexpectedCharacters)
+            found = text[at] if is_character else str(error.token)  # type: ignore[attr-defined]
             raise self.error(f"{found[:30]!r}; expected {words}", at) from None
 
     def statements(self, tokens: str, words: str, *, over_lines: bool = False) -> list[Statement]:

@@ -38,18 +38,22 @@ _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
   pincal simulate robot.urdf --poses 300 --payload 0,80 --masses-off 3 \\
       --effect gear_eccentricity:joint_3:size=1e-4,order=1 --out tracker.csv --truth truth.json
-  pincal simulate robot.urdf --poses 500 --pose-seed 1 --noise 0mm --out exact.csv   # the same machine
+  pincal simulate robot.urdf --poses 500 --pose-seed 1 --noise 0mm --out exact.csv   \
+# the same machine
 Other sensors:
   pincal simulate robot.urdf --sensor pose --noise-angle 0.05mrad --poses 200 --out poses.csv
-  pincal simulate robot.urdf --sensor camera_point --points-out object.csv --out seen.csv   # as in the paper
+  pincal simulate robot.urdf --sensor camera_point --points-out object.csv --out seen.csv   \
+# as in the paper
   pincal simulate robot.urdf --sensor camera_pixel --object grid --poses 60 --noise 0.1px \\
       --points-out grid.csv --camera-out camera.json --out image.csv
   pincal simulate robot.urdf --sockets 6 --poses 240 --points-out sockets.csv --out contacts.csv
   pincal simulate robot.urdf --anchors 3 --poses 200 --points-out anchors.csv --out wires.csv
   pincal simulate robot.urdf --ball-bar 300mm --anchors 2 --poses 200 --out bar.csv
 In motion:
-  pincal simulate robot.urdf --path 300s --imu --out monday   # joints.csv and imu.csv, each on its own clock
-  pincal simulate robot.urdf --path 5min --imu --sensor position --effect joint_lag:joint_2 --out tuesday
+  pincal simulate robot.urdf --path 300s --imu --out monday   \
+# joints.csv and imu.csv, each on its own clock
+  pincal simulate robot.urdf --path 5min --imu --sensor position --effect joint_lag:joint_2 \
+--out tuesday
 Then:
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
 """
