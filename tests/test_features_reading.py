@@ -9,10 +9,14 @@ import pytest
 
 from pincal import BadInputError
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.calibration.position_covariance import PositionCovariance, SharedErrors
 from pincal.errors import MeasurementError
-from pincal.features.feature_points import LocatedPoints, MountedSensor, points_of_sensor
+from pincal.features.feature_points import LocatedPoints, points_of_sensor
+from pincal.features.feature_set import FeatureSet
 from pincal.features.features_numbers import FEATURES
 from pincal.features.flange_sensor import FlangeSensor
+from pincal.features.mounted_sensor import STATED, MountedSensor, Reservations
+from pincal.features.probe import contacts_of_centres
 from pincal.features.readings import FeatureReadings, read_readings
 from pincal.features.triangulation import points_of_images
 
@@ -270,3 +274,74 @@ def test_a_sensor_file_that_makes_no_sense_is_refused(tmp_path: Path, old: str, 
     path.write_text(SENSOR.replace(old, new, 1))
     with pytest.raises(BadInputError, match=words):
         FlangeSensor.from_toml(path)
+
+
+def touched(places: np.ndarray, feature: str = "a") -> LocatedPoints:
+    """Return centres of a ball, touched by an arm 1 m above them, whose readings have noise alone."""
+    n = len(places)
+    noise = SharedErrors.of_each(np.tile(1e-10 * np.eye(3), (n, 1, 1)))
+    return LocatedPoints(
+        feature=np.full(n, feature),
+        place=places,
+        covariance=PositionCovariance({"sensor": noise}),
+        evidence={"sensor": STATED},
+        passes=np.zeros(n, int),
+        sensor=places + np.array([0.0, 0.0, 1.0]),
+        readings=np.ones(n, int),
+        stops=tuple(frozenset({i}) for i in range(n)),
+    )
+
+
+CIRCLE = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0.0, 5.5, 8)])
+BALL = FlangeSensor(radius=2e-3, radius_sigma=1e-6)
+
+
+@pytest.mark.parametrize(("nominal", "expected"), [(0.0105, 0.012), (0.0075, 0.008)])
+def test_a_ball_in_a_bore_and_around_a_boss(nominal: float, expected: float) -> None:
+    """Centres on a circle of 10 mm are of a bore of 12 or of a boss of 8, and the ball's radius goes into it whole."""
+    centres = touched(0.01 * CIRCLE)
+    fitted = FeatureSet.fit({"a": "circle"}, centres.feature, centres.place, centres.covariance.matrix)
+    found = contacts_of_centres(centres, fitted, {"a": nominal}, BALL)
+    np.testing.assert_allclose(np.linalg.norm(found.place, axis=1), expected, rtol=1e-9)
+    again = FeatureSet.fit({"a": "circle"}, found.feature, found.place, found.covariance.matrix)
+    by_ball = found.covariance.sources["probe"].through(again.sensitivity)
+    np.testing.assert_allclose(np.sqrt(by_ball[6, 6]), 1e-6, rtol=1e-6)
+    np.testing.assert_allclose(by_ball[0, 0], 0.0, atol=1e-18)
+
+
+def test_a_ball_on_a_plane_is_above_it() -> None:
+    """The side of the arm is outside; without a ball nothing moves, and points and lines have no side."""
+    places = 0.1 * CIRCLE[:, [1, 0, 2]] + np.array([0.0, 0.0, 0.002])
+    centres = touched(places)
+    fitted = FeatureSet.fit({"a": "plane"}, centres.feature, centres.place, centres.covariance.matrix)
+    found = contacts_of_centres(centres, fitted, {}, BALL)
+    np.testing.assert_allclose(found.place[:, 2], 0.0, atol=1e-12)
+    assert contacts_of_centres(centres, fitted, {}, FlangeSensor()) is centres
+    round_one = FeatureSet.fit({"a": "circle"}, centres.feature, centres.place, centres.covariance.matrix)
+    with pytest.raises(BadInputError, match="tells a bore from a boss"):
+        contacts_of_centres(centres, round_one, {}, BALL)
+    straight = touched(np.linspace([0.0, 0.0, 0.0], [0.1, 0.0, 0.0], 4))
+    line = FeatureSet.fit({"a": "line"}, straight.feature, straight.place, straight.covariance.matrix)
+    with pytest.raises(BadInputError, match=r"\(line\).*no normal"):
+        contacts_of_centres(straight, line, {}, BALL)
+
+
+def test_scale_and_drift_move_all_readings_together(camera: FittedRobot, rng: np.random.Generator) -> None:
+    """A scale stretches distances as it says; a drift has the stated size, and near readings share it."""
+    q = cases.poses_near(rng, 6)
+    q[1] = q[0] + 1e-3
+    readings = cases.table(q, ["a"] * 6, camera_point=np.tile([0.0, 0.0, 0.4], (6, 1)))
+    since = Reservations(scale=1e-5, drift=5e-5)
+    found = points_of_sensor(MountedSensor.of(camera, readings, FlangeSensor(), "base", since))
+    apart = found.place[3] - found.place[5]
+    A = np.zeros((1, 18))
+    A[0, 9:12] = apart / np.linalg.norm(apart)
+    A[0, 15:18] = -A[0, 9:12]
+    by_scale = found.covariance.sources["scale"].through(A)
+    np.testing.assert_allclose(np.sqrt(by_scale[0, 0]), 1e-5 * np.linalg.norm(apart), rtol=1e-9)
+    drift = found.covariance.sources["drift"]
+    np.testing.assert_allclose(np.mean(np.einsum("naa->na", drift.blocks)), 25e-10, rtol=1e-9)
+    A = np.zeros((3, 18))
+    A[:, :3] = np.eye(3)
+    A[:, 3:6] = -np.eye(3)
+    assert np.trace(drift.through(A)) < 1e-4 * np.trace(drift.blocks[0])

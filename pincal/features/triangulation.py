@@ -16,8 +16,9 @@ import numpy as np
 
 from pincal.calibration.position_covariance import PositionCovariance, SharedErrors
 from pincal.errors import BadInputError, few
-from pincal.features.feature_points import LocatedPoints, MountedSensor
+from pincal.features.feature_points import LocatedPoints
 from pincal.features.features_numbers import FEATURES
+from pincal.features.mounted_sensor import MountedSensor
 from pincal.sensors.lens import DISTORTION, PINHOLE, slopes
 from pincal.thresholds import Count, Scale
 
