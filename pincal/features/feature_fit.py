@@ -147,7 +147,7 @@ def fit_feature(
         >>> corners = np.array([[0.1, 0, 0], [0, 0.1, 0], [-0.1, 0, 0], [0, -0.1, 0.0]])
         >>> hole = fit_feature("circle", corners, 1e-10 * np.eye(12))
         >>> round(hole.radius, 9), round(1e6 * hole.sigma("radius"), 3), hole.dof
-        (0.1, 5.0, 6)
+        (0.1, 5.0, 2)
     """
     of = _kind(kind, name)
     points = _points(points, of, name)
