@@ -14,29 +14,21 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError, nearest_first
+from pincal.features.part_keys import DefaultUnits, KeyedTable
 from pincal.robot.se3 import rotation_of_rpy, transform
 from pincal.sensors.lens import DISTORTION, PINHOLE, Lens
-from pincal.units import SIZES
 
-_LENGTHS = ("m", "mm", "um")
-_ANGLES = ("rad", "mrad", "deg")
-_KEYS: dict[str, dict[str, tuple[str, ...]]] = {
+# Dimensions of what each table may have.
+_KNOWN: dict[str, dict[str, str]] = {
     "mount": {
-        "position": _LENGTHS,
-        "rotation": _ANGLES,
-        "u_position": _LENGTHS,
-        "u_rotation": _ANGLES,
+        "position": "length",
+        "rotation": "angle",
+        "u_position": "length",
+        "u_rotation": "angle",
     },
-    "noise": {"position": _LENGTHS, "pixel": ("px",)},
-    "probe": {"radius": _LENGTHS, "u_radius": _LENGTHS},
-}
-# How many numbers a value may have.
-_COUNTS: dict[tuple[str, str], tuple[int, ...]] = {
-    ("mount", "position"): (3,),
-    ("mount", "rotation"): (3,),
-    ("mount", "u_position"): (1, 3),
-    ("mount", "u_rotation"): (1, 3),
-    ("noise", "position"): (1, 3),
+    "noise": {"position": "length", "pixel_px": "number"},
+    "probe": {"radius": "length", "u_radius": "length"},
+    "camera": dict.fromkeys((*PINHOLE, *DISTORTION), "number"),
 }
 
 
@@ -87,100 +79,71 @@ class FlangeSensor:
                 "or probe"
             ) from None
         for name, table in tables.items():
-            if name not in (*_KEYS, "camera") or not isinstance(table, dict):
-                known = nearest_first([name], (*_KEYS, "camera"))
-                raise BadInputError(
-                    f"{path}: unknown table [{name}]; expected one of {', '.join(known)}"
-                )
-        found = {name: _numbers(path, name, tables.get(name, {})) for name in _KEYS}
+            if name not in _KNOWN or not isinstance(table, dict):
+                known = ", ".join(nearest_first([name], _KNOWN))
+                raise BadInputError(f"{path}: unknown table [{name}]; expected one of {known}")
+        of = {name: _table(path, name, tables.get(name, {})) for name in _KNOWN}
         return cls(
-            mount=_mount(path, found["mount"]),
-            mount_sigma=_spread(found["mount"]),
-            lens=_lens(path, tables["camera"]) if "camera" in tables else None,
-            noise=_each(found["noise"], "position"),
-            pixel_noise=_one(found["noise"], "pixel"),
-            radius=_one(found["probe"], "radius") or 0.0,
-            radius_sigma=_one(found["probe"], "u_radius") or 0.0,
+            mount=_mount(of["mount"]),
+            mount_sigma=_spread(of["mount"]),
+            lens=_lens(of["camera"]) if "camera" in tables else None,
+            noise=_each(of["noise"], "position"),
+            pixel_noise=_one(of["noise"], "pixel_px"),
+            radius=_one(of["probe"], "radius") or 0.0,
+            radius_sigma=_one(of["probe"], "u_radius") or 0.0,
         )
 
 
-def _numbers(path: Path, table: str, entries: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Return the numbers of a table in SI units by their names without units."""
-    known = {
-        f"{name}_{unit}": (name, unit) for name, units in _KEYS[table].items() for unit in units
-    }
-    found = dict[str, np.ndarray]()
-    for key, value in entries.items():
-        where = f"{path}, {table}.{key}"
-        if key not in known:
-            raise BadInputError(
-                f"{where}: unknown key; expected one of {', '.join(nearest_first([key], known))}"
-            )
-        name, unit = known[key]
-        if name in found:
-            raise BadInputError(f"{where}: {name} is given twice; expected it in one unit")
-        numbers = _array(where, value, _COUNTS.get((table, name), (1,)))
-        is_signed = table == "mount" and name in ("position", "rotation")
-        if not is_signed and np.any(numbers < 0.0):
-            raise BadInputError(f"{where} is {value!r}; expected 0 or more")
-        found[name] = numbers * SIZES[unit]
-    return found
+def _table(path: Path, name: str, entries: Mapping[str, Any]) -> KeyedTable:
+    return KeyedTable(f"{path}, [{name}]", entries, DefaultUnits(), _KNOWN[name])
 
 
-def _array(where: str, value: Any, counts: tuple[int, ...]) -> np.ndarray:
-    """Return a number, or a list of them, of one of these counts."""
-    values = value if isinstance(value, list) else [value]
-    are_numbers = all(
-        isinstance(each, int | float) and not isinstance(each, bool) for each in values
-    )
-    numbers = np.array(values, float) if are_numbers else np.zeros(0)
-    if len(numbers) not in counts or not np.isfinite(numbers).all():
-        words = "three numbers" if counts == (3,) else "a number"
-        words += ", or three" if counts == (1, 3) else ""
-        raise BadInputError(f"{where} is {value!r}; expected {words}")
-    return numbers
-
-
-def _mount(path: Path, found: Mapping[str, np.ndarray]) -> np.ndarray | None:
+def _mount(table: KeyedTable) -> np.ndarray | None:
     """Return the pose of the sensor in the tip's frame, shape (3, 4)."""
-    if not found:
+    if not table.entries:
         return None
-    if "position" not in found or "rotation" not in found:
-        missing = "position_mm" if "position" not in found else "rotation_deg"
-        raise BadInputError(
-            f"{path}: mount without {missing}; expected position_mm = [x, y, z] and rotation_deg = "
-            "[roll, pitch, yaw] of the sensor's frame in the tip's"
-        )
-    return transform(rotation_of_rpy(found["rotation"]), found["position"])[:3]
+    for name, key in (("position", "position_mm"), ("rotation", "rotation_deg")):
+        if name not in table:
+            raise table.error(key, f"{key} of the sensor's frame in the tip's, three numbers")
+    position = table.numbers("position", (3,))
+    return transform(rotation_of_rpy(table.numbers("rotation", (3,))), position)[:3]
 
 
-def _spread(found: Mapping[str, np.ndarray]) -> np.ndarray:
+def _spread(table: KeyedTable) -> np.ndarray:
     """Return the standard uncertainties of a mount, shape (6,)."""
-    parts = [_each(found, name) for name in ("u_position", "u_rotation")]
+    parts = [_each(table, name) for name in ("u_position", "u_rotation")]
     return np.concatenate([np.zeros(3) if part is None else part for part in parts])
 
 
-def _each(found: Mapping[str, np.ndarray], name: str) -> np.ndarray | None:
-    """Return a value along each of three axes, shape (3,)."""
-    return np.broadcast_to(found[name], 3).copy() if name in found else None
+def _each(table: KeyedTable, name: str) -> np.ndarray | None:
+    """Return a size along each of three axes, shape (3,), from one number or three; None if it is
+    absent.
+    """
+    if name not in table:
+        return None
+    numbers = table.numbers(name, (1, 3))
+    if np.any(numbers < 0.0):
+        raise table.error(name, "numbers of 0 or more")
+    return np.broadcast_to(numbers, 3).copy()
 
 
-def _one(found: Mapping[str, np.ndarray], name: str) -> float | None:
-    return float(found[name][0]) if name in found else None
+def _one(table: KeyedTable, name: str) -> float | None:
+    """Return a size, None if it is absent."""
+    if name not in table:
+        return None
+    number = table.number(name)
+    if number < 0.0:
+        raise table.error(name, "a number of 0 or more")
+    return number
 
 
-def _lens(path: Path, entries: Mapping[str, Any]) -> Lens:
+def _lens(table: KeyedTable) -> Lens:
     """Return the camera of a table."""
-    known = (*PINHOLE, *DISTORTION)
-    for key, value in entries.items():
-        if key not in known:
-            near = ", ".join(nearest_first([key], known))
-            raise BadInputError(f"{path}, camera.{key}: unknown key; expected one of {near}")
-        _array(f"{path}, camera.{key}", value, (1,))
-    missing = [name for name in PINHOLE if name not in entries]
-    if missing or entries["fx"] <= 0.0 or entries["fy"] <= 0.0:
-        raise BadInputError(
-            f"{path}: camera {f'without {missing[0]}' if missing else 'with a focal length <= 0'}; "
-            "expected fx fy (more than 0) and u0 v0 in pixels"
-        )
-    return Lens(**{name: float(value) for name, value in entries.items()})
+    for name in PINHOLE:
+        if name not in table:
+            raise table.error(name, "fx fy u0 v0 in pixels")
+    numbers = {name: table.number(name) for name in table.entries}
+    for name in ("fx", "fy"):
+        if numbers[name] <= 0.0:
+            raise table.error(name, "a focal length of more than 0 pixels")
+    return Lens(**numbers)
