@@ -39,6 +39,8 @@ _MODULES = (
 _OWN = frozenset(
     (
         "Source",
+        "Token",
+        "_Nesting",
         "parser_of",
         "TYPE_CHECKING",
         "spliced",

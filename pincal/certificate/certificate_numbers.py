@@ -21,7 +21,7 @@ class CertificateNumbers:
     probability: float = number(
         0.95,
         "probability",
-        "test_certificate.py::test_every_figure_of_a_model_is_in_the_digital_certificate",
+        "test_certificate.py::test_a_part_keeps_values_limits_and_decisions",
         "of the interval of an expanded uncertainty",
         "convention of calibration certificates, with k = 2",
     )

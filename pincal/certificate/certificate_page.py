@@ -78,12 +78,21 @@ def _cells(figure: Figure, has_uncertainties: bool, has_limits: bool) -> Iterato
     """
     yield f"{figure.value:.4f} {figure.unit}".rstrip()
     if has_uncertainties:
-        stated = figure.expanded is not None
-        yield f"{figure.expanded:.4f} (k = {figure.coverage:.3g})" if stated else ""
+        yield _uncertainty(figure)
     if has_limits:
         yield "" if figure.nominal is None else f"{figure.nominal:.4f}"
         yield "" if figure.limits is None else " to ".join(map(_limit, figure.limits))
         yield figure.decision or ""
+
+
+def _uncertainty(figure: Figure) -> str:
+    """Return expanded uncertainty or interval in words; empty without either."""
+    if figure.expanded is not None:
+        return f"{figure.expanded:.4f} (k = {figure.coverage:.3g})"
+    lower, upper = figure.interval or (None, None)
+    if lower is None:
+        return ""
+    return f"above {lower:.4f}" if upper is None else f"{lower:.4f} to {upper:.4f}"
 
 
 def _limit(value: float) -> str:

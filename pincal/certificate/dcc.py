@@ -1,8 +1,9 @@
-r"""The certificate as a digital calibration certificate (DCC) of PTB, in version 3.3.0 of its schema.
+r"""The certificate as a digital calibration certificate (DCC) of PTB, by version 3.3.0 of its
+schema.
 
-Elements and their order are those of the schema ``https://ptb.de/dcc/v3.3.0/dcc.xsd``; quantities are
-written in the digital system of units (D-SI), with units such as ``\milli\metre``. Numbers are those
-of the files that the certificate is made of, digit by digit.
+Elements and their order are those of the schema ``https://ptb.de/dcc/v3.3.0/dcc.xsd``; quantities
+are written in the digital system of units (D-SI), with units such as ``\milli\metre``. Numbers are
+those of the files that the certificate is made of, digit by digit.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from pincal.certificate.statement import (
     FigureGroup,
     Range,
 )
+from pincal.errors import printable
 
 DCC_VERSION = "3.3.0"
 DCC = "https://ptb.de/dcc"
@@ -79,8 +81,10 @@ class _Writer:
         return _Writer(made)
 
     def line(self, name: str, text: str) -> None:
-        """Add an element that holds a text."""
-        etree.SubElement(self.element, f"{{{DCC}}}{name}").text = text
+        """Add an element that holds a text, which may be from a file: XML has no characters of
+        control, and the schema no blanks at the ends.
+        """
+        etree.SubElement(self.element, f"{{{DCC}}}{name}").text = printable(text).strip()
 
     def words(self, name: str, text: str) -> None:
         """Add an element that holds a text in the language of the certificate."""
@@ -279,6 +283,15 @@ def _figure(to: _Writer, of: Figure) -> None:
         expanded.number("valueExpandedMU", of.expanded)
         expanded.number("coverageFactor", of.coverage)
         expanded.number("coverageProbability", CERTIFICATE.probability)
+    if of.interval is not None and of.unit in _UNITS:
+        ends = {"least": of.interval[0], "largest": of.interval[1]}
+        stated = {
+            f"{end} value of the 95 % interval": repr(value)
+            for end, value in ends.items()
+            if value is not None
+        }
+        if stated:
+            _facts(made.inner("measurementMetaData"), stated.items())
     if of.decision is not None and of.limits is not None:
         _conformity(
             made.inner("measurementMetaData").inner("metaData", kind="basic_conformity"), of

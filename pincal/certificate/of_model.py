@@ -1,4 +1,4 @@
-"""The certificate of a calibrated robot: of its ``model.json`` and the ``result.json`` beside it."""
+"""The certificate of a calibrated robot: its ``model.json`` and the ``result.json`` beside it."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ from pincal.certificate.statement import (
     Issue,
     Range,
 )
+from pincal.discover.discovery_file import Findings
+from pincal.discover.report.found_words import effect_words
 from pincal.errors import BadInputError
 from pincal.export.formulas import sides_following
 from pincal.identity import Identity
@@ -33,6 +35,7 @@ from pincal.model.conditions import Conditions
 from pincal.notes import Note, doubts_of
 from pincal.report.words import noise_words
 from pincal.thresholds import Count
+from pincal.validate.misfit import worst
 
 # Poses over which the uncertainty is averaged, more of which change it by a per cent, and their
 # seed.
@@ -41,6 +44,10 @@ _SEED: Count = 0
 _RESULT = "result.json"
 _RESULT_FILE = FileKind(
     "a result.json", BadInputError, "take the file from a backup or run pincal calibrate again"
+)
+_DISCOVERY = "discovery.json"
+_DISCOVERY_FILE = FileKind(
+    "a discovery.json", BadInputError, "take the file from a backup or run pincal discover again"
 )
 _STATISTICS = {"mean": "mean", "rms": "root mean square", "p95": "95 % of the rows", "max": "worst"}
 _WAYS = {
@@ -77,20 +84,25 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
             "the model in the folder that calibrate or discover wrote"
         )
     result = read_json(result_path, ResultFile, _RESULT_FILE)
+    _require_result_of(fitted, result, result_path)
+    found = _search_of(path)
     robot = fitted.robot_model()
     budget = position_budget(robot)
     notes = [note for note in result.warnings if isinstance(note, Note)]
+    notes += () if found is None else found.warnings
+    verdicts = [result.verdict] if found is None else [result.verdict, found.verdict]
     inputs = fitted.provenance.get("inputs")
-    files = {path.name: file_hash(path), _RESULT: file_hash(result_path)}
+    beside = [result_path, *([] if found is None else [path.with_name(_DISCOVERY)])]
+    files = {file.name: file_hash(file) for file in (path, *beside)}
     return Certificate(
         title="Calibration certificate of a robot",
         issue=issue,
         item=robot.model.chain.robot.name,
         identity=stated.over(fitted.identity),
         ranges=tuple(_ranges(robot)),
-        facts=_facts(fitted, result),
-        verdict=result.verdict.value,
-        doubts=tuple(doubt.text for doubt in doubts_of(notes)),
+        facts=_facts(fitted, result) | _searched(found),
+        verdict=worst(verdicts).value,
+        doubts=tuple(dict.fromkeys(doubt.text for doubt in doubts_of(notes))),
         groups=tuple(_groups(result, budget)),
         budget=budget if budget.lines else None,
         files=files | (dict(inputs) if isinstance(inputs, Mapping) else {}),
@@ -99,6 +111,30 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
             "certificate by pincal": version("pincal"),
         },
     )
+
+
+def _require_result_of(fitted: FittedRobot, result: ResultFile, path: Path) -> None:
+    """Refuse a result of another model, as two that were saved into one folder by hand."""
+    named = {parameter.name for parameter in result.parameters}
+    if named != set(fitted.estimate.names):
+        raise BadInputError(
+            f"{path}: its parameters are not those of the model beside it; expected the result of "
+            "the same calibration: calibrate again into a folder of its own"
+        )
+
+
+def _search_of(path: Path) -> Findings | None:
+    """Return what the search of a model found; None if it was calibrated without one."""
+    beside = path.with_name(_DISCOVERY)
+    return read_json(beside, Findings, _DISCOVERY_FILE) if beside.is_file() else None
+
+
+def _searched(found: Findings | None) -> dict[str, str]:
+    """Return in words what a search for missing effects found."""
+    if found is None:
+        return {"search": "none for effects that the model lacks"}
+    effects = ", ".join(map(effect_words, found.effects)) or "no effect"
+    return {"search": f"{effects} found; {found.unexplained_mm:.4f} mm unexplained"}
 
 
 def position_budget(robot: FittedRobot) -> Budget:
@@ -202,7 +238,9 @@ def _groups(result: ResultFile, budget: Budget) -> Iterator[FigureGroup]:
         ("calibrated", "Error of the calibrated robot"),
         ("nominal", "Error of the nominal robot, base and tool fitted"),
     ):
-        figures = tuple(_statistics(result.error[model][part], rows))
+        is_stated = model == "calibrated" and part == "test"
+        intervals = {} if result.intervals is UNSET or not is_stated else result.intervals
+        figures = tuple(_statistics(result.error[model][part], intervals))
         # Readings of an IMU, say, have no errors in these units.
         if figures:
             yield FigureGroup(title=title, figures=figures, remark=f"{rows} rows, {seen}")
@@ -220,24 +258,20 @@ def _groups(result: ResultFile, budget: Budget) -> Iterator[FigureGroup]:
     )
 
 
-def _statistics(error: Mapping[str, float], rows: int) -> Iterator[Figure]:
-    """Yield the statistics of errors; the mean with its uncertainty, rows taken as independent."""
+def _statistics(
+    error: Mapping[str, float], intervals: Mapping[str, tuple[float | None, float | None]]
+) -> Iterator[Figure]:
+    """Yield the statistics of errors, with their intervals where these are known."""
     for unit in ("mm", "mrad", "px"):
         for key, name in _STATISTICS.items():
-            if (value := error.get(f"{key}_{unit}")) is None:
-                continue
-            expanded = None
-            square = error.get(f"rms_{unit}")
-            if key == "mean" and square is not None and rows > 1:
-                spread = math.sqrt(max(square**2 - value**2, 0.0) / (rows - 1))
-                expanded = CERTIFICATE.coverage * spread
-            yield Figure(
-                name=name,
-                value=value,
-                unit=unit,
-                expanded=expanded,
-                coverage=None if expanded is None else CERTIFICATE.coverage,
-            )
+            statistic = f"{key}_{unit}"
+            if statistic in error:
+                yield Figure(
+                    name=name,
+                    value=error[statistic],
+                    unit=unit,
+                    interval=intervals.get(statistic),
+                )
 
 
 def _elsewhere(result: ResultFile) -> Iterator[Figure]:

@@ -23,6 +23,7 @@ from pincal.cli.common import (
     LinkOptions,
     PlaceOptions,
     SetupOptions,
+    tip_or_to,
 )
 from pincal.cli.progress import log_step
 from pincal.cli.robot_priors import load_prior
@@ -176,7 +177,7 @@ class _Named:
     @classmethod
     def of(cls, source: InputOptions, tree: UrdfTree) -> _Named:
         """Return what the tables, the log of the joints and the options for links name."""
-        tip = source.tip or source.links.to
+        tip = tip_or_to(source.tip, source.links.to)
         start = source.links.start
         reading = source.table.options
         given = {name: (first, last) for name, first, last in source.links.stations}
@@ -232,7 +233,7 @@ def _movable_above(tree: UrdfTree, tips: Iterable[str | None]) -> list[str]:
 def _described(source: InputOptions) -> Robot:
     """Return the robot of the URDF: the joints between the links of the tables."""
     tree = read_cell(source.robot, source.beside, xacro_args=dict(source.xacro_args))
-    tip = source.tip or source.links.to
+    tip = tip_or_to(source.tip, source.links.to)
     named = _Named.of(source, tree)
     named.check(source.links.start, tip)
     movable = [joint.name for joint in tree.joints if joint.kind in MOVING_TYPES]

@@ -168,8 +168,8 @@ def _placed(
     towards = " ".join(f"{v:.2g}" for v in direction)
     raise BadInputError(
         f"a length of {max(lengths):g} m along {towards} of the base frame: the arm reaches both "
-        f"ends in {times} poses in none of the {len(centres)} places tried; expected a shorter one, "
-        "fewer --times, or wider limits"
+        f"ends in {times} poses in none of the {len(centres)} places tried; expected a shorter "
+        "one, fewer --times, or wider limits"
     )
 
 

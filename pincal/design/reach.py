@@ -276,9 +276,7 @@ class Reach:
         return placed.q[left]
 
     def _random(self, n: int, rng: np.random.Generator, *, measured: bool) -> _Placed:
-        """Return at most n random poses within the joint limits, brought to sockets if they hold the
-        target.
-        """
+        """Return at most n random poses within the joint limits, brought to the sockets, if any."""
         lower, upper = self.range
         q = self.robot.following(rng.uniform(lower, upper, (n, len(lower))))
         q = q if self.robot.linkage is None else q[self.robot.linkage.can_take(q)]

@@ -23,7 +23,17 @@ from pincal.model.conditions import Conditions
 from pincal.programs.arms import ArmSearch, PoseSearch, ProgramAxes
 from pincal.programs.flow import OUTSIDE
 from pincal.programs.language import ControllerLanguage
-from pincal.programs.program import Edit, Frame, Load, Point, PointKey, Posture, Program, Skipped
+from pincal.programs.program import (
+    Edit,
+    Frame,
+    Load,
+    Point,
+    PointKey,
+    Posture,
+    Program,
+    Skipped,
+    counted_axes,
+)
 from pincal.programs.program_numbers import PROGRAM_NUMBERS
 from pincal.robot.se3 import compose, inverse, transform
 from pincal.thresholds import Count, Scale
@@ -289,7 +299,8 @@ class Corrector:
             return reason
         if point.kind == "joints":
             if len(point.numbers) != self.robot.n_joints:
-                return f"{len(point.numbers)} axes; the model has {self.robot.n_joints}"
+                axes = counted_axes(len(point.numbers))
+                return f"{axes}; the model has {self.robot.n_joints}"
             q = self.joints(point)
             if np.abs(q).max() > PROGRAM_NUMBERS.most_turned:
                 return "its numbers are no joint positions"

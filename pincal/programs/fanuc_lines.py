@@ -108,7 +108,7 @@ def why_moved_by_options(options: str, line: int) -> str:
     tokens = tokens_of(without_brackets(options))
     k = 0
     while k < len(tokens):
-        phrase = first_phrase(tokens[k:], _OPTIONS)
+        phrase = first_phrase(tokens[k : k + 3], _OPTIONS)
         if phrase == "INC":
             return f"a relative motion (INC), line {line}"
         if phrase == "SKIP":

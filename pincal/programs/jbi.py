@@ -14,7 +14,17 @@ from pincal.programs.draft import Draft, joined
 from pincal.programs.jbi_lines import JOB_WORDS, SHIFT, effect_in_job, named_in, why_not_reached
 from pincal.programs.language import LANGUAGES, ControllerLanguage
 from pincal.programs.line_flow import Line, Listing, reasons_before, with_outside
-from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped, Turn
+from pincal.programs.program import (
+    Frame,
+    Motion,
+    Path,
+    Point,
+    Posture,
+    Program,
+    Skipped,
+    Turn,
+    counted_axes,
+)
 from pincal.programs.syntax import Number, Source, Statement, number_at
 
 _GRAMMAR = r"""
@@ -94,7 +104,7 @@ class Jbi(ControllerLanguage):
         if point.kind == "joints" and self.pulses is None:
             return "it is in pulses: give the pulses per degree (--pulses)"
         if point.kind == "joints" and len(self.pulses or ()) != len(point.numbers):
-            return f"{len(point.numbers)} axes, but --pulses has {len(self.pulses or ())}"
+            return f"{counted_axes(len(point.numbers))}, but --pulses has {len(self.pulses or ())}"
         return ""
 
     def read(self, sources: Sequence[Source]) -> Program:
@@ -152,7 +162,9 @@ class Jbi(ControllerLanguage):
         counts = [text.strip() for text in tags.get("NPOS", str(seen)).split(",")]
         expected = sum(int(text) for text in counts if text.isdigit())
         if seen != expected:
-            raise source.error(f"{seen} positions; expected the {expected} of ///NPOS", 0)
+            raise source.error(
+                f"{seen} position{'' if seen == 1 else 's'}; expected the {expected} of ///NPOS", 0
+            )
 
     def _point(
         self,
@@ -192,36 +204,49 @@ class Jbi(ControllerLanguage):
     ) -> None:
         """Note the motions."""
         run = 0
-        arc = list[str]()
+        # The targets of MOVC one after the other: the first is reached on a line, the third on a
+        # circle through the second.
+        arc = 0
+        via = ""
         for part, reasons in zip(_instructions(parts), displaced, strict=True):
             if part.data != "motion":
                 run += str(part.children[0]).upper().startswith(_JUMPS)
                 continue
             kind = str(part.children[0])
-            place = part.children[1]
-            name = _name(str(place))
-            span = place.start_pos, place.end_pos
-            target: str | Skipped = name
-            if kind == "IMOV":
-                draft.write(name, f"line {place.line} moves by it (IMOV)")
-                target = Skipped(name, i, place.line, "a relative motion")
-            elif "[" in name:
-                target = Skipped(name, i, place.line, "a computed position")
-            elif why := _why_left(draft, name, part, reasons):
-                draft.write(name, why)
-            arc = [*arc, name] if kind == "MOVC" else []
+            name = _name(str(part.children[1]))
+            target = _target(draft, i, part, reasons)
+            arc = arc + 1 if kind == "MOVC" else 0
+            if arc == 2:
+                via = name
+                continue
             path = _PATHS.get(kind, "joint")
             targets: tuple[str | Skipped, ...] = (target,)
-            if len(arc) == 1:
+            if arc == 1:
                 path = "line"
-            elif len(arc) == 2:
-                continue
-            elif len(arc) == 3:
+            elif arc == 3:
                 path = "circle"
-                targets = (arc[1], target)
+                targets = (via, target)
+            place = part.children[1]
+            span = place.start_pos, place.end_pos
             draft.motions.append(
                 Motion(path, targets, Statement((), *span, place.line), i, span=span, run=run)
             )
+
+
+def _target(draft: Draft, i: int, part: Any, reasons: Mapping[str, str]) -> str | Skipped:
+    """Return the target of a motion, and note why its position has to be left."""
+    kind = str(part.children[0])
+    line = part.children[1].line
+    name = _name(str(part.children[1]))
+    if kind == "IMOV":
+        draft.write(name, f"line {line} moves by it (IMOV)")
+        return Skipped(name, i, line, "a relative motion")
+    if "[" in name:
+        return Skipped(name, i, line, "a computed position")
+    why = _why_left(draft, name, part, reasons)
+    if why:
+        draft.write(name, why)
+    return name
 
 
 def _instructions(parts: Sequence[Any]) -> list[Any]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from pincal.programs.flow import InForce, Step
+from pincal.programs.flow import Code, Step
 from pincal.programs.line_flow import STATED_LOAD
 from pincal.programs.program import Path
 from pincal.programs.syntax import (
@@ -212,13 +212,14 @@ def ends_displacement(statement: Statement) -> bool:
     return first in _ENDS_IT or (first == "SINGAREA" and "OFF" in words_in(statement.items))
 
 
-def statements_of(source: Source) -> list[tuple[Statement, Step]]:
+def code_of(source: Source) -> Code:
     """Return the statements of a file with their effects on the control flow.
 
     Raises:
         ProgramError: for text in another language.
     """
-    return [part for whole in source.statements(_TOKENS, _WORDS) for part in _divided(whole)]
+    parts = [part for whole in source.statements(_TOKENS, _WORDS) for part in _divided(whole)]
+    return Code(source, [statement for statement, _ in parts], [step for _, step in parts])
 
 
 def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
@@ -227,45 +228,56 @@ def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
     k = 0
     while k < len(items):
         first = word(items[k])
-        end = len(items)
-        opening = word(items[k + 1]) if first == "LOCAL" and k + 1 < end else first
-        is_label = k + 1 < end and is_token(items[k + 1], "SIGN", ":")
-        size = 0
-        if first in _ALONE:
-            size = 1
-        elif opening in _ROUTINES or opening in ("MODULE", "RECORD"):
-            size = (1 if first == "LOCAL" else 0) + (3 if opening == "FUNC" else 2)
-        elif first in _HEADS:
-            closing = _HEADS[first]
-            ends = [
-                j
-                for j in range(k, end)
-                if word(items[j]) == closing or is_token(items[j], "SIGN", closing)
-            ]
-            if not ends and first == "IF":
-                yield from _once(whole, items[k:])
-                return
-            size = ends[0] + 1 - k if ends else 0
-        elif first and is_label:
-            size = 2
-        elif first == "TEST" or not first:
-            ends = [
-                j
-                for j in range(k + 1, end)
-                if word(items[j]) in (("CASE", "DEFAULT") if first else ("MODULE",))
-            ]
-            size = ends[0] - k if ends else 0
-        if (
-            size
-            and k + size < end
-            and isinstance(items[k + size], Brackets)
-            and (opening in _BLOCKS or first == "ERROR")
-        ):
-            size += 1
-        end = min(k + size, end) if size else end
+        size = _size_of_head(items, k)
+        if first == "IF" and not size:
+            yield from _once(whole, items[k:])
+            return
+        end = min(k + size, len(items)) if size else len(items)
         statement = _part(whole, items[k:end])
-        yield statement, _step(statement, opening, is_label=is_label and first not in _HEADS)
+        is_label = _is_label(items, k) and first not in _HEADS
+        yield statement, _step(statement, _opening(items, k), is_label=is_label)
         k = end
+
+
+def _opening(items: Sequence[Any], k: int) -> str:
+    """Return the word that may open a block, behind LOCAL."""
+    first = word(items[k])
+    return word(items[k + 1]) if first == "LOCAL" and k + 1 < len(items) else first
+
+
+def _is_label(items: Sequence[Any], k: int) -> bool:
+    return k + 1 < len(items) and is_token(items[k + 1], "SIGN", ":")
+
+
+def _size_of_head(items: Sequence[Any], k: int) -> int:
+    """Return the number of items of a statement behind which another one may follow without a
+    semicolon, 0 for other statements.
+    """
+    first = word(items[k])
+    opening = _opening(items, k)
+    size = 0
+    if first in _ALONE:
+        size = 1
+    elif opening in _ROUTINES or opening in ("MODULE", "RECORD"):
+        size = (1 if first == "LOCAL" else 0) + (3 if opening == "FUNC" else 2)
+    elif first in _HEADS:
+        size = _distance(items, k, (_HEADS[first],)) + 1
+    elif first and _is_label(items, k):
+        size = 2
+    elif first == "TEST":
+        size = max(_distance(items, k, ("CASE", "DEFAULT")), 0)
+    elif not first:
+        size = max(_distance(items, k + 1, ("MODULE",)) + 1, 0)
+    has_brackets = size and k + size < len(items) and isinstance(items[k + size], Brackets)
+    return size + 1 if has_brackets and (opening in _BLOCKS or first == "ERROR") else size
+
+
+def _distance(items: Sequence[Any], k: int, words: Sequence[str]) -> int:
+    """Return how far the first of some words or signs is behind an item, -1 if there is none."""
+    for j in range(k, len(items)):
+        if word(items[j]) in words or (is_token(items[j], "SIGN") and str(items[j]) in words):
+            return j - k
+    return -1
 
 
 def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, Step]]:
@@ -332,13 +344,12 @@ def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:
     )
 
 
-def check_blocks(
-    source: Source, statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce]
-) -> None:
+def check_blocks(code: Code) -> None:
     """Refuse a file that does not consist of modules, or has nested routines."""
-    if not any(step.opens == "MODULE" for step in steps):
+    source = code.source
+    if not any(step.opens == "MODULE" for step in code.steps):
         raise source.error("the end of the file, expected " + _WORDS, len(source.content))
-    for statement, step, known in zip(statements, steps, flow, strict=True):
+    for statement, step, known in zip(code.statements, code.steps, code.flow, strict=True):
         found = text_of_items(statement.items[:1])
         is_outside = known.depth == 0
         if (step.opens == "MODULE") != is_outside and not (is_outside and found == "%"):

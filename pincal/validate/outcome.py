@@ -262,6 +262,9 @@ class Outcome:
         clocks: of the instruments that read an arm in motion.
         elsewhere: position error to expect away from the measured poses; not where no instrument
             observed positions.
+        intervals: 95 % intervals of the mean and of the 95th percentile of the calibrated model's
+            errors at "test" rows, such as ``mean_mm``; all readings of a pose count as one, and an
+            end that so few poses do not show is null.
         id: identity of robot, instrument and circumstances; not where nothing was stated.
     """
 
@@ -288,4 +291,5 @@ class Outcome:
     improvement: tuple[Improvement, ...] | UnsetType = UNSET
     clocks: tuple[ClockRecord, ...] | UnsetType = UNSET
     elsewhere: Elsewhere | UnsetType = UNSET
+    intervals: dict[str, tuple[float | None, float | None]] | UnsetType = UNSET
     id: Identity | UnsetType = UNSET

@@ -28,8 +28,8 @@ class AcceptanceOptions(TestedRows):
     """An acceptance test by calibrated lengths."""
 
     acceptance: Path | None = option(
-        "Test the lengths between sockets that this table gives (first, second, distance, and sigma "
-        "if known) after ISO 10360-12: pass, fail or undecided.",
+        "Test the lengths between sockets that this table gives (first, second, distance, and "
+        "sigma if known) after ISO 10360-12: pass, fail or undecided.",
         metavar="LENGTHS.csv",
     )
     mpe: str | None = option(
@@ -104,15 +104,16 @@ def _contacts(found: Sequence[Validation]) -> Contacts:
     names = first.table.point_names
     if names is None or not first.station.sensor.is_of_joints:
         raise MeasurementError(
-            f"{first.table.source}: rows of {first.table.kind}; expected contacts of the tool point "
-            "with the ends of the lengths, named in the column socket"
+            f"{first.table.source}: rows of {first.table.kind}; expected contacts of the tool "
+            "point with the ends of the lengths, named in the column socket"
         )
     conditions = first.station.conditions
     poses = first.model.model.predict(first.model.model_values, conditions)
+    covariance = first.model.covariance_of(conditions)
     return Contacts(
         seat=np.asarray(names),
         position=poses[:, :, 3],
-        covariance=first.model.position_covariance(conditions),
+        covariance=covariance.matrix.reshape(len(poses), 3, len(poses), 3),
         source=first.table.source,
     )
 
@@ -129,8 +130,8 @@ def _print(found: Acceptance) -> None:
     out.print(
         hanging(
             "stated U:",
-            f"{within} of {found.measured} lengths are within the uncertainty (k = 2) that the model "
-            "states",
+            f"{within} of {found.measured} lengths are within the uncertainty (k = 2) that the "
+            "model states",
         )
     )
     if found.scope:

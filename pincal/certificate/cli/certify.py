@@ -25,10 +25,11 @@ DCC_FILE = "dcc.xml"
 _EXAMPLES = """
 Examples:
   pincal certificate results/model.json --out certificate
-  pincal certificate results/model.json --out certificate --set "id.laboratory=Metrology, Example Ltd" --set id.country=DE
+  pincal certificate results --out results --set "id.laboratory=Example Ltd" --set id.country=DE
 
-DIR then holds certificate.html, one page of A4 to print and sign, and dcc.xml, the same as a digital
-calibration certificate of PTB. Entries that neither the model nor --set states are marked as not stated.
+DIR then holds certificate.html, one page of A4 to print and sign, and dcc.xml, the same as a
+digital calibration certificate of PTB. What neither the model nor --set states is marked as not
+stated.
 """
 
 

@@ -31,8 +31,8 @@ class AcceptancePlanOptions:
     """A plan of an acceptance test."""
 
     acceptance: Sequence[float] | None = option(
-        "Plan the test of calibrated lengths for pincal validate --acceptance: in seven places, the "
-        "tool point held in both ends.",
+        "Plan the test of calibrated lengths for pincal validate --acceptance: in seven places, "
+        "the tool point held in both ends.",
         metavar="LENGTH[,LENGTH...]",
         type=_lengths,
     )
@@ -64,7 +64,7 @@ class OutputWanted:
 def write_acceptance_plan(
     reach: Reach, options: AcceptancePlanOptions, wanted: OutputWanted, *, seed: int
 ) -> Exit:
-    """Write the poses of the contacts, and the table of lengths to complete from the certificate."""
+    """Write the poses of the contacts, and the table of lengths, to complete by the certificate."""
     from pincal.design.acceptance_plan import plan_acceptance
     from pincal.measure.table import write_table
 

@@ -21,6 +21,8 @@ from pincal.cli.common import (
     coupling_option,
     sign_option,
     tip_option,
+    tip_or_to,
+    to_option,
     type_option,
     xacro_option,
 )
@@ -227,11 +229,13 @@ class DesignArguments:
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
     start: str | None = option(
-        "Link in whose frame the tip is measured, such as the other hand.",
+        "Link in whose frame the target is measured, such as the other hand, or the one with a "
+        "camera.",
         metavar="LINK",
         name="--from",
         words="the base",
     )
+    to: str | None = to_option()
     beside: tuple[Beside, ...] = beside_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     couplings: tuple[str, ...] = coupling_option()
@@ -406,7 +410,8 @@ def _robot(arguments: DesignArguments) -> Robot:
     from pincal.robot.robot import Robot
 
     tree = read_cell(arguments.robot, arguments.beside, xacro_args=dict(arguments.xacro_args))
-    robot = Robot.from_tree(tree, TreeRequest(arguments.tip, arguments.start, arguments.base))
+    tip = tip_or_to(arguments.tip, arguments.to)
+    robot = Robot.from_tree(tree, TreeRequest(tip, arguments.start, arguments.base))
     return as_stated(robot, signs=arguments.signs, couplings=arguments.couplings)
 
 

@@ -17,7 +17,7 @@ from pincal.cli.arguments import NumberType, option, pair
 from pincal.cli.outputs import echo_notes, extrapolation, print_json
 from pincal.cli.quantities import LENGTH
 from pincal.cli.target_files import FileCorrection, TargetFiles
-from pincal.errors import Exit
+from pincal.errors import Exit, counted
 
 if TYPE_CHECKING:
     from pincal.calibration.fitted_robot import FittedRobot
@@ -278,7 +278,9 @@ def _result(
     worst = max(sure, key=lambda found: found.size, default=None)
     path = {
         "motions": len(deviations),
-        "not_followed": [d.motion.statement.line for d in deviations if d not in sure],
+        "not_followed": [
+            found.motion.statement.line for found in deviations if not np.isfinite(found.size)
+        ],
     }
     if worst is not None:
         path |= {"largest_mm": 1e3 * worst.size, "line": worst.motion.statement.line}
@@ -296,7 +298,7 @@ def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
     """Yield the lines that summarise a corrected program."""
     points = result["points"]
     left = result["left"]
-    yield f"{language}: {len(points)} points corrected, {len(left)} left unchanged"
+    yield f"{language}: {counted(len(points), 'point')} corrected, {len(left)} left unchanged"
     yield (
         f"  the controller's world is {result['world']}, its flange {result['flange']} "
         "(--world, --flange), its axes are"
@@ -316,10 +318,10 @@ def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
         yield (
             "  between corrected points the tool deviates from its path by at most "
             f"{path['largest_mm']:.4f} mm "
-            f"(line {path['line']}, {path['motions']} motions)"
+            f"(line {path['line']}, {counted(path['motions'], 'motion')})"
         )
     if result["inserted"]:
-        yield f"  {result['inserted']} points inserted"
+        yield f"  {counted(result['inserted'], 'point')} inserted"
     if left:
         yield "left unchanged:"
     for one in left:
