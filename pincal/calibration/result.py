@@ -29,7 +29,6 @@ from pincal.calibration.caveats import (
     findings_on_rounding,
     findings_on_scatter,
 )
-from pincal.calibration.elsewhere import elsewhere_of
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import (
     LeftOut,
@@ -157,6 +156,7 @@ class Result(Outcome):
             "elsewhere",
             "intervals",
             "id",
+            "uncertainty",
         )
         absent = {name for name in perhaps if getattr(self, name) in (None, UNSET)}
         contents = {
@@ -308,7 +308,6 @@ def result_of(
         validation=_validation(validated, error),
         improvement=assessed.improved or UNSET,
         clocks=tuple(_clocks(fit, rows)) or UNSET,
-        elsewhere=elsewhere_of(fit) or UNSET,
         intervals=_intervals(stations) or UNSET,
         **_by_station(stations, assessed.moves),
     )

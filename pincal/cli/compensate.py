@@ -230,7 +230,9 @@ def compensate(arguments: CompensateArguments) -> Exit:
         if not arguments.general.as_json:
             _echo_machine(place.model)
         robot = place.model.model.chain.robot
-        return arguments.program.correct(place.model, _correction(robot, arguments))
+        code = arguments.program.correct(place.model, _correction(robot, arguments))
+        echo_notes(place.notes, quiet=arguments.general.quiet)
+        return code
     return _compensate_table(place, arguments)
 
 

@@ -113,6 +113,7 @@ def export(arguments: ExportArguments) -> Exit:
     else:
         calibrated = find_place(arguments.model, arguments.place, arguments.table.options).model
     unchecked = tuple(arguments.identity.of_model(calibrated.identity, arguments.model))
+    said = [] if calibrated.statement is None else list(calibrated.statement.notes())
     contents: dict[str, Any] = {}
     lines: list[str] = []
     for name, place in places.items():
@@ -124,6 +125,8 @@ def export(arguments: ExportArguments) -> Exit:
         if exported.max_error_m is not None:
             contents["max_error_m"] = max(exported.max_error_m, contents.get("max_error_m", 0.0))
         lines += [exported.text.rstrip()] if path is None else _written_lines(path, exported)
+    contents["notes"] += said
+    lines += [f"note: {note}" for note in said]
     if arguments.general.as_json:
         print_json(contents)
     else:

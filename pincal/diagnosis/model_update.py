@@ -223,6 +223,7 @@ def _taken_in(
         evidence=KeptEvidence(information=new if before is None else before + new),
         discrepancy=model.discrepancy,
         identity=model.identity,
+        statement=model.statement,
     )
 
 
