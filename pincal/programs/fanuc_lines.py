@@ -193,8 +193,8 @@ def number_in_brackets(text: str) -> str:
     """Return the number in brackets, without its comment and the group before it.
 
     Example:
-        >>> number_in_brackets("3:table"), number_in_brackets("GP1:3"), number_in_brackets("R[1"), number_in_brackets(" 2,5")
-        ('3', '3', 'R[1', '2')
+        >>> [number_in_brackets(text) for text in ("3:table", "GP1:3", "R[1", " 2,5")]
+        ['3', '3', 'R[1', '2']
     """
     first, _, more = text.partition(":")
     return (more if first.strip().startswith("GP") else first).partition(",")[0].strip()
