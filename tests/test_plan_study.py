@@ -144,6 +144,7 @@ def test_figures_are_met_or_missed() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.first
 def test_a_study_of_plans_runs_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every command says what is counted of it, and a second run asks nothing again."""
     monkeypatch.setattr(rows_study, "version", lambda: "v1")

@@ -227,6 +227,7 @@ def test_a_fit_of_independent_rows_has_no_correlated_noise(kuka: Robot) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.first
 def test_a_real_arm_read_in_the_order_of_a_grid_is_predicted(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A UR5 whose errors persist along the rows: held out .0590 mm by regions and .0504 by stretches."""
     # Some 5 % more than what was measured.
