@@ -14,7 +14,7 @@ from pincal.identity import Identity
 NOT_STATED = "not stated"
 """Stands where the user has stated nothing: a certificate leaves no gap unmarked."""
 
-Conformity = Literal["conforms", "does not conform", "undecided"]
+ConformityWord = Literal["conforms", "does not conform", "undecided"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class Figure:
     interval: tuple[float | None, float | None] | None = None
     nominal: float | None = None
     limits: tuple[float, float] | None = None
-    decision: Conformity | None = None
+    decision: ConformityWord | None = None
 
     def __post_init__(self) -> None:
         ends = self.interval or ()
