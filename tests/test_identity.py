@@ -134,12 +134,13 @@ def test_the_output_says_of_which_robot_it_is(verb: str, saved: Path, poses: Pat
     assert json.loads(capsys.readouterr().out)["id"]["robot"] == "2021-17"
 
 
-@pytest.mark.parametrize("verb", ["predict", "compensate", "validate", "diagnose", "update"])
+@pytest.mark.parametrize("verb", ["predict", "compensate", "validate", "diagnose", "update", "export"])
 def test_the_model_of_another_robot_is_refused(verb: str, saved: Path, poses: Path, capsys, tmp_path: Path) -> None:
     """The refusal has both serial numbers, and nothing is written."""
     out = [] if verb == "validate" else ["--out", tmp_path / ("out.csv" if verb[0] in "pc" else "out")]
+    words = ["--page", tmp_path / "page.html"] if verb == "export" else [poses, *out]
 
-    assert run(verb, saved, poses, *out, "--set", "id.robot=2021-18") == 3
+    assert run(verb, saved, *words, "--set", "id.robot=2021-18") == 3
 
     error = capsys.readouterr().err
     assert "is of robot 2021-17" in error and "robot 2021-18" in error

@@ -57,6 +57,7 @@ SATELLITES = (
     "design",
     "fleet",
     "viewer",
+    "features",
     "simulate",
     "certificate",
     "acceptance",

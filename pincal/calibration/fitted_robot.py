@@ -32,6 +32,7 @@ from pincal.calibration.result_tables import (
     parameter_table,
     residual_table,
 )
+from pincal.calibration.statement import ModelStatement
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify import split
@@ -80,6 +81,7 @@ class FittedRobot:
         evidence: what the rows show besides.
         discrepancy: what the model lacks; None where its residuals are noise, or it is not known.
         identity: of robot, instrument and circumstances, as far as stated.
+        statement: what the calibration states of the model; None where it is not known.
 
     Example:
         >>> from pincal import Chain, Robot
@@ -100,6 +102,7 @@ class FittedRobot:
     evidence: Evidence = field(default_factory=KeptEvidence)
     discrepancy: Discrepancy | None = None
     identity: Identity = field(default_factory=Identity)
+    statement: ModelStatement | None = None
 
     @classmethod
     def of(cls, fit: ModelFit, provenance: dict[str, Any] | None = None) -> FittedRobot:
@@ -216,6 +219,7 @@ class FittedRobot:
             self.evidence if k == 0 else KeptEvidence(),
             self.discrepancy,
             self.identity,
+            self.statement,
         )
 
     @cached_property
@@ -815,6 +819,7 @@ class FittedRobot:
                 self.provenance if provenance is None else provenance,
                 self.discrepancy,
                 self.identity,
+                self.statement,
             )
 
         write_model_file(path, made)
@@ -901,4 +906,5 @@ def load_model(path: str | os.PathLike[str]) -> FittedRobot:
         KeptEvidence(file.unmodelled, file.information),
         file.discrepancy,
         file.id or Identity(),
+        file.statement,
     )

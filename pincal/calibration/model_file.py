@@ -19,6 +19,7 @@ from pincal.calibration.fit_evidence import Evidence
 from pincal.calibration.fitted_station import FittedStation
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.repeatability import Repeatability
+from pincal.calibration.statement import ModelStatement
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import OutputError
 from pincal.identify.station import are_fingerprints
@@ -199,6 +200,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
         discrepancy: the covariance of what the model lacks; none where its residuals are noise, or
             it is not known.
         id: identity of robot, instrument and circumstances; none where nothing was stated.
+        statement: what the calibration states of the model; not in files of earlier versions.
         files: the files written with it, with their SHA-256; none where it was saved alone.
     """
 
@@ -217,6 +219,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
     information: RobotInformation | None = None
     discrepancy: Discrepancy | None = None
     id: Identity | None = None
+    statement: ModelStatement | None = None
     files: dict[str, str] | None = None
 
     @classmethod
@@ -229,6 +232,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
         provenance: dict[str, Any],
         discrepancy: Discrepancy | None,
         identity: Identity,
+        statement: ModelStatement | None = None,
     ) -> ModelFile:
         """Return the file of a fitted robot, given by its parts."""
         return cls(
@@ -245,6 +249,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
             information=evidence.information,
             discrepancy=discrepancy,
             id=identity or None,
+            statement=statement,
         )
 
     def __post_init__(self) -> None:

@@ -18,7 +18,7 @@ from pincal.model.motions import with_moving_drives
 from pincal.thresholds import Count
 
 # What makes predictions uncertain, as budgets name it, besides a point on the tip.
-SOURCES = ("parameters", "model", "arrival", "conditions")
+POSITION_SOURCES = ("parameters", "model", "arrival", "conditions")
 # Rows per piece: with 60 parameters a piece is about 6 MB.
 _PIECE: Count = 4096
 # Kinds of readings whose repeatability is that of a position.
@@ -81,7 +81,7 @@ class PredictionUncertainty:
         """Return the variance of the target's position by each source, shape (N, 3) [m^2]."""
         lacking = unrecorded(self.station, conditions)
         conditions = of_its_day(self.station, conditions)
-        found = {name: np.zeros((len(conditions), 3)) for name in SOURCES}
+        found = {name: np.zeros((len(conditions), 3)) for name in POSITION_SOURCES}
         for rows in _pieces(len(conditions)):
             J, levers = self._motion(conditions.select(rows), 3)
             found["parameters"][rows] = self._along(J)
@@ -98,7 +98,7 @@ class PredictionUncertainty:
         a rotation vector in the instrument's axes.
         """
         conditions = of_its_day(self.station, conditions)
-        found = {name: np.zeros((len(conditions), 3)) for name in SOURCES}
+        found = {name: np.zeros((len(conditions), 3)) for name in POSITION_SOURCES}
         for rows in _pieces(len(conditions)):
             J, levers = self._motion(conditions.select(rows), 6)
             found["parameters"][rows] = self._along(J[:, 3:])

@@ -11,17 +11,10 @@ from pincal.thresholds import number
 class CertificateNumbers:
     """How uncertainties are expanded."""
 
-    coverage: float = number(
-        2.0,
-        "ratio",
-        "test_certificate.py::test_the_uncertainty_of_positions_is_twice_the_root_of_the_budget",
-        "of the expanded to the standard uncertainty, k",
-        "GUM 6.3.3 and ISO/IEC 17025 practice: about 95 % of a normal distribution",
-    )
     probability: float = number(
         0.95,
         "probability",
-        "test_certificate.py::test_every_figure_of_a_model_is_in_the_digital_certificate",
+        "test_certificate.py::test_a_part_keeps_values_limits_and_decisions",
         "of the interval of an expanded uncertainty",
         "convention of calibration certificates, with k = 2",
     )

@@ -76,15 +76,29 @@ def _cells(figure: Figure, has_uncertainties: bool, has_limits: bool) -> Iterato
     """Yield the cells of a figure: its value, and where any figure beside it has them, uncertainty,
     nominal value, limits and decision.
     """
-    yield f"{figure.value:.4f} {figure.unit}".rstrip()
+    yield f"{_number(figure.value)} {figure.unit}".rstrip()
     if has_uncertainties:
-        stated = figure.expanded is not None
-        yield f"{figure.expanded:.4f} (k = {figure.coverage:.3g})" if stated else ""
+        yield _uncertainty(figure)
     if has_limits:
-        yield "" if figure.nominal is None else f"{figure.nominal:.4f}"
+        yield "" if figure.nominal is None else _number(figure.nominal)
         yield "" if figure.limits is None else " to ".join(map(_limit, figure.limits))
         yield figure.decision or ""
 
 
+def _uncertainty(figure: Figure) -> str:
+    """Return expanded uncertainty or interval in words; empty without either."""
+    if figure.expanded is not None:
+        return f"{figure.expanded:.4f} (k = {figure.coverage:.3g})"
+    lower, upper = figure.interval or (None, None)
+    if lower is None:
+        return ""
+    return f"above {lower:.4f}" if upper is None else f"{lower:.4f} to {upper:.4f}"
+
+
 def _limit(value: float) -> str:
-    return "any" if math.isinf(value) else f"{value:.4f}"
+    return "any" if math.isinf(value) else _number(value)
+
+
+def _number(value: float) -> str:
+    """Return a number without the sign of a zero."""
+    return f"{round(value, 4) + 0.0:.4f}"

@@ -122,6 +122,13 @@ class _Writer:
         etree.SubElement(self.element, f"{{{SI}}}{name}").text = repr(float(value))
 
 
+def _software(to: _Writer) -> None:
+    """Add this program."""
+    made = to.inner("software")
+    made.words("name", "pincal")
+    made.line("release", f"v{version('pincal')}")
+
+
 @dataclass(frozen=True)
 class _Administrative:
     """Who certifies what for whom."""
@@ -130,9 +137,7 @@ class _Administrative:
 
     def write(self, to: _Writer) -> None:
         """Write all of it, in the order of the schema."""
-        software = to.inner("dccSoftware").inner("software")
-        software.words("name", "pincal")
-        software.line("release", version("pincal"))
+        _software(to.inner("dccSoftware"))
         self._core(to.inner("coreData"))
         self._item(to.inner("items").inner("item"))
         identity = self.of.identity
@@ -225,6 +230,7 @@ class _Measured:
         made = to.inner("measurementResult")
         made.words("name", self.of.title)
         self._methods(made.inner("usedMethods"))
+        _software(made.inner("usedSoftware"))
         self._equipment(made)
         self._conditions(made)
         results = made.inner("results")
@@ -256,11 +262,15 @@ class _Measured:
 
     def _conditions(self, to: _Writer) -> None:
         temperature = self.of.identity.temperature
-        if temperature is None:
-            return
-        made = to.inner("influenceConditions").inner("influenceCondition", kind="basic_temperature")
+        listed = to.inner("influenceConditions")
+        made = listed.inner("influenceCondition", kind="basic_temperature")
         made.words("name", "ambient temperature")
-        made.inner("data").quantity("temperature", temperature, "deg C")
+        data = made.inner("data")
+        if temperature is None:
+            # PTB's rules accept no result without a condition.
+            data.words("text", NOT_STATED)
+        else:
+            data.quantity("temperature", temperature, "deg C")
 
 
 def _group(to: _Writer, group: FigureGroup) -> None:
@@ -283,6 +293,15 @@ def _figure(to: _Writer, of: Figure) -> None:
         expanded.number("valueExpandedMU", of.expanded)
         expanded.number("coverageFactor", of.coverage)
         expanded.number("coverageProbability", CERTIFICATE.probability)
+    if of.interval is not None and of.unit in _UNITS:
+        ends = {"least": of.interval[0], "largest": of.interval[1]}
+        stated = {
+            f"{end} value of the 95 % interval": repr(value)
+            for end, value in ends.items()
+            if value is not None
+        }
+        if stated:
+            _facts(made.inner("measurementMetaData"), stated.items())
     if of.decision is not None and of.limits is not None:
         _conformity(
             made.inner("measurementMetaData").inner("metaData", kind="basic_conformity"), of

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from pincal.certificate.statement import (
     Budget,
     BudgetLine,
     Certificate,
-    Conformity,
+    ConformityWord,
     Figure,
     FigureGroup,
     Issue,
@@ -54,7 +55,7 @@ class _Value(msgspec.Struct, frozen=True):
     k: float
     nominal: float | None = None
     limits: tuple[float | None, float | None] | None = None
-    decision: Conformity | None = None
+    decision: ConformityWord | None = None
 
 
 class _Feature(msgspec.Struct, frozen=True):
@@ -86,6 +87,7 @@ class _MeasuredFile(msgspec.Struct, frozen=True):
     datum: Any = None
     id: Identity | None = None
     warnings: tuple[Note, ...] = ()
+    provenance: dict[str, Any] = {}
 
 
 def certificate_of_measured(folder: Path, stated: Identity, issue: Issue) -> Certificate:
@@ -115,25 +117,49 @@ def certificate_of_measured(folder: Path, stated: Identity, issue: Issue) -> Cer
         issue=issue,
         item=identity.note.get("part", f"part {NOT_STATED}"),
         identity=identity,
-        facts={"datum": _words(found.datum), "features": str(len(found.features))},
+        facts={"datum": _words(found.datum), **_decided(found.features)},
         doubts=tuple(doubt.text for doubt in doubts_of(found.warnings)),
         groups=tuple(map(_group, found.features)),
         budget=_budget(found.budget),
         rule=found.rule,
-        files={
-            file.name: file_hash(file) for file in (path, folder / "measured.csv") if file.is_file()
+        files=_files(path, found.provenance),
+        versions={
+            "measured with pincal": str(found.provenance.get("pincal", NOT_STATED)),
+            "certificate by pincal": version("pincal"),
         },
-        versions={"certificate by pincal": version("pincal")},
     )
 
 
+def _files(path: Path, provenance: Mapping[str, Any]) -> dict[str, str]:
+    """Return the checksums of what was written, and of what it was made of."""
+    table = path.with_name("measured.csv")
+    own = {file.name: file_hash(file) for file in (path, table) if file.is_file()}
+    inputs = provenance.get("inputs")
+    return own | (dict(inputs) if isinstance(inputs, Mapping) else {})
+
+
 def _words(datum: Any) -> str:
-    """Return the datum in words, however it is written."""
-    if isinstance(datum, dict):
-        return ", ".join(f"{name}: {_words(value)}" for name, value in datum.items())
-    if isinstance(datum, list | tuple):
-        return " ".join(map(_words, datum))
-    return NOT_STATED if datum is None else str(datum)
+    """Return the datum in words: a text, or its kind, the features that define it and the frame
+    that it was found in.
+    """
+    if not isinstance(datum, dict):
+        return NOT_STATED if datum is None else str(datum)
+    features = datum.get("features")
+    words = [str(datum.get("kind", NOT_STATED))]
+    words += [f"by {', '.join(map(str, features))}"] if features else []
+    words += [f"in the frame of the {datum['frame']}"] if "frame" in datum else []
+    return " ".join(words)
+
+
+def _decided(features: tuple[_Feature, ...]) -> dict[str, str]:
+    """Return how many features there are, and how many quantities conform to their limits."""
+    counts = Counter(
+        value.decision for of in features for value in of.values.values() if value.decision
+    )
+    found = {"features": str(len(features))}
+    if counts:
+        found["decisions"] = ", ".join(f"{decision}: {count}" for decision, count in counts.items())
+    return found
 
 
 def _group(feature: _Feature) -> FigureGroup:

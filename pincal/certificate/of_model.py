@@ -13,7 +13,7 @@ from msgspec import UNSET
 
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.result import ResultFile
-from pincal.certificate.certificate_numbers import CERTIFICATE
+from pincal.calibration.statement import COVERAGE_FACTOR
 from pincal.certificate.statement import (
     NOT_STATED,
     Budget,
@@ -193,7 +193,7 @@ def _ranges(robot: FittedRobot) -> Iterator[Range]:
     )
     if "temperature" in covered.days:
         mean, deviation = covered.days["temperature"]
-        k = CERTIFICATE.coverage
+        k = COVERAGE_FACTOR
         yield Range(
             name="temperature",
             lower=mean - k * deviation,
@@ -217,6 +217,7 @@ def _facts(fitted: FittedRobot, result: ResultFile) -> dict[str, str]:
         "method": f"least squares on all rows; effects: {', '.join(effects)}",
         "validation": _validation(result),
         "noise": f"{noise_words(result.noise)} ({result.noise['source']})",
+        "rests on": "" if result.uncertainty is UNSET else result.uncertainty.rests_on,
     }
     return {name: text for name, text in found.items() if text}
 
@@ -238,42 +239,49 @@ def _groups(result: ResultFile, budget: Budget) -> Iterator[FigureGroup]:
         ("calibrated", "Error of the calibrated robot"),
         ("nominal", "Error of the nominal robot, base and tool fitted"),
     ):
-        figures = tuple(_statistics(result.error[model][part], rows))
+        is_stated = model == "calibrated" and part == "test"
+        intervals = {} if result.intervals is UNSET or not is_stated else result.intervals
+        figures = tuple(_statistics(result.error[model][part], intervals))
         # Readings of an IMU, say, have no errors in these units.
         if figures:
             yield FigureGroup(title=title, figures=figures, remark=f"{rows} rows, {seen}")
-    k = CERTIFICATE.coverage
+    k = COVERAGE_FACTOR
     combined = math.sqrt(sum(line.standard**2 for line in budget.lines))
     expanded = Figure(
-        name=f"U (k = {k:g}) of one coordinate",
-        value=k * combined,
-        unit=budget.unit,
+        name=f"U (k = {k:g}) over the measured ranges", value=k * combined, unit=budget.unit
     )
     yield FigureGroup(
         title="Uncertainty of predicted positions",
-        figures=(expanded, *_elsewhere(result)),
-        remark="U: root mean square over the measured ranges, without noise of new readings",
+        figures=(*_stated(result), expanded, *_elsewhere(result)),
+        remark="U: of one coordinate, root mean square, without noise of new readings",
     )
 
 
-def _statistics(error: Mapping[str, float], rows: int) -> Iterator[Figure]:
-    """Yield the statistics of errors; the mean with its uncertainty, rows taken as independent."""
+def _stated(result: ResultFile) -> Iterator[Figure]:
+    """Yield the uncertainty that the calibration states."""
+    if result.uncertainty is UNSET:
+        return
+    known = result.uncertainty
+    yield Figure(name=f"U (k = {known.k:g}) at the measured poses", value=known.here_mm, unit="mm")
+    yield Figure(
+        name=f"U (k = {known.k:g}) within the joint limits", value=known.anywhere_mm, unit="mm"
+    )
+
+
+def _statistics(
+    error: Mapping[str, float], intervals: Mapping[str, tuple[float | None, float | None]]
+) -> Iterator[Figure]:
+    """Yield the statistics of errors, with their intervals where these are known."""
     for unit in ("mm", "mrad", "px"):
         for key, name in _STATISTICS.items():
-            if (value := error.get(f"{key}_{unit}")) is None:
-                continue
-            expanded = None
-            square = error.get(f"rms_{unit}")
-            if key == "mean" and square is not None and rows > 1:
-                spread = math.sqrt(max(square**2 - value**2, 0.0) / (rows - 1))
-                expanded = CERTIFICATE.coverage * spread
-            yield Figure(
-                name=name,
-                value=value,
-                unit=unit,
-                expanded=expanded,
-                coverage=None if expanded is None else CERTIFICATE.coverage,
-            )
+            statistic = f"{key}_{unit}"
+            if statistic in error:
+                yield Figure(
+                    name=name,
+                    value=error[statistic],
+                    unit=unit,
+                    interval=intervals.get(statistic),
+                )
 
 
 def _elsewhere(result: ResultFile) -> Iterator[Figure]:

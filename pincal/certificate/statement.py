@@ -14,7 +14,7 @@ from pincal.identity import Identity
 NOT_STATED = "not stated"
 """Stands where the user has stated nothing: a certificate leaves no gap unmarked."""
 
-Conformity = Literal["conforms", "does not conform", "undecided"]
+ConformityWord = Literal["conforms", "does not conform", "undecided"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +27,7 @@ class Figure:
         unit: its unit: "mm", "mrad", "deg" and so on; empty for a plain number.
         expanded: expanded uncertainty, in the unit.
         coverage: coverage factor k of that.
+        interval: ends of the interval of 95 %, in the unit; None for an end that is not known.
         nominal: what it should be, in the unit.
         limits: least and largest permissible value, in the unit; infinite for none.
         decision: whether it conforms to the limits.
@@ -40,12 +41,14 @@ class Figure:
     unit: str
     expanded: float | None = None
     coverage: float | None = None
+    interval: tuple[float | None, float | None] | None = None
     nominal: float | None = None
     limits: tuple[float, float] | None = None
-    decision: Conformity | None = None
+    decision: ConformityWord | None = None
 
     def __post_init__(self) -> None:
-        for value in (self.value, self.expanded, self.coverage, self.nominal):
+        ends = self.interval or ()
+        for value in (self.value, self.expanded, self.coverage, self.nominal, *ends):
             if value is not None and not math.isfinite(value):
                 raise BadInputError(
                     f"{self.name}: {value}; a certificate states finite numbers only: repeat the "

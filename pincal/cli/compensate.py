@@ -230,7 +230,9 @@ def compensate(arguments: CompensateArguments) -> Exit:
         if not arguments.general.as_json:
             _echo_machine(place.model)
         robot = place.model.model.chain.robot
-        return arguments.program.correct(place.model, _correction(robot, arguments))
+        code = arguments.program.correct(place.model, _correction(robot, arguments))
+        echo_notes(place.notes, quiet=arguments.general.quiet)
+        return code
     return _compensate_table(place, arguments)
 
 
@@ -240,20 +242,13 @@ def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exi
     """
     from pincal.cli.progress import end_progress
     from pincal.compensate.returned_table import write_returned
-    from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
+    from pincal.compensate.targets import read_targets, unreached_turns
 
     robot = place.model.model.chain.robot
     table = read_targets(arguments.targets, robot, options=arguments.table.options)
     place = place.over(table.rows)
     calibrated = place.model
-    done = run_compensation(
-        calibrated,
-        table,
-        frame=arguments.frame,
-        seed=_seed(robot, table, arguments.seed_joints),
-        any_orientation=arguments.free_orientation,
-        limits=not arguments.ignore_limits,
-    )
+    done = _compensated(calibrated, table, arguments)
     columns = _returned_columns(calibrated, done, arguments)
     write_returned(arguments.out, table.cells, columns, robot.joint_names)
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
@@ -269,6 +264,22 @@ def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exi
     echo_notes([*_failures(result), *place.notes, *notes], quiet=arguments.general.quiet)
     tolerated = 0 if arguments.strict else result["rows"] - 1
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
+
+
+def _compensated(
+    calibrated: FittedRobot, table: Targets, arguments: CompensateArguments
+) -> CompensatedTable:
+    """Return the joint positions that reach targets, as chosen on the command line."""
+    from pincal.compensate.targets import run_compensation
+
+    return run_compensation(
+        calibrated,
+        table,
+        frame=arguments.frame,
+        seed=_seed(calibrated.model.chain.robot, table, arguments.seed_joints),
+        any_orientation=arguments.free_orientation,
+        limits=not arguments.ignore_limits,
+    )
 
 
 def _echo_machine(model: FittedRobot) -> None:

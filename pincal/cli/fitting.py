@@ -170,7 +170,7 @@ class _Inputs:
         if self.doubts:
             result = replace(result, warnings=doubts_first([*self.doubts, *result.warnings]))
         if self.task is not None:
-            elsewhere = elsewhere_of(output.calibration.fit.fit, self.task)
+            elsewhere = elsewhere_of(output.calibration.fit, self.task)
             result = replace(result, elsewhere=elsewhere or UNSET)
         return output.with_result(result)
 

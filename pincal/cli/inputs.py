@@ -521,7 +521,7 @@ class PlacedModel:
 
     Attributes:
         model: the model.
-        notes: for the user, on the placement.
+        notes: for the user, on the placement, and what the model states of itself.
         contents: how the placement was identified, for ``--json``; empty for one of the
             calibration.
     """
@@ -563,12 +563,14 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
         )
     stations = load_model(path)
     first = stations.each[0]
+    said = () if stations.statement is None else tuple(stations.statement.notes())
     if chosen.start or chosen.to:
-        return PlacedModel(stations.robot_model().between(chosen.start, chosen.to))
+        return PlacedModel(stations.robot_model().between(chosen.start, chosen.to), said)
     if chosen.placement is not None:
-        return _placed(path, first, chosen.placement, reading)
+        placed = _placed(path, first, chosen.placement, reading)
+        return replace(placed, notes=(*said, *placed.notes))
     if chosen.station is not None:
-        return PlacedModel(stations.at(chosen.station))
+        return PlacedModel(stations.at(chosen.station), said)
     if len(stations.stations) > 1:
         raise BadInputError(
             f"{path}: calibrated at the stations {', '.join(stations.names)}; expected a "
@@ -576,7 +578,7 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
             "them, --placement FEW.csv with some measured rows for a new place, or links "
             "of the robot: --from LINK --to LINK"
         )
-    return PlacedModel(first)
+    return PlacedModel(first, said)
 
 
 def _placed(file: Path, model: FittedRobot, path: Path, reading: TableOptions) -> PlacedModel:

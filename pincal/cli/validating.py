@@ -25,6 +25,7 @@ from pincal.errors import Exit
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.calibration.validation import Validation
     from pincal.notes import Note
 
@@ -72,28 +73,11 @@ def validate(arguments: ValidateArguments) -> Exit:
     The instrument may be anywhere: its placement is identified from the rows.
     """
     from pincal.calibration.fitted_robot import load_model
-    from pincal.calibration.validation import validate_rows
-    from pincal.cli.inputs import load_tables
-    from pincal.measure.admit import check_table
 
-    is_test = arguments.acceptance.is_wanted
     calibrated = load_model(arguments.model)
     unchecked = tuple(arguments.identity.of_model(calibrated.identity, arguments.model))
-    chosen = arguments.station
-    models = calibrated.each if chosen is None else (calibrated.at(chosen),)
-    robot = models[0].model.chain.robot
-    tables = load_tables(
-        robot, arguments.data, options=arguments.table.options, motion=arguments.motion
-    )
-    for table in tables.values():
-        check_table(robot, table, minimum=1)
-    found = [
-        validate_rows(
-            models, table, name=name, refit=chosen is None, sigma_orientation=arguments.noise_angle
-        )
-        for name, table in tables.items()
-    ]
-    if is_test:
+    found = _validated(calibrated, arguments)
+    if arguments.acceptance.is_wanted:
         general = arguments.general
         code = arguments.acceptance.judge(found, as_json=general.as_json, quiet=general.quiet)
         _refuse_others(found, arguments.model)
@@ -107,6 +91,28 @@ def validate(arguments: ValidateArguments) -> Exit:
     _refuse_others(found, arguments.model)
     require_accuracy(result.get("mean_mm"), arguments.max_error, rows="new")
     return Exit.DONE
+
+
+def _validated(calibrated: FittedRobot, arguments: ValidateArguments) -> list[Validation]:
+    """Return the validation of a model by the rows of each station."""
+    from pincal.calibration.validation import validate_rows
+    from pincal.cli.inputs import load_tables
+    from pincal.measure.admit import check_table
+
+    chosen = arguments.station
+    models = calibrated.each if chosen is None else (calibrated.at(chosen),)
+    robot = models[0].model.chain.robot
+    tables = load_tables(
+        robot, arguments.data, options=arguments.table.options, motion=arguments.motion
+    )
+    for table in tables.values():
+        check_table(robot, table, minimum=1)
+    return [
+        validate_rows(
+            models, table, name=name, refit=chosen is None, sigma_orientation=arguments.noise_angle
+        )
+        for name, table in tables.items()
+    ]
 
 
 def _refuse_others(found: Sequence[Validation], model: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from pincal.calibration.caveats import CaveatKind, findings_on_outliers
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.placing import Placed, fitted_rows, moved, place_station
+from pincal.calibration.placing import FrameShift, Placed, fitted_rows, moved, place_station
 from pincal.diagnosis.change_search import ChangeVerdict, search
 from pincal.diagnosis.diagnosis_file import (
     ChangedParameter,
@@ -162,10 +162,7 @@ def diagnose(
     station = judged.reidentified.readings(placed.table)
     after = error_summary(station, judged.reidentified.values)
     _refuse_strange(model, placed.table, after["median_mm"], CHANGES.hopeless)
-    shifts = [moved(before, judged.reidentified) for before in calibrated.each]
-    nearest = min(
-        shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument
-    )
+    nearest = _least_moved(calibrated, judged.reidentified)
     notes = [*judged.notes(), *_averaged(whole, len(measurements)), *_estimated(placed)]
     notes += _sampled(len(placed.table), whole, len(measurements))
     found = DiagnosisFile(
@@ -183,6 +180,12 @@ def diagnose(
         id=model.identity or None,
     )
     return Diagnosis(found, judged.reidentified)
+
+
+def _least_moved(calibrated: FittedRobot, now: FittedRobot) -> FrameShift:
+    """Return how far instrument and target are from where they were at the nearest station."""
+    shifts = [moved(before, now) for before in calibrated.each]
+    return min(shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument)
 
 
 @dataclass(frozen=True, eq=False)
