@@ -216,9 +216,26 @@ def header(formulas: Formulas, *, frame: str) -> list[str]:
         f"Poses of the target in the {frame} frame, with every effect of the model:",
         f"{effects}.",
         "",
+        *_worth_lines(found),
         "Not included:",
         *(f"- {note}" for note in NOTES),
     ]
+
+
+def worth_of(calibrated: FittedRobot) -> list[str]:
+    """Return how good a model states its predictions to be, and its doubt, in sentences; none where
+    it does not.
+    """
+    statement = calibrated.statement
+    if statement is None:
+        return []
+    return [said for said in (statement.worth, *statement.notes()) if said]
+
+
+def _worth_lines(calibrated: FittedRobot) -> list[str]:
+    """Return the lines of a header on how good a model is."""
+    said = [f"- {as_comment(words)}" for words in worth_of(calibrated)]
+    return ["What the calibration states of it:", *said, ""] if said else []
 
 
 def identifier(name: str) -> str:

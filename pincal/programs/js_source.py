@@ -25,6 +25,7 @@ from pincal.export.exported import (
     header,
     notes_on,
     placed_in,
+    worth_of,
 )
 from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.export.numpy_source import numpy_source, refuse_wrong
@@ -109,6 +110,7 @@ class CorrectorPage(Format):
             title=calibrated.model.chain.robot.name,
             version=version("pincal"),
             notes=notes_on(calibrated),
+            worth=worth_of(calibrated),
             about=in_script(json.dumps(_about(calibrated, formulas, self.frame), allow_nan=False)),
             model=js_source(formulas),
             style=style,
