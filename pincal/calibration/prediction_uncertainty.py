@@ -77,6 +77,13 @@ class PredictionUncertainty:
     covariance: np.ndarray
     discrepancy: Discrepancy | None
 
+    @property
+    def arrival(self) -> float:
+        """Variance of a coordinate of a position from one visit of a pose to another [m^2]; 0 if
+        unknown.
+        """
+        return self._arrival(0)
+
     def variances(self, conditions: Conditions, *, turns: bool = False) -> dict[str, np.ndarray]:
         """Return the variance of the target's position by each source, shape (N, 3) [m^2]; with
         ``turns`` also that of its orientation, of a rotation vector in the instrument's axes, shape

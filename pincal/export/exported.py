@@ -166,12 +166,15 @@ def placed_in(calibrated: FittedRobot, frame: str) -> FittedRobot:
     )
 
 
-def notes_on(calibrated: FittedRobot) -> tuple[str, ...]:
+def notes_on(calibrated: FittedRobot, formulas: Formulas) -> tuple[str, ...]:
     """Return what source code can't represent of a calibrated model."""
     read = ", ".join(effect.name for effect in calibrated.model.effects if effect.is_sighted)
-    return (
-        (*NOTES, f"{read}: an error of the instrument; it is in model.json only") if read else NOTES
-    )
+    notes = [*NOTES]
+    if read:
+        notes.append(f"{read}: an error of the instrument; it is in model.json only")
+    if formulas.spread.is_known and not formulas.motions:
+        notes.append("the uncertainty of predictions is by pincal predict only")
+    return tuple(notes)
 
 
 def filled(

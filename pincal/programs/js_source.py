@@ -5,7 +5,7 @@ offline.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from importlib.resources import files
 from typing import Any, ClassVar
@@ -28,7 +28,7 @@ from pincal.export.exported import (
     worth_of,
 )
 from pincal.export.formulas import Formulas, Language, formulas_of, written
-from pincal.export.numpy_source import numpy_source, refuse_wrong
+from pincal.export.numpy_source import checked_formulas, numpy_source, refuse_wrong
 from pincal.io.strict_json import in_script
 from pincal.measure.heading import NUMBERED
 from pincal.programs.arms import rigid_pose
@@ -89,7 +89,7 @@ class CorrectorPage(Format):
         import jinja2
 
         placed_in(calibrated, self.frame)
-        formulas = formulas_of(placed_in(calibrated, "base"))
+        formulas = checked_formulas(calibrated, "base")
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame="base"))
         templates = files("pincal.programs").joinpath("page")
         names = (
@@ -106,17 +106,18 @@ class CorrectorPage(Format):
         page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(
             "corrector.html.j2"
         )
+        notes = notes_on(calibrated, formulas)
         html = page.render(
             title=calibrated.model.chain.robot.name,
             version=version("pincal"),
-            notes=notes_on(calibrated),
+            notes=notes,
             worth=worth_of(calibrated),
             about=in_script(json.dumps(_about(calibrated, formulas, self.frame), allow_nan=False)),
             model=js_source(formulas),
             style=style,
             script="\n".join((table, *scripts)),
         )
-        return Exported({"": html.encode()}, notes_on(calibrated), worst)
+        return Exported({"": html.encode()}, notes, worst)
 
 
 def js_source(formulas: Formulas) -> str:
@@ -125,7 +126,7 @@ def js_source(formulas: Formulas) -> str:
     """
     found = formulas.calibrated
     robot = found.model.chain.robot
-    nominal = formulas_of(nominal_robot(found))
+    nominal = replace(formulas_of(nominal_robot(found)), motions=())
     template = files("pincal.programs").joinpath("page", "model.js.in").read_text("utf-8")
     return filled(
         template,
@@ -146,7 +147,8 @@ def js_source(formulas: Formulas) -> str:
 
 def _function(formulas: Formulas, name: str) -> str:
     """Return the function of a state that evaluates formulas, with its tables."""
-    moments, pose, columns, used = written(_JS, formulas.moments, formulas.pose, formulas.columns)
+    found = written(_JS, formulas)
+    moments, pose, columns, used = found.moments, found.pose, found.columns, found.curves
     lines = [f"const {name} = (() => {{"]
     if used:
         lines += (
