@@ -141,7 +141,7 @@ _WARM: tuple[Scale, Scale] = (5.0, 45.0)
 _LONG: Scale = 1e5
 
 NOTES = (
-    "standard deviations and the parameters of the sensor itself are in model.json only",
+    "standard deviations of parameters and the parameters of the sensor itself are in model.json only",
     "the model is not validated outside the measured range: pincal predict and compensate "
     "report such poses",
 )
