@@ -1,5 +1,6 @@
 """The command as a user meets it: exit codes, what is on stdout and stderr, and files whole or not at all."""
 
+import csv
 import json
 import math
 import re
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 from test_calibrate import paper_table
 
 from pincal.builtin import kuka_urdf_path
@@ -80,6 +82,21 @@ def test_result_json_has_the_keys_of_the_contract(results):
         assert parameter["status"] == "identified" or parameter["reason"]
     assert result["error"]["calibrated"]["test"]["mean_mm"] < 0.15
     assert result["error"]["nominal"]["test"]["mean_mm"] > 2.0
+
+
+def test_intervals_of_errors_follow_from_the_residuals(results):
+    """Mean and Student's t of the sizes by fits without their fold; 120 poses, none of them visited twice."""
+    result = json.loads((results / "result.json").read_text())
+    with (results / "residuals.csv").open() as file:
+        rows = [[float(row[f"left_out_position_{axis} [m]"]) for axis in "xyz"] for row in csv.DictReader(file)]
+    sizes = 1e3 * np.linalg.norm(rows, axis=1)
+
+    half = stats.t(119).ppf(0.975) * sizes.std(ddof=1) / np.sqrt(120)
+    low, high = result["intervals"]["mean_mm"]
+    assert (low, high) == pytest.approx((sizes.mean() - half, sizes.mean() + half), rel=1e-6)
+    low, high = result["intervals"]["p95_mm"]
+    assert low < result["error"]["calibrated"]["test"]["p95_mm"] < high
+    assert np.isclose(sizes, low).any() and np.isclose(sizes, high).any()
 
 
 def test_json_goes_to_stdout_and_progress_to_stderr(tmp_path, table, capsys):

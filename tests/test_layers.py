@@ -25,6 +25,7 @@ LAYERS = (
     "compiled",
     "units",
     "notes",
+    "identity",
     "hypotheses",
     "result_table",
     "parameters",
@@ -47,7 +48,21 @@ LAYERS = (
 # What stands on the kernel, and which the kernel never imports: it hands in its verbs and whatever else the kernel has
 # a place for. Each imports the kernel but its command line, and the satellites before it; its own ``cli`` also imports
 # the kernel's.
-SATELLITES = ("readers", "motion", "programs", "discover", "diagnosis", "design", "fleet", "viewer", "simulate", "demo")
+SATELLITES = (
+    "readers",
+    "motion",
+    "programs",
+    "discover",
+    "diagnosis",
+    "design",
+    "fleet",
+    "viewer",
+    "features",
+    "simulate",
+    "certificate",
+    "acceptance",
+    "demo",
+)
 # Two layers that know nothing of each other.
 SIBLINGS = {"model", "measure"}
 # What stands beside the layers, and what it may import: machines of the simulator share no code with the model.

@@ -41,6 +41,7 @@ from pincal.identify.fit import ModelFit, Solution
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station, conditions_of, station_of, together
+from pincal.identity import Identity
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.measure.admit import check_joints_of
 from pincal.measure.measurements import Measurements
@@ -79,6 +80,7 @@ class FittedRobot:
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
         evidence: what the rows show besides.
         discrepancy: what the model lacks; None where its residuals are noise, or it is not known.
+        identity: of robot, instrument and circumstances, as far as stated.
         statement: what the calibration states of the model; None where it is not known.
 
     Example:
@@ -99,6 +101,7 @@ class FittedRobot:
     provenance: dict[str, Any] = field(default_factory=dict)
     evidence: Evidence = field(default_factory=KeptEvidence)
     discrepancy: Discrepancy | None = None
+    identity: Identity = field(default_factory=Identity)
     statement: ModelStatement | None = None
 
     @classmethod
@@ -215,6 +218,7 @@ class FittedRobot:
             # The information of all stations counts once.
             self.evidence if k == 0 else KeptEvidence(),
             self.discrepancy,
+            self.identity,
             self.statement,
         )
 
@@ -815,6 +819,7 @@ class FittedRobot:
                 self.evidence,
                 self.provenance if provenance is None else provenance,
                 self.discrepancy,
+                self.identity,
                 self.statement,
             )
 
@@ -829,7 +834,7 @@ class FittedRobot:
             OutputError: if the file can't be written.
         """
         found = self.robot_model()
-        export = calibrated_urdf(found.model, found.values)
+        export = calibrated_urdf(found.model, found.values, comment=self.identity.machine)
         if path is not None:
             write_atomic(path, export.text)
         return export
@@ -901,5 +906,6 @@ def load_model(path: str | os.PathLike[str]) -> FittedRobot:
         file.provenance,
         KeptEvidence(file.unmodelled, file.information),
         file.discrepancy,
+        file.id or Identity(),
         file.statement,
     )

@@ -14,6 +14,7 @@ import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import TABLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
 from pincal.cli.quantities import ANGLE
 from pincal.cli.target_files import PROGRAMS, FileCorrection, TargetFiles
@@ -44,20 +45,24 @@ _EXAMPLES = """
 Examples:
   pincal compensate results/model.json program.csv --out corrected.csv
   pincal compensate results/model.json program.csv --out corrected.csv --false-targets tip
-  pincal compensate results/model.json program.csv --out corrected.csv --placement ten_rows_of_today.csv
-  pincal compensate results/model.json poses.csv --out joints.csv --seed-joints "0 -90 90 0 90 0 deg"
-  pincal compensate results/model.json weld.src --out corrected/weld.src --tool 'TOOL_DATA[1]=0,0,250,0,0,0'
+  pincal compensate results/model.json program.csv --out corrected.csv \
+--placement ten_rows_of_today.csv
+  pincal compensate results/model.json poses.csv --out joints.csv \
+--seed-joints "0 -90 90 0 90 0 deg"
+  pincal compensate results/model.json weld.src --out corrected/weld.src \
+--tool 'TOOL_DATA[1]=0,0,250,0,0,0'
 
-TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls, Universal
-Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted are listed and left
-unchanged. The rest applies to tables.
+TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls,
+Universal Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted
+are listed and left unchanged. The rest applies to tables.
 
 TARGETS.csv has the desired target position x y z (and orientation qx qy qz qw) in the instrument's
 frame, joint positions to start from, and, where they matter, payload, target, temperature, time and
-approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint positions
-is kept. Without x y z, the joint positions are a nominal program: the desired pose is the one that the
-nominal robot would reach, in its base frame. Without joint positions, the search starts from
---seed-joints (default: the middle of the joint ranges, and any orientation if there is no quaternion).
+approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint
+positions is kept. Without x y z, the joint positions are a nominal program: the desired pose is the
+one that the nominal robot would reach, in its base frame. Without joint positions, the search
+starts from --seed-joints (default: the middle of the joint ranges, and any orientation if there is
+no quaternion).
 
 FILE.csv has the joint positions to command, the desired pose, the remaining error predicted by the
 model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm), the largest
@@ -83,7 +88,20 @@ class _AtPlace:
     model: Path = model_argument()
     place: PlaceOptions = group("Placement of instrument and target")
     table: TableArguments = group("Tables")
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
+
+    def find_place(self) -> PlacedModel:
+        """Return the model at the place chosen, with a note if it does not state its robot.
+
+        Raises:
+            BadInputError: if it is of another robot than stated; further as for
+                :func:`pincal.cli.inputs.find_place`.
+        """
+        from pincal.cli.inputs import find_place
+
+        place = find_place(self.model, self.place, self.table.options)
+        return place.stated(self.identity.of_model(place.model.identity, self.model))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,11 +125,11 @@ def predict(arguments: PredictArguments) -> Exit:
 
     They are given in the instrument's frame, with their uncertainty.
     """
-    from pincal.cli.inputs import find_place, load_table
+    from pincal.cli.inputs import load_table
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
 
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    place = arguments.find_place()
     chain = place.model.model.chain
     table = load_table(
         chain.robot, arguments.poses, options=arguments.table.options, joints_only=True
@@ -132,6 +150,7 @@ def predict(arguments: PredictArguments) -> Exit:
     if arguments.general.as_json:
         print_json({"rows": len(table), "out": str(arguments.out)} | place.contents | beyond)
     else:
+        _echo_machine(calibrated)
         click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
     echo_notes([*place.notes, *notes], quiet=arguments.general.quiet)
     return Exit.DONE
@@ -205,10 +224,10 @@ def compensate(arguments: CompensateArguments) -> Exit:
 
     Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
-    from pincal.cli.inputs import find_place
-
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    place = arguments.find_place()
     if arguments.program.reads(arguments.targets):
+        if not arguments.general.as_json:
+            _echo_machine(place.model)
         robot = place.model.model.chain.robot
         code = arguments.program.correct(place.model, _correction(robot, arguments))
         echo_notes(place.notes, quiet=arguments.general.quiet)
@@ -222,20 +241,13 @@ def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exi
     """
     from pincal.cli.progress import end_progress
     from pincal.compensate.returned_table import write_returned
-    from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
+    from pincal.compensate.targets import read_targets, unreached_turns
 
     robot = place.model.model.chain.robot
     table = read_targets(arguments.targets, robot, options=arguments.table.options)
     place = place.over(table.rows)
     calibrated = place.model
-    done = run_compensation(
-        calibrated,
-        table,
-        frame=arguments.frame,
-        seed=_seed(robot, table, arguments.seed_joints),
-        any_orientation=arguments.free_orientation,
-        limits=not arguments.ignore_limits,
-    )
+    done = _compensated(calibrated, table, arguments)
     columns = _returned_columns(calibrated, done, arguments)
     write_returned(arguments.out, table.cells, columns, robot.joint_names)
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
@@ -246,10 +258,33 @@ def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exi
     if arguments.general.as_json:
         print_json(result)
     else:
+        _echo_machine(calibrated)
         click.echo("\n".join(_summary(result)))
     echo_notes([*_failures(result), *place.notes, *notes], quiet=arguments.general.quiet)
     tolerated = 0 if arguments.strict else result["rows"] - 1
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
+
+
+def _compensated(
+    calibrated: FittedRobot, table: Targets, arguments: CompensateArguments
+) -> CompensatedTable:
+    """Return the joint positions that reach targets, as chosen on the command line."""
+    from pincal.compensate.targets import run_compensation
+
+    return run_compensation(
+        calibrated,
+        table,
+        frame=arguments.frame,
+        seed=_seed(calibrated.model.chain.robot, table, arguments.seed_joints),
+        any_orientation=arguments.free_orientation,
+        limits=not arguments.ignore_limits,
+    )
+
+
+def _echo_machine(model: FittedRobot) -> None:
+    """Print of which robot a model is, if it states that."""
+    if model.identity.machine:
+        click.echo(f"for {model.identity.machine}")
 
 
 def _correction(robot: Robot, arguments: CompensateArguments) -> FileCorrection:

@@ -142,8 +142,8 @@ def _uncertainty(formulas: Formulas, name: str, motions: WrittenPart) -> str:
 
 _DECLARED = """
 /*
- * The standard uncertainty of the target's position along the axes of the $frame frame [m]: of the calibration's
- * parameters, of what the model lacks and of how the robot arrives.
+ * The standard uncertainty of the target's position along the axes of the $frame frame [m]: of
+ * the calibration's parameters, of what the model lacks and of how the robot arrives.
  */
 void ${name}_uncertainty(const ${name}_state *state, double sigma[3]);
 """
@@ -154,7 +154,8 @@ static const double root[$parameters][$errors] = {
 $root};
 
 /* How each uncertain parameter and drive moves the target. */
-static void motions_of(const ${name}_state *state, const double moments[MOMENTS], double motions[3 * $parameters])
+static void motions_of(
+    const ${name}_state *state, const double moments[MOMENTS], double motions[3 * $parameters])
 {
     (void)state;
     (void)moments;
@@ -180,10 +181,12 @@ void ${name}_uncertainty(const ${name}_state *state, double sigma[3])
 """
 
 _EVALUATE = """/*
- * The pose, and unless columns is null how each joint moves and turns the target, row by row, six rows.
+ * The pose, and unless columns is null how each joint moves and turns the target, row by row, six \
+rows.
  * Static moments that are taken on the bent arm start from moments, and are left there.
  */
-static void evaluate(const {name}_state *state, double moments[MOMENTS], double pose[12], double columns[6 * N])
+static void evaluate(const {name}_state *state, double moments[MOMENTS], double pose[12], \
+double columns[6 * N])
 {{{taken}"""
 
 _TAKEN = """

@@ -141,7 +141,8 @@ _WARM: tuple[Scale, Scale] = (5.0, 45.0)
 _LONG: Scale = 1e5
 
 NOTES = (
-    "standard deviations of parameters and the parameters of the sensor itself are in model.json only",
+    "standard deviations of parameters and the parameters of the sensor itself are in "
+    "model.json only",
     "the model is not validated outside the measured range: pincal predict and compensate "
     "report such poses",
 )
@@ -215,6 +216,7 @@ def header(formulas: Formulas, *, frame: str) -> list[str]:
     return [
         f"{as_comment(found.model.chain.robot.name)}: the calibrated robot, written by "
         f"pincal {version('pincal')}.",
+        *(f"{line}." for line in machine_lines(found)),
         "",
         f"Poses of the target in the {frame} frame, with every effect of the model:",
         f"{effects}.",
@@ -239,6 +241,14 @@ def _worth_lines(calibrated: FittedRobot) -> list[str]:
     """Return the lines of a header on how good a model is."""
     said = [f"- {as_comment(words)}" for words in worth_of(calibrated)]
     return ["What the calibration states of it:", *said, ""] if said else []
+
+
+def machine_lines(calibrated: FittedRobot) -> tuple[str, ...]:
+    """Return a line for a comment on which robot it is, if that was stated: the numbers of
+    another one of the same type look the same.
+    """
+    machine = calibrated.identity.machine
+    return (as_comment(f"for {machine}"),) if machine else ()
 
 
 def identifier(name: str) -> str:

@@ -88,7 +88,8 @@ def tip_pose(
     coordinates, shape (6, n).
 
     ``x`` are the chain's K coordinates, ``drives`` those of them by which it moves, such as those
-    to which the joint positions are added, and ``tool_rotation``, shape (3, 3), is the reference orientation of the target.
+    to which the joint positions are added, and ``tool_rotation``, shape (3, 3), is the reference
+    orientation of the target.
     """
     S = len(layout.path.coordinate)
     frame = _Frame()

@@ -562,6 +562,14 @@ def unidentified(subject: Subject) -> Section:
     return Section("unidentified", title, tuple(blocks), "Not identifiable")
 
 
+def identity(subject: Subject) -> Section | None:
+    """What was stated of robot, instrument and circumstances."""
+    stated = [(meaning, text) for _, meaning, text in subject.calibration.fit.identity.entries()]
+    if not stated:
+        return None
+    return Section("identity", "Identity", (facts(stated),), "Identity")
+
+
 def basis(subject: Subject) -> Section:
     """Versions, command and inputs."""
     shown = {name: value for name, value in subject.provenance.items() if name != "inputs"}
