@@ -45,6 +45,7 @@ from pincal.identify.options import Options as Options
 from pincal.identify.options import PriorScale as PriorScale
 from pincal.identify.options import StationOptions as StationOptions
 from pincal.identify.split import cross_validate as cross_validate
+from pincal.identity import Identity as Identity
 from pincal.io.urdf_export import calibrated_urdf as calibrated_urdf
 from pincal.measure.measurements import Measurements as Measurements
 from pincal.measure.measurements import measurements as measurements

@@ -9,6 +9,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Annotated, get_type_hints
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from pincal.errors import BadInputError
+from pincal.units import real_array
 
 _IN_ORDER = "if rows are in the order of measurement, give --rows-in-order"
 _IN_MOTION = "a session in motion has its joints as a stream"
@@ -32,6 +36,7 @@ class Variable:
         typical: value at poses that are not measured yet, as of a plan.
         is_of_pose: whether it belongs to each pose; otherwise it describes the day, and rows that
             lack it may be taken at its mean over other rows.
+        least, most: the range of what it can be of any robot.
     """
 
     quantity: str
@@ -45,6 +50,33 @@ class Variable:
     shown: str = ""
     typical: float = 0.0
     is_of_pose: bool = False
+    least: float = -np.inf
+    most: float = np.inf
+
+    def is_possible(self, values: np.ndarray) -> np.ndarray:
+        """Return which values are finite and those of a robot."""
+        return np.asarray(np.isfinite(values) & (self.least <= values) & (values <= self.most))
+
+    @property
+    def expected(self) -> str:
+        """Which values these are, in words."""
+        if np.isinf(self.least):
+            return "a finite number"
+        return f"{self.least:g} to {self.most:g} {self.unit}"
+
+    def checked(self, value: ArrayLike) -> np.ndarray:
+        """Return values of a caller as an array of floats.
+
+        Raises:
+            BadInputError: if they are no numbers, not finite, or none of a robot.
+        """
+        try:
+            found = real_array(value, self.column)
+        except (TypeError, ValueError):
+            found = np.array(np.nan)
+        if not self.is_possible(found).all():
+            raise BadInputError(f"{self.column}: {value!s} {self.unit}; expected {self.expected}")
+        return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +98,9 @@ class Recorded:
     ] = None
     """Direction from which each joint arrived: -1, 0 (unknown) or 1, shape (N, n)."""
     temperature: Annotated[
-        np.ndarray | None, Variable("temperature", "deg C", "temperature", typical=20.0)
+        np.ndarray | None,
+        # A motor may be at 120 deg C; room temperature in K without a unit is not.
+        Variable("temperature", "deg C", "temperature", typical=20.0, least=-100.0, most=200.0),
     ] = None
     """Temperature [deg C], shape (N,)."""
     time: Annotated[
@@ -190,7 +224,8 @@ RECORDED: Mapping[str, Variable] = {
 """All variables of a table by name."""
 RECORDABLE = {
     "approach": RECORDED["approach"],
-    "payload": Variable("mass", "kg", "payload"),
+    # The largest robots carry 2300 kg.
+    "payload": Variable("mass", "kg", "payload", least=0.0, most=1e4),
     **RECORDED,
 }
 """All variables on which an effect may depend in addition to joint positions and moments, including

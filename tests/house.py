@@ -19,8 +19,9 @@ from pathlib import Path
 
 LAYOUT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 KINDS = ("code", "imports", "docstrings", "comments", "blank")
-# Arguments from which a function has too many.
+# Arguments from which a function has too many, and lines from which on its body is too long.
 MANY_ARGUMENTS = 8
+LONG_BODY = 31
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -120,6 +121,21 @@ def _is_number(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool)
 
 
+def body_lines(function: Function) -> int:
+    """Return how many lines the body of a function has, its docstring left out."""
+    body = function.body[1:] if _docstring(function) is not None else function.body
+    return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
+
+
+def is_parallel(node: ast.AST) -> bool:
+    """Return whether a statement assigns several expressions at once, also in an arm of a condition; swaps do not count."""
+    if not (isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Tuple)):
+        return False
+    arms = [node.value.body, node.value.orelse] if isinstance(node.value, ast.IfExp) else [node.value]
+    names = sorted(map(ast.unparse, node.targets[0].elts))
+    return any(isinstance(arm, ast.Tuple) and sorted(map(ast.unparse, arm.elts)) != names for arm in arms)
+
+
 def arguments(function: Function) -> int:
     """Return how many arguments a function takes, self and cls left out."""
     taken = [arg.arg for arg in (*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs)]
@@ -159,6 +175,23 @@ class House:
         ]
 
     @cached_property
+    def long_bodies(self) -> list[str]:
+        """Functions whose bodies are too long."""
+        return [
+            f"{file.name}:{function.name}({body_lines(function)})"
+            for file in self.files
+            for function in file.functions
+            if body_lines(function) >= LONG_BODY
+        ]
+
+    @cached_property
+    def parallel(self) -> list[str]:
+        """Assignments of several expressions at once."""
+        return [
+            f"{file.name}:{ast.unparse(node)}" for file in self.files for node in ast.walk(file.tree) if is_parallel(node)
+        ]
+
+    @cached_property
     def twice_defined(self) -> dict[str, list[str]]:
         """Public names that more than one file defines, the simulator's left out: it may know nothing of the others."""
         homes: dict[str, list[str]] = {}
@@ -191,6 +224,8 @@ class House:
         bodies = sorted(len(file.functions) for file in self.files)
         crowded = ", ".join(self.crowded)
         yield f"{sum(bodies)} functions; {len(self.crowded)} with {MANY_ARGUMENTS} arguments or more: {crowded}"
+        yield f"{len(self.long_bodies)} bodies of {LONG_BODY} lines or more: {', '.join(self.long_bodies)}"
+        yield f"{len(self.parallel)} assignments of several expressions at once"
         yield f"{len(self.twice_defined)} public names in more than one file: {_homes(self.twice_defined)}"
         yield f"{len(self.twice_named)} names of files in more than one room: {_homes(self.twice_named)}"
         numbers = {file.name: file.numbers for file in self.files if file.room == "discover" and file.numbers}

@@ -1,5 +1,6 @@
 """The command as a user meets it: exit codes, what is on stdout and stderr, and files whole or not at all."""
 
+import csv
 import json
 import math
 import re
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import stats
 from test_calibrate import paper_table
 
 from pincal.builtin import kuka_urdf_path
@@ -82,6 +84,21 @@ def test_result_json_has_the_keys_of_the_contract(results):
     assert result["error"]["nominal"]["test"]["mean_mm"] > 2.0
 
 
+def test_intervals_of_errors_follow_from_the_residuals(results):
+    """Mean and Student's t of the sizes by fits without their fold; 120 poses, none of them visited twice."""
+    result = json.loads((results / "result.json").read_text())
+    with (results / "residuals.csv").open() as file:
+        rows = [[float(row[f"left_out_position_{axis} [m]"]) for axis in "xyz"] for row in csv.DictReader(file)]
+    sizes = 1e3 * np.linalg.norm(rows, axis=1)
+
+    half = stats.t(119).ppf(0.975) * sizes.std(ddof=1) / np.sqrt(120)
+    low, high = result["intervals"]["mean_mm"]
+    assert (low, high) == pytest.approx((sizes.mean() - half, sizes.mean() + half), rel=1e-6)
+    low, high = result["intervals"]["p95_mm"]
+    assert low < result["error"]["calibrated"]["test"]["p95_mm"] < high
+    assert np.isclose(sizes, low).any() and np.isclose(sizes, high).any()
+
+
 def test_json_goes_to_stdout_and_progress_to_stderr(tmp_path, table, capsys):
     """``--json`` prints one JSON object; what the fit does is told on stderr."""
     assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--json") == 0
@@ -151,6 +168,18 @@ def test_predict_gives_positions_in_the_instruments_frame(results, tmp_path, kuk
     found = rows[:, [header.index(axis) for axis in "xyz"]]
     assert np.abs(found - exact.position).max() < 5e-4
     assert "sigma_x" in header
+
+
+def test_predict_splits_the_uncertainty_by_source(results, tmp_path, kuka):
+    """The squares of the components sum to that of the whole, in every row and axis."""
+    write_table(tmp_path / "poses.csv", columns_of(paper_table(kuka, 4, 8)))
+    out = tmp_path / "p.csv"
+    assert run("predict", results / "model.json", tmp_path / "poses.csv", "--out", out, "--components", "--quiet") == 0
+    lines = out.read_text().splitlines()
+    table = dict(zip(lines[0].split(","), np.array([line.split(",") for line in lines[1:]], float).T, strict=True))
+    for axis in "xyz":
+        parts = [table[f"u_{source}_{axis}"] for source in ("parameters", "model", "arrival", "conditions")]
+        np.testing.assert_allclose(np.sqrt(np.sum(np.square(parts), axis=0)), table[f"sigma_{axis}"], rtol=1e-6)
 
 
 def test_predict_warns_outside_the_covered_poses(results, tmp_path, kuka, capsys):

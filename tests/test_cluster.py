@@ -174,4 +174,4 @@ def test_nothing_is_lost_with_a_worker(kuka: Robot, client: Any) -> None:
 def test_a_task_that_kills_workers_is_given_up(client: Any) -> None:
     """After the fourth worker, with advice."""
     with pytest.raises(WorkersLostError, match="draw: workers died, usually for lack of memory"):
-        list(spread(die, range(2), label="draw", executor=client.get_executor()))
+        list(spread(die, range(1), label="draw", executor=client.get_executor()))

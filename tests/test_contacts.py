@@ -216,6 +216,7 @@ def without_links(table: Measurements, to: str | None = None) -> Measurements:
     return replace(table, from_link=None, to_link=None if to is None else np.repeat(to, len(table)))
 
 
+@pytest.mark.long
 def test_a_tracker_sees_the_hand_that_its_rows_fit(fit: FittedRobot, baxter: Robot, machine: sim.TrueMachine) -> None:
     """Rows with the joints of both arms, without links, are of one hand from the base; others stay as they are."""
     table = tracked(baxter, machine)

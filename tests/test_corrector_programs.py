@@ -92,8 +92,8 @@ def by_command(model: Path, job: Job, folder: Path, capsys: Any) -> tuple[dict[s
 
 def jobs_of(language: str, count: int, broken: int, rng: np.random.Generator) -> list[Job]:
     """Return programs as they should be, and mutated ones."""
-    sound = [({file: case.content(file) for file in case.files}, LANGUAGES[language][1]) for case in cases(language, COUNT)]
-    others = [next(cases(name, 1)) for name in LANGUAGES if name != language]
+    sound = [({file: case.content(file) for file in case.files}, LANGUAGES[language][1]) for case in cases(language)]
+    others = [next(cases(name)) for name in LANGUAGES if name != language]
     jobs = sound[:count]
     for k in range(broken):
         files, options = sound[k % COUNT]
@@ -152,7 +152,7 @@ def test_the_page_leaves_what_the_command_leaves(
 @ROOMS
 def test_files_are_dropped_and_what_is_missing_is_asked_for(made: tuple[Path, str], tmp_path: Path) -> None:
     """A source with its data: the tool that they do not say is entered below, and each file has its button."""
-    case = next(case for case in cases("KRL", 8) if len(case.files) == 2 and "BAS(#TOOL,3)" in case.files["test.src"])
+    case = next(case for case in cases("KRL", range(8)) if len(case.files) == 2 and "BAS(#TOOL,3)" in case.files["test.src"])
     files = json.dumps([[name, case.content(name).decode("latin-1")] for name in case.files]).replace("<", "\\u003c")
     code = (
         f"const given = {files}.map(([name, text]) => new File([Uint8Array.from(text, (c) => c.charCodeAt(0))], name));"
@@ -185,6 +185,8 @@ def test_what_is_not_translated_is_refused_with_its_line() -> None:
     """When the script is made, not in the page."""
     with pytest.raises(NotImplementedError, match=r"line 2: with open"):
         Translator().translate({"a": "def f():\n    with open('x') as file:\n        pass\n"})
+    with pytest.raises(NotImplementedError, match="two classes are named _Reader"):
+        Translator().translate({name: "class _Reader:\n    pass\n" for name in ("a", "b")})
 
 
 def test_a_grammar_is_numbered_in_the_order_in_which_it_is_read() -> None:

@@ -39,7 +39,7 @@ from pincal.design.exchange import (
     travel,
     value,
 )
-from pincal.design.pose_design import SOURCES, observability, observed_directions
+from pincal.design.pose_design import PREDICTED_BY, observability, observed_directions
 from pincal.design.reach import Reach
 from pincal.design.study import find_rival
 from pincal.errors import BadInputError
@@ -563,7 +563,7 @@ def test_determinant_designs_tell_more_of_the_parameters(kuka):
     arguments = {"options": Options(effects=GEOMETRIC, sigma=5e-5), "rig": SensorSetup(tool=TARGET)} | SMALL
     task, volume = (chosen_poses(kuka, 25, criterion=name, **arguments) for name in ("task", "determinant"))
 
-    assert set(task.observability) == set(SOURCES)
+    assert set(task.observability) == set(PREDICTED_BY)
     assert volume.observability["O1"] > 1.1 * volume.observability_random["O1"]
     assert volume.observability["O1"] > task.observability["O1"]
     assert task.found.designed.error < volume.found.designed.error

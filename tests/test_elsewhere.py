@@ -114,7 +114,7 @@ def test_a_task_that_was_measured_is_expected_to_be_as_good_as_measured(robot):
     """At the poses of a task like the measured ones, less error is expected than elsewhere."""
     found, _ = calibrated(robot, without_the_middle(robot, 0), 0)
     task = measurements_from_arrays(robot.joint_names, without_the_middle(robot, 1))
-    at_task = elsewhere_of(found.fit.fit, task)
+    at_task = elsewhere_of(found.fit, task)
 
     assert at_task.poses == len(task)
     assert at_task.mean_mm < 0.5 * found.result.elsewhere.mean_mm
@@ -129,7 +129,7 @@ def test_a_task_needs_no_more_than_joints(robot):
     found = run_calibration(robot, named, Options(effects=(*GEOMETRIC, Backlash("joint_2"))))
     task = measurements_from_arrays(robot.joint_names, spread(robot, 3))
 
-    at_task = elsewhere_of(found.fit.fit, task)
+    at_task = elsewhere_of(found.fit, task)
     assert at_task.mean_mm == pytest.approx(found.result.elsewhere.mean_mm, rel=0.5)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import fleet_cases as cases
 import jsonschema
 import msgspec
 import numpy as np
+import polars as pl
 import pytest
 from fleet_cases import (
     OPTIONS,
@@ -99,6 +101,34 @@ def test_two_sites_learn_what_one_would(tmp_path: Path) -> None:
     for name in ("mean", "covariance", "mean_covariance", "spread_variance"):
         np.testing.assert_allclose(getattr(found, name), getattr(whole.type, name), rtol=1e-9, atol=1e-18)
     assert (tmp_path / "one.parquet").stat().st_size < 5 * 8_000
+
+
+def test_a_damaged_file_of_a_site_is_refused(tmp_path: Path) -> None:
+    """Whatever bit is flipped, it is refused or read as it was written; so is a file of before checksums, unless damaged."""
+    family = Family.drawn(np.random.default_rng(5), parameters=6)
+    _, _, machines = learned(family, 3)
+    path = tmp_path / "site.parquet"
+    save_machines(path, machines, names=True)
+    content = path.read_bytes()
+    written = [(one.name, one.information.text()) for one in load_machines(path)]
+    rng = np.random.default_rng(1)
+    counted = Counter[str]()
+    for bit in rng.choice(8 * len(content), 100, replace=False).tolist():
+        damaged = bytearray(content)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        try:
+            found = [(one.name, one.information.text()) for one in load_machines(path)]
+            counted["same" if found == written else "other"] += 1
+        except ModelFileError:
+            counted["refused"] += 1
+    assert counted["other"] == 0 and counted["refused"] > 50
+    earlier = pl.read_parquet(content).drop("checksum")
+    earlier.write_parquet(path)
+    assert len(load_machines(path)) == 3
+    pl.read_parquet(content).head(2).write_parquet(path)
+    with pytest.raises(ModelFileError, match=r"damaged \(its rows have another checksum"):
+        load_machines(path)
 
 
 def test_readings_of_one_machine_add_up() -> None:

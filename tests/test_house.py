@@ -71,6 +71,16 @@ def test_few_functions_take_many_arguments() -> None:
     assert len(HOUSE.crowded) <= 8
 
 
+def test_few_bodies_are_long() -> None:
+    """A body of more than thirty lines is the exception: a kernel in a loop, or a record of many fields."""
+    assert len(HOUSE.long_bodies) <= 25
+
+
+def test_a_statement_assigns_one_thing() -> None:
+    """Several expressions at once are the exception: a pair that one condition chooses."""
+    assert len(HOUSE.parallel) <= 25
+
+
 def test_a_problem_can_be_known_by_heart() -> None:
     """At most twenty public attributes and methods."""
     fields_and_methods = {name for name in (*Problem.__annotations__, *vars(Problem)) if not name.startswith("_")}

@@ -25,6 +25,7 @@ LAYERS = (
     "compiled",
     "units",
     "notes",
+    "identity",
     "hypotheses",
     "result_table",
     "parameters",
@@ -58,6 +59,8 @@ SATELLITES = (
     "viewer",
     "features",
     "simulate",
+    "certificate",
+    "acceptance",
     "demo",
 )
 # Two layers that know nothing of each other.

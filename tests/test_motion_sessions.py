@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.errors import MeasurementError, PincalWarning
-from pincal.measure.log_reader import reader_of
+from pincal.measure.log_reader import joints_of_log, reader_of
 from pincal.measure.table import write_table
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm
@@ -110,6 +110,7 @@ def test_a_calibration_reads_sessions_beside_tables(logs: tuple[dict[str, Table]
     reader = reader_of(folder)
 
     assert reader is not None and reader_of(folder / "joints.csv") is None
+    assert joints_of_log(folder) == folder / "joints.csv" and joints_of_log(folder / "joints.csv") is None
     assert [reader.read(ROBOT, folder, name).name for name in ("", "other")] == ["monday", "other"]
     assert list(reader.tables(ROBOT, [reader.read(ROBOT, folder, "other")])) == ["other/imu", "other/tracker"]
 

@@ -1,16 +1,17 @@
 """What a program may not be: too deep, too long, of numbers that are no pose. It is refused, or the point left."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from program_cases import KUKA
-from test_program_safety import FRAMES, TCP, Q, U, read
+from test_program_safety import FRAMES, TCP, P, U, rapid, read
 from test_programs import calibrated, run
 
 from pincal.errors import BadInputError, ProgramError
-from pincal.programs import syntax
+from pincal.programs import draft, syntax
 from pincal.programs.arms import ProgramAxes
 from pincal.programs.correct import Corrector, ProgramCell
 from pincal.programs.language import LANGUAGES
@@ -45,30 +46,71 @@ def test_a_program_is_limited_by_the_work_that_it_makes(monkeypatch: pytest.Monk
         read("URScript", "def a():\n" + "x=1+2\n" * 1600 + "end\n")
 
 
-def test_a_chain_of_routines_takes_time_in_proportion() -> None:
-    """Each calls the next one."""
+def listing(lines: str, positions: str = "") -> str:
+    return f"/PROG A\n/MN\n{lines}/POS\n{positions}/END\n"
+
+
+def parameters(count: int) -> str:
+    """Return a routine of many parameters, all of which each of its motions may mean."""
+    names = ",".join(f"P{k}:IN" for k in range(count))
+    return f"DEF a({names})\n" + "LIN XP\n" * count + "END\n"
+
+
+def positions(count: int) -> str:
+    return "".join(f"P[{k}]{{\nGP1:\nUF:0,UT:1,\nJ1=1 deg\n}};\n" for k in range(count))
+
+
+# Programs of which each part might be compared with each other one.
+GROWING: dict[str, tuple[str, Callable[[int], str]]] = {
+    "a chain of routines": (
+        "URScript",
+        lambda n: "".join(f"def r{k}():\n r{k + 1}()\nend\n" for k in range(n)) + f"{TCP}r0()\nmovel({U})\n",
+    ),
+    "computed jumps": (
+        "FANUC LS",
+        lambda n: listing("".join(f"1:LBL[{k}] ;\n1:JMP LBL[R[1]] ;\n" for k in range(n)) + "1:MY_MACRO ;\n"),
+    ),
+    "one label everywhere": ("FANUC LS", lambda n: listing("1:LBL[1] ;\n1:JMP LBL[1] ;\n" * n + "1:MY_MACRO ;\n")),
+    "continuation lines": ("FANUC LS", lambda n: listing("1:J P[1] 1% FINE\n" + ":ACC50\n" * n)),
+    "positions in one line": ("FANUC LS", lambda n: listing("1:X=" + "P[1] " * 4 * n + ";\n")),
+    "computed positions": ("FANUC LS", lambda n: listing("1:J P[R[1]] 1% FINE ;\n" * n + "1:M ;\n", positions(n))),
+    "parameters": ("KRL", parameters),
+    "conditions in one statement": ("RAPID", lambda n: rapid("IF x THEN " + "ELSEIF x THEN " * 2 * n + "ENDIF\n")[1]),
+    "circles": (
+        "JBI",
+        lambda n: "/JOB\n//NAME A\n//POS\n///POSTYPE PULSE\nC0=1,2,3,4,5,6\n//INST\n" + "MOVC C0 V=1\n" * n + "END\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", GROWING)
+def test_reading_takes_time_in_proportion(kind: str) -> None:
+    """Four times as much takes four times as long, not sixteen times."""
+    language, text = GROWING[kind]
 
     def seconds(count: int) -> float:
-        routines = "".join(f"def r{k}():\n r{k + 1}()\nend\n" for k in range(count))
+        content = text(count)
         started = time.process_time()
-        read("URScript", f"{routines}{TCP}movej({Q})\nr0()\nmovel({U})\n")
+        read(language, content)
         return time.process_time() - started
 
     seconds(50)
-    assert seconds(1000) < 10.0 * max(seconds(250), 0.05)
+    assert seconds(1000) < 10.0 * max(seconds(250), 0.03)
 
 
-def test_computed_jumps_take_time_in_proportion() -> None:
-    """Each may lead to every label."""
+def test_frames_that_change_everywhere_are_refused() -> None:
+    """Before the states of all lines are followed; ten tools that change are no matter."""
+    read("FANUC LS", listing("".join(f"1:UTOOL[{k % 10}]=PR[1] ;\n" for k in range(2000))))
+    with pytest.raises(ProgramError, match="2000 frames that change on 2000 lines; expected"):
+        read("FANUC LS", listing("".join(f"1:UTOOL[{k}]=PR[1] ;\n" for k in range(2000))))
 
-    def seconds(count: int) -> float:
-        lines = "".join(f"   1:LBL[{k}] ;\n   1:JMP LBL[R[1]] ;\n" for k in range(count))
-        started = time.process_time()
-        read("FANUC LS", f"/PROG A\n/MN\n{lines}   1:MY_MACRO ;\n/POS\n/END\n")
-        return time.process_time() - started
 
-    seconds(50)
-    assert seconds(1000) < 10.0 * max(seconds(250), 0.05)
+def test_computed_indices_are_limited_by_their_uses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each motion to a computed element uses all of its array."""
+    monkeypatch.setattr(draft, "MOST_USES", 99)
+    text = "DEF p()\n" + FRAMES + "".join(f"P[{k}]={P}\n" for k in range(10)) + "LIN P[I]\n" * 10 + "END\n"
+    with pytest.raises(ProgramError, match="more than 99 uses of points by motions"):
+        read("KRL", text)
 
 
 @pytest.mark.parametrize(
@@ -111,6 +153,7 @@ def test_a_program_without_a_point_is_undecided(tmp_path: Path, capsys: pytest.C
     words = [tmp_path / "model.json", tmp_path / "p.src", "--out", tmp_path / "out" / "p.src"]
 
     assert run(*words) == 4
+    assert "KRL: 0 points corrected, 0 left unchanged" in capsys.readouterr().out
     assert run(*words, "--payload", "-5000") == 2
     assert "'-5000'; expected a number from 0" in capsys.readouterr().err
 
@@ -122,7 +165,9 @@ def test_a_correction_is_explained(tmp_path: Path, capsys: pytest.CaptureFixture
     (tmp_path / "p.src").write_text(f"DEF p()\nXJ={axes}\nPTP XJ\nPTP XJ\nEND\n")
     words = [tmp_path / "model.json", tmp_path / "p.src", "--out", tmp_path / "out" / "p.src"]
 
-    assert run(*words) == 0 and "understood" not in capsys.readouterr().out
+    assert run(*words) == 0
+    said = capsys.readouterr().out
+    assert "KRL: 1 point corrected, 0 left unchanged" in said and "understood" not in said
     assert run(*words, "--explain") == 0
     assert (
         "in numbers, which nothing else sets; in joints, so that it needs no tool and no base; reached on line 3, 4, "

@@ -237,7 +237,7 @@ def test_frames_of_another_file_are_read_and_nothing_else_is_done_to_it(
     model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As $config.dat has TOOL_DATA and BASE_DATA."""
-    case = next(case for case in cases("KRL", 12) if len(case.files) == 2)
+    case = next(case for case in cases("KRL", range(12)) if len(case.files) == 2)
     for file in case.files:
         (tmp_path / file).write_bytes(case.content(file))
     frames = "TOOL_DATA[3]={X 12.5,Y -30,Z 210.25,A 0,B 0,C 0}\nBASE_DATA[2]={X 400,Y -150,Z 75.5,A 0,B 0,C 0}\n"

@@ -1,13 +1,13 @@
 """Programs of controllers: nothing but numbers changes, and the real arm arrives where the nominal one was told to go."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from program_cases import COUNT, KUKA, LANGUAGES, PULSES, Case, Wanted, cases
+from program_cases import A_THIRD, COUNT, FEATURES, KUKA, LANGUAGES, PULSES, Case, Wanted, cases
 from scipy.spatial.transform import Rotation
 
 from pincal.calibration.covered import Covered
@@ -123,25 +123,38 @@ def nominal_joints(tip: np.ndarray, q: np.ndarray) -> np.ndarray:
     raise AssertionError(f"no joints within 8 steps: the last one was {step}")
 
 
-def tool_pose(language: str, point: Wanted, numbers: list[float], fk: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Return where a tool is in the robot's base when a controller with the nominal model is told numbers."""
+def told_joints(language: str, point: Wanted, numbers: list[float]) -> np.ndarray:
+    """Return the joints that a controller with the nominal model takes when it is told numbers."""
     if point.kind == "joints":
-        q = joints_of(language, numbers)
-    else:
-        q = nominal_joints(point.base @ pose_of(language, numbers) @ np.linalg.inv(point.tool), point.q)
-    return np.asarray(fk(q[None])[0] @ point.tool)
+        return joints_of(language, numbers)
+    return nominal_joints(point.base @ pose_of(language, numbers) @ np.linalg.inv(point.tool), point.q)
 
 
-# A few programs of each language, and all of them.
-SIZES = [*((language, 2) for language in LANGUAGES), *(pytest.param(n, COUNT, marks=pytest.mark.long) for n in LANGUAGES)]
+# A third of the programs of each language, and all of them.
+SOME, ALL = pytest.param(A_THIRD, id="a third"), pytest.param(range(COUNT), id="all", marks=pytest.mark.rates)
 
 
-@pytest.mark.parametrize(("language", "count"), SIZES)
+def test_a_third_of_the_programs_has_whatever_any_has() -> None:
+    """Every variant of a writer, of which it has up to 14, and every encoding with every end of line."""
+    for variants in (2, 3, 4, 5, 7, 10, FEATURES):
+        assert {k % variants for k in A_THIRD} == set(range(variants))
+    assert len({(k % 3, k // FEATURES % 3) for k in A_THIRD}) == 9
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        pytest.param(range(2), id="two"),
+        pytest.param(A_THIRD, id="a third", marks=pytest.mark.long),
+        pytest.param(range(COUNT), id="all", marks=[pytest.mark.long, pytest.mark.rates]),
+    ],
+)
 def test_without_errors_a_program_stays_as_it_is(
-    language: str, count: int, models: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    language: str, chosen: Sequence[int], models: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Byte by byte, though every point of it is understood."""
-    for case in cases(language, count):
+    for case in cases(language, chosen):
         files, result = corrected(models[0], case, tmp_path, capsys=capsys)
 
         assert files == {file: case.content(file) for file in case.files}, case.name
@@ -150,10 +163,10 @@ def test_without_errors_a_program_stays_as_it_is(
 
 @pytest.mark.long
 @pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("count", [COUNT // 3, pytest.param(COUNT, marks=pytest.mark.rates)])
+@pytest.mark.parametrize("chosen", [SOME, ALL])
 def test_the_real_arm_arrives_where_the_program_meant(
     language: str,
-    count: int,
+    chosen: Sequence[int],
     models: tuple[Path, Path],
     real_arm: Callable[[np.ndarray], np.ndarray],
     tmp_path: Path,
@@ -162,16 +175,16 @@ def test_the_real_arm_arrives_where_the_program_meant(
     """Told the corrected numbers, to a micrometre; and nothing but numbers of points has changed."""
     assert COUNT >= 40
     worst, moved = 0.0, []
-    for case in cases(language, count):
+    for case in cases(language, chosen):
         files, result = corrected(models[1], case, tmp_path, capsys=capsys)
         assert len(result["points"]) == len(case.points), (case.name, result["left"])
         for file in case.files:
             before, after = (case.numbers(file, content) for content in (case.content(file), files[file]))
             for key, numbers in before.items():
                 point = case.points[key]
-                wanted = tool_pose(language, point, numbers, KUKA.forward_kinematics)
-                uncorrected = tool_pose(language, point, numbers, _whole(real_arm))
-                reached = tool_pose(language, point, after[key], _whole(real_arm))
+                meant, commanded = (told_joints(language, point, told) for told in (numbers, after[key]))
+                wanted = KUKA.forward_kinematics(meant[None])[0] @ point.tool
+                uncorrected, reached = _whole(real_arm)(np.stack([meant, commanded])) @ point.tool
                 distance = float(np.linalg.norm(reached[:3, 3] - wanted[:3, 3]))
                 turn = Rotation.from_matrix(reached[:3, :3] @ wanted[:3, :3].T).magnitude()
                 is_rounded = language == "JBI" and point.kind == "joints"
@@ -247,8 +260,8 @@ def test_a_program_that_is_not_whole_is_never_made_wrong(
     """It is refused at a line and a column, or what is corrected in it is corrected rightly, and the rest is untouched."""
     assert len(LANGUAGES) * MUTATIONS >= 2000
     rng = np.random.default_rng(7)
-    programs = list(cases(language, 20))
-    others = [next(cases(name, 1)) for name in LANGUAGES if name != language]
+    programs = list(cases(language, range(20)))
+    others = [next(cases(name)) for name in LANGUAGES if name != language]
     reader = KNOWN.known()[language]()
     options = LANGUAGES[language][1]
     given = {kind: options[options.index(kind) + 1].split("=") for kind in ("--tool", "--base") if kind in options}

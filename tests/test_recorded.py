@@ -1,12 +1,16 @@
 """What may be recorded of a pose is known to all from one registry."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from pincal.design.health import CheckRequest
+from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.station import conditions_of
 from pincal.measure.measurements import measurements
+from pincal.model.augmented import augmented_model
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, joined_conditions
 from pincal.model.model import Model
@@ -59,3 +63,35 @@ def test_every_column_has_typical_values_before_anything_is_measured() -> None:
     }
     assert set(columns["temperature"]) == {20.0}
     assert Conditions(q, np.zeros(5, int), np.zeros(5), np.zeros(3), **columns).column("move") is columns["move"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("payload", -5000.0), ("payload", np.nan), ("payload", 1e5), ("temperature", -1e9), ("temperature", 293.15)],
+)
+def test_what_no_robot_has_is_refused_in_tables(name: str, value: float) -> None:
+    """With its row and the range: a load below zero or of tons, kelvins without their unit."""
+    values = np.array([20.0, value, 20.0, 20.0])
+    with pytest.raises(MeasurementError, match=f'line 3, "{name}"'):
+        measurements(ROBOT, np.zeros((N, ROBOT.n_joints)), position=np.zeros((N, 3)), **{name: values})
+
+
+@pytest.mark.parametrize("value", [-5000.0, np.nan, np.inf, 1e9, None, "heavy"])
+def test_what_no_robot_carries_is_refused_at_every_door_of_the_library(value: Any) -> None:
+    """Alike by conditions, a health check and Pinocchio's model."""
+    doors = (
+        lambda: Conditions.at(np.zeros((1, 6)), payload=value),
+        lambda: CheckRequest(payloads=[value]),
+        lambda: augmented_model(Chain.of(ROBOT), payload=value),
+    )
+    for door in doors:
+        with pytest.raises(BadInputError, match=r"payload: .*expected 0 to 10000 kg"):
+            door()
+
+
+def test_where_no_joint_is_is_refused() -> None:
+    """Joint positions, and the centre of mass of a load."""
+    with pytest.raises(BadInputError, match="joint positions: expected a finite number"):
+        Conditions.at(np.full((1, 6), np.nan))
+    with pytest.raises(BadInputError, match="centre of mass of the payload"):
+        Conditions.at(np.zeros((1, 6)), payload=1.0, payload_centre=(0.0, np.nan, 0.0))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yourdfpy
 from machines import kuka
+from scipy.spatial.transform import Rotation
 from test_cli import run
 
 from pincal import read_measurements
@@ -20,6 +21,7 @@ from pincal.simulate.request import SENSORS, SetupOptions, draw_setup
 URDF = str(kuka_urdf_path())
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 EXACT = ("--errors", "0", "--elastic", "0", "--noise", "0")
+NAMES = ("point", "socket", "anchor", "target", "from", "to")
 # How each kind of measurement is asked for.
 ASKED = {
     "socket": ("--sockets", "4"),
@@ -34,7 +36,7 @@ def columns_of(path):
     """Return the columns of a CSV as text or numbers."""
     lines = [line.split(",") for line in path.read_text().splitlines()]
     cells = dict(zip(lines[0], (np.array(column) for column in zip(*lines[1:], strict=True)), strict=True))
-    return {name: c if name in ("point", "socket", "anchor", "target") else c.astype(float) for name, c in cells.items()}
+    return {name: c if name in NAMES else c.astype(float) for name, c in cells.items()}
 
 
 def simulate(folder, *arguments, urdf=URDF, camera=False, name="data"):
@@ -153,6 +155,28 @@ def test_targets_and_anchors_go_together(tmp_path):
     columns, _, _ = simulate(tmp_path, "--anchors", "2", "--targets", "2", "--poses", "2")
     rows = list(zip(columns["target"], columns["anchor"], strict=True))
     assert rows == [(f"target_{i}", f"anchor_{j}") for _ in "ab" for i in (1, 2) for j in (1, 2)]
+
+
+def test_an_instrument_on_the_hand_reads_what_stands_beside_the_robot(tmp_path, capsys):
+    """From the hand to the base, --to being the same as --tip: inverted poses, with the links of each row."""
+    wanted = ["simulate", URDF, "--from", "tool0", "--to", "base_link", "--out", tmp_path / "x.csv", "--poses", "9"]
+    exact = ("--sensor", "pose", "--noise-angle", "0", *EXACT, "--truth", tmp_path / "x.json", "--quiet")
+    assert run(*wanted, *exact) == 0
+    columns, truth = columns_of(tmp_path / "x.csv"), json.loads((tmp_path / "x.json").read_text())
+    assert (truth["base"], truth["tip"]) == ("tool0", "base_link")
+    (target,) = truth["targets"].values()
+    expected = np.array(truth["T_instrument_base"]) @ np.linalg.inv(tips(columns)) @ np.array(target)
+    np.testing.assert_allclose(np.column_stack([columns[axis] for axis in "xyz"]), expected[:, :3, 3], rtol=0, atol=1e-11)
+    turned = Rotation.from_quat(np.column_stack([columns[name] for name in ("qx", "qy", "qz", "qw")])).as_matrix()
+    np.testing.assert_allclose(turned, expected[:, :3, :3], rtol=0, atol=1e-11)
+    assert set(columns["from"]) == {"tool0"} and set(columns["to"]) == {"base_link"}
+    for more, said in (
+        (("--targets", "2"), "expected one object"),
+        (("--sensor", "camera_point"), "expected one of position, pose, distance"),
+        (("--tip", "flange"), "leave one of them out"),
+    ):
+        assert run(*wanted, *more) in (2, 3)
+        assert said in capsys.readouterr().err
 
 
 def test_a_bar_keeps_the_tool_point_on_a_sphere(tmp_path):

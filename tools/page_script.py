@@ -1,8 +1,8 @@
 """Make the readers of controller programs in JavaScript, for the page that corrects programs.
 
 ``python tools/page_script.py`` writes them to ``pincal/programs/page/readers.js``: the grammars of
-all languages as tables, and the modules of :mod:`pincal.programs` translated. A test makes them anew
-and compares.
+all languages as tables, and the modules of :mod:`pincal.programs` translated. A test makes them
+anew and compares.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ _MODULES = (
 _OWN = frozenset(
     (
         "Source",
+        "Token",
+        "_Nesting",
         "parser_of",
         "TYPE_CHECKING",
         "spliced",

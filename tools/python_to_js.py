@@ -108,6 +108,9 @@ class Translator:
                 )
         for node in tree.body:
             if isinstance(node, ast.ClassDef):
+                if node.name in self._fields:
+                    # Their fields and signatures are known by the name only.
+                    raise NotImplementedError(f"two classes are named {node.name}; rename one")
                 inherited = [
                     one for base in node.bases for one in self._fields.get(_name(base), [])
                 ]
@@ -261,6 +264,8 @@ class Translator:
                     else ""
                 )
                 lines += self._function(part, prefix + part.name)
+                if "cached_property" in kinds:
+                    constants.append(f"py.cached({node.name}.prototype, {as_text(part.name)});")
             elif isinstance(part, ast.Assign) or _is_class_variable(part):
                 target = part.targets[0] if isinstance(part, ast.Assign) else part.target
                 if part.value is not None:

@@ -4,7 +4,7 @@ its record.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, cast
@@ -40,6 +40,26 @@ from pincal.validate.accuracy import (
 )
 from pincal.validate.lack_of_fit import LackOfFit, lack_of_fit
 from pincal.validate.outcome import MovedParameter, NoiseRecord, StationRecord, noise_key
+
+
+@dataclass(frozen=True)
+class UnseenErrors:
+    """Errors of one station at rows that a fit has not seen.
+
+    Attributes:
+        sizes: unit ("mm", ...) -> shape (N,), their magnitudes.
+        shares: shape (N,), weight of each in statistics.
+        poses: number of different poses.
+    """
+
+    sizes: Mapping[str, np.ndarray]
+    shares: np.ndarray
+    poses: int
+
+    @classmethod
+    def of(cls, sizes: Mapping[str, np.ndarray], poses: int) -> UnseenErrors:
+        """Return errors of equal weight."""
+        return cls(sizes, np.ones(len(next(iter(sizes.values()), ()))), poses)
 
 
 @dataclass(frozen=True)
@@ -133,6 +153,21 @@ class AssessedStation:
             station = self.fit.readings(self.as_measured, station=self.name)
         sizes = pose_error_sizes(station, self.values[model])
         return {unit: of[self.counted] for unit, of in sizes.items()}, self.rows.share[self.counted]
+
+    @property
+    def unseen(self) -> UnseenErrors | None:
+        """The errors of the calibrated model at rows that no fit has seen; None without any."""
+        fitted, held = (len(np.unique(poses)) for poses in self.poses)
+        if self.left_out.sizes:
+            by_others = self.left_out.sizes["calibrated"]
+            return UnseenErrors.of({unit: np.asarray(of) for unit, of in by_others.items()}, fitted)
+        if self.validated is not None:
+            part = self.validated.lead[self.k]
+            shares = part.share[part.counted]
+            return UnseenErrors(part.counted_sizes, shares, fitted) if len(shares) else None
+        if (station := self.held) is None:
+            return None
+        return UnseenErrors.of(pose_error_sizes(station, self.values["calibrated"]), held)
 
     def _errors(self) -> dict[str, dict[str, dict[str, float]]]:
         """Return its errors, by model and part."""

@@ -13,7 +13,6 @@ import numpy as np
 
 from pincal.calibration.agreed import fit_agreed
 from pincal.calibration.benefit import without_harm
-from pincal.calibration.discrepancy import discrepancy_in
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import (
     WAYS,
@@ -29,6 +28,7 @@ from pincal.calibration.held_out import (
 from pincal.calibration.result import Result, result_of
 from pincal.calibration.result_tables import error_table
 from pincal.calibration.screened import screened
+from pincal.calibration.stated import stated
 from pincal.errors import BadInputError, warn
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.fit import ModelFit
@@ -178,8 +178,7 @@ def run_calibration(
         left_out=tuple(left_out),
         validated=validated,
     )
-    discrepancy = discrepancy_in(fitted.fit, result.verdict_of())
-    calibrated = replace(FittedRobot.of(fitted.fit), discrepancy=discrepancy)
+    calibrated, result = stated(fitted.fit, result, result.verdict_of())
     return Calibration(fitted.robot, fitted.stations, calibrated, result, fitted.notes, validated)
 
 

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from pincal.calibration.calibration_numbers import DOUBTED
+from pincal.identify.arrivals import shares_stops
 from pincal.identify.calibrate import doubts_of_known
 from pincal.identify.choices import found_moments
 from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
+from pincal.identify.rounded_joints import RoundedJoints
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.notes import Note, Severity
@@ -69,6 +71,7 @@ class CaveatKind(Enum):
         "have unrelated errors. No calibration improves this; measure ten poses three times each, "
         "arriving anew, to judge the model by it"
     )
+    ROUNDED = "{what}; {how}; record the joints with all digits"
     NOISE_OVERSTATED = (
         "the residuals are smaller than the declared noise allows: the declared noise is too large"
     )
@@ -200,6 +203,7 @@ DOUBTS = frozenset(CaveatKind) - {
     CaveatKind.SPARE_READINGS,
     CaveatKind.NARROWED,
     CaveatKind.ARRIVALS,
+    CaveatKind.ROUNDED,
     CaveatKind.NOISE_OVERSTATED,
     CaveatKind.NO_INSTRUMENT,
     CaveatKind.MASSES_FOUND,
@@ -361,6 +365,24 @@ def findings_on_scatter(fit: ModelFit) -> Iterator[Caveat]:
             if noise > max(DOUBTED.unlike * expected, DOUBTED.usual * block.noise):
                 figures = {"what": block.name.replace("_", " "), "ratio": noise / expected}
                 yield Caveat(CaveatKind.UNLIKE_ITS_SCATTER, figures, station.name)
+
+
+def findings_on_rounding(fit: ModelFit) -> Iterator[Caveat]:
+    """Yield the stations whose joints are written in coarse steps that explain what rows are
+    off.
+    """
+    for station, places, _ in fit.stations:
+        rounded = RoundedJoints.of(station, fit.values[places])
+        if rounded is None:
+            continue
+        if station.arrival is not None and not shares_stops(station):
+            how = "this counts as noise of the rows, beside the declared one"
+        elif rounded.explains() and not fit.is_declared:
+            off = f"{rounded.off * 1e3:.2g} mm"
+            how = f"no noise is declared, and what is estimated from the rows, off by {off}, has it"
+        else:
+            continue
+        yield Caveat(CaveatKind.ROUNDED, {"what": rounded.words, "how": how}, station.name)
 
 
 def findings_on_order(station: Station) -> list[Caveat]:

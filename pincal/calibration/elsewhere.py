@@ -1,14 +1,14 @@
 r"""What the calibrated model itself expects of its position error away from the measured poses.
 
 Held-out poses resemble the fitted ones, so their error says nothing of the rest of the workspace.
-The covariance C of the parameters does: the predicted position of a pose with Jacobian J has the
-error :math:`e \sim N(0, J C J^T)`. Its expected length is
+The covariance S of a predicted position does: by the covariance C of the parameters it is
+:math:`J C J^T` at a pose with Jacobian J, to which what the model lacks and how the robot arrives
+are added. An error :math:`e \sim N(0, S)` has the expected length
 
-.. math:: E|e| = \sqrt{8/\pi} \; \mathrm{mean}_u \sqrt{u^T J C J^T u}
+.. math:: E|e| = \sqrt{8/\pi} \; \mathrm{mean}_u \sqrt{u^T S u}
 
 over all directions u, since a normal vector in 3D is a direction times an independent length of
-mean sqrt(8 / pi). What the data leave open is as large in C as the priors are wide. Errors that the
-model does not describe are not in it.
+mean sqrt(8 / pi). What the data leave open is as large in C as the priors are wide.
 """
 
 from __future__ import annotations
@@ -41,7 +41,13 @@ _DIRECTIONS: Count = 60
 _PARTS: Count = 12
 
 
-def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere | None:
+def placed_station(fit: ModelFit) -> Station | None:
+    """Return the first station that read places; None if no instrument observed any position."""
+    stations = [station for station in fit.problem.stations if station.sensor.reads_place]
+    return stations[0] if stations and has_instrument(fit) else None
+
+
+def elsewhere_of(robot: FittedRobot, task: Measurements | None = None) -> Elsewhere | None:
     """Return the expected position error at random poses within the joint limits, or at those of a
     task.
 
@@ -49,18 +55,18 @@ def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere |
     far as it names them.
 
     Args:
-        fit: a calibration.
+        robot: a calibration, as it was fitted.
         task: joint positions that matter, of the first target unless they name another; default:
             random ones.
 
     Returns:
         The expected error; None if no instrument observed any position.
     """
-    stations = [station for station in fit.problem.stations if station.sensor.reads_place]
-    if not stations or not has_instrument(fit):
+    fit = robot.fit
+    at = placed_station(fit)
+    if at is None:
         return None
-    at = stations[0]
-    model = FittedRobot.of(fit).at(at.name)
+    model = robot.at(at.name)
     if task is None:
         conditions = random_conditions(at)
     else:
@@ -74,12 +80,13 @@ def elsewhere_of(fit: ModelFit, task: Measurements | None = None) -> Elsewhere |
     expected = 1e3 * expected_lengths(
         _covariances(model, conditions, placed=at.position is not None)
     )
-    robot = fit.problem.chain.robot
-    measured = np.vstack([station.conditions.q for station in stations])
+    measured = np.vstack(
+        [one.conditions.q for one in fit.problem.stations if one.sensor.reads_place]
+    )
     return Elsewhere(
         mean_mm=float(expected.mean()),
         worst_mm=float(expected.max()),
-        where=_where(robot, conditions.q, expected, measured),
+        where=_where(fit.problem.chain.robot, conditions.q, expected, measured),
         poses=len(expected),
         over="" if task is None else task.source,
     )
@@ -135,12 +142,16 @@ def _covariances(model: FittedRobot, conditions: Conditions, *, placed: bool) ->
     may not determine that frame; these are then the covariances that remain with instrument and
     target placed as well as possible.
     """
+    by_source = dict(model.covariance_of(conditions).sources)
+    if placed:
+        return np.asarray(sum(errors.blocks for errors in by_source.values()))
+    del by_source["parameters"]
     n = model.model.n_parameters
     poses, J = model.model.linearise(model.model_values, model.of_its_day(conditions))
-    along = J[:, :3] if placed else unplaced(J[:, :3], poses)
-    return np.asarray(
-        np.einsum("nip,pq,njq->nij", along, model.covariance[:n, :n], along, optimize=True)
-    )
+    along = unplaced(J[:, :3], poses)
+    C = model.covariance[:n, :n]
+    found = np.einsum("nip,pq,njq->nij", along, C, along, optimize=True)
+    return np.asarray(found + sum(errors.blocks for errors in by_source.values()))
 
 
 class _Range(NamedTuple):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.atomic import write_atomic
-from pincal.calibration.another_day import of_its_day, unrecorded, varied_by
+from pincal.calibration.another_day import of_its_day
 from pincal.calibration.covered import Covered, Outside
 from pincal.calibration.discrepancy import Discrepancy
 from pincal.calibration.earlier_files import read_model
@@ -23,6 +23,8 @@ from pincal.calibration.fitted_station import FittedStation
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.likelihood import log_likelihood, noise_in_words, score
 from pincal.calibration.model_file import ModelFile, write_model_file
+from pincal.calibration.position_covariance import PositionCovariance
+from pincal.calibration.prediction_uncertainty import PointOnTip, PredictionUncertainty
 from pincal.calibration.repeatability import Repeatability
 from pincal.calibration.result_tables import (
     estimate_table,
@@ -30,6 +32,7 @@ from pincal.calibration.result_tables import (
     parameter_table,
     residual_table,
 )
+from pincal.calibration.statement import ModelStatement
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify import split
@@ -38,6 +41,7 @@ from pincal.identify.fit import ModelFit, Solution
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station, conditions_of, station_of, together
+from pincal.identity import Identity
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
 from pincal.measure.admit import check_joints_of
 from pincal.measure.measurements import Measurements
@@ -46,7 +50,6 @@ from pincal.model.augmented import pinocchio_model
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect
 from pincal.model.model import Model
-from pincal.model.motions import Motions
 from pincal.parameters import Estimate
 from pincal.result_table import Table
 from pincal.robot.se3 import placed
@@ -58,8 +61,6 @@ if TYPE_CHECKING:
     import pinocchio as pin
 
 _Rows = TypeVar("_Rows", Measurements, Conditions)
-# Rows per piece: with 60 parameters a piece is about 6 MB.
-_PIECE: Count = 4096
 # Stations whose noise stands in one line.
 _NAMED_STATIONS: Count = 3
 
@@ -79,6 +80,8 @@ class FittedRobot:
         provenance: version of pincal, time, input files with their SHA-256, command and seed.
         evidence: what the rows show besides.
         discrepancy: what the model lacks; None where its residuals are noise, or it is not known.
+        identity: of robot, instrument and circumstances, as far as stated.
+        statement: what the calibration states of the model; None where it is not known.
 
     Example:
         >>> from pincal import Chain, Robot
@@ -98,6 +101,8 @@ class FittedRobot:
     provenance: dict[str, Any] = field(default_factory=dict)
     evidence: Evidence = field(default_factory=KeptEvidence)
     discrepancy: Discrepancy | None = None
+    identity: Identity = field(default_factory=Identity)
+    statement: ModelStatement | None = None
 
     @classmethod
     def of(cls, fit: ModelFit, provenance: dict[str, Any] | None = None) -> FittedRobot:
@@ -213,6 +218,8 @@ class FittedRobot:
             # The information of all stations counts once.
             self.evidence if k == 0 else KeptEvidence(),
             self.discrepancy,
+            self.identity,
+            self.statement,
         )
 
     @cached_property
@@ -609,17 +616,26 @@ class FittedRobot:
             MeasurementError: if the joints of a table are not the robot's, or their positions
                 are impossible.
         """
+        conditions = self._conditions(at, payload=payload, target=target)
+        poses = self.model.predict(self.model_values, self.of_its_day(conditions))
+        return (poses, self.position_sigma(conditions)) if return_sigma else poses
+
+    def _conditions(
+        self,
+        at: Conditions | Measurements | ArrayLike,
+        *,
+        payload: float = 0.0,
+        target: str | None = None,
+    ) -> Conditions:
+        """Return the conditions of poses, as :meth:`predict` takes them."""
         if isinstance(at, Measurements):
             robot = self.model.chain.robot
             table = at.in_order_of(robot)
             check_joints_of(robot, table)
-            conditions = self.conditions(table)
-        elif isinstance(at, Conditions):
-            conditions = at
-        else:
-            conditions = self.conditions_at(at, payload=payload, target=target)
-        poses = self.model.predict(self.model_values, self.of_its_day(conditions))
-        return (poses, self.position_sigma(conditions)) if return_sigma else poses
+            return self.conditions(table)
+        if isinstance(at, Conditions):
+            return at
+        return self.conditions_at(at, payload=payload, target=target)
 
     def position_sigma(self, conditions: Conditions) -> np.ndarray:
         """Return the standard uncertainty of the predicted position, shape (N, 3) [m], in the
@@ -629,72 +645,114 @@ class FittedRobot:
         return np.asarray(np.sqrt(sum(self.position_variances(conditions).values())))
 
     def position_variances(self, conditions: Conditions) -> dict[str, np.ndarray]:
-        r"""Return the variance of the predicted position by its sources, shape (N, 3) each [m^2],
-        in the instrument's axes, without measurement noise.
+        """Return the variance of the predicted position by its sources, shape (N, 3) each [m^2], in
+        the instrument's axes, without measurement noise.
 
-        "parameters" are those of the calibration, :math:`\mathrm{diag}(J C J^T)`, base and target
-        included; "discrepancy" is what the model lacks, see
-        :class:`pincal.calibration.discrepancy.Discrepancy`; "conditions" is the variation over the
-        calibration's rows of effects of a temperature or time that the conditions lack.
+        The sources are those of
+        :class:`pincal.calibration.prediction_uncertainty.PredictionUncertainty`.
         """
-        lacking = unrecorded(self.station, conditions)
-        conditions = self.of_its_day(conditions)
-        values = self.model_values
-        found = {
-            name: np.zeros((len(conditions), 3))
-            for name in ("parameters", "discrepancy", "conditions")
-        }
-        for start in range(0, len(conditions), _PIECE):
-            rows = slice(start, start + _PIECE)
-            J, levers = self._motion(conditions.select(rows))
-            found["parameters"][rows] = self._by_parameters(J)
-            if self.discrepancy is not None:
-                blocks = self.discrepancy.variances(levers)
-                found["discrepancy"][rows] = np.einsum("naa->na", blocks)
-        for of in lacking:
-            found["conditions"] += varied_by(self.station, values, of, conditions) ** 2
-        return found
+        return self.uncertainty.variances(conditions)
 
-    def position_covariance(self, conditions: Conditions) -> np.ndarray:
-        """Return the covariance of the predicted positions of N poses with each other, shape (N, 3,
-        N, 3) [m^2], in the instrument's axes, without measurement noise.
+    def turn_sigma(self, conditions: Conditions) -> np.ndarray:
+        """Return the standard uncertainty of the predicted orientation, shape (N, 3) [rad], as a
+        rotation vector in the instrument's axes, without measurement noise: the root of the sum of
+        :meth:`turn_variances`.
+        """
+        return np.asarray(np.sqrt(sum(self.turn_variances(conditions).values())))
+
+    def turn_variances(self, conditions: Conditions) -> dict[str, np.ndarray]:
+        """Return the variance of the predicted orientation by its sources, shape (N, 3) each
+        [rad^2], see :meth:`position_variances`.
+
+        That of conditions is not known of orientations, and 0. Where the calibration read none,
+        what the model lacks is that of its drives alone.
+        """
+        return self.uncertainty.turn_variances(conditions)
+
+    @property
+    def uncertainty(self) -> PredictionUncertainty:
+        """What is not known of the positions of the only station."""
+        n = self.model.n_parameters
+        return PredictionUncertainty(
+            self.station, self.model_values, self.covariance[:n, :n], self.discrepancy
+        )
+
+    def positions_of(
+        self,
+        at: Conditions | Measurements | ArrayLike,
+        point: ArrayLike,
+        *,
+        frame: Literal["base", "instrument"] = "base",
+    ) -> np.ndarray:
+        """Return positions of points fixed to the tip, such as what a sensor on the flange reads,
+        shape (N, 3) [m].
+
+        Args:
+            at: N poses, as for :meth:`predict`.
+            point: shape (3,) or (N, 3), in the tip's frame [m].
+            frame: that of the robot's base, or of the instrument of the calibration.
+
+        Raises:
+            BadInputError: for joint positions or points of another shape.
+        """
+        carrier = self._carrier(frame)
+        conditions = self._conditions(at)
+        place = _points(point, len(conditions))
+        poses = carrier.model.predict(carrier.model_values, carrier.of_its_day(conditions))
+        return np.asarray(np.einsum("nij,nj->ni", poses[:, :, :3], place) + poses[:, :, 3])
+
+    def covariance_of(
+        self,
+        at: Conditions | Measurements | ArrayLike,
+        *,
+        point: ArrayLike | None = None,
+        point_covariance: ArrayLike | None = None,
+        frame: Literal["base", "instrument"] = "instrument",
+        stop: ArrayLike | None = None,
+    ) -> PositionCovariance:
+        """Return the covariance of predicted positions with each other, by its sources, without
+        measurement noise.
 
         Near poses err alike: their difference is known better than each of them. What depends on
         conditions that are not recorded is taken to be common to all.
-        """
-        lacking = unrecorded(self.station, conditions)
-        conditions = self.of_its_day(conditions)
-        J, levers = self._motion(conditions)
-        n = self.model.n_parameters
-        C = self.covariance[:n, :n]
-        found = np.einsum("nap,pq,mbq->namb", J, C, J, optimize=True)
-        if self.discrepancy is not None:
-            found += self.discrepancy.covariance(conditions.q, levers)
-        for of in lacking:
-            size = varied_by(self.station, self.model_values, of, conditions)
-            found += np.einsum("na,mb->namb", size, size)
-        return np.asarray(found)
 
-    def _motion(self, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
-        """Return the motion of the target by the model's parameters, shape (N, 3, P), and by the
-        drives, shape (n, N, 3); the latter is empty without a discrepancy.
-        """
-        model = self.model
-        n = model.n_parameters
-        if self.discrepancy is None:
-            _, J = model.linearise(self.model_values, conditions)
-            return J, np.zeros((0, len(conditions), 3))
-        drives = Motions(tuple(map(int, model.chain.drives)))
-        moving = model.with_effects((*model.effects, drives))
-        still = np.zeros(len(drives.coordinates))
-        _, J = moving.linearise(np.concatenate([self.model_values, still]), conditions)
-        return J[:, :, :n], np.moveaxis(J[:, :, n:], 2, 0)
+        Args:
+            at: N poses, as for :meth:`predict`.
+            point: shape (3,) or (N, 3), points fixed to the tip, in its frame [m], see
+                :meth:`positions_of`; default: the target of the calibration, in the instrument's
+                frame, or the tip, in that of the base.
+            point_covariance: of a point common to all, shape (3, 3), or of one of each pose, shape
+                (N, 3, 3), in the tip's frame [m^2]; default: the points are known.
+            frame: whose axes the covariance has, and relative to which positions are: the robot's
+                base, or the instrument of the calibration with the uncertainty of its place.
+            stop: shape (N,), number of the stop of each row, in which the drives arrived once;
+                default: equal joint positions are one stop.
 
-    def _by_parameters(self, J: np.ndarray) -> np.ndarray:
-        """Return the variance by the parameters of the model, shape (N, 3)."""
-        n = self.model.n_parameters
-        C = self.covariance[:n, :n]
-        return np.asarray(np.maximum(np.einsum("nip,nip->ni", J @ C, J), 0.0))
+        Raises:
+            BadInputError: for joint positions, points, covariances or stops of another shape.
+        """
+        conditions = self._conditions(at)
+        n = len(conditions)
+        stops = None if stop is None else np.asarray(stop)
+        if stops is not None and stops.shape != (n,):
+            raise BadInputError(f"stops have shape {stops.shape}; expected ({n},), one per pose")
+        if point is None and point_covariance is None and frame == "instrument":
+            return self.uncertainty.covariance_of(conditions, stop=stops)
+        covariance = None if point_covariance is None else _covariances(point_covariance, n)
+        on_tip = PointOnTip(_points(np.zeros(3) if point is None else point, n), covariance)
+        return self._carrier(frame).uncertainty.covariance_of(conditions, on_tip, stops)
+
+    def _carrier(self, frame: Literal["base", "instrument"]) -> FittedRobot:
+        """Return the robot with the pose of its tip as its prediction."""
+        if frame == "base":
+            return self.between()
+        bare = self.with_effects(lambda effect: effect.locus.acts_on != "tool")
+        chain = bare.model.chain
+        tools = np.tile(np.eye(3), (len(chain.targets), 1, 1))
+        chain = chain.with_references(chain.base_rotation, tools)
+        return bare.with_model(
+            bare.model.with_chain(chain), bare.estimate, nominal_values=bare.nominal_values
+        )
 
     # The same robot otherwise
 
@@ -760,6 +818,8 @@ class FittedRobot:
                 self.evidence,
                 self.provenance if provenance is None else provenance,
                 self.discrepancy,
+                self.identity,
+                self.statement,
             )
 
         write_model_file(path, made)
@@ -773,7 +833,7 @@ class FittedRobot:
             OutputError: if the file can't be written.
         """
         found = self.robot_model()
-        export = calibrated_urdf(found.model, found.values)
+        export = calibrated_urdf(found.model, found.values, comment=self.identity.machine)
         if path is not None:
             write_atomic(path, export.text)
         return export
@@ -809,6 +869,27 @@ class FittedRobot:
         return {**lens, "T_tip_camera": mount.tolist()}
 
 
+def _points(point: ArrayLike, n: int) -> np.ndarray:
+    """Return points on the tip of n poses, shape (3,) or (n, 3)."""
+    place = real_array(point, "points on the tip")
+    if place.shape not in ((3,), (n, 3)):
+        raise BadInputError(
+            f"points on the tip have shape {place.shape}; expected (3,), or ({n}, 3), one per pose"
+        )
+    return np.asarray(np.broadcast_to(place, (n, 3)))
+
+
+def _covariances(covariance: ArrayLike, n: int) -> np.ndarray:
+    """Return the covariances of points on the tip of n poses, shape (3, 3) or (n, 3, 3)."""
+    found = real_array(covariance, "covariances of points on the tip")
+    if found.shape not in ((3, 3), (n, 3, 3)):
+        raise BadInputError(
+            f"covariances of points on the tip have shape {found.shape}; expected (3, 3), or "
+            f"({n}, 3, 3), one per pose"
+        )
+    return found
+
+
 def load_model(path: str | os.PathLike[str]) -> FittedRobot:
     """Read ``model.json``.
 
@@ -824,4 +905,6 @@ def load_model(path: str | os.PathLike[str]) -> FittedRobot:
         file.provenance,
         KeptEvidence(file.unmodelled, file.information),
         file.discrepancy,
+        file.id or Identity(),
+        file.statement,
     )

@@ -19,9 +19,11 @@ from pincal.calibration.fit_evidence import Evidence
 from pincal.calibration.fitted_station import FittedStation
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.repeatability import Repeatability
+from pincal.calibration.statement import ModelStatement
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import OutputError
 from pincal.identify.station import are_fingerprints
+from pincal.identity import Identity
 from pincal.io.arrays import (
     ArrayShape,
     Numbers,
@@ -197,6 +199,8 @@ class ModelFile(Record, frozen=True, kw_only=True):
             robots are learned; none where it is not known.
         discrepancy: the covariance of what the model lacks; none where its residuals are noise, or
             it is not known.
+        id: identity of robot, instrument and circumstances; none where nothing was stated.
+        statement: what the calibration states of the model; not in files of earlier versions.
         files: the files written with it, with their SHA-256; none where it was saved alone.
     """
 
@@ -214,6 +218,8 @@ class ModelFile(Record, frozen=True, kw_only=True):
     unmodelled: Unmodelled | None = None
     information: RobotInformation | None = None
     discrepancy: Discrepancy | None = None
+    id: Identity | None = None
+    statement: ModelStatement | None = None
     files: dict[str, str] | None = None
 
     @classmethod
@@ -225,6 +231,8 @@ class ModelFile(Record, frozen=True, kw_only=True):
         evidence: Evidence,
         provenance: dict[str, Any],
         discrepancy: Discrepancy | None,
+        identity: Identity,
+        statement: ModelStatement | None = None,
     ) -> ModelFile:
         """Return the file of a fitted robot, given by its parts."""
         return cls(
@@ -240,6 +248,8 @@ class ModelFile(Record, frozen=True, kw_only=True):
             unmodelled=evidence.unmodelled,
             information=evidence.information,
             discrepancy=discrepancy,
+            id=identity or None,
+            statement=statement,
         )
 
     def __post_init__(self) -> None:

@@ -152,7 +152,9 @@ class _Shape:
         at = self.at[k]
         variance = np.einsum("in,ij,jn->n", at, covariance, at)
         seen = variance < (CHANGES.curve_seen * self.parameter.size) ** 2
-        at, variance = (at[:, seen], variance[seen]) if seen.any() else (at, variance)
+        if seen.any():
+            at = at[:, seen]
+            variance = variance[seen]
         height = values @ at
         size = np.sqrt(max(float(np.mean(height**2 - variance)), 1e-300))
         slope = at @ height / len(height) / size

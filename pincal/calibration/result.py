@@ -26,9 +26,9 @@ from pincal.calibration.caveats import (
     findings_on_fit,
     findings_on_moves,
     findings_on_plausibility,
+    findings_on_rounding,
     findings_on_scatter,
 )
-from pincal.calibration.elsewhere import elsewhere_of
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import (
     LeftOut,
@@ -59,6 +59,7 @@ from pincal.validate.outcome import (
     RowCounts,
     ValidationWay,
 )
+from pincal.validate.pose_characteristics import error_intervals
 
 # Pairs listed at most, the strongest first.
 _MOST_CORRELATIONS: Count = 20
@@ -153,6 +154,9 @@ class Result(Outcome):
             "validation",
             "repeatability",
             "elsewhere",
+            "intervals",
+            "id",
+            "uncertainty",
         )
         absent = {name for name in perhaps if getattr(self, name) in (None, UNSET)}
         contents = {
@@ -164,6 +168,8 @@ class Result(Outcome):
             "parameters": [row.to_dict() for row in self.parameters],
             "warnings": to_builtins(self.warnings),
         }
+        if self.id is not UNSET:
+            contents["id"] = to_builtins(self.id)
         return contents | {"verdict": self.verdict_of().value}
 
 
@@ -225,6 +231,7 @@ class _Assessed:
             *findings_on_benefit(fit),
             *findings_on_fit(fit, self.p_value, arrivals),
             *findings_on_scatter(fit),
+            *findings_on_rounding(fit),
             *findings_on_data(fit, self.read),
             *findings_without_instrument(fit, self.improved),
             *_on_rows(stations, is_left_out=self.is_left_out),
@@ -301,7 +308,7 @@ def result_of(
         validation=_validation(validated, error),
         improvement=assessed.improved or UNSET,
         clocks=tuple(_clocks(fit, rows)) or UNSET,
-        elsewhere=elsewhere_of(fit) or UNSET,
+        intervals=_intervals(stations) or UNSET,
         **_by_station(stations, assessed.moves),
     )
 
@@ -425,6 +432,23 @@ def _errors(stations: Sequence[AssessedStation]) -> Errors:
         if alone:
             of_model["test"] = error_statistics(one.sizes[model] for one in alone)
         found[model] = of_model
+    return found
+
+
+def _intervals(stations: Sequence[AssessedStation]) -> dict[str, Any]:
+    """Return the intervals of the errors of the calibrated model that are "test"; empty if there
+    are none.
+    """
+    parts = [part for station in stations if (part := station.unseen) is not None]
+    units = dict.fromkeys(unit for part in parts for unit in part.sizes)
+    found = dict[str, Any]()
+    for unit in units:
+        of_unit = [part for part in parts if unit in part.sizes]
+        found |= error_intervals(
+            {unit: np.concatenate([part.sizes[unit] for part in of_unit])},
+            independent=sum(part.poses for part in of_unit),
+            shares=np.concatenate([part.shares for part in of_unit]),
+        )
     return found
 
 

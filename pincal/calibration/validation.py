@@ -161,8 +161,8 @@ class Validation:
 
     @cached_property
     def characteristics(self) -> dict[str, Any]:
-        """Characteristics of ISO 9283 that visits of poses tell, each with its interval; empty where
-        no pose was visited again, or no position was read.
+        """Characteristics of ISO 9283 that visits of poses tell, each with its interval; empty
+        where no pose was visited again, or no position was read.
         """
         stops = self.stops
         if not self.station.sensor.reads_pose or not stops.plan.is_revisited:

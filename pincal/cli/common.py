@@ -39,6 +39,9 @@ max_error_option = partial(
     option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH
 )
 tip_option = partial(option, "Last link of the arm.", metavar="LINK")
+to_option = partial(
+    option, "Link that carries the target; the same as --tip.", metavar="LINK", words="--tip"
+)
 base_option = partial(option, "First link of the arm.", metavar="LINK", words="root of the URDF")
 robot_argument = partial(
     argument,
@@ -135,6 +138,17 @@ def _load_plugins(
     return names
 
 
+def tip_or_to(tip: str | None, to: str | None) -> str | None:
+    """Return the last link of the arm, as either option gives it.
+
+    Raises:
+        UsageError: if they give different ones.
+    """
+    if tip and to and tip != to:
+        raise click.UsageError(f"--tip {tip} and --to {to} are the same; leave one of them out")
+    return tip or to
+
+
 @dataclass(frozen=True, kw_only=True)
 class GeneralOptions:
     """Options of every verb."""
@@ -207,9 +221,7 @@ class LinkOptions:
         name="--from",
         words="the base; or the column from",
     )
-    to: str | None = option(
-        "Link that carries the target; the same as --tip.", metavar="LINK", words="the column to"
-    )
+    to: str | None = to_option(words="the column to")
     stations: tuple[tuple[str, str, str], ...] = option(
         "Links between which the rows of one station or table were measured.",
         (),

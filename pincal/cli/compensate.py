@@ -14,6 +14,7 @@ import numpy as np
 
 from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import TABLE, GeneralOptions, PlaceOptions, TableArguments, model_argument
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import columns_of_poses, echo_notes, extrapolation, print_json
 from pincal.cli.quantities import ANGLE
 from pincal.cli.target_files import PROGRAMS, FileCorrection, TargetFiles
@@ -23,11 +24,12 @@ from pincal.thresholds import Count
 from pincal.units import plain_number
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from pincal.calibration.fitted_robot import FittedRobot
     from pincal.cli.inputs import PlacedModel
     from pincal.compensate.targets import CompensatedTable, Targets
+    from pincal.model.conditions import Conditions
     from pincal.robot.robot import Robot
 
 # Number of rows that are listed individually.
@@ -43,20 +45,24 @@ _EXAMPLES = """
 Examples:
   pincal compensate results/model.json program.csv --out corrected.csv
   pincal compensate results/model.json program.csv --out corrected.csv --false-targets tip
-  pincal compensate results/model.json program.csv --out corrected.csv --placement ten_rows_of_today.csv
-  pincal compensate results/model.json poses.csv --out joints.csv --seed-joints "0 -90 90 0 90 0 deg"
-  pincal compensate results/model.json weld.src --out corrected/weld.src --tool 'TOOL_DATA[1]=0,0,250,0,0,0'
+  pincal compensate results/model.json program.csv --out corrected.csv \
+--placement ten_rows_of_today.csv
+  pincal compensate results/model.json poses.csv --out joints.csv \
+--seed-joints "0 -90 90 0 90 0 deg"
+  pincal compensate results/model.json weld.src --out corrected/weld.src \
+--tool 'TOOL_DATA[1]=0,0,250,0,0,0'
 
-TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls, Universal
-Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted are listed and left
-unchanged. The rest applies to tables.
+TARGETS may be a controller's program: KUKA .src and .dat, ABB .mod, .prg and .sys, FANUC .ls,
+Universal Robots .script, Yaskawa .jbi. Only its numbers change; points that can't be interpreted
+are listed and left unchanged. The rest applies to tables.
 
 TARGETS.csv has the desired target position x y z (and orientation qx qy qz qw) in the instrument's
 frame, joint positions to start from, and, where they matter, payload, target, temperature, time and
-approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint positions
-is kept. Without x y z, the joint positions are a nominal program: the desired pose is the one that the
-nominal robot would reach, in its base frame. Without joint positions, the search starts from
---seed-joints (default: the middle of the joint ranges, and any orientation if there is no quaternion).
+approach_<joint>. Without a quaternion, the orientation of the nominal robot at these joint
+positions is kept. Without x y z, the joint positions are a nominal program: the desired pose is the
+one that the nominal robot would reach, in its base frame. Without joint positions, the search
+starts from --seed-joints (default: the middle of the joint ranges, and any orientation if there is
+no quaternion).
 
 FILE.csv has the joint positions to command, the desired pose, the remaining error predicted by the
 model (error_mm, error_mrad), the uncertainty of the model in this frame (sigma_mm), the largest
@@ -82,7 +88,20 @@ class _AtPlace:
     model: Path = model_argument()
     place: PlaceOptions = group("Placement of instrument and target")
     table: TableArguments = group("Tables")
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
+
+    def find_place(self) -> PlacedModel:
+        """Return the model at the place chosen, with a note if it does not state its robot.
+
+        Raises:
+            BadInputError: if it is of another robot than stated; further as for
+                :func:`pincal.cli.inputs.find_place`.
+        """
+        from pincal.cli.inputs import find_place
+
+        place = find_place(self.model, self.place, self.table.options)
+        return place.stated(self.identity.of_model(place.model.identity, self.model))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +112,11 @@ class PredictArguments(_AtPlace):
         "POSES.csv", "Joint positions and conditions; other columns are ignored."
     )
     out: Path = option("Table to write.", MISSING, type=TABLE)
+    components: bool = option(
+        "Also write the uncertainty of the position by each source, u_SOURCE_x u_SOURCE_y "
+        "u_SOURCE_z [m]: of the parameters, the model, the arrival, the conditions.",
+        False,
+    )
 
 
 @verb(PredictArguments, examples=_PREDICT_EXAMPLES, exits=(Exit.CHANGED,))
@@ -101,11 +125,11 @@ def predict(arguments: PredictArguments) -> Exit:
 
     They are given in the instrument's frame, with their uncertainty.
     """
-    from pincal.cli.inputs import find_place, load_table
+    from pincal.cli.inputs import load_table
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
 
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    place = arguments.find_place()
     chain = place.model.model.chain
     table = load_table(
         chain.robot, arguments.poses, options=arguments.table.options, joints_only=True
@@ -119,18 +143,37 @@ def predict(arguments: PredictArguments) -> Exit:
     if len(chain.targets) > 1:
         columns["target"] = table.target
     columns |= columns_of_poses(found, with_orientation=calibrated.model.has_tool_orientation)
-    columns |= zip(
-        ("sigma_x", "sigma_y", "sigma_z"), calibrated.position_sigma(conditions).T, strict=True
-    )
+    columns |= _uncertainties(calibrated, conditions, by_source=arguments.components)
     write_table(arguments.out, columns)
     beyond, notes = extrapolation(calibrated, conditions, table.rows)
     end_progress()
     if arguments.general.as_json:
         print_json({"rows": len(table), "out": str(arguments.out)} | place.contents | beyond)
     else:
+        _echo_machine(calibrated)
         click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
     echo_notes([*place.notes, *notes], quiet=arguments.general.quiet)
     return Exit.DONE
+
+
+def _uncertainties(
+    calibrated: FittedRobot, conditions: Conditions, *, by_source: bool
+) -> dict[str, np.ndarray]:
+    """Return the columns of standard uncertainties of predicted poses [m, rad]."""
+    variances = calibrated.position_variances(conditions)
+    columns = _of_axes("sigma", "xyz", np.sqrt(sum(variances.values())))
+    if calibrated.model.has_tool_orientation:
+        axes = ("rx", "ry", "rz")
+        columns |= _of_axes("sigma", axes, calibrated.turn_sigma(conditions))
+    if by_source:
+        for source, variance in variances.items():
+            columns |= _of_axes(f"u_{source}", "xyz", np.sqrt(variance))
+    return columns
+
+
+def _of_axes(name: str, axes: Sequence[str], values: np.ndarray) -> dict[str, np.ndarray]:
+    """Return values along axes, shape (N, 3), as columns."""
+    return {f"{name}_{axis}": column for axis, column in zip(axes, values.T, strict=True)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,12 +225,14 @@ def compensate(arguments: CompensateArguments) -> Exit:
 
     Of all solutions for the real robot, the one closest to the given joint positions is chosen.
     """
-    from pincal.cli.inputs import find_place
-
-    place = find_place(arguments.model, arguments.place, arguments.table.options)
+    place = arguments.find_place()
     if arguments.program.reads(arguments.targets):
+        if not arguments.general.as_json:
+            _echo_machine(place.model)
         robot = place.model.model.chain.robot
-        return arguments.program.correct(place.model, _correction(robot, arguments))
+        code = arguments.program.correct(place.model, _correction(robot, arguments))
+        echo_notes(place.notes, quiet=arguments.general.quiet)
+        return code
     return _compensate_table(place, arguments)
 
 
@@ -197,20 +242,13 @@ def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exi
     """
     from pincal.cli.progress import end_progress
     from pincal.compensate.returned_table import write_returned
-    from pincal.compensate.targets import read_targets, run_compensation, unreached_turns
+    from pincal.compensate.targets import read_targets, unreached_turns
 
     robot = place.model.model.chain.robot
     table = read_targets(arguments.targets, robot, options=arguments.table.options)
     place = place.over(table.rows)
     calibrated = place.model
-    done = run_compensation(
-        calibrated,
-        table,
-        frame=arguments.frame,
-        seed=_seed(robot, table, arguments.seed_joints),
-        any_orientation=arguments.free_orientation,
-        limits=not arguments.ignore_limits,
-    )
+    done = _compensated(calibrated, table, arguments)
     columns = _returned_columns(calibrated, done, arguments)
     write_returned(arguments.out, table.cells, columns, robot.joint_names)
     beyond, notes = extrapolation(calibrated, done.commanded, table.rows.rows)
@@ -221,10 +259,33 @@ def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exi
     if arguments.general.as_json:
         print_json(result)
     else:
+        _echo_machine(calibrated)
         click.echo("\n".join(_summary(result)))
     echo_notes([*_failures(result), *place.notes, *notes], quiet=arguments.general.quiet)
     tolerated = 0 if arguments.strict else result["rows"] - 1
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
+
+
+def _compensated(
+    calibrated: FittedRobot, table: Targets, arguments: CompensateArguments
+) -> CompensatedTable:
+    """Return the joint positions that reach targets, as chosen on the command line."""
+    from pincal.compensate.targets import run_compensation
+
+    return run_compensation(
+        calibrated,
+        table,
+        frame=arguments.frame,
+        seed=_seed(calibrated.model.chain.robot, table, arguments.seed_joints),
+        any_orientation=arguments.free_orientation,
+        limits=not arguments.ignore_limits,
+    )
+
+
+def _echo_machine(model: FittedRobot) -> None:
+    """Print of which robot a model is, if it states that."""
+    if model.identity.machine:
+        click.echo(f"for {model.identity.machine}")
 
 
 def _correction(robot: Robot, arguments: CompensateArguments) -> FileCorrection:

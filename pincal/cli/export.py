@@ -17,7 +17,8 @@ from pincal.cli.common import (
     TableArguments,
     model_argument,
 )
-from pincal.cli.outputs import print_json
+from pincal.cli.identity_options import HEADING, IdentityOptions
+from pincal.cli.outputs import echo_notes, print_json
 from pincal.errors import Exit
 from pincal.satellites import lacking
 
@@ -34,13 +35,13 @@ Examples:
   pincal export results/model.json --page corrector.html
   pincal export results/model.json --frames kuka
 
-Each file is read back and compared with the model (--c and --page by their formulas) before it is kept, and
-lists what it can't represent. --c, --python and --page represent every effect of the model and also compensate;
-the others represent the geometry, --mjcf also the elasticity as springs. --urdf, --mjcf, --dh and --ur-kinematics
-describe the robot alone and need no --station.
+Each file is read back and compared with the model (--c and --page by their formulas) before it is
+kept, and lists what it can't represent. --c, --python and --page represent every effect of the
+model and also compensate; the others represent the geometry, --mjcf also the elasticity as springs.
+--urdf, --mjcf, --dh and --ur-kinematics describe the robot alone and need no --station.
 
---page works in a browser without a network: drop a table or a URScript program on it and save the corrected one. The file of
---python is also a program: python arm.py program.csv corrected.csv
+--page works in a browser without a network: drop a table or a URScript program on it and save the
+corrected one. The file of --python is also a program: python arm.py program.csv corrected.csv
 """
 
 
@@ -94,6 +95,7 @@ class ExportArguments:
     )
     place: PlaceOptions = group("Placement of instrument and target")
     table: TableArguments = group("Table of --placement")
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
 
 
@@ -110,6 +112,8 @@ def export(arguments: ExportArguments) -> Exit:
         calibrated = load_model(arguments.model).robot_model()
     else:
         calibrated = find_place(arguments.model, arguments.place, arguments.table.options).model
+    unchecked = tuple(arguments.identity.of_model(calibrated.identity, arguments.model))
+    said = [] if calibrated.statement is None else list(calibrated.statement.notes())
     contents: dict[str, Any] = {}
     lines: list[str] = []
     for name, place in places.items():
@@ -121,10 +125,13 @@ def export(arguments: ExportArguments) -> Exit:
         if exported.max_error_m is not None:
             contents["max_error_m"] = max(exported.max_error_m, contents.get("max_error_m", 0.0))
         lines += [exported.text.rstrip()] if path is None else _written_lines(path, exported)
+    contents["notes"] += said
+    lines += [f"note: {note}" for note in said]
     if arguments.general.as_json:
         print_json(contents)
     else:
         click.echo("\n".join(dict.fromkeys(lines)))
+    echo_notes(unchecked, quiet=arguments.general.quiet)
     return Exit.DONE
 
 

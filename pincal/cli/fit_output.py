@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
     from pincal.calibration.calibration import Calibration
     from pincal.calibration.result import Result
+    from pincal.identity import Identity
     from pincal.report.judgement import SearchReport
 
 
@@ -33,6 +34,15 @@ class FitOutput:
     def with_result(self, result: Result) -> Self:
         """Return it with another result."""
         return replace(self, calibration=replace(self.calibration, result=result))
+
+    def with_identity(self, identity: Identity) -> Self:
+        """Return it with the identity that is stated of robot and result, if any."""
+        if not identity:
+            return self
+        calibration = self.calibration
+        result = replace(calibration.result, id=identity)
+        fit = replace(calibration.fit, identity=identity)
+        return replace(self, calibration=replace(calibration, fit=fit, result=result))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``--json`` prints."""

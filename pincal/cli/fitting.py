@@ -23,6 +23,7 @@ from pincal.cli.common import (
     verbose_option,
 )
 from pincal.cli.fit_output import FitOutput
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import print_json, provenance, require_accuracy
 from pincal.cli.robot_priors import load_prior
 from pincal.errors import BadInputError, Exit, IdentificationError
@@ -86,6 +87,7 @@ class FitArguments:
         metavar="ADDRESS",
         words="this machine",
     )
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
 
 
@@ -168,7 +170,7 @@ class _Inputs:
         if self.doubts:
             result = replace(result, warnings=doubts_first([*self.doubts, *result.warnings]))
         if self.task is not None:
-            elsewhere = elsewhere_of(output.calibration.fit.fit, self.task)
+            elsewhere = elsewhere_of(output.calibration.fit, self.task)
             result = replace(result, elsewhere=elsewhere or UNSET)
         return output.with_result(result)
 
@@ -192,7 +194,7 @@ def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
         _VIEWS.only("--view", "pincal.viewer")
     with output_folder(arguments.out) as draft:
         inputs = _Inputs.read(arguments)
-        output = inputs.fit(run, split)
+        output = inputs.fit(run, split).with_identity(arguments.identity.given)
         log_step("writing the model")
         files = [*inputs.prepared.files, *filter(None, [split.holdout])]
         origin = provenance(files, seed=split.seed)
@@ -263,7 +265,7 @@ def write_results(
     write_json(folder / "result.json", calibration.result.to_dict())
     output.write(folder)
     robot = fit.robot_model()
-    export = calibrated_urdf(robot.model, robot.values)
+    export = calibrated_urdf(robot.model, robot.values, comment=fit.identity.machine)
     (folder / "calibrated.urdf").write_bytes(export.text)
     _write_residuals(folder / "residuals.csv", calibration)
     if view:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 import click
 import numpy as np
+from msgspec import to_builtins
 
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.located import located
@@ -22,6 +23,7 @@ from pincal.cli.common import (
     LinkOptions,
     PlaceOptions,
     SetupOptions,
+    tip_or_to,
 )
 from pincal.cli.progress import log_step
 from pincal.cli.robot_priors import load_prior
@@ -32,6 +34,7 @@ from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_camera
 from pincal.measure.admit import check_table, usable_rows
 from pincal.measure.instruments import InstrumentNoise
+from pincal.measure.log_reader import joints_of_log
 from pincal.measure.measurements import Measurements
 from pincal.measure.points_table import read_distances, read_points
 from pincal.measure.reader import links_of_rows, of_path
@@ -174,7 +177,7 @@ class _Named:
     @classmethod
     def of(cls, source: InputOptions, tree: UrdfTree) -> _Named:
         """Return what the tables, the log of the joints and the options for links name."""
-        tip = source.tip or source.links.to
+        tip = tip_or_to(source.tip, source.links.to)
         start = source.links.start
         reading = source.table.options
         given = {name: (first, last) for name, first, last in source.links.stations}
@@ -185,7 +188,7 @@ class _Named:
             files = [*files, Path(reading.joints)]
             reading = replace(reading, joints=None)
         for path in files:
-            session = source.motion.joints_of(path)
+            session = joints_of_log(path)
             is_log = session is not None or path not in source.data
             pairs: list[tuple[str | None, str | None]] = [given.get(path.stem, (None, None))]
             if path.stem not in given and not is_log:
@@ -230,7 +233,7 @@ def _movable_above(tree: UrdfTree, tips: Iterable[str | None]) -> list[str]:
 def _described(source: InputOptions) -> Robot:
     """Return the robot of the URDF: the joints between the links of the tables."""
     tree = read_cell(source.robot, source.beside, xacro_args=dict(source.xacro_args))
-    tip = source.tip or source.links.to
+    tip = tip_or_to(source.tip, source.links.to)
     named = _Named.of(source, tree)
     named.check(source.links.start, tip)
     movable = [joint.name for joint in tree.joints if joint.kind in MOVING_TYPES]
@@ -518,7 +521,7 @@ class PlacedModel:
 
     Attributes:
         model: the model.
-        notes: for the user, on the placement.
+        notes: for the user, on the placement, and what the model states of itself.
         contents: how the placement was identified, for ``--json``; empty for one of the
             calibration.
     """
@@ -526,6 +529,12 @@ class PlacedModel:
     model: FittedRobot
     notes: tuple[str, ...] = ()
     contents: dict[str, Any] = field(default_factory=dict)
+
+    def stated(self, notes: Iterable[str]) -> PlacedModel:
+        """Return it with what it states of its robot, for ``--json``, and notes on that."""
+        identity = self.model.identity
+        contents = {"id": to_builtins(identity)} if identity else {}
+        return PlacedModel(self.model, (*self.notes, *notes), self.contents | contents)
 
     def over(self, rows: Measurements) -> PlacedModel:
         """Return the model for some rows, without effects of the calibrated station for which they
@@ -554,12 +563,14 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
         )
     stations = load_model(path)
     first = stations.each[0]
+    said = () if stations.statement is None else tuple(stations.statement.notes())
     if chosen.start or chosen.to:
-        return PlacedModel(stations.robot_model().between(chosen.start, chosen.to))
+        return PlacedModel(stations.robot_model().between(chosen.start, chosen.to), said)
     if chosen.placement is not None:
-        return _placed(path, first, chosen.placement, reading)
+        placed = _placed(path, first, chosen.placement, reading)
+        return replace(placed, notes=(*said, *placed.notes))
     if chosen.station is not None:
-        return PlacedModel(stations.at(chosen.station))
+        return PlacedModel(stations.at(chosen.station), said)
     if len(stations.stations) > 1:
         raise BadInputError(
             f"{path}: calibrated at the stations {', '.join(stations.names)}; expected a "
@@ -567,7 +578,7 @@ def find_place(path: Path, chosen: PlaceOptions, reading: TableOptions) -> Place
             "them, --placement FEW.csv with some measured rows for a new place, or links "
             "of the robot: --from LINK --to LINK"
         )
-    return PlacedModel(first)
+    return PlacedModel(first, said)
 
 
 def _placed(file: Path, model: FittedRobot, path: Path, reading: TableOptions) -> PlacedModel:

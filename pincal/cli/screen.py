@@ -75,10 +75,21 @@ def print_brief(
     if found:
         _line(out, "found", found)
     verdict = judged(result, search)
-    _line(out, "verdict", f"{verdict.judgement}. {verdict.reason}")
+    _line(
+        out,
+        "verdict",
+        f"{verdict.judgement}. {verdict.reason.rstrip('.')}{worth_words(calibration)}",
+    )
     _line(out, "next", next_steps(calibration, search)[0])
     print_first_notes([*result.warnings, *notes], out)
     _line(out, "more", more)
+
+
+def worth_words(calibration: Calibration) -> str:
+    """Return how good predictions are, to stand behind the reason of a verdict; "" if unknown."""
+    statement = calibration.fit.statement
+    worth = "" if statement is None else statement.worth
+    return f". {worth[0].upper()}{worth[1:]}" if worth else ""
 
 
 def print_elsewhere(result: Result, out: Console) -> None:

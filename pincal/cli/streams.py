@@ -38,12 +38,6 @@ class Streams:
         if not data:
             raise click.UsageError("Missing argument 'DATA.csv...'")
 
-    def joints_of(self, path: Path) -> Path | None:
-        """Return the log of the joints of a folder of streams; None for other files, which are
-        tables.
-        """
-        return None
-
     def tables(
         self, robot: Robot, paths: Sequence[Path], reading: TableOptions
     ) -> tuple[dict[str, Measurements], list[Path]]:
@@ -58,10 +52,12 @@ class Streams:
 
     def input_files(self, paths: Sequence[Path]) -> Iterator[Path]:
         """Yield files, and the files in folders of streams."""
+        from pincal.measure.log_reader import joints_of_log
+
         for path in paths:
             yield from (
                 (path,)
-                if self.joints_of(path) is None or path.is_file()
+                if joints_of_log(path) is None or path.is_file()
                 else sorted(filter(Path.is_file, path.iterdir()))
             )
 

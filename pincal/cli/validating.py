@@ -16,13 +16,16 @@ from pincal.cli.common import (
     noise_angle_option,
     station_option,
 )
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, require_accuracy
 from pincal.cli.streams import MOTION, Streams
+from pincal.cli.tested_rows import ACCEPTANCE, TestedRows
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.calibration.validation import Validation
     from pincal.notes import Note
 
@@ -32,10 +35,11 @@ Examples:
   pincal validate results/model.json new_measurements.csv --max-error 0.1mm
   pincal validate results/model.json monday.csv tuesday.csv
 
-Instrument and target are assumed to be where they were at calibration unless the rows indicate another placement,
-which is then identified from them and reported as a displacement; the errors refer to it. If no placement
-explains the rows, they belong to another robot, or it has changed: exit code 6; run pincal diagnose. Of several
-tables, those that the model was not fitted to come first, and --max-error applies to them.
+Instrument and target are assumed to be where they were at calibration unless the rows indicate
+another placement, which is then identified from them and reported as a displacement; the errors
+refer to it. If no placement explains the rows, they belong to another robot, or it has changed:
+exit code 6; run pincal diagnose. Of several tables, those that the model was not fitted to come
+first, and --max-error applies to them.
 """
 
 
@@ -57,6 +61,8 @@ class ValidateArguments:
     noise_angle: float | None = noise_angle_option()
     table: TableArguments = group("Tables")
     motion: Streams = group(MOTION, is_handed_in=True)
+    identity: IdentityOptions = group(HEADING)
+    acceptance: TestedRows = group(ACCEPTANCE, is_handed_in=True)
     general: GeneralOptions = group("General")
 
 
@@ -67,11 +73,32 @@ def validate(arguments: ValidateArguments) -> Exit:
     The instrument may be anywhere: its placement is identified from the rows.
     """
     from pincal.calibration.fitted_robot import load_model
-    from pincal.calibration.validation import validate_rows
-    from pincal.cli.inputs import load_tables, other_robot
-    from pincal.measure.admit import check_table
 
     calibrated = load_model(arguments.model)
+    unchecked = tuple(arguments.identity.of_model(calibrated.identity, arguments.model))
+    found = _validated(calibrated, arguments)
+    if arguments.acceptance.is_wanted:
+        general = arguments.general
+        code = arguments.acceptance.judge(found, as_json=general.as_json, quiet=general.quiet)
+        _refuse_others(found, arguments.model)
+        return code
+    result, notes = _result(found)
+    if arguments.general.as_json:
+        print_json(result)
+    else:
+        _print(found, result, notes)
+    echo_notes([*notes, *unchecked], quiet=arguments.general.quiet)
+    _refuse_others(found, arguments.model)
+    require_accuracy(result.get("mean_mm"), arguments.max_error, rows="new")
+    return Exit.DONE
+
+
+def _validated(calibrated: FittedRobot, arguments: ValidateArguments) -> list[Validation]:
+    """Return the validation of a model by the rows of each station."""
+    from pincal.calibration.validation import validate_rows
+    from pincal.cli.inputs import load_tables
+    from pincal.measure.admit import check_table
+
     chosen = arguments.station
     models = calibrated.each if chosen is None else (calibrated.at(chosen),)
     robot = models[0].model.chain.robot
@@ -80,22 +107,20 @@ def validate(arguments: ValidateArguments) -> Exit:
     )
     for table in tables.values():
         check_table(robot, table, minimum=1)
-    found = [
+    return [
         validate_rows(
             models, table, name=name, refit=chosen is None, sigma_orientation=arguments.noise_angle
         )
         for name, table in tables.items()
     ]
-    result, notes = _result(found)
-    if arguments.general.as_json:
-        print_json(result)
-    else:
-        _print(found, result, notes)
-    echo_notes(notes, quiet=arguments.general.quiet)
+
+
+def _refuse_others(found: Sequence[Validation], model: Path) -> None:
+    """Refuse rows that are not of the robot as it was calibrated."""
+    from pincal.cli.inputs import other_robot
+
     if doubts := [each.doubt for each in found if each.doubt]:
-        raise other_robot("; ".join(doubts), arguments.model)
-    require_accuracy(result.get("mean_mm"), arguments.max_error, rows="new")
-    return Exit.DONE
+        raise other_robot("; ".join(doubts), model)
 
 
 def _result(found: list[Validation]) -> tuple[dict[str, Any], tuple[Note, ...]]:

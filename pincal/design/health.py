@@ -34,7 +34,7 @@ from pincal.errors import BadInputError
 from pincal.identify.options import Options
 from pincal.model.conditions import Conditions
 from pincal.parameters import FRAME_SYMBOLS, estimate_of
-from pincal.recorded import RECORDED, typical_columns
+from pincal.recorded import RECORDABLE, RECORDED, typical_columns
 from pincal.robot.robot import Robot
 from pincal.thresholds import Count, Scale
 
@@ -210,6 +210,7 @@ class CheckRequest:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        RECORDABLE["payload"].checked(self.payloads)
         if not 0.0 < self.notice < np.inf:
             raise BadInputError(
                 f"notice is {self.notice:g} m; expected a length above 0, such as 1e-4"

@@ -39,7 +39,7 @@ from pincal.model.conditions import Conditions
 from pincal.robot.robot import Robot
 from pincal.thresholds import Scale
 
-SOURCES = {
+PREDICTED_BY = {
     "O1": "Borm and Menq 1989",
     "O2": "Driels and Pathre 1990",
     "O3": "Nahvi, Hollerbach and Hayward 1994",
@@ -72,7 +72,7 @@ def observability(
     overlap = directions.T @ posterior.directions
     squares = np.linalg.eigvalsh((overlap * posterior.information) @ overlap.T)
     if squares[0] <= NULL * squares[-1]:
-        return dict.fromkeys(SOURCES, 0.0)
+        return dict.fromkeys(PREDICTED_BY, 0.0)
     sigma = np.sqrt(squares)
     return {
         "O1": float(np.exp(np.mean(np.log(sigma))) / np.sqrt(n)),

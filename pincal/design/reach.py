@@ -226,6 +226,10 @@ class Reach:
             allowed[rows[at_fault]] = False
         return allowed
 
+    def targets(self, q: np.ndarray) -> np.ndarray:
+        """Return the positions of the target in the base frame, shape (N, 3) [m]."""
+        return self._place(q).targets
+
     def collides(self, q: np.ndarray) -> np.ndarray:
         """Return whether the arm collides with itself, shape (N,), as far as that can
         be checked.
@@ -246,18 +250,13 @@ class Reach:
             raise BadInputError(
                 f"{n} random poses to choose from; expected at most {_MOST}: ask for fewer"
             )
-        lower, upper = self.range
-        found = np.empty((0, len(lower)))
+        found = np.empty((0, self.robot.n_joints))
         removed = dict[str, int]()
         drawn = 0
         while len(found) < n and drawn < _TRIES * n + _BATCH:
             # About as many as are still needed, by the acceptance rate so far.
             wanted = (n - len(found)) * (drawn + 1) / (len(found) + 1) if drawn else 1.25 * n
-            q = self.robot.following(
-                rng.uniform(lower, upper, (int(np.clip(wanted, 64, _BATCH)), len(lower)))
-            )
-            q = q if self.robot.linkage is None else q[self.robot.linkage.can_take(q)]
-            placed = self._place(self._brought(q, rng) if measured and self.rig.held_at else q)
+            placed = self._random(int(np.clip(wanted, 64, _BATCH)), rng, measured=measured)
             drawn += len(placed.q)
             left = np.ones(len(placed.q), bool)
             for name, at_fault in self._faults(placed, measured=measured, colliding=True):
@@ -265,6 +264,23 @@ class Reach:
                 left &= ~at_fault
             found = np.vstack([found, placed.q[left]])
         return Draw(found[:n], drawn, removed)
+
+    def tried(self, n: int, rng: np.random.Generator) -> np.ndarray:
+        """Return those of n random poses that satisfy all constraints of a measurement, shape (M,
+        joints); where the target is held in sockets, of n poses brought there.
+        """
+        placed = self._random(n, rng, measured=True)
+        left = np.ones(len(placed.q), bool)
+        for _, at_fault in self._faults(placed, measured=True, colliding=True):
+            left &= ~at_fault
+        return placed.q[left]
+
+    def _random(self, n: int, rng: np.random.Generator, *, measured: bool) -> _Placed:
+        """Return at most n random poses within the joint limits, brought to the sockets, if any."""
+        lower, upper = self.range
+        q = self.robot.following(rng.uniform(lower, upper, (n, len(lower))))
+        q = q if self.robot.linkage is None else q[self.robot.linkage.can_take(q)]
+        return self._place(self._brought(q, rng) if measured and self.rig.held_at else q)
 
     def _brought(self, q: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return poses near q, shape (N, n), that hold the target in one of the sockets, if within

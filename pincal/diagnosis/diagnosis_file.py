@@ -6,6 +6,7 @@ from typing import Literal
 
 import msgspec
 
+from pincal.identity import Identity
 from pincal.notes import Note
 
 
@@ -144,6 +145,7 @@ class DiagnosisFile(msgspec.Struct, frozen=True, kw_only=True):
         curves: contribution of the drive curves to the error of the new rows, if the model has any.
         is_judged: whether the rows can show a change; if not, none is reported, and doubts give the
             reason.
+        id: identity of robot, instrument and circumstances; null where nothing was stated.
     """
 
     changed: bool
@@ -157,3 +159,4 @@ class DiagnosisFile(msgspec.Struct, frozen=True, kw_only=True):
     warnings: tuple[Note, ...] = ()
     curves: CurvesEntry | None = None
     is_judged: bool = True
+    id: Identity | None = None

@@ -254,17 +254,21 @@ def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:
         _unchanged(found, robot.joint_names),
         _station(found),
     )
+    lead = f"{found.rows} new poses compared with the calibrated robot"
+    machine = "" if found.id is None else found.id.machine
+    lead += f"; {machine}" if machine else ""
     return render(
         f"Diagnosis of {robot.name}",
-        f"{found.rows} new poses compared with the calibrated robot",
+        lead,
         [section for section in made if section is not None],
         version=version,
     )
 
 
 def _answer(found: DiagnosisFile) -> Section:
-    tone, tag = ("bad", "changed") if found.changed else ("good", "not changed")
-    tone, tag = (tone, tag) if found.is_judged else ("bad", "not judged")
+    judged = "changed" if found.changed else "not changed"
+    tag = judged if found.is_judged else "not judged"
+    tone = "good" if tag == "not changed" else "bad"
     answer = rich('<span class="tag {}">{}</span> {}', tone, tag, headline(found))
     left = arranged(
         "plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings)

@@ -203,8 +203,8 @@ def _taken_in(
     factor = _shared(placed)
     if factor > 1.0:
         noise = noise.widened(placed, factor**0.5)
-    options = _as_fitted(model, noise, earlier)
-    fit = fit_tables(model.model.chain.robot, model.of_its_day(measurements), options)
+    rows = model.of_its_day(measurements)
+    fit = fit_tables(model.model.chain.robot, rows, _as_fitted(model, noise, earlier))
     found = FittedRobot.of(fit, model.provenance)
     new = RobotInformation.of(fit)
     station = replace(
@@ -215,14 +215,15 @@ def _taken_in(
     )
     if factor > 1.0:
         # Predictions of single rows have the noise of single rows.
-        sigma = station.sigma / factor**0.5
         is_declared = model.is_noise_declared or declared.sigma is not None
-        station = replace(station, sigma=sigma, is_noise_declared=is_declared)
+        station = replace(station, sigma=station.sigma / factor**0.5, is_noise_declared=is_declared)
     # New rows do not describe what the model lacks.
     return replace(
         found.with_station(station),
         evidence=KeptEvidence(information=new if before is None else before + new),
         discrepancy=model.discrepancy,
+        identity=model.identity,
+        statement=model.statement,
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from pincal.calibration.caveats import CaveatKind, findings_on_outliers
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.placing import Placed, fitted_rows, moved, place_station
+from pincal.calibration.placing import FrameShift, Placed, fitted_rows, moved, place_station
 from pincal.diagnosis.change_search import ChangeVerdict, search
 from pincal.diagnosis.diagnosis_file import (
     ChangedParameter,
@@ -31,14 +31,12 @@ from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import Priors
-from pincal.identify.motion_fields import fields_of_joints
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
+from pincal.identify.rounded_joints import RoundedJoints
 from pincal.identify.solve import solve
 from pincal.identify.station import Station, count, fingerprints, together
 from pincal.measure.admit import check_table
-from pincal.measure.column_numbers import JOINT_COLUMNS
-from pincal.measure.joint_columns import steps_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.stops import StopRows
 from pincal.model.conditions import recorded_variable
@@ -164,10 +162,7 @@ def diagnose(
     station = judged.reidentified.readings(placed.table)
     after = error_summary(station, judged.reidentified.values)
     _refuse_strange(model, placed.table, after["median_mm"], CHANGES.hopeless)
-    shifts = [moved(before, judged.reidentified) for before in calibrated.each]
-    nearest = min(
-        shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument
-    )
+    nearest = _least_moved(calibrated, judged.reidentified)
     notes = [*judged.notes(), *_averaged(whole, len(measurements)), *_estimated(placed)]
     notes += _sampled(len(placed.table), whole, len(measurements))
     found = DiagnosisFile(
@@ -182,8 +177,15 @@ def diagnose(
         warnings=doubts_first(notes),
         curves=judged.curves,
         is_judged=not judged.doubts,
+        id=model.identity or None,
     )
     return Diagnosis(found, judged.reidentified)
+
+
+def _least_moved(calibrated: FittedRobot, now: FittedRobot) -> FrameShift:
+    """Return how far instrument and target are from where they were at the nearest station."""
+    shifts = [moved(before, now) for before in calibrated.each]
+    return min(shifts, key=lambda shift: np.inf if shift.instrument is None else shift.instrument)
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,28 +329,13 @@ def doubts_about(verdict: ChangeVerdict, placed: Placed) -> tuple[Note, ...]:
 def _rounded(placed: Placed) -> Iterator[Note]:
     """Yield a doubt if joints are written in coarse steps, and rows are off by no more than these
     explain.
-
-    A robot that was sent to round positions stands there, and is not off by their steps.
     """
-    station = placed.station
-    if not station.sensor.reads_place:
-        return
-    steps = steps_of(placed.table)
-    squares = np.zeros(len(station))
-    for field in fields_of_joints(station, placed.values):
-        step = steps.get(field.name, 0.0) if field.unit == "rad" else 0.0
-        squares += np.sum((step * field.directions[:, :, 0]) ** 2, axis=1) / 12.0
-    expected = float(np.sqrt(squares.mean()))
-    off = station.displacements(placed.values)
-    found = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-    least, most = JOINT_COLUMNS.explained
-    if steps and least * expected < found < most * expected:
-        step = max(steps.values())
+    rounded = RoundedJoints.of(placed.station, placed.values)
+    if rounded is not None and rounded.explains():
         yield Note(
             Severity.DOUBT,
-            f"the positions of {len(steps)} joints are all multiples of {np.rad2deg(step):.3g} deg, "
-            f"as a pendant shows them: this alone moves targets by {expected * 1e3:.2g} mm, and "
-            f"the rows are off by {found * 1e3:.2g} mm; record the joints with all digits",
+            f"{rounded.words}, and the rows are off by {rounded.off * 1e3:.2g} mm; record the "
+            "joints with all digits",
         )
 
 

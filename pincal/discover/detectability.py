@@ -55,7 +55,7 @@ class DetectabilityTable:
 
 
 def detectable_effects(fit: ModelFit) -> DetectabilityTable:
-    """Return the effects that could be found beyond the elastic model, of a fit of base and tool."""
+    """Return the effects that can be found beyond the elastic model, of a fit of base and tool."""
     base = refit(fit, ELASTIC)
     can_estimate = base.solution.degrees >= SIGHT.fewest
     usual = (

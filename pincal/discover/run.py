@@ -27,10 +27,10 @@ from msgspec.structs import replace as changed
 
 from pincal.calibration.benefit import without_harm
 from pincal.calibration.calibration import Calibration, FittedTables, fit_admitted
-from pincal.calibration.discrepancy import discrepancy_in
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import LeftOut, Validated, by_stops, leave_out_stations
 from pincal.calibration.result import result_of
+from pincal.calibration.stated import stated
 from pincal.calibration.validation import Validation
 from pincal.calibration.visit_findings import is_shifted
 from pincal.discover.candidate_tests import sampled
@@ -316,8 +316,7 @@ class _Ended:
         # The search decides whether the model is inadequate; whether it is adequate, the rule
         # common to all commands.
         verdict = result.verdict_of(incomplete=findings.verdict is Verdict.NOT_ADEQUATE)
-        discrepancy = discrepancy_in(self.fit, verdict)
-        known = replace(FittedRobot.of(self.fit), discrepancy=discrepancy)
+        known, result = stated(self.fit, result, verdict)
         final = Calibration(first.robot, first.stations, known, result, notes, self.validated)
         findings = changed(findings, verdict=verdict, warnings=result.warnings)
         return Discovery(final, self.trail, findings, self.gaps, self.traces)

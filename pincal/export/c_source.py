@@ -119,10 +119,12 @@ def _functions(formulas: Formulas, name: str) -> tuple[str, str]:
 
 
 _EVALUATE = """/*
- * The pose, and unless columns is null how each joint moves and turns the target, row by row, six rows.
+ * The pose, and unless columns is null how each joint moves and turns the target, row by row, six \
+rows.
  * Static moments that are taken on the bent arm start from moments, and are left there.
  */
-static void evaluate(const {name}_state *state, double moments[MOMENTS], double pose[12], double columns[6 * N])
+static void evaluate(const {name}_state *state, double moments[MOMENTS], double pose[12], \
+double columns[6 * N])
 {{{taken}"""
 
 _TAKEN = """

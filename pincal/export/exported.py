@@ -212,6 +212,7 @@ def header(formulas: Formulas, *, frame: str) -> list[str]:
     return [
         f"{as_comment(found.model.chain.robot.name)}: the calibrated robot, written by "
         f"pincal {version('pincal')}.",
+        *(f"{line}." for line in machine_lines(found)),
         "",
         f"Poses of the target in the {frame} frame, with every effect of the model:",
         f"{effects}.",
@@ -219,6 +220,14 @@ def header(formulas: Formulas, *, frame: str) -> list[str]:
         "Not included:",
         *(f"- {note}" for note in NOTES),
     ]
+
+
+def machine_lines(calibrated: FittedRobot) -> tuple[str, ...]:
+    """Return a line for a comment on which robot it is, if that was stated: the numbers of
+    another one of the same type look the same.
+    """
+    machine = calibrated.identity.machine
+    return (as_comment(f"for {machine}"),) if machine else ()
 
 
 def identifier(name: str) -> str:

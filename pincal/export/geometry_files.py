@@ -29,7 +29,7 @@ import numpy as np
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
 from pincal.export.export_numbers import EXPORT
-from pincal.export.exported import FORMATS, Exported, Format, as_comment
+from pincal.export.exported import FORMATS, Exported, Format, as_comment, machine_lines
 from pincal.io.urdf_export import calibrated_urdf, rigid_notes, rigid_tips
 from pincal.io.urdf_text import read_origins, rpy_of
 from pincal.measure.orientation import CONVENTIONS
@@ -82,7 +82,8 @@ class DhTable(Format):
             flat = _tips("standard", rows * [1.0, 1.0, 1.0, 1.0, 0.0], frames, q=q, slides=slides)
             off = float(np.linalg.norm(flat - true, axis=1).max())
             notes += (_parallel_words(robot.joint_names, rows, off),)
-        text = [f"# {note}" for note in notes] + [",".join(_HEAD)]
+        text = [f"# {line}" for line in (*machine_lines(calibrated), *notes)]
+        text.append(",".join(_HEAD))
         for name, table in tables.items():
             text += _lines(name, table, frames, names=robot.joint_names, types=robot.joint_types)
         return Exported({"": ("\n".join(text) + "\n").encode()}, notes, worst)
@@ -148,8 +149,9 @@ def _tips(
     for at in q:
         T = frames.T_base_first
         for (theta, d, a, alpha, beta), position, is_sliding in zip(rows, at, slides, strict=True):
-            turned, moved = (theta, d + position) if is_sliding else (theta + position, d)
-            joint = rotation("z", turned) @ translation(0.0, 0.0, moved)
+            turn = theta if is_sliding else theta + position
+            shift = d + position if is_sliding else d
+            joint = rotation("z", turn) @ translation(0.0, 0.0, shift)
             link = translation(a, 0.0, 0.0) @ rotation("x", alpha) @ rotation("y", beta)
             T = T @ (joint @ link if name == "standard" else link @ joint)
         out.append((T @ frames.T_last_tip)[:3, 3])
@@ -221,7 +223,8 @@ class ControllerFrames(Format):
             np.linalg.norm(T[:3, 3] - np.array(cells[name][:3], float) / per_metre)
             for name, T in frames.items()
         ]
-        text = "\n".join([*(f"# {note}" for note in notes), head, *body]) + "\n"
+        above = [f"# {line}" for line in (*machine_lines(calibrated), *notes)]
+        text = "\n".join([*above, head, *body]) + "\n"
         return Exported({"": text.encode()}, notes, float(max(lost)))
 
 
@@ -297,7 +300,8 @@ class UrKinematics(Format):
         digest = int.from_bytes(hashlib.sha256("\n".join(lines).encode()).digest()[:8]) >> 1
         lines.append(f"  hash: calib_{digest}")
         notes = (*rigid_notes(model, what="yaml of ur_description"), *_tip_note(calibrated))
-        text = "\n".join([*(f"# {as_comment(note)}" for note in notes), *lines]) + "\n"
+        above = [*machine_lines(calibrated), *map(as_comment, notes)]
+        text = "\n".join([*(f"# {line}" for line in above), *lines]) + "\n"
         return Exported({"": text.encode()}, notes, found.max_error_m)
 
 
@@ -352,7 +356,9 @@ class CalibratedUrdf(Format):
             raise BadInputError(
                 "the model holds no URDF to correct; calibrate again from a URDF file"
             )
-        found = calibrated_urdf(calibrated.model, calibrated.values)
+        found = calibrated_urdf(
+            calibrated.model, calibrated.values, comment=calibrated.identity.machine
+        )
         return Exported({"": found.text}, found.notes, found.max_error_m)
 
 

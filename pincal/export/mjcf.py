@@ -18,7 +18,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.export.exported import FORMATS, Exported, Format
+from pincal.export.exported import FORMATS, Exported, Format, machine_lines
 from pincal.io.urdf_export import rigid_joints, rigid_notes, rigid_tips
 from pincal.model.augmented import closure_frames, joint_mounts, link_placements
 from pincal.model.conditions import Conditions
@@ -104,7 +104,8 @@ class MujocoModel(Format):
             _add(equality, tag, **attributes)
         ET.indent(root)
         notes = _notes(calibrated, springs)
-        comment = "\n".join("  " + re.sub("-(?=-)", "- ", note) for note in notes)
+        above = (*machine_lines(calibrated), *notes)
+        comment = "\n".join("  " + re.sub("-(?=-)", "- ", line) for line in above)
         text = f"<!--\n{comment}\n-->\n{ET.tostring(root, encoding='unicode')}\n"
         return Exported({"": text.encode()}, notes, _error(model, values, text))
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from operator import is_
 from typing import Any, ClassVar
 
 import numpy as np
@@ -167,7 +169,7 @@ def refuse_wrong(calibrated: FittedRobot, *, text: str) -> float:
     if worst <= EXPORT.formulas:
         return worst
     for effect in calibrated.model.effects:
-        alone = calibrated.with_effects(lambda other, kept=effect: other is kept)  # type: ignore[misc]
+        alone = calibrated.with_effects(partial(is_, effect))
         error = _error(alone, numpy_source(formulas_of(alone), frame="instrument"))
         if not error <= EXPORT.formulas:
             raise BadInputError(

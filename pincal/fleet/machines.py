@@ -4,9 +4,12 @@ and times; their file.
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import io
+import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -23,6 +26,8 @@ from pincal.thresholds import Count
 
 SCHEMA_VERSION: Count = 1
 """Version of the rows in which machines are stored."""
+# The column of a site's file with the checksum of all its rows.
+_CHECKSUM = "checksum"
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,7 +242,9 @@ def save_machines(
         OutputError: if the place can't be written to.
     """
     sent = [machine if names else replace(machine, name="", labels={}) for machine in machines]
-    write_atomic(path, parquet_bytes(machines_frame(sent)))
+    frame = machines_frame(sent)
+    frame = frame.with_columns(pl.lit(_checksum_of(frame)).alias(_CHECKSUM))
+    write_atomic(path, parquet_bytes(frame))
 
 
 def load_machines(
@@ -257,13 +264,57 @@ def load_machines(
             found.append(Machine(Path(path).stem, load_information(path)))
             continue
         try:
-            frame = pl.read_parquet(Path(path), glob=False)
+            with silent_decoder():
+                frame = pl.read_parquet(Path(path), glob=False)
         except (OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
             raise ModelFileError(
                 f"{os.fspath(path)}: can't be read ({error}); expected information on machines"
             ) from None
-        found += machines_of(frame, os.fspath(path))
+        machines = machines_of(frame, os.fspath(path))
+        _check_sum(frame, os.fspath(path))
+        found += machines
     return found
+
+
+def _check_sum(frame: pl.DataFrame, source: str) -> None:
+    """Refuse a site's file whose rows are others than were written; earlier files have no checksum.
+
+    Raises:
+        ModelFileError: if they are.
+    """
+    if _CHECKSUM not in frame.columns:
+        return
+    if frame[_CHECKSUM].to_list() != [_checksum_of(frame.drop(_CHECKSUM))] * len(frame):
+        raise ModelFileError(
+            f"{source}: damaged (its rows have another checksum than when they were written); "
+            "have the site send it again"
+        )
+
+
+def _checksum_of(frame: pl.DataFrame) -> str:
+    """Return the checksum of all rows of a table, whatever the file's compression."""
+    content = json.dumps([frame.columns, frame.rows()], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+@contextlib.contextmanager
+def silent_decoder() -> Iterator[None]:
+    """Send to nowhere what the decoder itself writes on stderr, a backtrace of many lines for a
+    damaged file; the error that it raises says what is wrong.
+    """
+    try:
+        kept = os.dup(2)
+    except OSError:
+        # Nobody listens.
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def parquet_bytes(frame: pl.DataFrame) -> bytes:

@@ -26,7 +26,13 @@ import polars as pl
 
 from pincal.atomic import ELSEWHERE, write_atomic
 from pincal.errors import BadInputError, OutputError, needed
-from pincal.fleet.machines import SCHEMA_VERSION, Machine, machines_of, parquet_bytes
+from pincal.fleet.machines import (
+    SCHEMA_VERSION,
+    Machine,
+    machines_of,
+    parquet_bytes,
+    silent_decoder,
+)
 from pincal.fleet.stored_rows import (
     CALIBRATION,
     ROLES,
@@ -262,7 +268,7 @@ class Store:
         contents = [self._content(key) for key in keys]
         is_known = all(key.checksum for key in keys)
         try:
-            with contextlib.nullcontext() if is_known else _silent_decoder():
+            with contextlib.nullcontext() if is_known else silent_decoder():
                 return pl.read_parquet(contents)
         except pl.exceptions.PanicException:
             raise self._damaged(keys[0], "it can't be decoded") from None
@@ -588,23 +594,3 @@ def iso_day(day: str) -> str:
 def _checksum(content: bytes) -> str:
     """Return the checksum of a file's bytes, or of rows as bytes."""
     return hashlib.sha256(content).hexdigest()[:_DIGITS]
-
-
-@contextlib.contextmanager
-def _silent_decoder() -> Iterator[None]:
-    """Send to nowhere what the decoder itself writes on stderr, a backtrace of many lines for a
-    damaged file; the error that it raises says what is wrong.
-    """
-    try:
-        kept = os.dup(2)
-    except OSError:
-        # Nobody listens.
-        yield
-        return
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)

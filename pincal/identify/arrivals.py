@@ -18,6 +18,7 @@ drives that do not repeat could cause them: no more, or what a search is for wou
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -32,9 +33,12 @@ from pincal.identify.beliefs import declared_noise
 from pincal.identify.drive_levers import drive_levers
 from pincal.identify.fit import ModelFit
 from pincal.identify.noise import Noise
+from pincal.identify.rounded_joints import found_rounded
 from pincal.identify.station import Station
 from pincal.identify.whitening import StopNoise
 from pincal.measure.poses import SCATTER, same_joints
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -61,18 +65,19 @@ def shares_stops(station: Station) -> bool:
 
 def with_arrivals(fit: ModelFit) -> ModelFit:
     """Return a fit, not refitted, whose rows of one stop share noise of the drives, as far as its
-    residuals show it.
+    residuals show it, or as joints are written in coarse steps.
     """
     shared = [
         shares_stops(station) and station.sensor.reads_place for station in fit.problem.stations
     ]
-    if not any(shared):
-        return fit
-    noise = arrival_noise(fit, shared)
+    noise = arrival_noise(fit, shared) if any(shared) else None
     stations = []
     for is_shared, (station, _, blocks), alone in zip(shared, fit.stations, fit.alone, strict=True):
         arrival = None
-        if is_shared and noise is not None:
+        if not is_shared:
+            # What the steps explain was settled when it was found; a search goes on with it.
+            arrival = station.arrival or _rounded_noise(alone)
+        elif noise is not None:
             arrival = _shared_noise(alone, noise.drives, noise.readings[blocks])
         stations.append(replace(station, arrival=arrival))
     if all(a.arrival is b.arrival for a, b in zip(stations, fit.problem.stations, strict=True)):
@@ -80,6 +85,17 @@ def with_arrivals(fit: ModelFit) -> ModelFit:
     return replace(
         fit.over(stations), noise=_declared_with(stations, declared_noise(fit.problem, fit.options))
     )
+
+
+def _rounded_noise(alone: ModelFit) -> StopNoise | None:
+    """Return the noise of rounded joints on the rows of the only station, each in a stop of its
+    own; None where joints are not rounded, or rows do not show it.
+    """
+    rounded = found_rounded(alone)
+    if rounded is None:
+        return None
+    log.info("%s; this counts as noise of the rows", rounded.words)
+    return _shared_noise(alone, rounded.drives, np.array(alone.noise.declared, float))
 
 
 def _declared_with(stations: Sequence[Station], declared: Noise) -> Noise:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.identify.station import Station
-from pincal.model.motions import Motions
+from pincal.model.motions import with_moving_drives
 from pincal.thresholds import Scale
 
 # Differences [rad or m] for numerical derivatives.
@@ -74,11 +74,9 @@ def displacements_by_drives(station: Station, values: np.ndarray) -> np.ndarray:
 
     The load on the arm is taken as it is.
     """
-    model = station.model
-    drives = Motions(tuple(map(int, model.chain.drives)))
-    moving = station.with_model(model.with_effects((*model.effects, drives)))
+    moving = station.with_model(with_moving_drives(station.model))
     of_model, own = station.split(values)
-    still = np.zeros(len(drives.coordinates))
+    still = np.zeros(moving.model.n_parameters - len(of_model))
     free = np.zeros(len(moving.parameters), bool)
     free[len(of_model) : len(of_model) + len(still)] = True
     return moving.displacements_by(np.concatenate([of_model, still, own]), free)

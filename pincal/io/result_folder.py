@@ -20,7 +20,8 @@ from pincal.atomic import drafted, exchanged, one_at_a_time
 from pincal.errors import OutputError
 
 MODEL = "model.json"
-# Files that a run may write in addition to its model; those of an earlier run are removed.
+# Files that a run may write in addition to its model, and certificates of it; those of an earlier
+# run are removed.
 RESULTS = (
     "result.json",
     "discovery.json",
@@ -29,6 +30,8 @@ RESULTS = (
     "residuals.csv",
     "report.html",
     "view3d.html",
+    "certificate.html",
+    "dcc.xml",
 )
 
 

@@ -164,8 +164,8 @@ def built(
         ...     x: float
         >>> built(b'{"x": "a"}', Point, MODEL_FILE, file="f.json")
         Traceback (most recent call last):
-        pincal.errors.ModelFileError: f.json: x: is 'a'; expected a number; take the file from a backup or run pincal \
-calibrate again
+        pincal.errors.ModelFileError: f.json: x: is 'a'; expected a number; take the file from a \
+backup or run pincal calibrate again
     """
     try:
         if _SURROGATES.search(content):

@@ -12,7 +12,14 @@ import numpy as np
 from pincal.errors import PincalWarning, RobotFileError
 from pincal.io.file_numbers import IN_FILES
 from pincal.io.urdf_readers import read_back
-from pincal.io.urdf_text import Origin, append_frame, read_origins, rpy_of, write_origins
+from pincal.io.urdf_text import (
+    Origin,
+    append_frame,
+    read_origins,
+    rpy_of,
+    with_comment,
+    write_origins,
+)
 from pincal.model.augmented import closure_frames, link_placements
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
@@ -53,7 +60,9 @@ class UrdfExport:
     links_error_m: float
 
 
-def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = None) -> UrdfExport:
+def calibrated_urdf(
+    model: Model, values: np.ndarray, *, urdf: bytes | None = None, comment: str = ""
+) -> UrdfExport:
     r"""Write the calibrated geometry into the URDF of the robot.
 
     A joint's origin becomes :math:`(\prod T_{fixed})^{-1} T_{i-1,i}` with fixed joints between two
@@ -64,9 +73,11 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
         model: the calibrated model.
         values: shape (P,) or longer, its parameters; further ones (a sensor's own) are not used.
         urdf: the URDF to edit; default: the one of ``model.chain.robot``.
+        comment: a line at the top of the file; default: none.
 
     Returns:
-        The URDF, identical to the original except for the numbers of changed origins.
+        The URDF, identical to the original except for the numbers of changed origins, and the
+        comment.
 
     Raises:
         RobotFileError: if there is no URDF, it is of another robot, its tip differs from the
@@ -106,6 +117,7 @@ def calibrated_urdf(model: Model, values: np.ndarray, *, urdf: bytes | None = No
     changed = tuple(name for name in old if not np.array_equal(new[name].matrix, old[name].matrix))
     lost = (*held, *ends, tip) if open_pins else held
     error = _check(edited, tip, model, values, lost=lost)
+    edited = with_comment(edited, comment)
     readers = read_back(robot, edited, text)
     notes += (readers.note,) if readers.note else ()
     return UrdfExport(edited, tip, changed, notes, error, readers.error_m)

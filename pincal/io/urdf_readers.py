@@ -46,8 +46,8 @@ class LinksReadTwice:
         """What is to be told of a URDF that was written nevertheless; "" if they agree."""
         if not self.is_installed:
             return (
-                "yourdfpy is not installed (pip install yourdfpy): the calibrated URDF was read back "
-                "by Pinocchio alone"
+                "yourdfpy is not installed (pip install yourdfpy): the calibrated URDF was read "
+                "back by Pinocchio alone"
             )
         return "" if self.agree else f"{self}, in the URDF that it was made from, too"
 

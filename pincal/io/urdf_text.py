@@ -25,6 +25,8 @@ _ORIGINS = {"joint": ("origin",), "constraint": ("parent_origin", "child_origin"
 _TAG = re.compile(rb"<[^\s/>]+(?:[^>\"']|\"[^\"]*\"|'[^']*')*>")
 _ATTRIBUTE = re.compile(rb"([^\s=<>/\"']+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 _BLANKS = re.compile(rb"\s*")
+# What precedes the root: a mark of the byte order, and the declaration of the encoding.
+_DECLARATION = re.compile(rb"(?:\xef\xbb\xbf)?(?:<\?xml[^>]*\?>[ \t]*\r?\n?)?")
 
 
 @dataclass(frozen=True)
@@ -234,3 +236,17 @@ def _inserted(
     assert blanks is not None
     words = "".join(f' {key}="{_words(values)}"' for key, values in changes.items())
     return start, start, blanks.group() + f"<{tag}{words}/>".encode()
+
+
+def with_comment(text: bytes, comment: str) -> bytes:
+    """Return the text of a URDF with a comment of a line at its top, behind the declaration that
+    has to be first; without a comment the text itself.
+
+    Characters beyond ASCII are escaped, since the encoding is only known to extend it.
+    """
+    if not comment:
+        return text
+    words = re.sub("-(?=-|$)", "- ", comment).encode("ascii", "xmlcharrefreplace")
+    found = _DECLARATION.match(text)
+    start = found.end() if found else 0
+    return b"%b<!-- %b -->\n%b" % (text[:start], words, text[start:])

@@ -38,7 +38,8 @@ class ColumnNumbers:
         "rad",
         _DEGREES,
         "beyond which a revolute joint is not in radians",
-        "two revolutions: more than cables allow, and less than a motion of some degrees read as radians",
+        "two revolutions: more than cables allow, and less than a motion of some degrees read as "
+        "radians",
     )
     beyond: float = number(
         0.05,

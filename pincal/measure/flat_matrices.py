@@ -1,5 +1,5 @@
-"""Poses as the numbers of their 4 x 4 matrices: in which order these stand is decided by the numbers
-themselves.
+"""Poses as the numbers of their 4 x 4 matrices: in which order these stand is decided by the
+numbers themselves.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Samples of hand-eye calibrations (OpenCV, MoveIt, easy_handeye): the pose of an object in a camera
-for each pose of the robot.
+"""Samples of hand-eye calibrations (OpenCV, MoveIt, easy_handeye): the pose of an object in a
+camera for each pose of the robot.
 
 With a fixed camera the object is on the hand, and its pose is that of a tool. With the camera on
 the hand the object is fixed, and the inverse is the pose of the camera in the object's frame. The
@@ -25,9 +25,11 @@ _HAND = r"(gripper|ee|eef|end|end_?effector|effector|flange|tool0?|tcp|hand|tip|
 _BASE = r"(base|robot|world|arm)(_?link)?"
 _MARK = r"(target|object|obj|marker|board|tag|aruco|charuco|pattern|tracking|optical)"
 _CAMERA = r"(cam|camera|sensor|eye)(_?(optical_?)?(link|frame))?"
-# How names say that one frame is in another: gripper2base, object_wrt_sensor, base_T_ee, cam_marker.
+# How names say that one frame is in another: gripper2base, object_wrt_sensor, base_T_ee,
+# cam_marker.
 _IN = r"(_?(2|to|in|wrt|T)_?|_)"
-# Names of the poses of the hand and of the object, without what precedes them in ``R_gripper2base``.
+# Names of the poses of the hand and of the object, without what precedes them in
+# ``R_gripper2base``.
 _OF_ROBOT = re.compile(rf"robot|{_HAND}{_IN}{_BASE}|{_BASE}{_IN}{_HAND}", re.I)
 _OF_OBJECT = re.compile(rf"tracking|optical|{_MARK}{_IN}{_CAMERA}|{_CAMERA}{_IN}{_MARK}", re.I)
 _PART = re.compile(r"(R|t|T|H|P|rot|trans|rvecs?|tvecs?|quat|pose)_(.+)")
@@ -109,8 +111,9 @@ def _matrices(columns: Mapping[str, np.ndarray], group: str, *, source: str) -> 
                 labels, parts, _ = vector_labels(inner, values)
                 found |= dict(zip(labels, parts, strict=True))
             else:
-                *_, above, leaf = ("", *inner.split("."))
-                found["q" * above.startswith(("rot", "ori")) + leaf] = values
+                above, _, leaf = inner.rpartition(".")
+                is_turn = above.rpartition(".")[2].startswith(("rot", "ori"))
+                found["q" * is_turn + leaf] = values
     try:
         place = np.column_stack([np.asarray(found[n], float) for n in ("x", "y", "z")])
         rotations = _rotations(found)

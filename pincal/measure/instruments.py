@@ -103,7 +103,7 @@ class InstrumentNoise:
         sheet = INSTRUMENTS.get(text.strip().lower())
         parts = (text if sheet is None else sheet.mpe).split(",")
         try:
-            along, across = [_terms(part) for part in (parts if len(parts) == 2 else parts * 2)]
+            along, across = [mpe_terms(part) for part in (parts if len(parts) == 2 else parts * 2)]
         except ValueError:
             known = ", ".join(INSTRUMENTS)
             raise BadInputError(
@@ -166,9 +166,12 @@ def seen_by(table: Measurements) -> np.ndarray:
     return table.position
 
 
-def _terms(text: str) -> tuple[float, float]:
-    """Return the constant [m] and the factor of the range [m/m]; raise ValueError for
-    other text.
+def mpe_terms(text: str) -> tuple[float, float]:
+    """Return the constant [m] and the factor of the range [m/m] of a maximum permissible error,
+    such as ``10um+0.3um/m``.
+
+    Raises:
+        ValueError: for any other text.
     """
     constant = per_metre = 0.0
     for term in text.split("+"):

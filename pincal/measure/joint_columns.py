@@ -190,26 +190,24 @@ class JointColumns:
             )
 
 
-def steps_of(table: Measurements) -> dict[str, float]:
-    """Return the step in which each joint that looks rounded is written [rad], by name.
+def steps_of(q: np.ndarray) -> np.ndarray:
+    """Return the step in which each joint that looks rounded is written, shape (n,) [rad], 0 for
+    the others, from positions of shape (N, n).
 
     Its positions are all multiples of the step and hardly ever the same: those of a grid, which are
     as round, recur.
 
     Example:
-        >>> from pincal.measure.measurements import measurements
         >>> q = np.random.default_rng(0).uniform(-90, 90, (20, 2))
         >>> q = np.deg2rad(np.column_stack([q[:, 0].round(1), q[:, 1]]))
-        >>> found = steps_of(measurements(["a", "b"], q, distance=np.ones(20)))
-        >>> {name: round(float(np.rad2deg(step)), 3) for name, step in found.items()}
-        {'a': 0.1}
+        >>> np.rad2deg(steps_of(q)).round(3).tolist()
+        [0.1, 0.0]
     """
-    found = {}
-    for name, q in zip(table.joint_names, table.q.T, strict=True):
-        step = next((step for step in _STEPS if _is_in_steps(q, step)), None)
-        values = len(np.unique(np.round(q, _DIGITS)))
-        if step is not None and values > JOINT_COLUMNS.various * len(q):
-            found[name] = float(step)
+    found = np.zeros(q.shape[1])
+    for k, positions in enumerate(q.T):
+        step = next((step for step in _STEPS if _is_in_steps(positions, step)), 0.0)
+        values = len(np.unique(np.round(positions, _DIGITS)))
+        found[k] = step if values > JOINT_COLUMNS.various * len(positions) else 0.0
     return found
 
 

@@ -61,7 +61,7 @@ def _numbers(cells: Sequence[str | None], rows: np.ndarray, where: str) -> np.nd
     for row, numbers in zip(rows, found, strict=True):
         if numbers and len(numbers) != count:
             raise MeasurementError(
-                f"{where}, line {row}: a list of {len(numbers)} numbers; expected {count} as in the "
-                "first one"
+                f"{where}, line {row}: a list of {len(numbers)} numbers; expected {count} as in "
+                "the first one"
             )
     return np.array([numbers or [np.nan] * count for numbers in found])

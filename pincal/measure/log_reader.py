@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 from pincal.measure.measurements import Measurements
@@ -16,8 +17,10 @@ from pincal.satellites import Place
 class LogReader(Protocol):
     """Reads logs of one kind."""
 
-    def is_log(self, path: str | os.PathLike[str]) -> bool:
-        """Return whether a file or folder is a log of this kind."""
+    def joints_of(self, path: str | os.PathLike[str]) -> Path | None:
+        """Return the file with the joints of a log of this kind, a file or a folder; None for other
+        paths.
+        """
         ...
 
     def read(self, robot: Robot, path: str | os.PathLike[str], name: str) -> Any:
@@ -42,4 +45,10 @@ _READERS: Place[LogReader] = Place("logs")
 
 def reader_of(path: str | os.PathLike[str]) -> LogReader | None:
     """Return the reader of a log; None for other files, which are tables."""
-    return next((reader for reader in _READERS.all() if reader.is_log(path)), None)
+    return next((reader for reader in _READERS.all() if reader.joints_of(path) is not None), None)
+
+
+def joints_of_log(path: str | os.PathLike[str]) -> Path | None:
+    """Return the file with the joints of a log; None for other files, which are tables."""
+    found = (reader.joints_of(path) for reader in _READERS.all())
+    return next((joints for joints in found if joints is not None), None)

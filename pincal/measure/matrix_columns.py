@@ -67,8 +67,8 @@ class _Family:
 def with_matrix(
     labels: list[Label], sheet: Sheet, quantities: Mapping[str, str], *, source: str
 ) -> list[Label]:
-    """Return the labels with the elements of a matrix named, if some are one: positions ``x y z`` and
-    :data:`pincal.measure.orientation.MATRIX`; warn of it.
+    """Return the labels with the elements of a matrix named, if some are one: positions ``x y z``
+    and :data:`pincal.measure.orientation.MATRIX`; warn of it.
 
     A position under its own name takes precedence over that of the matrix.
 

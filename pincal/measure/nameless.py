@@ -65,8 +65,8 @@ def has_numbers_for_names(labels: Sequence[str]) -> bool:
 def with_poses_in_rows(values: np.ndarray, joints: int) -> np.ndarray:
     """Return numbers without names with a row for each pose, which may be that of a column in them.
 
-    What the numbers show of either decides; where they show the same, that there are more poses than
-    numbers of each, and where they show nothing, far more.
+    What the numbers show of either decides; where they show the same, that there are more poses
+    than numbers of each, and where they show nothing, far more.
 
     Args:
         values: shape (N, k) or (k, N).
@@ -84,8 +84,8 @@ def with_poses_in_rows(values: np.ndarray, joints: int) -> np.ndarray:
 
 
 def _shown(values: np.ndarray, joints: int) -> int:
-    """Return how well numbers, shape (N, k), are joints and a reading: 2 if they show it, 1 if there
-    are as many, 0 otherwise.
+    """Return how well numbers, shape (N, k), are joints and a reading: 2 if they show it, 1 if
+    there are as many, 0 otherwise.
     """
     size = values.shape[1] - joints
     if size < 1 or not joints:

@@ -5,7 +5,8 @@ name       columns            unit     rotation
 =========  =================  =======  =============================================================
 ``kuka``   A B C              deg      R_z(A) R_y(B) R_x(C): about z, the new y, the new x [KUKA]_
 ``fanuc``  W P R              deg      R_z(R) R_y(P) R_x(W): about the fixed x, y and z [FANUC]_
-``rpy``    roll pitch yaw     rad      R_z(yaw) R_y(pitch) R_x(roll): about the fixed x, y and z [URDF]_
+``rpy``    roll pitch yaw     rad      R_z(yaw) R_y(pitch) R_x(roll): about the fixed x, y and z
+                                       [URDF]_
 ``ur``     rx ry rz           rad      by the length of the vector about its direction [UR]_
 ``abb``    q1 q2 q3 q4        1        quaternion w x y z [ABB]_; so is ``wxyz``
 ``xyzw``   qx qy qz qw        1        quaternion x y z w [ROS]_
@@ -173,16 +174,16 @@ _BY_NUMBER = ("q1", "q2", "q3", "q4")
 
 
 def _of_matrices(values: np.ndarray, where: str) -> np.ndarray:
-    """Return quaternions x y z w, shape (N, 4), of the elements of rotation matrices, (N, 9); refuse
-    others.
+    """Return quaternions x y z w, shape (N, 4), of the elements of rotation matrices, (N, 9);
+    refuse others.
     """
     found = quaternions_of(values.reshape(-1, 3, 3))
     wrong = np.flatnonzero(np.isnan(found).any(axis=1))
     if len(wrong):
         raise MeasurementError(
-            f"{where}: the matrices of {len(wrong)} of {len(found)} rows are no rotations, first in "
-            f"row {wrong[0] + 1} of the table; expected orthonormal columns: correct or delete the "
-            "rows, or leave the matrix out"
+            f"{where}: the matrices of {len(wrong)} of {len(found)} rows are no rotations, first "
+            f"in row {wrong[0] + 1} of the table; expected orthonormal columns: correct or delete "
+            "the rows, or leave the matrix out"
         )
     return found
 

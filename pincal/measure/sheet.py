@@ -67,7 +67,8 @@ class Sheet(ABC):
         labels: of the header, one entry per column.
         decimal_comma: whether numbers may have a comma instead of a point.
         takes_unknown: whether unneeded columns are normal, such as the joints of a gripper.
-        separator: between the cells of a line: comma, semicolon or tab; empty where a file has none.
+        separator: between the cells of a line: comma, semicolon or tab; empty where a file has
+        none.
     """
 
     path: Path

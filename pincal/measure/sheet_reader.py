@@ -1,4 +1,4 @@
-"""Files that are no plain tables, such as recordings: satellites hand in what reads them as sheets."""
+"""Files that are no plain tables, such as recordings: satellites hand in readers of sheets."""
 
 from __future__ import annotations
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pincal.model.chain import Chain
 from pincal.model.model import Model
+from pincal.recorded import RECORDABLE
 from pincal.robot.closure import Closure
 from pincal.robot.se3 import rotation, translation
 
@@ -27,9 +28,13 @@ def augmented_model(
 
     It has the chain's gravity, operational frames "start" and "tip" at the ends of the path, and a
     payload [kg] with its centre of mass, shape (3,), in the tip frame [m].
+
+    Raises:
+        BadInputError: if the payload is none that a robot can carry.
     """
     import pinocchio as pin
 
+    RECORDABLE["payload"].checked(payload)
     model = pin.Model()
     model.name = f"{chain.robot.name}_augmented"
     model.gravity = pin.Motion(np.asarray(chain.gravity), np.zeros(3))

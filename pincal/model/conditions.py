@@ -21,7 +21,7 @@ from pincal.model.latest import Latest
 from pincal.model.loops import borne_moments
 from pincal.model.symbols import are_symbols
 from pincal.recorded import RECORDABLE, RECORDED, Recorded
-from pincal.units import real_array
+from pincal.units import expected_number, is_possible, real_array
 
 TURN = 2.0 * np.pi
 # The variable of effects that depend on the static moment on a joint.
@@ -71,12 +71,23 @@ class Conditions(Recorded):
     ) -> Conditions:
         """Return the conditions of bare joint positions, shape (N, n), with one payload [kg] and
         the first target.
+
+        Raises:
+            BadInputError: if a joint position, the payload or its centre is not finite, or is
+                none of a robot.
         """
         q = np.atleast_2d(real_array(q, "joint positions"))
+        if not is_possible(q, "angle").all():
+            raise BadInputError(f"joint positions: expected {expected_number('angle')} each")
         n = len(q)
-        return cls(
-            q, np.zeros(n, int), np.full(n, float(payload)), np.array(list(payload_centre), float)
-        )
+        loads = RECORDABLE["payload"].checked(payload)
+        centre = real_array(list(payload_centre), "centre of mass of the payload")
+        if centre.shape != (3,) or not is_possible(centre, "length").all():
+            raise BadInputError(
+                f"centre of mass of the payload {centre.tolist()}; "
+                f"expected three numbers, each {expected_number('length')}"
+            )
+        return cls(q, np.zeros(n, int), np.full(n, loads), centre)
 
     @classmethod
     def of_everything(cls, n_joints: int) -> Conditions:

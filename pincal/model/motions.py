@@ -12,6 +12,7 @@ import numpy as np
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Locus, Term
+from pincal.model.model import Model
 from pincal.parameters import Parameter
 
 
@@ -33,3 +34,9 @@ class Motions(Effect):
     ) -> tuple[Term, ...]:
         """Add constants."""
         return tuple(Term(p, k) for p, k in enumerate(self.coordinates))
+
+
+def with_moving_drives(model: Model) -> Model:
+    """Return a model with the positions of its drives as further parameters, the last n."""
+    drives = Motions(tuple(map(int, model.chain.drives)))
+    return model.with_effects((*model.effects, drives))

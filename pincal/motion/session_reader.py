@@ -5,19 +5,21 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from pincal.measure.measurements import Measurements
 from pincal.motion.sessions import Session, joints_of_session, read_session
-from pincal.motion.stations import session_tables
 from pincal.robot.robot import Robot
 
 
 class SessionReader:
     """Reads sessions: a :class:`~pincal.measure.log_reader.LogReader`."""
 
-    def is_log(self, path: str | os.PathLike[str]) -> bool:
-        """Return whether a path is a session: a folder, or a recording of ROS, with joints."""
-        return joints_of_session(path) is not None
+    def joints_of(self, path: str | os.PathLike[str]) -> Path | None:
+        """Return the log of the joints of a session, a folder or a recording of ROS with an IMU;
+        None for other paths.
+        """
+        return joints_of_session(path)
 
     def read(self, robot: Robot, path: str | os.PathLike[str], name: str) -> Session:
         """Return a session, by this name unless it is ""."""
@@ -26,6 +28,8 @@ class SessionReader:
 
     def tables(self, robot: Robot, logs: Sequence[Session]) -> Mapping[str, Measurements]:
         """Return the tables of the stations of sessions."""
+        from pincal.motion.stations import session_tables
+
         return session_tables(robot, logs)
 
 

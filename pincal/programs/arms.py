@@ -379,8 +379,8 @@ class PoseSearch:
         return self._sides[key]
 
     def _guess(self, i: int, near: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Return the joint positions found from others, their sides, and whether they reach the pose
-        in its posture.
+        """Return the joint positions found from others, their sides, and whether they reach the
+        pose in its posture.
         """
         if i not in self._guesses:
             rows = range(i, min(i + _PIECE, len(self.tips)))

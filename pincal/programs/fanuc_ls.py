@@ -5,7 +5,8 @@ configuration.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from pincal.programs.fanuc_lines import (
     SWITCHED,
     effect_in_listing,
     effect_of_options,
+    index_of,
     why_moved_by_options,
 )
 from pincal.programs.language import LANGUAGES, ControllerLanguage
@@ -81,7 +83,7 @@ _JUMPS = ("LBL", "JMP", "IF", "ELSE", "SELECT", "FOR", "CALL", "END", "SKIP")
 _PATHS: dict[str, Path] = {"J": "joint", "L": "line"}
 
 
-@dataclass(frozen=True)
+@dataclass
 class _Instruction:
     """An instruction with all of its continuation lines.
 
@@ -89,20 +91,32 @@ class _Instruction:
         number: its line in the file.
         kind: the kind of motion, "" for none.
         places: its positions.
-        text: what stands behind its first position, or all of an instruction without one.
+        texts: what stands behind its first position, or all of an instruction without one, line
+            by line.
         is_assignment: whether its position is assigned to.
     """
 
     number: int
     kind: str
-    places: tuple[Token, ...]
-    text: str
+    places: list[Token]
+    texts: list[str]
     is_assignment: bool = False
+
+    @cached_property
+    def text(self) -> str:
+        """The texts of all of its lines."""
+        return " ".join(text for text in self.texts if text)
 
     @property
     def is_half_an_arc(self) -> bool:
         """Whether the end of an arc stands on the next line."""
-        return self.kind == "C" and len(self.places) == 1 and not self.text
+        return self.kind == "C" and len(self.places) == 1 and not any(self.texts)
+
+    def take(self, more: _Instruction) -> None:
+        """Take a line that continues it."""
+        if self.kind == "C":
+            self.places += more.places
+        self.texts += more.texts
 
     @property
     def effect(self) -> Line:
@@ -240,22 +254,25 @@ def _instructions(lines: Sequence[Any]) -> list[_Instruction]:
         text = str(parts.get("REST", parts.get("OTHER", ""))).lstrip("] ")
         if line.data == "other" and text.startswith(("!", "//", "--")):
             continue
+        one = _instruction(line.data, parts, text)
         # A line whose number is left out continues the one before.
-        is_more = str(parts.get("LINE_NUMBER", "")) == ":" and len(found) > 0
-        place = parts.get("PLACE")
-        number = next(token for token in parts.values()).line or 0
-        text = (text.partition(" !")[0] if "(" not in text else text).rstrip("; ")
-        is_assignment = line.data == "more" and text.startswith("=")
-        places: tuple[Token, ...] = (place,) if place is not None else ()
-        is_arc = line.data == "more" and len(found) > 0 and found[-1].is_half_an_arc
-        if is_more or (is_arc and not is_assignment):
-            before = found.pop()
-            places = (*before.places, *places) if before.kind == "C" else before.places
-            found.append(replace(before, places=places, text=f"{before.text} {text}".strip()))
-            continue
-        kind = str(parts.get("KIND", ""))
-        found.append(_Instruction(number, kind, places, text, is_assignment))
+        is_more = str(parts.get("LINE_NUMBER", "")) == ":"
+        is_arc = line.data == "more" and not one.is_assignment
+        if found and (is_more or (is_arc and found[-1].is_half_an_arc)):
+            found[-1].take(one)
+        else:
+            found.append(one)
     return found
+
+
+def _instruction(data: str, parts: Mapping[str, Any], text: str) -> _Instruction:
+    """Return the instruction of one line."""
+    place = parts.get("PLACE")
+    number = next(token for token in parts.values()).line or 0
+    text = (text.partition(" !")[0] if "(" not in text else text).rstrip("; ")
+    is_assignment = data == "more" and text.startswith("=")
+    places = [place] if place is not None else []
+    return _Instruction(number, str(parts.get("KIND", "")), places, [text], is_assignment)
 
 
 def _place(text: str) -> str:
@@ -263,16 +280,16 @@ def _place(text: str) -> str:
     position, is P[*].
     """
     kind, _, index = text.partition("[")
-    first, _, more = index.removesuffix("]").partition(":")
-    number = (more if first.strip().startswith("GP") else first).partition(",")[0].strip()
+    number = index_of(index.removesuffix("]"))
     return f"{kind}[{number if number.isdigit() else '*'}]"
 
 
 def _places_in(text: str) -> Iterator[str]:
     """Yield the positions named in a text."""
-    for k, piece in enumerate(text.split("P[")[1:], 1):
-        if not text.split("P[")[k - 1][-1:].isalpha():
-            yield _place("P[" + piece.split("]")[0] + "]")
+    pieces = text.split("P[")
+    for k in range(1, len(pieces)):
+        if not pieces[k - 1][-1:].isalpha():
+            yield _place("P[" + pieces[k].split("]")[0] + "]")
 
 
 def _posture(configuration: Sequence[Token]) -> Posture:

@@ -8,8 +8,8 @@ corrected with a tool that may not be its own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from pincal.programs.syntax import Source, Statement
 from pincal.thresholds import Count
@@ -72,12 +72,30 @@ class InForce:
         return len(self.blocks)
 
 
-def followed(
-    files: Sequence[tuple[Source, Sequence[Statement], Sequence[Step]]],
-    *,
-    outside: frozenset[str] = frozenset(),
-) -> list[list[InForce]]:
-    """Return what is known before each statement of each file.
+@dataclass(frozen=True)
+class Code:
+    """One file whose control flow has been followed.
+
+    Attributes:
+        source: the file.
+        statements: its statements.
+        steps: the effect of each.
+        flow: what is known before each.
+    """
+
+    source: Source
+    statements: Sequence[Statement]
+    steps: Sequence[Step]
+    flow: Sequence[InForce] = ()
+
+    def routine(self, k: int) -> str:
+        """Return the name of the routine around a statement, "" outside any."""
+        opening = self.flow[k].routine
+        return self.steps[opening].routine if opening >= 0 else ""
+
+
+def followed(files: Sequence[Code], *, outside: frozenset[str] = frozenset()) -> list[Code]:
+    """Return files with what is known before each of their statements.
 
     Args:
         files: the files, their statements, and the effects of these.
@@ -86,78 +104,114 @@ def followed(
     Raises:
         ProgramError: if a block is not closed, or closed without being open.
     """
-    blocks = [_blocks(source, statements, steps) for source, statements, steps in files]
-    effects = _effects(
-        [(steps, around) for (_, _, steps), around in zip(files, blocks, strict=True)]
-    )
+    blocks = [_blocks(code) for code in files]
+    effects = _effects([(code.steps, around) for code, around in zip(files, blocks, strict=True)])
     at_any_time: dict[str, int | str] = {}
-    for _, statements, steps in files:
-        for statement, step in zip(statements, steps, strict=True):
+    for code in files:
+        for statement, step in zip(code.statements, code.steps, strict=True):
             for name in step.starts:
                 why = f"{name}, which line {statement.line} starts, may set it at any time"
                 if name not in effects:
                     why = f"line {statement.line} starts {name}, which {OUTSIDE}"
                 at_any_time |= dict.fromkeys(effects.get(name, outside), why)
-    return [
-        _followed(
-            statements, steps, around, effects=effects, outside=outside, at_any_time=at_any_time
-        )
-        for (_, statements, steps), around in zip(files, blocks, strict=True)
-    ]
+    found = []
+    for code, around in zip(files, blocks, strict=True):
+        walk = _Walk(code.statements, code.steps, around, effects, outside, at_any_time)
+        found.append(Code(code.source, code.statements, code.steps, walk.through()))
+    return found
 
 
-def _followed(
-    statements: Sequence[Statement],
-    steps: Sequence[Step],
-    blocks: Sequence[tuple[int, ...]],
-    *,
-    effects: Mapping[str, frozenset[str]],
-    outside: frozenset[str],
-    at_any_time: Mapping[str, int | str],
-) -> list[InForce]:
-    inside: dict[int, set[str]] = {i: set() for i, step in enumerate(steps) if step.opens}
-    for i, step in enumerate(steps):
-        changed = step.sets.union(step.clears, *(effects.get(name, outside) for name in step.calls))
-        for block in (
-            *(blocks[i][:-1] if step.closes else blocks[i]),
-            *([i] if step.opens else []),
-        ):
-            inside[block] |= changed
-    known: list[InForce] = []
-    state: dict[str, int | str] = {}
-    saved: list[dict[str, int | str]] = []
-    run = 0
-    for i, step in enumerate(steps):
-        line = statements[i].line
-        if step.routine:
-            saved.append(state)
-            state = {}
+@dataclass
+class _Walk:
+    """The way through the statements of a file in their order.
+
+    Attributes:
+        statements: the statements.
+        steps: their effects.
+        blocks: the indices of the statements that open the blocks around each.
+        effects: the variables that each routine may set.
+        outside: those that a routine in none of the files may set.
+        at_any_time: what interrupts and threads may set, with the reason.
+        state: what is known of the variables.
+        saved: what was known before each routine that is open.
+        run: number of the run.
+    """
+
+    statements: Sequence[Statement]
+    steps: Sequence[Step]
+    blocks: Sequence[tuple[int, ...]]
+    effects: Mapping[str, frozenset[str]]
+    outside: frozenset[str]
+    at_any_time: Mapping[str, int | str]
+    state: dict[str, int | str] = field(default_factory=dict)
+    saved: list[dict[str, int | str]] = field(default_factory=list)
+    run: int = 0
+
+    def through(self) -> list[InForce]:
+        """Return what is known before each statement."""
+        inside = self._set_inside()
+        known: list[InForce] = []
+        for i, step in enumerate(self.steps):
+            if step.routine:
+                self.saved.append(self.state)
+                self.state = {}
+            self._join(i, inside)
+            self.run += bool(step.opens or step.closes or step.is_jump)
+            routine = i if step.routine else _routine(self.steps, self.blocks[i])
+            setters = {**self.state, **self.at_any_time} if self.at_any_time else self.state
+            known.append(InForce(setters, self.blocks[i], self.run, routine))
+            self._execute(i)
+            if self._ends_routine(i):
+                self.state = self.saved.pop()
+        return known
+
+    def _set_inside(self) -> dict[int, set[str]]:
+        """Return what may be set within each block, by the statement that opens it."""
+        inside: dict[int, set[str]] = {i: set() for i, step in enumerate(self.steps) if step.opens}
+        for i, step in enumerate(self.steps):
+            called = [self.effects.get(name, self.outside) for name in step.calls]
+            changed = step.sets.union(step.clears, *called)
+            if not changed:
+                continue
+            around = self.blocks[i][:-1] if step.closes else self.blocks[i]
+            for block in (*around, *([i] if step.opens else [])):
+                inside[block] |= changed
+        return inside
+
+    def _ends_routine(self, i: int) -> bool:
+        return bool(self.steps[i].closes) and bool(self.steps[self.blocks[i][-1]].routine)
+
+    def _join(self, i: int, inside: Mapping[int, set[str]]) -> None:
+        """Forget what is not the same on all paths that lead to a statement."""
+        step = self.steps[i]
         # The end of a routine is not joined by other paths: what follows does not run behind it.
-        is_end = bool(step.closes) and bool(steps[blocks[i][-1]].routine)
-        if (step.closes and not is_end) or step.is_jump:
-            block = blocks[i][-1] if blocks[i] else i
-            where = (
-                f"it is set on some paths only through the block of line {statements[block].line}"
+        if (step.closes and not self._ends_routine(i)) or step.is_jump:
+            block = self.blocks[i][-1] if self.blocks[i] else i
+            line = self.statements[block].line
+            self._forget(
+                inside.get(block, set()),
+                f"it is set on some paths only through the block of line {line}",
             )
-            state = state | dict.fromkeys(inside.get(block, ()), where)
         if step.is_loop:
-            state = state | dict.fromkeys(inside[i], f"it is set within the loop of line {line}")
-        run += bool(step.opens or step.closes or step.is_jump)
-        routine = i if step.routine else _routine(steps, blocks[i])
-        known.append(InForce({**state, **at_any_time}, blocks[i], run, routine))
+            line = self.statements[i].line
+            self._forget(inside[i], f"it is set within the loop of line {line}")
+
+    def _execute(self, i: int) -> None:
+        """Note what a statement sets, itself or by what it calls."""
+        step = self.steps[i]
+        line = self.statements[i].line
         for name in step.calls:
             why = f"line {line} calls {name}, which "
-            why += "sets it" if name in effects else OUTSIDE
-            state = state | dict.fromkeys(effects.get(name, outside), why)
-        if step.sets or step.clears:
-            state = (
-                state
-                | dict.fromkeys(step.clears, f"line {line} may set it")
-                | dict.fromkeys(step.sets, i)
-            )
-        if step.closes and steps[blocks[i][-1]].routine:
-            state = saved.pop()
-    return known
+            why += "sets it" if name in self.effects else OUTSIDE
+            self._forget(self.effects.get(name, self.outside), why)
+        self._forget(step.clears, f"line {line} may set it")
+        if step.sets:
+            self.state = self.state | dict.fromkeys(step.sets, i)
+
+    def _forget(self, names: Collection[str], reason: str) -> None:
+        """Note that variables have no known value."""
+        if names:
+            self.state = self.state | dict.fromkeys(names, reason)
 
 
 def _routine(steps: Sequence[Step], blocks: tuple[int, ...]) -> int:
@@ -195,41 +249,44 @@ def _effects(
     return {name: frozenset(found) for name, found in own.items()}
 
 
-def _blocks(
-    source: Source, statements: Sequence[Statement], steps: Sequence[Step]
-) -> list[tuple[int, ...]]:
+def _blocks(code: Code) -> list[tuple[int, ...]]:
     """Return, for each statement, the indices of the statements that open the blocks around it."""
     found: list[tuple[int, ...]] = []
     blocks: tuple[int, ...] = ()
-    for i, step in enumerate(steps):
+    for i, step in enumerate(code.steps):
         found.append(blocks)
         if step.closes:
-            word = str(statements[i].items[0])
-            if not blocks:
-                opened = " or ".join(step.closes)
-                raise source.error(
-                    f"{word!r} has nothing to close; expected {opened} before it",
-                    statements[i].start,
-                )
-            block = blocks[-1]
-            if steps[block].opens not in step.closes:
-                raise source.error(
-                    f"{word!r} within {steps[block].opens} of line "
-                    f"{statements[block].line}; expected its end first",
-                    statements[i].start,
-                )
+            _check_closing(code, i, blocks)
             blocks = blocks[:-1]
         if step.opens:
             blocks = (*blocks, i)
             if len(blocks) > _DEEPEST:
-                raise source.error(
-                    f"a block within {_DEEPEST} others; expected fewer", statements[i].start
+                raise code.source.error(
+                    f"a block within {_DEEPEST} others; expected fewer", code.statements[i].start
                 )
     if blocks:
-        opens = steps[blocks[-1]].opens
-        line = statements[blocks[-1]].line
-        raise source.error(
+        opens = code.steps[blocks[-1]].opens
+        line = code.statements[blocks[-1]].line
+        raise code.source.error(
             f"the end of the file within {opens} of line {line}: is it truncated?",
-            len(source.content),
+            len(code.source.content),
         )
     return found
+
+
+def _check_closing(code: Code, i: int, blocks: tuple[int, ...]) -> None:
+    """Refuse a statement that closes none of its blocks, or not the innermost one."""
+    closes = code.steps[i].closes
+    start = code.statements[i].start
+    word = str(code.statements[i].items[0])
+    if not blocks:
+        opened = " or ".join(closes)
+        raise code.source.error(
+            f"{word!r} has nothing to close; expected {opened} before it", start
+        )
+    opens = code.steps[blocks[-1]].opens
+    if opens not in closes:
+        line = code.statements[blocks[-1]].line
+        raise code.source.error(
+            f"{word!r} within {opens} of line {line}; expected its end first", start
+        )

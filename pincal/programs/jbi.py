@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,17 @@ from pincal.programs.draft import Draft, joined
 from pincal.programs.jbi_lines import JOB_WORDS, SHIFT, effect_in_job, named_in, why_not_reached
 from pincal.programs.language import LANGUAGES, ControllerLanguage
 from pincal.programs.line_flow import Line, Listing, reasons_before, with_outside
-from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped, Turn
+from pincal.programs.program import (
+    Frame,
+    Motion,
+    Path,
+    Point,
+    Posture,
+    Program,
+    Skipped,
+    Turn,
+    counted_axes,
+)
 from pincal.programs.syntax import Number, Source, Statement, number_at
 
 _GRAMMAR = r"""
@@ -94,7 +104,7 @@ class Jbi(ControllerLanguage):
         if point.kind == "joints" and self.pulses is None:
             return "it is in pulses: give the pulses per degree (--pulses)"
         if point.kind == "joints" and len(self.pulses or ()) != len(point.numbers):
-            return f"{len(point.numbers)} axes, but --pulses has {len(self.pulses or ())}"
+            return f"{counted_axes(len(point.numbers))}, but --pulses has {len(self.pulses or ())}"
         return ""
 
     def read(self, sources: Sequence[Source]) -> Program:
@@ -123,65 +133,19 @@ class Jbi(ControllerLanguage):
 
     def _positions(self, draft: Draft, i: int, source: Source, parts: Sequence[Any]) -> None:
         """Note the positions, each with the tags before it."""
-        tags = {"TOOL": "", "USER": "", "POSTYPE": ""}
-        posture = Posture()
+        head = _Head()
         seen = 0
         for part in parts:
-            if part.data == "tag":
-                name, *rest = (str(child) for child in part.children)
-                tags[name.lstrip("/")] = rest[0].strip() if rest else ""
-            elif part.data == "configuration":
-                posture = _posture([number_at(token) for token in part.children[1:]])
-            elif part.data == "position":
+            head.take(part)
+            if part.data == "position":
                 seen += 1
-                place, *values = part.children
-                name = _name(str(place))
-                point = self._point(
-                    draft,
-                    i,
-                    name,
-                    place.line,
-                    [number_at(token) for token in values],
-                    tags,
-                    posture,
-                )
-                if point:
-                    draft.take(
-                        Skipped(name, i, place.line, point) if isinstance(point, str) else point
-                    )
-        counts = [text.strip() for text in tags.get("NPOS", str(seen)).split(",")]
+                _note_position(draft, i, part, head)
+        counts = [text.strip() for text in head.tags.get("NPOS", str(seen)).split(",")]
         expected = sum(int(text) for text in counts if text.isdigit())
         if seen != expected:
-            raise source.error(f"{seen} positions; expected the {expected} of ///NPOS", 0)
-
-    def _point(
-        self,
-        draft: Draft,
-        i: int,
-        name: str,
-        line: int,
-        values: Sequence[Number | None],
-        tags: dict[str, str],
-        posture: Posture,
-    ) -> Point | str:
-        """Return the point of a position, or why it can't be used; "" for one of an
-        external axis.
-        """
-        numbers = tuple(number for number in values if number is not None)
-        kind = tags["POSTYPE"]
-        if name.startswith(("BC", "EC", "BP", "EX")):
-            draft.at_rest[name] = all(number.value == 0.0 for number in numbers)
-            return ""
-        if kind == "PULSE":
-            return Point(name, i, line, "joints", numbers)
-        if kind not in ("BASE", "ROBOT", "USER") or len(numbers) not in (6, 7):
-            return f"positions of the type {kind} are not supported"
-        if len(numbers) == 7 and numbers[6].value:
-            return "its elbow angle is not 0"
-        base = Frame(tags["USER"] or "USER") if kind == "USER" else Frame(kind, np.eye(4))
-        return Point(
-            name, i, line, "pose", numbers[:6], posture, Frame(tags["TOOL"] or "TOOL"), base
-        )
+            raise source.error(
+                f"{seen} position{'' if seen == 1 else 's'}; expected the {expected} of ///NPOS", 0
+            )
 
     def _motions(
         self,
@@ -192,36 +156,98 @@ class Jbi(ControllerLanguage):
     ) -> None:
         """Note the motions."""
         run = 0
-        arc = list[str]()
+        # The targets of MOVC one after the other: the first is reached on a line, the third on a
+        # circle through the second.
+        arc = 0
+        via = ""
         for part, reasons in zip(_instructions(parts), displaced, strict=True):
             if part.data != "motion":
                 run += str(part.children[0]).upper().startswith(_JUMPS)
                 continue
             kind = str(part.children[0])
-            place = part.children[1]
-            name = _name(str(place))
-            span = place.start_pos, place.end_pos
-            target: str | Skipped = name
-            if kind == "IMOV":
-                draft.write(name, f"line {place.line} moves by it (IMOV)")
-                target = Skipped(name, i, place.line, "a relative motion")
-            elif "[" in name:
-                target = Skipped(name, i, place.line, "a computed position")
-            elif why := _why_left(draft, name, part, reasons):
-                draft.write(name, why)
-            arc = [*arc, name] if kind == "MOVC" else []
+            name = _name(str(part.children[1]))
+            target = _target(draft, i, part, reasons)
+            arc = arc + 1 if kind == "MOVC" else 0
+            if arc == 2:
+                via = name
+                continue
             path = _PATHS.get(kind, "joint")
             targets: tuple[str | Skipped, ...] = (target,)
-            if len(arc) == 1:
+            if arc == 1:
                 path = "line"
-            elif len(arc) == 2:
-                continue
-            elif len(arc) == 3:
+            elif arc == 3:
                 path = "circle"
-                targets = (arc[1], target)
+                targets = (via, target)
+            place = part.children[1]
+            span = place.start_pos, place.end_pos
             draft.motions.append(
                 Motion(path, targets, Statement((), *span, place.line), i, span=span, run=run)
             )
+
+
+def _target(draft: Draft, i: int, part: Any, reasons: Mapping[str, str]) -> str | Skipped:
+    """Return the target of a motion, and note why its position has to be left."""
+    kind = str(part.children[0])
+    line = part.children[1].line
+    name = _name(str(part.children[1]))
+    if kind == "IMOV":
+        draft.write(name, f"line {line} moves by it (IMOV)")
+        return Skipped(name, i, line, "a relative motion")
+    if "[" in name:
+        return Skipped(name, i, line, "a computed position")
+    why = _why_left(draft, name, part, reasons)
+    if why:
+        draft.write(name, why)
+    return name
+
+
+@dataclass
+class _Head:
+    """What the lines before a position say of it.
+
+    Attributes:
+        tags: by their names.
+        posture: the arm configuration.
+    """
+
+    tags: dict[str, str] = field(default_factory=lambda: {"TOOL": "", "USER": "", "POSTYPE": ""})
+    posture: Posture = field(default_factory=Posture)
+
+    def take(self, part: Any) -> None:
+        """Take a tag or a configuration."""
+        if part.data == "tag":
+            name, *rest = (str(child) for child in part.children)
+            self.tags[name.lstrip("/")] = rest[0].strip() if rest else ""
+        elif part.data == "configuration":
+            self.posture = _posture([number_at(token) for token in part.children[1:]])
+
+    def point(self, i: int, place: Any, numbers: tuple[Number, ...]) -> Point | str:
+        """Return the point of a position, or why it can't be used."""
+        name = _name(str(place))
+        kind = self.tags["POSTYPE"]
+        if kind == "PULSE":
+            return Point(name, i, place.line, "joints", numbers)
+        if kind not in ("BASE", "ROBOT", "USER") or len(numbers) not in (6, 7):
+            return f"positions of the type {kind} are not supported"
+        if len(numbers) == 7 and numbers[6].value:
+            return "its elbow angle is not 0"
+        user = Frame(self.tags["USER"] or "USER")
+        base = user if kind == "USER" else Frame(kind, np.eye(4))
+        tool = Frame(self.tags["TOOL"] or "TOOL")
+        return Point(name, i, place.line, "pose", numbers[:6], self.posture, tool, base)
+
+
+def _note_position(draft: Draft, i: int, part: Any, head: _Head) -> None:
+    """Note a position; of one of an external axis only whether that is at 0."""
+    place, *values = part.children
+    name = _name(str(place))
+    found = [number_at(token) for token in values]
+    numbers = tuple(number for number in found if number is not None)
+    if name.startswith(("BC", "EC", "BP", "EX")):
+        draft.at_rest[name] = all(number.value == 0.0 for number in numbers)
+        return
+    point = head.point(i, place, numbers)
+    draft.take(Skipped(name, i, place.line, point) if isinstance(point, str) else point)
 
 
 def _instructions(parts: Sequence[Any]) -> list[Any]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pincal.programs.draft import Draft
-from pincal.programs.flow import OUTSIDE, Step, followed
+from pincal.programs.flow import OUTSIDE, Code, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
 from pincal.programs.line_flow import POSITIONS, STATED_LOAD
 from pincal.programs.program import (
@@ -101,11 +101,21 @@ _KRL_WORDS = (
         "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, "
         "B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, "
         "SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, "
-        "SJERK, SORI_TYP, SLOAD, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, "
-        "INV_POS, VARSTATE, PULSE, SIGN, ROUND, CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, "
-        "COPEN, CCLOSE, CIOCTL, STRLEN, STRDECLLEN, STRCLEAR, STRADD, STRFIND, STRCOMP, STRCOPY, "
-        "MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, "
+        "SJERK, SORI_TYP, SLOAD, PATH, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, "
+        "INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, STRLEN, STRDECLLEN, STRFIND, "
+        "STRCOMP, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, "
         "EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM",
+    ),
+    Understood(
+        "function",
+        "KUKA System Software 8.3 and later: collision detection, as their inline forms call it",
+        "USE_CM_PRO_VALUES, SET_CD_PARAMS",
+    ),
+    Understood(
+        "filler",
+        "KUKA, CREAD/CWRITE for KSS 8: texts and channels, which write to their arguments",
+        "CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, "
+        "CIOCTL, STRCLEAR, STRADD, STRCOPY",
     ),
     Understood(
         "variable",
@@ -113,7 +123,8 @@ _KRL_WORDS = (
         "$TOOL, $BASE, $ORI_TYPE and $LOAD are read",
         "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, "
         "$APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, "
-        "$ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, "
+        "$OUT_C, $COLLMON_TOL_PRO, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, "
+        "$CYCFLAG, $BWDSTART, $H_POS, "
         "$CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, "
         "$CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, "
         "$ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, "
@@ -123,6 +134,7 @@ _KRL_WORDS = (
 )
 _INSTRUCTIONS = understood_words(_KRL_WORDS, "instruction")
 _HARMLESS = understood_words(_KRL_WORDS, "function")
+_FILLERS = understood_words(_KRL_WORDS, "filler")
 _VARIABLES = understood_words(_KRL_WORDS, "variable")
 # Values of $ORI_TYPE with which lines and circles end in the orientation of their targets.
 _TURNING = ("#VAR", "#JOINT")
@@ -153,43 +165,28 @@ class Krl(ControllerLanguage):
         files = []
         for source in sources:
             statements = source.statements(_TOKENS, _WORDS)
-            files.append((source, statements, [_step(statement) for statement in statements]))
-        flows = followed(files, outside=_FRAMES)
-        by_value = {
+            files.append(Code(source, statements, [_step(statement) for statement in statements]))
+        files = followed(files, outside=_FRAMES)
+        for code in files:
+            _check_outside(code)
+        harmless = _HARMLESS | {
             step.routine
-            for _, statements, steps in files
-            for statement, step in zip(statements, steps, strict=True)
+            for code in files
+            for statement, step in zip(code.statements, code.steps, strict=True)
             if _takes_values(statement, step)
         }
         data = _Data()
-        entries = Entries(
-            [
-                (statements, steps, flow)
-                for (_, statements, steps), flow in zip(files, flows, strict=True)
-            ],
-            lambda statement: data.turns(statement),
-        )
-        readers = []
-        for i, (source, statements, steps) in enumerate(files):
-            outside = [
-                s for k, s in enumerate(statements) if not flows[i][k].depth and not steps[k].opens
-            ]
-            if outside or not statements:
-                raise source.error(
-                    "a statement outside DEF or DEFDAT; expected " + _WORDS,
-                    outside[0].start if outside else 0,
-                )
-            readers.append(
-                _SourceReader(
-                    draft, i, statements, steps, flows[i], _HARMLESS | by_value, entries, self
-                )
-            )
+        entries = Entries(files, lambda statement: data.turns(statement))
+        readers = [
+            _SourceReader(draft, i, code, harmless, entries, self, data)
+            for i, code in enumerate(files)
+        ]
         for reader in readers:
             for k in range(len(reader.statements)):
-                reader.declare(k, data)
+                reader.declare(k)
         for reader in readers:
             for k in range(len(reader.statements)):
-                reader.move(k, data)
+                reader.move(k)
         return draft.finish()
 
     def statement(
@@ -232,6 +229,10 @@ class _Data:
     is_fixed: bool = False
     constant: set[str] = field(default_factory=set)
 
+    def tool_is_fixed(self) -> None:
+        """Note that the tool is fixed in the cell, or may be."""
+        self.is_fixed = True
+
     def turns(self, statement: Statement) -> bool:
         """Return whether lines behind a statement that sets $ORI_TYPE end in the orientation of
         their targets.
@@ -258,43 +259,65 @@ class _Data:
 
 @dataclass(frozen=True)
 class _SourceReader(Reader):
-    language: Krl
+    """Reads one file; ``data`` are those of the motions of all files."""
 
-    def declare(self, k: int, data: _Data) -> None:
+    language: Krl
+    data: _Data
+
+    def declare(self, k: int) -> None:
         """Note what a statement sets."""
         statement = self.statements[k]
-        items = statement.items
-        line = statement.line
+        items: Sequence[Any] = statement.items
         while items and word(items[0]) in ("GLOBAL", "DECL", "CONST"):
             items = items[1:]
         first = word(items[0]) if items else ""
         if not items or first in _MOTIONS or first in _RELATIVE or first in _ROUTINES:
             return
-        if len(items) > 1 and first and word(items[1]):
+        if first == "IMPORT":
+            reason = f"line {statement.line} shares it with another file"
+            for name in sorted(self.words(items[1:])):
+                self.draft.write(name, reason)
+            return
+        action = _action(items)
+        if action:
+            condition = items[: -len(action)]
+            self.pass_arguments(statement.line, condition)
+            self.draft.read(self.words(condition))
+            items = action
+        elif first in ("ANIN", "DIGIN"):
+            items = items[2:]
+        elif len(items) > 1 and first and word(items[1]):
             items = items[1:]
-        self.pass_arguments(line, items)
+        self.pass_arguments(statement.line, items)
         for part in split(items):
             sides = split(part, "=")
             name, is_part = element_name(sides[0])
             if len(sides) != 2 or not name:
                 self.draft.read(self.words(part))
-                continue
-            group = aggregate(sides[1], "{")
-            fields = _fields(group) if group is not None else None
-            turning = fields.get("ORI_TYP", ()) if fields is not None else ()
-            if turning and text_of_items(turning) not in _TURNING:
-                data.constant.add(name)
-            if name == "$IPO_MODE" and text_of_items(sides[1]) == "#TCP":
-                data.is_fixed = True
-            if fields is not None and "TOOL_NO" in fields and "BASE_NO" in fields:
-                data.frames[name] = None if name in data.frames else _frame_data(fields)
-                continue
-            if name in data.frames:
-                data.frames[name] = None
-            mass = self._mass(sides[1])
-            if mass is not None and name.startswith("LOAD_DATA["):
-                self.draft.masses[name] = mass
-            self._set(line, name, is_part, sides[1])
+            elif not self._note_data(name, sides[1]):
+                self._set(statement.line, name, is_part, sides[1])
+
+    def _note_data(self, name: str, value: Sequence[Any]) -> bool:
+        """Note a value that is data of motions; return whether it is nothing else."""
+        group = aggregate(value, "{")
+        fields = (_fields(group) if group is not None else None) or {}
+        turning = fields.get("ORI_TYP", ())
+        if turning and text_of_items(turning) not in _TURNING:
+            self.data.constant.add(name)
+        # With data of motions the mode is that of their frame data.
+        is_mode = name == "$IPO_MODE" and call_of(value) is None
+        if is_mode and text_of_items(value) != "#BASE":
+            self.data.tool_is_fixed()
+        if "TOOL_NO" in fields and "BASE_NO" in fields:
+            is_new = name not in self.data.frames
+            self.data.frames[name] = _frame_data(fields) if is_new else None
+            return True
+        if name in self.data.frames:
+            self.data.frames[name] = None
+        mass = self._mass(value)
+        if mass is not None and name.startswith("LOAD_DATA["):
+            self.draft.masses[name] = mass
+        return False
 
     def _set(self, line: int, name: str, is_part: bool, value: Sequence[Any]) -> None:
         """Note a value: poses may be tools and bases, and those of the controller are no points."""
@@ -333,54 +356,63 @@ class _SourceReader(Reader):
             return self.skip(name, line, "S or T is not a number")
         return Point(name, self.file, line, "pose", found, posture)
 
-    def move(self, k: int, data: _Data) -> None:
+    def move(self, k: int) -> None:
         """Note a motion."""
         statement = self.statements[k]
-        known = self.flow[k]
         items = statement.items
-        first = word(statement.items[0])
+        first = word(items[0])
         if first in _RELATIVE:
-            self.draft.read(self.words(items[1:]))
-            lost = self.skip(text_of_items(items)[:40], statement.line, "a relative motion")
-            self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=known.run))
+            self._move_relatively(k)
             return
         if first not in _MOTIONS or len(items) < 2 or is_token(items[1], "SIGN", "="):
             return
-        stop = next((j for j, item in enumerate(items) if word(item) in _AFTER), len(items))
-        parts = [part for part in split(items[1:stop]) if part]
-        arcs = [part for part in parts if word(part[0]) == "CA"]
-        parts = [part for part in parts if word(part[0]) != "CA"]
-        if not parts:
+        places = _places(items[1:])
+        if not places.parts:
             return
-        tool = self._frame("$TOOL", k, data)
+        path = places.path(_MOTIONS[first])
+        tool = self._frame("$TOOL", k)
         displaced = self.displaced(k, [POSITIONS])
-        why = displaced or self._why_moved(k, _MOTIONS[first] != "joint", data)
-        base = Frame("$BASE", reason=why) if why else self._frame("$BASE", k, data)
-        targets = tuple(self.target(k, part) for part in parts)
-        path = (
-            "joint" if arcs or len(parts) != 1 + (_MOTIONS[first] == "circle") else _MOTIONS[first]
-        )
-        can_insert = path == "line" and not any(
-            self.steps[j].opens.endswith("SPLINE") for j in known.blocks
-        )
-        span = place_of(parts[-1])
-        takes_posture = first in _BY_POSTURE
+        why = displaced or self._why_moved(k, is_line=_MOTIONS[first] != "joint")
         self.draft.motions.append(
             Motion(
                 path,
-                targets,
+                tuple(self.target(k, part) for part in places.parts),
                 statement,
                 self.file,
                 tool,
-                base,
-                span,
-                known.run,
-                can_insert,
-                takes_posture,
-                self.load(k) or self._load_of_tool(k, tool),
-                displaced,
+                Frame("$BASE", reason=why) if why else self._frame("$BASE", k),
+                place_of(places.parts[-1]),
+                self.flow[k].run,
+                can_insert=path == "line" and not self._splines(k),
+                takes_posture=first in _BY_POSTURE,
+                load=self.load(k) or self._load_of_tool(k, tool),
+                displaced=displaced,
             )
         )
+
+    def _move_relatively(self, k: int) -> None:
+        """Note a motion by a distance, whose end is not known."""
+        statement = self.statements[k]
+        self.draft.read(self.words(statement.items[1:]))
+        name = text_of_items(statement.items)[:40]
+        lost = self.skip(name, statement.line, "a relative motion")
+        run = self.flow[k].run
+        self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=run))
+
+    def _splines(self, k: int) -> list[int]:
+        """Return the statements that open the splines around a motion."""
+        return [j for j in self.flow[k].blocks if self.steps[j].opens.endswith("SPLINE")]
+
+    def _settings(self, k: int) -> list[tuple[Any, ...]]:
+        """Return what a motion, or else the spline around it, sets for it behind WITH."""
+        found = []
+        for j in (k, *self._splines(k)):
+            items = self.statements[j].items
+            start = next(
+                (i + 1 for i, item in enumerate(items) if word(item) == "WITH"), len(items)
+            )
+            found += split(items[start:])
+        return found
 
     def _load_of_tool(self, k: int, tool: Frame) -> Load | None:
         """Return the load that is set with a tool, if the files contain it in numbers."""
@@ -402,65 +434,65 @@ class _SourceReader(Reader):
         number = number_of(fields["M"]) if fields is not None and "M" in fields else None
         return number.value if number is not None and number.value >= 0.0 else None
 
-    def _why_moved(self, k: int, is_line: bool, data: _Data) -> str:
+    def _why_moved(self, k: int, *, is_line: bool) -> str:
         """Return why a motion to a pose ends elsewhere, "" if it does not."""
-        items = self.statements[k].items
-        with_ = next((j + 1 for j, item in enumerate(items) if word(item) == "WITH"), len(items))
+        line = self.statements[k].line
         is_turning = False
-        for part in split(items[with_:]):
+        for part in self._settings(k):
             sides = split(part, "=")
             name, is_part = element_name(sides[0])
             name = name.partition("[")[0]
             if len(sides) == 2 and (name not in _VARIABLES or (is_part and name in _FRAMES)):
-                return f"line {self.statements[k].line} sets {name}"
+                return f"line {line} sets {name}"
             if len(sides) == 2 and name == _ORIENTATION:
-                is_turning = data.is_turning(sides[1])
+                is_turning = self.data.is_turning(sides[1])
                 if not is_turning:
-                    return f"line {self.statements[k].line} does not turn the tool ($ORI_TYPE)"
+                    return f"line {line} does not turn the tool ($ORI_TYPE)"
         kinds = [_ROBOT, _ORIENTATION] if is_line and not is_turning else [_ROBOT]
         return self.displaced(k, kinds)
 
-    def _frame(self, variable: str, k: int, data: _Data) -> Frame:
+    def _frame(self, variable: str, k: int) -> Frame:
         """Return $TOOL or $BASE before a statement."""
-        if data.is_fixed:
+        if self.data.is_fixed:
             return Frame(variable, reason="the tool is fixed in the cell ($IPO_MODE=#TCP)")
-        items = self.statements[k].items
-        with_ = next((j + 1 for j, item in enumerate(items) if word(item) == "WITH"), len(items))
-        for part in split(items[with_:]):
+        for part in self._settings(k):
             sides = split(part, "=")
             if len(sides) == 2 and text_of_items(sides[0]) == variable:
-                return self._frame_of(variable, k, sides[1], data)
+                return self._frame_of(variable, k, sides[1])
         found = self.flow[k].setters.get(variable)
-        around = self.flow[k].routine
-        routine = self.steps[around].routine if around >= 0 else ""
-        if found is None and routine in self.entries.displaced_at_start(variable):
+        if found is None and self.starts_displaced(k, variable):
             found = "a routine that calls this one sets it"
-        if not isinstance(found, int):
-            hint = f" (--with its file, or --{variable[1:].lower()} '{variable}=X,Y,Z,...')"
-            why = f"{variable}: {found}{hint if found is not None and OUTSIDE in found else ''}"
-            return Frame(variable, reason=why if found is not None else "")
+        if isinstance(found, int):
+            return self._frame_set_by(variable, found, k)
+        hint = f" (--with its file, or --{variable[1:].lower()} '{variable}=X,Y,Z,...')"
+        why = f"{variable}: {found}{hint if found is not None and OUTSIDE in found else ''}"
+        return Frame(variable, reason=why if found is not None else "")
+
+    def _frame_set_by(self, variable: str, found: int, k: int) -> Frame:
+        """Return $TOOL or $BASE as another statement has set it."""
         setter = self.statements[found].items
-        call = call_of(setter)
         sides = split(setter, "=")
         if len(sides) == 2:
-            return self._frame_of(variable, k, sides[1], data)
+            return self._frame_of(variable, k, sides[1])
+        call = call_of(setter)
         index = number_of(call[1].parts[1]) if call is not None and len(call[1].parts) > 1 else None
         what = _by_bas(setter)
         if what in ("#TOOL", "#BASE") and index is not None:
             return _frame_named(f"{what[1:]}_DATA[{index.text}]")
-        source = self.flow[found].setters.get("FDAT_ACT")
         if what not in _BY_DATA:
             return Frame(variable, reason=f"line {self.statements[found].line} may set {variable}")
+        source = self.flow[found].setters.get("FDAT_ACT")
         if not isinstance(source, int):
-            return Frame(
-                variable,
-                reason=f"FDAT_ACT: {source if source is not None else 'it is set elsewhere'}",
-            )
-        return _frame_of_data(
-            variable, text_of_items(split(self.statements[source].items, "=")[1]), data
-        )
+            why = f"FDAT_ACT: {source if source is not None else 'it is set elsewhere'}"
+            return Frame(variable, reason=why)
+        value = split(self.statements[source].items, "=")[1]
+        group = aggregate(value, "{")
+        fields = _fields(group) if group is not None else None
+        if fields is not None and "TOOL_NO" in fields and "BASE_NO" in fields:
+            return _frame_of_pair(variable, _frame_data(fields))
+        return _frame_of_data(variable, text_of_items(value), self.data)
 
-    def _frame_of(self, variable: str, k: int, items: Sequence[Any], data: _Data) -> Frame:
+    def _frame_of(self, variable: str, k: int, items: Sequence[Any]) -> Frame:
         """Return the frame of an expression."""
         found = self.literal(0, variable, items)
         if isinstance(found, Point) and not self.language.is_pose(found.values):
@@ -469,9 +501,45 @@ class _SourceReader(Reader):
             return Frame(variable, self.language.pose(found.values))
         call = call_of(items)
         if call is not None and call[0].upper() in ("STOOL", "STOOL2", "SBASE"):
-            return _frame_of_data(variable, text_of_items(call[1].items).partition(".")[0], data)
+            name = text_of_items(call[1].items).partition(".")[0]
+            return _frame_of_data(variable, name, self.data)
         frame = self.frame(k, items, f"{variable} is computed")
         return frame if frame.reason else _frame_named(frame.name)
+
+
+@dataclass(frozen=True)
+class _Places:
+    """The places of a motion, each as its items; whether the angle of an arc is given as well."""
+
+    parts: Sequence[Sequence[Any]]
+    is_arc: bool
+
+    def path(self, usual: Path) -> Path:
+        """Return the path through the places: another than the usual one is not followed."""
+        is_usual = not self.is_arc and len(self.parts) == 1 + (usual == "circle")
+        return usual if is_usual else "joint"
+
+
+def _places(items: Sequence[Any]) -> _Places:
+    """Return the places that are named behind the word of a motion."""
+    stop = next((j for j, item in enumerate(items) if word(item) in _AFTER), len(items))
+    parts = [part for part in split(items[:stop]) if part]
+    places = [part for part in parts if word(part[0]) != "CA"]
+    return _Places(places, len(places) < len(parts))
+
+
+def _check_outside(code: Code) -> None:
+    """Refuse a file with a statement that is in no routine and no data list."""
+    outside = [
+        statement
+        for statement, step, known in zip(code.statements, code.steps, code.flow, strict=True)
+        if not known.depth and not step.opens
+    ]
+    if outside or not code.statements:
+        raise code.source.error(
+            "a statement outside DEF or DEFDAT; expected " + _WORDS,
+            outside[0].start if outside else 0,
+        )
 
 
 def _takes_values(statement: Statement, step: Step) -> bool:
@@ -497,7 +565,14 @@ def _frame_of_data(variable: str, name: str, data: _Data) -> Frame:
         return Frame(
             variable, reason=f"the frame data {name} are not in these files, or not as numbers"
         )
-    return _frame_named(found[0] if variable == "$TOOL" else found[1])
+    return _frame_of_pair(variable, found)
+
+
+def _frame_of_pair(variable: str, pair: tuple[str, str] | None) -> Frame:
+    """Return the tool or the base of a pair of these, by their names."""
+    if pair is None:
+        return Frame(variable, reason="the numbers of its tool and its base are not in numbers")
+    return _frame_named(pair[0] if variable == "$TOOL" else pair[1])
 
 
 def _frame_data(fields: Mapping[str, tuple[Any, ...]]) -> tuple[str, str] | None:
@@ -568,17 +643,14 @@ def _by_bas(items: Sequence[Any]) -> str:
 def _step(statement: Statement) -> Step:
     """Return the effect of a statement on the control flow and the frames."""
     items = statement.items
-    first = word(statement.items[0])
+    first = word(items[0])
     opens = word(items[1]) if first == "GLOBAL" and len(items) > 1 else first
     if opens in _ROUTINES:
         return Step(opens=opens, routine=[word(item) for item in items if word(item)][-1])
-    calls = tuple(name.upper() for name, _ in calls_in(items) if name.upper() not in _HARMLESS)
-    done = [k for k, item in enumerate(items) if word(item) == "DO"]
-    if done:
-        action = items[done[-1] + 1 :]
-        name = element_name(split(action, "=")[0])[0]
-        changed = _set_by_assignment(action, name) if action else frozenset[str]()
-        return Step(starts=calls, clears=changed | ({name} & _FRAMES))
+    names = [name.upper() for name, _ in calls_in(items)]
+    calls = tuple(name for name in names if name not in _HARMLESS and name not in _FILLERS)
+    if any(word(item) == "DO" for item in items):
+        return _started(_action(items), calls)
     if first in _LOOPS or first in _BLOCKS:
         return Step(opens=first, is_loop=first in _LOOPS, calls=calls)
     if first in _CLOSES:
@@ -589,15 +661,32 @@ def _step(statement: Statement) -> Step:
         return Step(is_jump=True)
     if first == "BAS":
         return Step(sets=_set_by_bas(items))
+    return Step(calls=calls) if first in _MOTIONS else _assigned(items, calls)
+
+
+def _action(items: Sequence[Any]) -> Sequence[Any]:
+    """Return what an interrupt or a trigger does, behind its last DO; nothing of other
+    statements.
+    """
+    done = [k for k, item in enumerate(items) if word(item) == "DO"]
+    return items[done[-1] + 1 :] if done else ()
+
+
+def _started(action: Sequence[Any], calls: tuple[str, ...]) -> Step:
+    """Return the effect of what an interrupt or a trigger does at any time from here on."""
+    name = element_name(split(action, "=")[0])[0]
+    changed = _set_by_assignment(action, name) if action else frozenset[str]()
+    return Step(starts=calls, clears=changed | ({name} & _FRAMES))
+
+
+def _assigned(items: Sequence[Any], calls: tuple[str, ...]) -> Step:
+    """Return the effect of an assignment, or of an instruction of no kind of its own."""
     sides = split(items, "=")
     name, is_part = element_name(sides[0])
-    changed = _set_by_assignment(items, name) if first not in _MOTIONS else frozenset()
-    if len(sides) != 2 or first in _MOTIONS or name not in _SETTABLE:
-        return Step(calls=calls, clears=changed)
+    if len(sides) != 2 or name not in _SETTABLE:
+        return Step(calls=calls, clears=_set_by_assignment(items, name))
     what = frozenset({{"LDAT_ACT": _ORIENTATION, "$LOAD": STATED_LOAD}.get(name, name)})
-    if is_part:
-        return Step(calls=calls, clears=what)
-    return Step(calls=calls, sets=what)
+    return Step(calls=calls, clears=what) if is_part else Step(calls=calls, sets=what)
 
 
 def _set_by_bas(items: Sequence[Any]) -> frozenset[str]:

@@ -10,14 +10,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from pincal.errors import ProgramError
 from pincal.programs.flow import OUTSIDE
+from pincal.thresholds import Count
 
 # The part of a block that a line is: its start, if the block is repeated or not; another branch of
 # it; its end.
 BlockPart = Literal["", "loop", "branch", "else", "end"]
+# Lines, times what any of them may displace: the states that are followed.
+MOST_STATES: Count = 3_000_000
 ANY = "*"
 """A label that is computed, and any number of a tool or a base."""
-
 
 STATED_LOAD = "load"
 """What statements that set a load switch."""
@@ -97,7 +100,17 @@ def reasons_before(
     Args:
         listings: the programs.
         lasting: what stays displaced when a program ends, and therefore at its next start.
+
+    Raises:
+        ProgramError: if too many frames change on too many lines.
     """
+    switched = {name for listing in listings for line in listing.lines for name, _ in line.sets}
+    count = sum(len(listing.lines) for listing in listings)
+    if len(switched) * count > MOST_STATES:
+        raise ProgramError(
+            f"{len(switched)} frames that change on {count} lines; expected a program of at most "
+            f"{MOST_STATES} pairs of these: divide it"
+        )
     paths = _Paths(listings, lasting)
     for listing in listings:
         paths.starts.append(len(paths.lines))
@@ -135,11 +148,7 @@ class _Paths:
     def connect(self, start: int, lines: Sequence[Line]) -> None:
         """Note which lines may be executed behind each."""
         self._connect_blocks(start, lines)
-        labels = dict[str, list[int]]()
-        for k, line in enumerate(lines):
-            if line.label:
-                labels.setdefault(line.label, []).append(start + k)
-                labels.setdefault(ANY, []).append(start + k)
+        labels = self._labels(start, lines)
         for k, line in enumerate(lines):
             is_end = k + 1 == len(lines)
             if is_end:
@@ -147,20 +156,25 @@ class _Paths:
             # A line that nothing seems to lead to counts as the next one.
             elif not (line.is_last and lines[k + 1].label) and lines[k + 1].block != "else":
                 self.next[start + k].append(start + k + 1)
-            for label in line.jumps:
-                if label != ANY:
-                    self.next[start + k] += labels.get(label, [])
-        self._connect_computed(start, lines, labels.get(ANY, []))
+            self.next[start + k] += [labels[label] for label in line.jumps if label in labels]
 
-    def _connect_computed(self, start: int, lines: Sequence[Line], labels: list[int]) -> None:
-        """Connect jumps to computed labels to all labels, over one line that stands for them."""
-        jumps = [k for k, line in enumerate(lines) if ANY in line.jumps]
-        if not jumps:
-            return
-        for k in jumps:
-            self.next[start + k].append(len(self.lines))
-        self.lines.append(Line(0))
-        self.next.append(labels)
+    def _labels(self, start: int, lines: Sequence[Line]) -> dict[str, int]:
+        """Return the lines to which jumps lead, by their labels; one more line stands for all of a
+        computed label, or of one that stands in several places.
+        """
+        places = dict[str, list[int]]()
+        for k, line in enumerate(lines):
+            if line.label:
+                places.setdefault(line.label, []).append(start + k)
+                places.setdefault(ANY, []).append(start + k)
+        found = dict[str, int]()
+        for label, those in places.items():
+            found[label] = those[0]
+            if len(those) > 1:
+                found[label] = len(self.lines)
+                self.lines.append(Line(0))
+                self.next.append(those)
+        return found
 
     def _connect_blocks(self, start: int, lines: Sequence[Line]) -> None:
         """Connect the start of each block, and the ends of its branches, to its end; and the end of
@@ -188,17 +202,17 @@ class _Paths:
     def _effects_of_calls(self) -> dict[str, dict[str, str]]:
         """Return what each program may displace, itself or by its calls, with the reason."""
         effects = {listing.name: dict[str, str]() for listing in self.listings}
-        callers = dict[str, list[str]]()
+        callers = dict[str, dict[str, bool]]()
         for listing in self.listings:
             for line in listing.lines:
                 for variable, reason in line.sets:
                     effects[listing.name].setdefault(variable, reason)
                 for name in line.calls:
-                    callers.setdefault(name, []).append(listing.name)
+                    callers.setdefault(name, {})[listing.name] = True
         ahead = [listing.name for listing in self.listings]
         while ahead:
             name = ahead.pop()
-            for caller in callers.get(name, []):
+            for caller in callers.get(name, {}):
                 size = len(effects[caller])
                 for variable, reason in list(effects[name].items()):
                     effects[caller].setdefault(variable, reason)
@@ -227,7 +241,7 @@ class _Paths:
                 if all(name in before[j] for name in state):
                     continue
                 # What is shared by several lines is not changed in place.
-                before[j] = {**state, **before[j]}
+                before[j] = {**state, **before[j]} if before[j] else dict(state)
                 if not is_ahead[j]:
                     is_ahead[j] = True
                     ahead.append(j)

@@ -270,6 +270,16 @@ def spliced(source: Source, index: int, edits: Iterable[Edit]) -> bytes:
     return b"".join([*out, source.content[at:]])
 
 
+def counted_axes(count: int) -> str:
+    """Return a count of axes.
+
+    Example:
+        >>> counted_axes(1), counted_axes(6)
+        ('1 axis', '6 axes')
+    """
+    return f"{count} {'axis' if count == 1 else 'axes'}"
+
+
 def number_text(number: Number, value: float, least: int) -> str:
     """Return the text of a value that replaces a number: the old text if the value is the same.
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pincal.programs.draft import Draft
-from pincal.programs.flow import InForce, Step, followed
+from pincal.programs.flow import Code, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
 from pincal.programs.program import Frame, Load, Motion, Point, Posture, Program, Skipped, Turn
 from pincal.programs.rapid_blocks import (
@@ -26,8 +26,9 @@ from pincal.programs.rapid_blocks import (
     READING,
     SWITCHES,
     check_blocks,
+    code_of,
     ends_displacement,
-    statements_of,
+    is_assignment,
 )
 from pincal.programs.statement_reader import EXTERNAL, Entries, Reader, formal_names
 from pincal.programs.syntax import (
@@ -76,41 +77,16 @@ class Rapid(ControllerLanguage):
         draft.frame("TOOL0", np.eye(4), ["tool"])
         draft.frame("WOBJ0", np.eye(4), ["base"])
         draft.constants.update(["TOOL0", "WOBJ0"])
-        files = []
-        for source in sources:
-            parts = statements_of(source)
-            files.append(
-                (source, [statement for statement, _ in parts], [step for _, step in parts])
-            )
-        switched = set[str]().union(*(step.sets for _, _, steps in files for step in steps))
-        flows = followed(files, outside=frozenset(switched) & set(DISPLACES))
-        changing = set[str]()
-        routines = set[str]()
-        for (source, statements, steps), flow in zip(files, flows, strict=True):
-            check_blocks(source, statements, steps, flow)
-            changing |= set(_that_change_parameters(statements, steps, flow))
-            routines |= {step.routine for step in steps if step.routine}
-        entries = Entries(
-            [
-                (statements, steps, flow)
-                for (_, statements, steps), flow in zip(files, flows, strict=True)
-            ],
-            ends_displacement,
-            DISPLACES,
-        )
-        for i, (_, statements, steps) in enumerate(files):
-            reader = _ModuleReader(
-                draft,
-                i,
-                statements,
-                steps,
-                flows[i],
-                RAPID_FUNCTIONS | (routines - changing) | set(READING),
-                entries,
-                self,
-                switched,
-            )
-            for k in range(len(statements)):
+        files = [code_of(source) for source in sources]
+        switched = frozenset(name for code in files for step in code.steps for name in step.sets)
+        files = followed(files, outside=switched & set(DISPLACES))
+        for code in files:
+            check_blocks(code)
+        harmless = RAPID_FUNCTIONS | set(READING) | _that_keep_parameters(files)
+        entries = Entries(files, ends_displacement, DISPLACES)
+        for i, code in enumerate(files):
+            reader = _ModuleReader(draft, i, code, harmless, entries, self, switched)
+            for k in range(len(code.statements)):
                 reader.statement(k)
         return draft.finish()
 
@@ -169,7 +145,7 @@ class _ModuleReader(Reader):
     """Reads one file; ``switched`` are the values of ``SWITCHES`` that any of the files sets."""
 
     language: Rapid
-    switched: set[str]
+    switched: frozenset[str]
 
     def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Skipped | None:
         """Return the target of an aggregate."""
@@ -197,7 +173,7 @@ class _ModuleReader(Reader):
         step = self.steps[k]
         items = statement.items
         line = statement.line
-        first = word(statement.items[0])
+        first = word(items[0])
         if step.opens or step.closes or step.is_jump:
             if not step.routine:
                 self.pass_arguments(line, items)
@@ -209,29 +185,39 @@ class _ModuleReader(Reader):
         self.pass_arguments(line, items)
         storage = [j for j, item in enumerate(items[:2]) if word(item) in _STORAGE]
         sides = split(items, ":=")
-        name, is_part = element_name(sides[0])
         if storage:
-            self._declare(
-                line, items[storage[0] + 1 :], is_constant=word(items[storage[0]]) == "CONST"
-            )
-        elif len(sides) == 2:
-            self.assign(line, name, is_part, sides[1])
+            is_constant = word(items[storage[0]]) == "CONST"
+            self._declare(line, items[storage[0] + 1 :], is_constant=is_constant)
+        elif len(sides) == 2 and is_assignment(items):
+            self.assign(line, *element_name(sides[0]), sides[1])
         elif first in _SEARCHES:
-            self.draft.skipped.append(
-                self.skip(f"search of line {line}", line, "it ends when a signal arrives")
-            )
-            stops = [part for part in (split(part, "\\")[0] for part in split(items[1:])) if part]
-            self.draft.pass_to(first, [element_name(part)[0] for part in stops[1:2]], line)
-            self.draft.read(self.words(items))
-            self.draft.motions.append(Motion("joint", (), statement, self.file, run=-1))
+            self._search(statement)
         else:
-            if first in BY_NAME:
-                self.draft.write_any(f"line {line} sets data by their names ({first})")
-            if first in SWITCHES:
-                self.draft.derive("displacement", self.words(items[1:]))
-            elif first not in self.harmless:
-                self.draft.pass_to(first or "a routine", self.words(items[1:]), line)
-            self.draft.read(self.words(items))
+            self._instruct(statement)
+
+    def _search(self, statement: Statement) -> None:
+        """Note a search, which sets the position at which it stops."""
+        line = statement.line
+        reason = "it ends when a signal arrives"
+        self.draft.skipped.append(self.skip(f"search of line {line}", line, reason))
+        plain = [split(part, "\\")[0] for part in split(statement.items[1:])]
+        stops = [part for part in plain if part][1:2]
+        first = word(statement.items[0])
+        self.draft.pass_to(first, [element_name(part)[0] for part in stops], line)
+        self.draft.read(self.words(statement.items))
+        self.draft.motions.append(Motion("joint", (), statement, self.file, run=-1))
+
+    def _instruct(self, statement: Statement) -> None:
+        """Note what another instruction, or a routine of this name, may change."""
+        line = statement.line
+        first = word(statement.items[0])
+        if first in BY_NAME:
+            self.draft.write_any(f"line {line} sets data by their names ({first})")
+        if first in SWITCHES:
+            self.draft.derive("displacement", self.words(statement.items[1:]))
+        elif first not in self.harmless:
+            self.draft.pass_to(first or "a routine", self.words(statement.items[1:]), line)
+        self.draft.read(self.words(statement.items))
 
     def _declare(self, line: int, items: Sequence[Any], *, is_constant: bool) -> None:
         kind = word(items[0]) if items else ""
@@ -278,59 +264,56 @@ class _ModuleReader(Reader):
     def _move(self, k: int) -> None:
         """Note a motion: its targets, tool and work object."""
         statement = self.statements[k]
-        known = self.flow[k]
         first = word(statement.items[0])
         path = MOTIONS[first]
-        plain = []
-        options = {}
-        for part in split(statement.items[1:]):
-            pieces = split(part, "\\")
-            plain += [pieces[0]] if pieces[0] else []
-            for piece in pieces[1:]:
-                sides = split(piece, ":=")
-                if sides[0]:
-                    options[word(sides[0][0])] = sides[1] if len(sides) == 2 else ()
+        given = _arguments(statement.items[1:])
         count = 2 if path == "circle" else 1
-        places = plain[:count]
+        places = given.plain[:count]
         if len(places) < count:
-            name = f"{first} of line {statement.line}"
-            self.draft.skipped.append(self.skip(name, statement.line, "not understood"))
+            self.not_understood(first, statement.line)
             return
+        displaced = self._displaced(k, given.options)
         targets = tuple(self.target(k, part) for part in places)
         # After speed and zone; the last argument of motions of options.
-        tools = plain[-1:] if first in OF_OPTIONS else plain[count + 2 : count + 3]
+        tools = given.plain[-1:] if first in OF_OPTIONS else given.plain[count + 2 : count + 3]
         tool = self.frame(k, tools[0] if tools else (), "its tool is computed")
-        base = (
-            self.frame(k, options["WOBJ"], "its work object is computed")
-            if "WOBJ" in options
-            else Frame("WOBJ0")
-        )
-        displaced = self._displaced(k, options)
-        if displaced:
-            base = Frame("displacement", reason=displaced)
-        unknown = next((name for name in options if name not in MOTION_OPTIONS), "")
-        if unknown:
-            why = f"line {statement.line}: \\{unknown} is not understood and may displace it"
-            targets = tuple(self.left(target, why) for target in targets)
-        can_insert = first == "MOVEL" and self.steps[k - 1].opens != ONCE
-        span = place_of(places[-1])
-        takes_posture = self._takes_posture(known, "CONFJ" if path == "joint" else "CONFL")
         self.draft.motions.append(
             Motion(
                 path,
-                targets,
+                self._understood(targets, given.options, statement.line),
                 statement,
                 self.file,
                 tool,
-                base,
-                span,
-                known.run,
-                can_insert,
-                takes_posture,
-                self._load_of(options, k),
-                displaced if first == "MOVEABSJ" else "",
+                self._base(k, given.options, displaced),
+                place_of(places[-1]),
+                self.flow[k].run,
+                can_insert=first == "MOVEL" and self.steps[k - 1].opens != ONCE,
+                takes_posture=self._takes_posture(k, "CONFJ" if path == "joint" else "CONFL"),
+                load=self._load_of(given.options, k),
+                displaced=displaced if first == "MOVEABSJ" else "",
             )
         )
+
+    def _base(self, k: int, options: Mapping[str, Sequence[Any]], displaced: str) -> Frame:
+        """Return the work object of a motion, or why it is displaced."""
+        if displaced:
+            return Frame("displacement", reason=displaced)
+        if "WOBJ" not in options:
+            return Frame("WOBJ0")
+        return self.frame(k, options["WOBJ"], "its work object is computed")
+
+    def _understood(
+        self,
+        targets: tuple[str | Point | Skipped, ...],
+        options: Mapping[str, Sequence[Any]],
+        line: int,
+    ) -> tuple[str | Point | Skipped, ...]:
+        """Return targets, left if an option of their motion may displace them."""
+        unknown = next((name for name in options if name not in MOTION_OPTIONS), "")
+        if not unknown:
+            return targets
+        why = f"line {line}: \\{unknown} is not understood and may displace it"
+        return tuple(self.left(target, why) for target in targets)
 
     def _displaced(self, k: int, options: Mapping[str, Sequence[Any]]) -> str:
         """Return why positions are displaced at a motion, "" if they are not."""
@@ -351,38 +334,71 @@ class _ModuleReader(Reader):
         name = text_of_items(statement.items[1:])
         return 0.0 if name == "LOAD0" else self.draft.masses.get(name)
 
-    def _takes_posture(self, known: InForce, switch: str) -> bool:
+    def _takes_posture(self, k: int, switch: str) -> bool:
         """Return whether configurations are monitored: not where that is, or may be,
         switched off.
         """
-        found = known.setters.get(switch)
+        found = self.flow[k].setters.get(switch)
         if isinstance(found, int):
             return "OFF" not in self.words(self.statements[found].items)
         return found is None and switch not in self.switched
 
 
-def _that_change_parameters(
-    statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce]
-) -> list[str]:
-    """Return the names of routines that may change their arguments."""
-    found = []
-    for k, statement in enumerate(statements):
-        step = steps[k]
-        routine = flow[k].routine
-        first = word(statement.items[0])
-        if routine < 0 or step.routine:
-            continue
-        sides = split(statement.items, ":=")
-        touched = set[str]()
-        if len(sides) == 2 and first not in MOTIONS:
-            touched.add(element_name(sides[0])[0])
-        elif not (step.opens or step.closes or step.is_jump or first in MOTIONS):
-            touched |= set(words_in(statement.items[1:]))
-        for name, group in calls_in(statement.items):
-            if name.upper() not in RAPID_FUNCTIONS:
-                touched |= {element_name(part)[0] for part in group.parts}
-        if touched & set(formal_names(statements[routine], _CHANGEABLE)):
-            found.append(steps[routine].routine)
+@dataclass(frozen=True)
+class _MoveArguments:
+    """The arguments of a motion.
+
+    Attributes:
+        plain: those without names, in their order.
+        options: the optional ones by their names; empty for switches.
+    """
+
+    plain: Sequence[Sequence[Any]]
+    options: Mapping[str, Sequence[Any]]
+
+
+def _arguments(items: Sequence[Any]) -> _MoveArguments:
+    r"""Return the arguments that items spell: ``p1,v100\V:=50,z10,tool``."""
+    plain = []
+    options = dict[str, Sequence[Any]]()
+    for part in split(items):
+        pieces = split(part, "\\")
+        plain += [pieces[0]] if pieces[0] else []
+        for piece in pieces[1:]:
+            sides = split(piece, ":=")
+            if sides[0]:
+                options[word(sides[0][0])] = sides[1] if len(sides) == 2 else ()
+    return _MoveArguments(plain, options)
+
+
+def _that_keep_parameters(files: Sequence[Code]) -> set[str]:
+    """Return the names of routines that change none of their arguments."""
+    found = {step.routine for code in files for step in code.steps if step.routine}
+    for code in files:
+        changeable = {
+            k: set(formal_names(code.statements[k], _CHANGEABLE))
+            for k, step in enumerate(code.steps)
+            if step.routine
+        }
+        for k, statement in enumerate(code.statements):
+            names = changeable.get(code.flow[k].routine, set())
+            if names and not code.steps[k].routine and _touched(statement, code.steps[k]) & names:
+                found -= {code.routine(k)}
+    return found
+
+
+def _touched(statement: Statement, step: Step) -> set[str]:
+    """Return the names that a statement may change."""
+    first = word(statement.items[0])
+    found = set[str]()
+    sides = split(statement.items, ":=")
+    if len(sides) == 2 and first not in MOTIONS and is_assignment(statement.items):
+        found.add(element_name(sides[0])[0])
+    elif not (step.opens or step.closes or step.is_jump or first in MOTIONS):
+        found |= set(words_in(statement.items[1:]))
+    for name, group in calls_in(statement.items):
+        if name.upper() not in RAPID_FUNCTIONS:
+            found |= {element_name(part)[0] for part in group.parts}
     return found
 
 

@@ -4,10 +4,10 @@ on the control flow.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from pincal.programs.flow import InForce, Step
+from pincal.programs.flow import Code, Step
 from pincal.programs.line_flow import STATED_LOAD
 from pincal.programs.program import Path
 from pincal.programs.syntax import (
@@ -52,6 +52,7 @@ _CLOSES = {end: (opens,) for opens, end in _BLOCKS.items()}
 _HEADS = {"IF": "THEN", "ELSEIF": "THEN", "FOR": "DO", "WHILE": "DO", "CASE": ":", "DEFAULT": ":"}
 _JUMPS = ("ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD")
 _ALONE = (*_CLOSES, "ELSE", "ERROR", "UNDO", "BACKWARD")
+_CONDITIONS = ("IF", "TEST", *_LOOPS)
 ONCE = "IF without THEN"
 _STORAGE = ("CONST", "PERS", "VAR", "LOCAL", "TASK", "ALIAS")
 _PLAIN = {"MOVEL": "line", "MOVEJ": "joint", "MOVEC": "circle", "MOVEABSJ": "joint"}
@@ -119,9 +120,14 @@ RAPID_WORDS = (
         "ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, "
         "XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, "
         "AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, "
-        "STRTOVAL, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, "
+        "PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, "
         "BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, "
         "READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE",
+    ),
+    Understood(
+        "filler",
+        f"{_MANUAL}: StrToVal, which writes to its second argument",
+        "STRTOVAL",
     ),
     Understood(
         "option",
@@ -133,6 +139,7 @@ RAPID_WORDS = (
 )
 _INSTRUCTIONS = understood_words(RAPID_WORDS, "instruction")
 RAPID_FUNCTIONS = understood_words(RAPID_WORDS, "function")
+_FILLERS = understood_words(RAPID_WORDS, "filler")
 MOTION_OPTIONS = understood_words(RAPID_WORDS, "option")
 # Instructions by what they switch: displacements of positions, and whether configurations are
 # monitored.
@@ -160,14 +167,28 @@ SWITCHES = {
     "SYNCMOVESUSPEND": "SYNCMOVE",
     "WAITWOBJ": "CONVEYOR",
     "DROPWOBJ": "CONVEYOR",
+    "SYNCWWOBJ": "CONVEYOR",
+    "INDAMOVE": "INDEPENDENT",
+    "INDCMOVE": "INDEPENDENT",
+    "INDDMOVE": "INDEPENDENT",
+    "INDRMOVE": "INDEPENDENT",
+    "INDRESET": "INDEPENDENT",
+    "SETLEADTHROUGH": "LEADTHROUGH",
     "WAITSENSOR": "SENSOR",
     "SYNCTOSENSOR": "SENSOR",
     "DROPSENSOR": "SENSOR",
     "FCACT": "FORCE",
     "FCPRESSLSTART": "FORCE",
+    "FCPRESS1LSTART": "FORCE",
+    "FCPRESSL": "FORCE",
+    "FCPRESSC": "FORCE",
+    "FCREFSTART": "FORCE",
+    "FCREFSTOP": "FORCE",
     "FCPRESSEND": "FORCE",
     "FCDEACT": "FORCE",
     "EGMACTMOVE": "EGM",
+    "EGMMOVEL": "EGM",
+    "EGMMOVEC": "EGM",
     "EGMRUNJOINT": "EGM",
     "EGMRUNPOSE": "EGM",
     "EGMSTOP": "EGM",
@@ -178,7 +199,7 @@ SWITCHES = {
 }
 DISPLACES = sorted({*SWITCHES.values()} - {"CONFL", "CONFJ", STATED_LOAD})
 # Those of positions in joints as well.
-JOINTS_TOO = ("CORR", "CSS", "EGM", "FORCE", "SENSOR", "SOFT")
+JOINTS_TOO = ("CORR", "CSS", "EGM", "FORCE", "INDEPENDENT", "LEADTHROUGH", "SENSOR", "SOFT")
 _ENDS_IT = (
     "PDISPOFF",
     "EOFFSOFF",
@@ -190,6 +211,7 @@ _ENDS_IT = (
     "DROPSENSOR",
     "FCDEACT",
     "EGMRESET",
+    "INDRESET",
 )
 # Instructions that only read their arguments.
 READING = (
@@ -209,16 +231,18 @@ BY_NAME = ("SETDATAVAL", "SETALLDATAVAL")
 def ends_displacement(statement: Statement) -> bool:
     """Return whether a statement of ``SWITCHES`` ends what it switches."""
     first = word(statement.items[0])
-    return first in _ENDS_IT or (first == "SINGAREA" and "OFF" in words_in(statement.items))
+    has_off = first in ("SINGAREA", "SETLEADTHROUGH")
+    return first in _ENDS_IT or (has_off and "OFF" in words_in(statement.items))
 
 
-def statements_of(source: Source) -> list[tuple[Statement, Step]]:
+def code_of(source: Source) -> Code:
     """Return the statements of a file with their effects on the control flow.
 
     Raises:
         ProgramError: for text in another language.
     """
-    return [part for whole in source.statements(_TOKENS, _WORDS) for part in _divided(whole)]
+    parts = [part for whole in source.statements(_TOKENS, _WORDS) for part in _divided(whole)]
+    return Code(source, [statement for statement, _ in parts], [step for _, step in parts])
 
 
 def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
@@ -227,45 +251,56 @@ def _divided(whole: Statement) -> Iterator[tuple[Statement, Step]]:
     k = 0
     while k < len(items):
         first = word(items[k])
-        end = len(items)
-        opening = word(items[k + 1]) if first == "LOCAL" and k + 1 < end else first
-        is_label = k + 1 < end and is_token(items[k + 1], "SIGN", ":")
-        size = 0
-        if first in _ALONE:
-            size = 1
-        elif opening in _ROUTINES or opening in ("MODULE", "RECORD"):
-            size = (1 if first == "LOCAL" else 0) + (3 if opening == "FUNC" else 2)
-        elif first in _HEADS:
-            closing = _HEADS[first]
-            ends = [
-                j
-                for j in range(k, end)
-                if word(items[j]) == closing or is_token(items[j], "SIGN", closing)
-            ]
-            if not ends and first == "IF":
-                yield from _once(whole, items[k:])
-                return
-            size = ends[0] + 1 - k if ends else 0
-        elif first and is_label:
-            size = 2
-        elif first == "TEST" or not first:
-            ends = [
-                j
-                for j in range(k + 1, end)
-                if word(items[j]) in (("CASE", "DEFAULT") if first else ("MODULE",))
-            ]
-            size = ends[0] - k if ends else 0
-        if (
-            size
-            and k + size < end
-            and isinstance(items[k + size], Brackets)
-            and (opening in _BLOCKS or first == "ERROR")
-        ):
-            size += 1
-        end = min(k + size, end) if size else end
+        size = _size_of_head(items, k)
+        if first == "IF" and not size:
+            yield from _once(whole, items[k:])
+            return
+        end = min(k + size, len(items)) if size else len(items)
         statement = _part(whole, items[k:end])
-        yield statement, _step(statement, opening, is_label=is_label and first not in _HEADS)
+        is_label = _is_label(items, k) and first not in _HEADS
+        yield statement, _step(statement, _opening(items, k), is_label=is_label)
         k = end
+
+
+def _opening(items: Sequence[Any], k: int) -> str:
+    """Return the word that may open a block, behind LOCAL."""
+    first = word(items[k])
+    return word(items[k + 1]) if first == "LOCAL" and k + 1 < len(items) else first
+
+
+def _is_label(items: Sequence[Any], k: int) -> bool:
+    return k + 1 < len(items) and is_token(items[k + 1], "SIGN", ":")
+
+
+def _size_of_head(items: Sequence[Any], k: int) -> int:
+    """Return the number of items of a statement behind which another one may follow without a
+    semicolon, 0 for other statements.
+    """
+    first = word(items[k])
+    opening = _opening(items, k)
+    size = 0
+    if first in _ALONE:
+        size = 1
+    elif opening in _ROUTINES or opening in ("MODULE", "RECORD"):
+        size = (1 if first == "LOCAL" else 0) + (3 if opening == "FUNC" else 2)
+    elif first in _HEADS:
+        size = _distance(items, k, (_HEADS[first],)) + 1
+    elif first and _is_label(items, k):
+        size = 2
+    elif first == "TEST":
+        size = max(_distance(items, k, ("CASE", "DEFAULT")), 0)
+    elif not first:
+        size = max(_distance(items, k + 1, ("MODULE",)) + 1, 0)
+    has_brackets = size and k + size < len(items) and isinstance(items[k + size], Brackets)
+    return size + 1 if has_brackets and (opening in _BLOCKS or first == "ERROR") else size
+
+
+def _distance(items: Sequence[Any], k: int, words: Sequence[str]) -> int:
+    """Return how far the first of some words or signs is behind an item, -1 if there is none."""
+    for j in range(k, len(items)):
+        if word(items[j]) in words or (is_token(items[j], "SIGN") and str(items[j]) in words):
+            return j - k
+    return -1
 
 
 def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, Step]]:
@@ -277,7 +312,7 @@ def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, S
     ]
     k = motions[-1] if motions else 1
     sides = split(items, ":=")
-    if not motions and len(sides) == 2:
+    if not motions and len(sides) == 2 and is_assignment(items):
         k = len(sides[0]) - 1
         while k > 1 and (
             isinstance(items[k], Brackets)
@@ -286,7 +321,7 @@ def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, S
         ):
             k -= 1
     condition = _part(whole, items[:1])
-    yield condition, Step(opens=ONCE)
+    yield condition, Step(opens=ONCE, calls=_routines(name for name, _ in calls_in(items[:k])))
     if k < len(items):
         statement = _part(whole, items[k:])
         yield statement, _step(statement, word(statement.items[0]), is_label=False)
@@ -308,37 +343,62 @@ def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:
             opens=opening,
             routine=names[-1] if opening in _ROUTINES else "",
             is_loop=opening in _LOOPS,
+            calls=_routines(name for name, _ in calls_in(items)) if first in _CONDITIONS else (),
         )
     if first in _CLOSES:
         return Step(closes=_CLOSES[first])
     if first in _JUMPS or is_label:
-        return Step(is_jump=True)
+        return Step(is_jump=True, calls=_routines(name for name, _ in calls_in(items)))
     if first == "CONNECT":
         return Step(starts=tuple(words_in(items[1:])))
-    own = first if first and not any(is_token(item, "SIGN", ":=") for item in items) else ""
-    names = [own, *(name.upper() for name, _ in calls_in(items))]
-    is_known = first in MOTIONS or first in _STORAGE
-    calls = tuple(
-        name
-        for name in names
-        if name
-        and not (is_known and name == first)
-        and name not in _INSTRUCTIONS
-        and name not in RAPID_FUNCTIONS
-        and name not in SWITCHES
-    )
+    is_own = not (is_assignment(items) or first in MOTIONS or first in _STORAGE)
+    names = [name for name, _ in calls_in(items) if is_own or name.upper() != first]
+    calls = _routines([*([first] if is_own else []), *names, *_called_by_text(items)])
     return Step(
         sets=frozenset({SWITCHES[first]}) if first in SWITCHES else frozenset(), calls=calls
     )
 
 
-def check_blocks(
-    source: Source, statements: Sequence[Statement], steps: Sequence[Step], flow: Sequence[InForce]
-) -> None:
+def _routines(names: Iterable[str]) -> tuple[str, ...]:
+    """Return those of some names before brackets, or of statements, that are not RAPID's own."""
+    return tuple(
+        name.upper()
+        for name in names
+        if name
+        and name.upper() not in _INSTRUCTIONS
+        and name.upper() not in RAPID_FUNCTIONS
+        and name.upper() not in _FILLERS
+        and name.upper() not in SWITCHES
+    )
+
+
+def _called_by_text(items: Sequence[Any]) -> list[str]:
+    """Return the names of routines that a statement calls by a text: ``%"name"%``, or the last
+    argument of MoveLSync; a computed one has no routine's name.
+    """
+    texts = split(items, "%")[1:2]
+    if word(items[0]) in MOTIONS and word(items[0]).endswith("SYNC"):
+        texts.append(split(items)[-1])
+    return [
+        str(text[0]).strip('"').upper() if len(text) == 1 and is_token(text[0], "TEXT") else "%"
+        for text in texts
+    ]
+
+
+def is_assignment(items: Sequence[Any]) -> bool:
+    r"""Return whether items assign a value: not where an optional argument is given one, as in
+    ``up\x:=1``.
+    """
+    signs = [str(item) for item in items if is_token(item, "SIGN", ":=", "\\")]
+    return signs[:1] == [":="]
+
+
+def check_blocks(code: Code) -> None:
     """Refuse a file that does not consist of modules, or has nested routines."""
-    if not any(step.opens == "MODULE" for step in steps):
+    source = code.source
+    if not any(step.opens == "MODULE" for step in code.steps):
         raise source.error("the end of the file, expected " + _WORDS, len(source.content))
-    for statement, step, known in zip(statements, steps, flow, strict=True):
+    for statement, step, known in zip(code.statements, code.steps, code.flow, strict=True):
         found = text_of_items(statement.items[:1])
         is_outside = known.depth == 0
         if (step.opens == "MODULE") != is_outside and not (is_outside and found == "%"):

@@ -6,10 +6,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 from pincal.programs.draft import Draft
-from pincal.programs.flow import InForce, Step
+from pincal.programs.flow import Code, InForce, Step
 from pincal.programs.line_flow import STATED_LOAD
 from pincal.programs.program import Frame, Load, Point, Skipped
 from pincal.programs.syntax import (
@@ -33,9 +34,7 @@ class Reader:
     Attributes:
         draft: collects what is found.
         file: index of the file.
-        statements: its statements.
-        steps: the effect of each on the control flow.
-        flow: what is known before each.
+        code: the file.
         harmless: names of functions and routines that change none of their arguments.
         entries: in which state routines start.
         case: whether names are case-sensitive.
@@ -43,12 +42,25 @@ class Reader:
 
     draft: Draft
     file: int
-    statements: Sequence[Statement]
-    steps: Sequence[Step]
-    flow: Sequence[InForce]
+    code: Code
     harmless: frozenset[str]
     entries: Entries
     case: ClassVar[bool] = False
+
+    @property
+    def statements(self) -> Sequence[Statement]:
+        """The statements of the file."""
+        return self.code.statements
+
+    @property
+    def steps(self) -> Sequence[Step]:
+        """The effect of each on the control flow."""
+        return self.code.steps
+
+    @property
+    def flow(self) -> Sequence[InForce]:
+        """What is known before each."""
+        return self.code.flow
 
     def literal(self, line: int, name: str, items: Sequence[Any]) -> Point | Skipped | None:
         """Return the point that items state in numbers, why it can't be used, or None for another
@@ -59,15 +71,25 @@ class Reader:
     def skip(self, name: str, line: int, reason: str) -> Skipped:
         return Skipped(name, self.file, line, reason)
 
+    def not_understood(self, motion: str, line: int) -> None:
+        """Note a motion whose arguments are not understood."""
+        self.draft.skipped.append(self.skip(f"{motion} of line {line}", line, "not understood"))
+
     def words(self, items: Sequence[Any]) -> set[str]:
         return set(words_in(items, case=self.case))
 
-    def parameters(self, k: int) -> set[str]:
+    def parameters(self, k: int) -> frozenset[str]:
         """Return the names of the parameters of the routine around a statement."""
-        routine = self.flow[k].routine
-        return (
-            set(formal_names(self.statements[routine], case=self.case)) if routine >= 0 else set()
-        )
+        return self._parameters.get(self.flow[k].routine, frozenset())
+
+    @cached_property
+    def _parameters(self) -> dict[int, frozenset[str]]:
+        """The names of parameters, by the statement that opens their routine."""
+        return {
+            k: frozenset(formal_names(self.statements[k], case=self.case))
+            for k, step in enumerate(self.steps)
+            if step.routine
+        }
 
     def target(self, k: int, part: Sequence[Any]) -> str | Point | Skipped:
         """Return the target of a motion: a name, a point in numbers, or something that can't be
@@ -123,11 +145,14 @@ class Reader:
                     return f"line {self.statements[found].line} displaces positions ({called})"
             elif found is not None:
                 return f"positions may be displaced ({kind}): {found}"
-            elif known.routine >= 0:
-                routine = self.steps[known.routine].routine
-                if routine in self.entries.displaced_at_start(kind):
-                    return f"positions may be displaced ({kind}): another routine does so"
+            elif self.starts_displaced(k, kind):
+                return f"positions may be displaced ({kind}): another routine does so"
         return ""
+
+    def starts_displaced(self, k: int, kind: str) -> bool:
+        """Return whether the routine around a statement may start with something set."""
+        routine = self.code.routine(k)
+        return bool(routine) and routine in self.entries.displaced_at_start(kind)
 
     def load(self, k: int) -> Load | None:
         """Return the load in force at a motion, None if the program states none."""
@@ -136,8 +161,7 @@ class Reader:
         if isinstance(found, int):
             statement = self.statements[found]
             return Load(text_of_items(statement.items), statement.line, self.mass(statement))
-        routine = self.steps[known.routine].routine if known.routine >= 0 else ""
-        if found is None and routine in self.entries.displaced_at_start(STATED_LOAD):
+        if found is None and self.starts_displaced(k, STATED_LOAD):
             found = "it is set by another routine"
         return Load(found, self.statements[k].line) if found is not None else None
 
@@ -159,13 +183,13 @@ class Entries:
     """In which state the routines of some files start.
 
     Attributes:
-        files: statements of each file, their effects, and what is known before each.
+        files: the files.
         ends: whether a statement ends what it switches.
         lasting: kinds of displacement that last when a program ends.
         known: by a kind of displacement, the routines that may start with positions displaced.
     """
 
-    files: Sequence[tuple[Sequence[Statement], Sequence[Step], Sequence[InForce]]]
+    files: Sequence[Code]
     ends: Callable[[Statement], bool]
     lasting: Sequence[str] = ()
     known: dict[str, frozenset[str]] = field(default_factory=dict)
@@ -177,33 +201,64 @@ class Entries:
         return self.known[kind]
 
     def _displaced_at_start(self, kind: str) -> frozenset[str]:
-        found = set[str]()
-        called = set[str]()
-        # Routines called by one in which nothing of the kind has happened yet.
-        heirs = dict[str, list[str]]()
-        ended = dict[str, bool]()
-        for statements, steps, flow in self.files:
-            for k, step in enumerate(steps):
-                state = flow[k].setters.get(kind)
-                is_clean = state is None or (
-                    isinstance(state, int) and self.ends(statements[state])
-                )
-                called |= set(step.calls)
-                found |= set(step.starts)
-                routine = steps[flow[k].routine].routine if flow[k].routine >= 0 else ""
-                for name in step.calls:
-                    if not is_clean:
-                        found.add(name)
-                    elif state is None:
-                        heirs.setdefault(routine, []).append(name)
-                if step.closes and steps[flow[k].blocks[-1]].routine:
-                    ended[routine] = is_clean
-        # A program that nothing else calls starts again as it has ended.
-        if kind in self.lasting:
-            found |= {name for name, is_clean in ended.items() if not (is_clean or name in called)}
+        starts = _Starts(kind, self.ends)
+        for code in self.files:
+            for k in range(len(code.steps)):
+                starts.look_at(code, k)
+        return starts.displaced(lasts=kind in self.lasting)
+
+
+@dataclass
+class _Starts:
+    """How the routines of some files start and end with respect to one kind of displacement.
+
+    Attributes:
+        kind: the kind.
+        ends: whether a statement ends what it switches.
+        found: routines that are called, or may run, while positions may be displaced.
+        called: all routines that are called.
+        heirs: the routines that are called before anything of the kind has happened, by the
+            routine that calls them.
+        is_clean: whether positions are displaced no more where a routine ends.
+    """
+
+    kind: str
+    ends: Callable[[Statement], bool]
+    found: set[str] = field(default_factory=set)
+    called: set[str] = field(default_factory=set)
+    heirs: dict[str, list[str]] = field(default_factory=dict)
+    is_clean: dict[str, bool] = field(default_factory=dict)
+
+    def look_at(self, code: Code, k: int) -> None:
+        """Note the routines that a statement calls, starts or ends."""
+        step = code.steps[k]
+        state = code.flow[k].setters.get(self.kind)
+        is_clean = state is None or (isinstance(state, int) and self.ends(code.statements[state]))
+        self.called |= set(step.calls)
+        self.found |= set(step.starts)
+        routine = code.routine(k)
+        for name in step.calls:
+            if not is_clean:
+                self.found.add(name)
+            elif state is None:
+                self.heirs.setdefault(routine, []).append(name)
+        if step.closes and code.steps[code.flow[k].blocks[-1]].routine:
+            self.is_clean[routine] = is_clean
+
+    def displaced(self, *, lasts: bool) -> frozenset[str]:
+        """Return the routines that may start displaced.
+
+        Args:
+            lasts: whether displacements of the kind last when a program ends: a program that
+                nothing else calls starts again as it has ended.
+        """
+        found = set(self.found)
+        if lasts:
+            ended = self.is_clean.items()
+            found |= {name for name, is_clean in ended if not (is_clean or name in self.called)}
         ahead = sorted(found)
         while ahead:
-            for name in heirs.get(ahead.pop(), []):
+            for name in self.heirs.get(ahead.pop(), []):
                 if name not in found:
                     found.add(name)
                     ahead.append(name)

@@ -12,7 +12,7 @@ import bisect
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -20,12 +20,14 @@ from pincal.errors import ProgramError, needed
 from pincal.thresholds import Count
 
 if TYPE_CHECKING:
-    from lark import Lark, Token
+    from lark import Lark
+    from lark import Token as ParsedToken
 
 # No program is larger [bytes].
 LARGEST_PROGRAM: Count = 50_000_000
-# Words, numbers and signs of one program, and brackets within brackets; reading takes 10 us each.
-MOST_WORDS: Count = 1_000_000
+# Words, numbers and signs of one program, which take some 10 us each: 50 000 points have two to
+# five million. Brackets within brackets.
+MOST_WORDS: Count = 10_000_000
 DEEPEST: Count = 100
 # Statements of nested brackets; a language adds its tokens, and ``_END``, which ends a statement.
 _NESTED = r"""
@@ -57,6 +59,36 @@ class Number:
     def decimals(self) -> int:
         """Number of decimal places."""
         return len(self.text.lower().partition("e")[0].partition(".")[2])
+
+
+class Token(str):
+    """A word, a number, a text or a sign of a program, its line, and its position.
+
+    Attributes:
+        type: its terminal in the grammar.
+        start_pos: where it begins in the text.
+        line: its line, from 1.
+    """
+
+    __slots__ = ("line", "start_pos", "type")
+
+    type: str
+    start_pos: int
+    line: int
+
+    @classmethod
+    def at(cls, kind: str, text: str, start: int, line: int) -> Token:
+        """Return the token of a text at a position."""
+        token = cls(text)
+        token.type = kind
+        token.start_pos = start
+        token.line = line
+        return token
+
+    @property
+    def end_pos(self) -> int:
+        """Where it ends in the text."""
+        return self.start_pos + len(self)
 
 
 @dataclass(frozen=True)
@@ -135,6 +167,11 @@ class Source:
         line, column = self.place(at)
         return ProgramError(f"{self.name}, line {line}, column {column}: {what}")
 
+    def truncated(self, words: str) -> ProgramError:
+        """Return the error of a text that ends before what is expected of it."""
+        what = f"the end of the file; expected more of {words}: is it truncated?"
+        return self.error(what, len(self.text))
+
     def parse(self, grammar: str, words: str, *, part: tuple[int, int] | None = None) -> Any:
         """Return lark's tree of the text by a grammar.
 
@@ -158,102 +195,124 @@ class Source:
             )
             is_end = isinstance(error, UnexpectedToken) and error.token.type == "$END"
             if is_end or at == len(text):
-                raise self.error(
-                    f"the end of the file; expected more of {words}: is it truncated?", len(text)
-                ) from None
-            found = text[at] if isinstance(error, UnexpectedCharacters) else str(error.token)  # type: ignore[attr-defined]
+                raise self.truncated(words) from None
+            is_character = isinstance(error, UnexpectedCharacters)
+            found = text[at] if is_character else str(error.token)  # type: ignore[attr-defined]
             raise self.error(f"{found[:30]!r}; expected {words}", at) from None
 
     def statements(self, tokens: str, words: str, *, over_lines: bool = False) -> list[Statement]:
         """Return the statements of a language of nested brackets.
 
+        They are read in one pass: the parser of :meth:`parse` would take ten times as long.
+
         Args:
             tokens: the language's own terminals.
             words: what is expected of the file, for messages.
             over_lines: whether brackets may contain what ends statements outside them.
-        """
-        # Read in one pass; the parser, some ten times slower, says what is not as expected.
-        fast = self._fast_statements(nested(tokens, over_lines=over_lines), over_lines=over_lines)
-        if fast is not None:
-            return fast
-        found = []
-        for tree in self.parse(nested(tokens, over_lines=over_lines), words).children:
-            items = tuple(self._items(tree.children, words))
-            if items:
-                start, end = place_of(items)
-                line = self.place(start)[0] if isinstance(items[0], Brackets) else items[0].line
-                found.append(Statement(items, start, end, line or 0))
-        return found
 
-    def _tokens(self, grammar: str) -> Iterator[Token | None]:
-        """Yield the tokens of the text by the terminals of a grammar, None for anything else."""
+        Raises:
+            ProgramError: if the text does not match the grammar.
+        """
+        reader = _Nesting(self, words, over_lines)
+        for token in self._tokens(nested(tokens, over_lines=over_lines), words):
+            reader.take(token)
+        return reader.finish()
+
+    def _tokens(self, grammar: str, words: str) -> Iterator[Token]:
+        """Yield the tokens of the text by the terminals of a grammar."""
         with needed("lark", "programs of controllers", error=ProgramError):
-            from lark import Token
-        lexer: Any = parser_of(grammar).parser.lexer
-        terminals = [(one.name, one.pattern.to_regexp()) for one in lexer.root_lexer.terminals]
+            lexer: Any = parser_of(grammar).parser.lexer.root_lexer
+        terminals = [(one.name, one.pattern.to_regexp()) for one in lexer.terminals]
         pattern = re.compile("|".join(f"(?P<{name}>{pattern})" for name, pattern in terminals))
         text = self.text + _END_OF_FILE
-        lines = [match.start() for match in re.finditer("\n", text)]
+        ends = [match.start() for match in re.finditer("\n", text)]
         at = 0
-        while at < len(text):
-            match = pattern.match(text, at)
-            if match is None or match.end() == at:
-                yield None
-                return
+        line = 0
+        for match in pattern.finditer(text):
+            if match.start() != at:
+                break
             kind = match.lastgroup or ""
-            if kind not in lexer.root_lexer.ignore_types:
-                line = bisect.bisect_left(lines, at) + 1
-                yield Token(kind, match.group(), at, line, end_pos=match.end())
+            if kind not in lexer.ignore_types:
+                while line < len(ends) and ends[line] < at:
+                    line += 1
+                yield Token.at(kind, match.group(), at, line + 1)
             at = match.end()
+        if at < len(text):
+            raise self.error(f"{text[at]!r}; expected {words}", at)
 
-    def _fast_statements(self, grammar: str, *, over_lines: bool) -> list[Statement] | None:
-        """Return the statements of a text; None if it is not one of the grammar throughout."""
-        statements = list[Statement]()
-        items = list[Any]()
-        outer: list[tuple[list[Any], Token]] = []
-        for token in self._tokens(grammar):
-            if token is None or (token.type == "_END" and outer and not over_lines):
-                return None
-            if token.type == "_END":
-                if items and not outer:
-                    start, end = place_of(items)
-                    line = self.place(start)[0] if isinstance(items[0], Brackets) else items[0].line
-                    statements.append(Statement(tuple(items), start, end, line))
-                    items = []
-            elif token.type == "OPEN" and len(outer) < DEEPEST:
-                outer.append((items, token))
-                items = []
-            elif token.type == "CLOSE" and outer and _PAIRS[outer[-1][1]] == token:
-                before, first = outer.pop()
-                end = token.end_pos or 0
-                before.append(Brackets(str(first), tuple(items), first.start_pos or 0, end))
-                items = before
-            elif token.type in ("OPEN", "CLOSE"):
-                return None
-            else:
-                items.append(token)
-        return None if outer or items else statements
 
-    def _items(self, children: Iterable[Any], words: str, depth: int = 0) -> Iterator[Any]:
-        for child in children:
-            if isinstance(child, str):
-                yield child
-                continue
-            first, *inner, last = child.children
-            if depth == DEEPEST:
-                raise self.error(
-                    f"brackets within {DEEPEST} others; expected fewer in {words}", first.start_pos
-                )
-            if _PAIRS[first] != last:
-                raise self.error(
-                    f"{str(last)!r}; expected {_PAIRS[first]!r} in {words}", last.start_pos
-                )
-            yield Brackets(
-                str(first),
-                tuple(self._items(inner, words, depth + 1)),
-                first.start_pos,
-                last.end_pos,
+@dataclass
+class _Nesting:
+    """The statements of a text, and the brackets that are open, while its tokens are read.
+
+    Attributes:
+        source: the text.
+        words: what is expected of it, for messages.
+        over_lines: whether brackets may contain what ends statements outside them.
+        statements: those that are complete.
+        items: of the innermost open bracket, or of the statement.
+        outer: for each open bracket the items before it, and the bracket.
+    """
+
+    source: Source
+    words: str
+    over_lines: bool
+    statements: list[Statement] = field(default_factory=list)
+    items: list[Any] = field(default_factory=list)
+    outer: list[tuple[list[Any], Token]] = field(default_factory=list)
+
+    def take(self, token: Token) -> None:
+        """Take the next token."""
+        if token.type == "_END":
+            self._end(token)
+        elif token.type == "OPEN":
+            self._open(token)
+        elif token.type == "CLOSE":
+            self._close(token)
+        else:
+            self.items.append(token)
+
+    def finish(self) -> list[Statement]:
+        """Return the statements."""
+        if self.outer or self.items:
+            raise self.source.truncated(self.words)
+        return self.statements
+
+    def _end(self, token: Token) -> None:
+        if self.outer:
+            if not self.over_lines:
+                raise self._unexpected(token)
+            return
+        if self.items:
+            first = self.items[0]
+            start, end = place_of(self.items)
+            line = self.source.place(start)[0] if isinstance(first, Brackets) else first.line
+            self.statements.append(Statement(tuple(self.items), start, end, line))
+            self.items = []
+
+    def _open(self, token: Token) -> None:
+        if len(self.outer) == DEEPEST:
+            raise self.source.error(
+                f"brackets within {DEEPEST} others; expected fewer in {self.words}", token.start_pos
             )
+        self.outer.append((self.items, token))
+        self.items = []
+
+    def _close(self, token: Token) -> None:
+        if not self.outer:
+            raise self._unexpected(token)
+        before, first = self.outer.pop()
+        if _PAIRS[first] != token:
+            raise self.source.error(
+                f"{str(token)!r}; expected {_PAIRS[first]!r} in {self.words}", token.start_pos
+            )
+        before.append(Brackets(str(first), tuple(self.items), first.start_pos, token.end_pos))
+        self.items = before
+
+    def _unexpected(self, token: Token) -> ProgramError:
+        if token.start_pos >= len(self.source.text):
+            return self.source.truncated(self.words)
+        return self.source.error(f"{str(token)[:30]!r}; expected {self.words}", token.start_pos)
 
 
 def nested(tokens: str, *, over_lines: bool = False) -> str:
@@ -269,7 +328,7 @@ def parser_of(grammar: str) -> Lark:
     """Return the parser of a grammar."""
     from lark import Lark
 
-    return Lark(grammar, parser="lalr", lexer="contextual", propagate_positions=True)
+    return Lark(grammar, parser="lalr", lexer="contextual")
 
 
 def place_of(items: Sequence[Any]) -> tuple[int, int]:
@@ -311,7 +370,7 @@ def number_of(items: Sequence[Any]) -> Number | None:
     )
 
 
-def number_at(token: Token) -> Number | None:
+def number_at(token: ParsedToken) -> Number | None:
     """Return the number of a token in a grammar with signed numbers; None if it is
     something else.
     """

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pincal.programs.draft import Draft
-from pincal.programs.flow import InForce, Step, followed
+from pincal.programs.flow import Code, InForce, Step, followed
 from pincal.programs.language import LANGUAGES, ControllerLanguage
 from pincal.programs.line_flow import POSITIONS, STATED_LOAD
 from pincal.programs.program import Frame, Motion, Path, Point, Posture, Program, Skipped
@@ -67,7 +67,8 @@ _SCRIPT_WORDS = (
         "get_target_payload_inertia, get_target_tcp_pose, get_target_tcp_speed, "
         "get_target_waypoint, get_tcp_force, get_tcp_offset, get_tool_accelerometer_reading, "
         "get_tool_current, popup, powerdown, sleep, str_at, str_cat, str_empty, str_find, str_len, "
-        "str_sub, sync, textmsg, to_num, to_str, assert, time, "
+        "str_sub, sync, textmsg, to_num, to_str, assert, time, force, rpc_factory, "
+        "get_target_tcp_pose_along_path, get_target_tcp_speed_along_path, "
         "set_payload, set_payload_cog, set_payload_mass, "
         "set_target_payload, set_gravity, set_flag, get_flag, halt, rtde_set_watchdog, "
         "request_boolean_from_primary_client, request_float_from_primary_client, "
@@ -98,7 +99,8 @@ _SCRIPT_WORDS = (
         "read_port_bit, read_port_register, set_analog_inputrange, set_analog_out, "
         "set_analog_outputdomain, set_configurable_digital_out, set_digital_out, "
         "set_euromap_output, set_euromap_runstate_dependent_choice, "
-        "set_runstate_configurable_digital_output_to_value, set_runstate_standard_analog_output_to_value, "
+        "set_runstate_configurable_digital_output_to_value, "
+        "set_runstate_standard_analog_output_to_value, "
         "set_runstate_standard_digital_output_to_value, set_runstate_tool_digital_output_to_value, "
         "set_standard_analog_input_domain, set_standard_analog_out, set_standard_digital_out, "
         "set_tool_analog_input_domain, set_tool_communication, set_tool_digital_out, "
@@ -171,47 +173,17 @@ class UrScript(ControllerLanguage):
 
     def read(self, sources: Sequence[Source]) -> Program:
         draft = Draft(sources)
-        files = []
-        for source in sources:
-            statements = source.statements(_TOKENS, _WORDS, over_lines=True)
-            steps = [_step(statement) for statement in statements]
-            if not any(
-                step.opens or call_of(statements[k].items) is not None
-                for k, step in enumerate(steps)
-            ):
-                raise source.error(
-                    f"no statement that calls or defines anything; expected {_WORDS}", 0
-                )
-            files.append((source, statements, steps))
-        flows = followed(files, outside=frozenset({POSITIONS}))
-        displaced = {
-            POSITIONS,
-            *(name for _, _, steps in files for step in steps for name in step.sets),
-        } - {"tcp", STATED_LOAD}
-        entries = Entries(
-            [
-                (statements, steps, flow)
-                for (_, statements, steps), flow in zip(files, flows, strict=True)
-            ],
-            _ends_displacement,
-        )
-        for i, (_, statements, steps) in enumerate(files):
+        files = followed([_code(source) for source in sources], outside=frozenset({POSITIONS}))
+        switched = {name for code in files for step in code.steps for name in step.sets}
+        displaced = sorted({POSITIONS, *switched} - {"tcp", STATED_LOAD})
+        entries = Entries(files, _ends_displacement)
+        for i, code in enumerate(files):
             # Arguments are passed by value.
             harmless = frozenset(
-                name for statement in statements for name, _ in calls_in(statement.items)
+                name for statement in code.statements for name, _ in calls_in(statement.items)
             )
-            reader = _ScriptReader(
-                draft,
-                i,
-                statements,
-                steps,
-                flows[i],
-                harmless,
-                entries,
-                self,
-                sorted(displaced),
-            )
-            for k in range(len(statements)):
+            reader = _ScriptReader(draft, i, code, harmless, entries, self, displaced)
+            for k in range(len(code.statements)):
                 reader.statement(k)
         return draft.finish()
 
@@ -308,31 +280,18 @@ class _ScriptReader(Reader):
         """Note a motion."""
         statement = self.statements[k]
         known = self.flow[k]
-        named = dict[str, tuple[Any, ...]]()
-        plain = []
-        for part in arguments.parts:
-            if len(part) > 2 and is_token(part[1], "SIGN", "="):
-                named[str(part[0])] = part[2:]
-            elif part:
-                plain.append(part)
+        given = _arguments(arguments)
         path = _MOTIONS[called]
         count = 2 if path == "circle" else 1
-        places = plain[:count]
+        places = given.places(count)
         if len(places) < count:
-            places = [named[key] for key in ("pose_via", "pose_to", "pose", "q") if key in named]
-        if len(places) < count:
-            self.draft.skipped.append(
-                self.skip(f"{called} of line {statement.line}", statement.line, "not understood")
-            )
+            self.not_understood(called, statement.line)
             return
         targets = tuple(self.target(k, part) for part in places)
-        displaced = self.displaced(k, self.displacements)
-        base = Frame("", reason=displaced) if displaced else Frame("base", np.eye(4))
-        mode = plain[_MODE][:] if len(plain) > _MODE else named.get("mode", ())
-        if path == "circle" and text_of_items(mode) not in ("", "0"):
+        if path == "circle" and given.mode not in ("", "0"):
             why = f"line {statement.line} does not turn the tool to its orientation (mode)"
             targets = (targets[0], self.left(targets[1], why))
-        span = place_of(places[-1])
+        displaced = self.displaced(k, self.displacements)
         self.draft.motions.append(
             Motion(
                 path,
@@ -340,8 +299,8 @@ class _ScriptReader(Reader):
                 statement,
                 self.file,
                 self._tool(known),
-                base,
-                span,
+                Frame("", reason=displaced) if displaced else Frame("base", np.eye(4)),
+                place_of(places[-1]),
                 known.run,
                 path == "line",
                 load=self.load(k),
@@ -370,9 +329,75 @@ class _ScriptReader(Reader):
         return Frame("tcp", reason=f"line {self.statements[found].line} sets a computed tool")
 
 
+@dataclass(frozen=True)
+class _ScriptArguments:
+    """The arguments of a motion: those without names in their order, and the others by their
+    names.
+    """
+
+    plain: Sequence[Sequence[Any]]
+    named: Mapping[str, Sequence[Any]]
+
+    def places(self, count: int) -> Sequence[Sequence[Any]]:
+        """Return the places of a motion through some number of them; fewer if it has not as
+        many.
+        """
+        if len(self.plain) >= count:
+            return self.plain[:count]
+        names = ("pose_via", "pose_to", "pose", "q")
+        return [self.named[name] for name in names if name in self.named]
+
+    @property
+    def mode(self) -> str:
+        """How a circle turns the tool; "" if it is not stated."""
+        is_plain = len(self.plain) > _MODE
+        return text_of_items(self.plain[_MODE] if is_plain else self.named.get("mode", ()))
+
+
+def _arguments(brackets: Brackets) -> _ScriptArguments:
+    """Return the arguments in brackets."""
+    named = dict[str, Sequence[Any]]()
+    plain = []
+    for part in brackets.parts:
+        if len(part) > 2 and is_token(part[1], "SIGN", "="):
+            named[str(part[0])] = part[2:]
+        elif part:
+            plain.append(part)
+    return _ScriptArguments(plain, named)
+
+
+def _code(source: Source) -> Code:
+    """Return the statements of a file with their effects.
+
+    Raises:
+        ProgramError: for text in another language.
+    """
+    statements = source.statements(_TOKENS, _WORDS, over_lines=True)
+    steps = [_step(statement) for statement in statements]
+    if not any(
+        step.opens or call_of(statement.items) is not None
+        for statement, step in zip(statements, steps, strict=True)
+    ):
+        raise source.error(f"no statement that calls or defines anything; expected {_WORDS}", 0)
+    return Code(source, statements, steps)
+
+
 def _ends_displacement(statement: Statement) -> bool:
     """Return whether a statement of ``_SWITCHES`` ends what it switches."""
     return str(statement.items[0]) in _ENDS_IT
+
+
+def _called(items: Sequence[Any]) -> Iterator[str]:
+    """Yield the names of functions of the controller that items call at any depth: not those
+    behind a point, which are run by another computer (rpc_factory).
+    """
+    for k, item in enumerate(items):
+        if not isinstance(item, Brackets):
+            continue
+        is_call = item.kind == "(" and k > 0 and is_token(items[k - 1], "WORD")
+        if is_call and not (k > 1 and is_token(items[k - 2], "SIGN", ".")):
+            yield str(items[k - 1])
+        yield from _called(item.items)
 
 
 def _step(statement: Statement) -> Step:
@@ -382,7 +407,7 @@ def _step(statement: Statement) -> Step:
     kind = _OPENS.get(first, "")
     calls = tuple(
         name
-        for name, _ in calls_in(items)
+        for name in _called(items)
         if name not in _HARMLESS
         and name not in _SWITCHES
         and name not in _MOTIONS

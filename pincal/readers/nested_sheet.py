@@ -38,8 +38,8 @@ _YAML = (".yaml", ".yml", ".samples")
 
 
 def nested_kind(path: Path) -> str:
-    """Return "json", "yaml", "npy", "npz", "mat" or "xml" for a file of such contents; empty for any
-    other.
+    """Return "json", "yaml", "npy", "npz", "mat" or "xml" for a file of such contents; empty for
+    any other.
     """
     with path.open("rb") as file:
         head = file.read(4096)
@@ -263,8 +263,8 @@ def _are_equal(one: _Value, other: _Value) -> bool:
 
 
 def _alone(data: Any, source: str, joints: int) -> Any:
-    """Return the values of a file, of a single matrix without a telling name the matrix alone, with a
-    pose in each row.
+    """Return the values of a file, of a single matrix without a telling name the matrix alone, with
+    a pose in each row.
     """
     found = [(path, v) for path, v in flat(data) if isinstance(v, np.ndarray) and v.ndim > 1]
     if len(found) != 1 or found[0][1].ndim != 2 or found[0][1].dtype.kind not in "fiub":

@@ -60,8 +60,8 @@ def matrix(stated: Mapping[str, Any]) -> np.ndarray:
         return values.reshape(size if channels == 1 else (*size, channels))
     except (TypeError, ValueError, KeyError) as error:
         raise MeasurementError(
-            f"a matrix of OpenCV has {stated.get('rows')} rows and {stated.get('cols')} columns, and "
-            "other data; expected as many numbers"
+            f"a matrix of OpenCV has {stated.get('rows')} rows and {stated.get('cols')} columns, "
+            "and other data; expected as many numbers"
         ) from error
 
 

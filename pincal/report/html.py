@@ -22,6 +22,7 @@ SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     sections.moments,
     sections.parameters,
     sections.unidentified,
+    sections.identity,
     sections.basis,
     sections.glossary,
 )
@@ -44,6 +45,8 @@ def report_page(
         f" ({rows} rows)" if poses < rows else ""
     )
     lead += ", with a search for missing effects" if subject.search else ""
+    machine = calibration.fit.identity.machine
+    lead += f"; {machine}" if machine else ""
     made = [section for make in layout if (section := make(subject)) is not None]
     title = f"Calibration of {calibration.robot.name}"
     version = subject.provenance.get("pincal", "")

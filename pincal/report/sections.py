@@ -91,6 +91,7 @@ def summary(subject: Subject) -> Section:
         paragraph(_headline(subject)),
         *_elsewhere(subject),
         paragraph(tag),
+        *_worth(subject),
         *plain_notes(result.warnings),
     )
     columns = arranged("split", left, arranged("plain", heading("What to do next"), steps))
@@ -155,10 +156,19 @@ def _elsewhere(subject: Subject) -> Iterator[Markup]:
     if found is not UNSET:
         words = elsewhere_words(found, subject.result.error["calibrated"][subject.part])
         meaning = (
-            "the model itself, by the uncertainty of its parameters; errors that it does not "
-            "describe come on top"
+            "the model itself, by the uncertainty of its parameters, what it lacks and how the "
+            "robot arrives"
         )
         yield paragraph(rich("Elsewhere: {} (by {}).", words, meaning))
+
+
+def _worth(subject: Subject) -> Iterator[Markup]:
+    """Yield how good predictions are, and what this rests on."""
+    statement = subject.calibration.fit.statement
+    if statement is not None and statement.worth:
+        yield paragraph(
+            rich("The model is {}; this rests on {}.", statement.worth, statement.rests_on)
+        )
 
 
 def _size(value: float, unit: str) -> str:
@@ -550,6 +560,14 @@ def unidentified(subject: Subject) -> Section:
         blocks += [heading("Not included in the calibrated URDF"), bullets(subject.notes)]
     title = "What is not identifiable, and what to measure"
     return Section("unidentified", title, tuple(blocks), "Not identifiable")
+
+
+def identity(subject: Subject) -> Section | None:
+    """What was stated of robot, instrument and circumstances."""
+    stated = [(meaning, text) for _, meaning, text in subject.calibration.fit.identity.entries()]
+    if not stated:
+        return None
+    return Section("identity", "Identity", (facts(stated),), "Identity")
 
 
 def basis(subject: Subject) -> Section:

@@ -290,9 +290,71 @@ class _Neutral:
 
 
 @dataclass(frozen=True)
+class _Placed:
+    """An arm of n joints at its neutral position, with Denavit-Hartenberg frames.
+
+    Attributes:
+        neutral: the arm as the URDF describes it.
+        parents: the joint that carries each joint, -1 for the base.
+        tips: shape (n, 4, 4), the ends of the links in the base frame.
+        pins: the pins at which links close loops.
+        frames: the Denavit-Hartenberg frames.
+        way: the path of the readings on the links.
+    """
+
+    neutral: _Neutral
+    parents: tuple[int, ...]
+    tips: np.ndarray
+    pins: Sequence[Pins]
+    frames: DhFrames
+    way: LinkPath
+
+    @classmethod
+    def of(
+        cls,
+        tree: UrdfTree,
+        path: tuple[UrdfJoint, ...],
+        base: str,
+        ends: Sequence[tuple[str, str]],
+    ) -> _Placed:
+        """Return the arm of these joints, with readings between these ends."""
+        names = tuple(joint.name for joint in path)
+        neutral = _Neutral.of(tree, names, base)
+        parents = _parents(tree, path)
+        aims = {tree.carrier(path, link): link for pair in reversed(ends) for link in pair}
+        tips = np.array([neutral.links[aims.get(i, joint.child)] for i, joint in enumerate(path)])
+        pins = neutral.pins(tree, path)
+        rods = _rods_of(pins, aims)
+        frames = dh_frames(neutral.joints[:, :3, 3], neutral.axes, tips, parents, rods)
+        T_link_joint = np.linalg.inv(frames.T_base_link) @ neutral.joints
+        way = path_between(tree, names, base, *ends[0]).on_links(T_link_joint)
+        frames = replace(frames, T_last_tip=way.T_joint_tip)
+        return cls(neutral, parents, tips, pins, frames, way)
+
+    @property
+    def T_link_joint(self) -> np.ndarray:
+        """The frames of the URDF's joints in those of the links, shape (n, 4, 4)."""
+        return np.asarray(np.linalg.inv(self.frames.T_base_link) @ self.neutral.joints)
+
+    def attributes(self, base: str) -> dict[str, Any]:
+        """Return what a robot has of it; ``base`` is the link in whose frame it is."""
+        is_whole = self.way.is_whole(len(self.parents)) and self.way.start == base
+        return {
+            "base": base,
+            "tip": self.way.tip,
+            "frames": self.frames,
+            "T_link_joint": self.T_link_joint,
+            "gravity": self.neutral.T_base_world.rotation @ self.neutral.model.gravity.linear,
+            "parents": self.parents,
+            "ends": None if is_whole else self.way,
+        }
+
+
+@dataclass(frozen=True)
 class _Masses:
     """Masses of the n links [kg], shape (n,), centres of mass in the frames of the links [m], shape
-    (n, 3), which of them are guessed, and the masses that the URDF has instead of some, else 0 [kg].
+    (n, 3), which of them are guessed, and the masses that the URDF has instead of some, else 0
+    [kg].
     """
 
     masses: np.ndarray
@@ -301,28 +363,24 @@ class _Masses:
     placeholders: np.ndarray
 
     @classmethod
-    def of(
-        cls,
-        neutral: _Neutral,
-        frames: DhFrames,
-        parents: tuple[int, ...],
-        tips: np.ndarray,
-        total: float | None,
-    ) -> _Masses:
+    def of(cls, arm: _Placed, total: float | None) -> _Masses:
         """Return those of the URDF, or guesses where it has none or the user states the total."""
+        neutral = arm.neutral
+        parents = arm.parents
+        T_base_link = arm.frames.T_base_link
+        T_link_joint = arm.T_link_joint
         inertias = [neutral.model.inertias[i] for i in neutral.ids]
         masses = np.array([inertia.mass for inertia in inertias])
         levers = np.array([inertia.lever for inertia in inertias])
-        T_link_joint = np.linalg.inv(frames.T_base_link) @ neutral.joints
         centres = np.einsum("nij,nj->ni", T_link_joint[:, :3, :3], levers) + T_link_joint[:, :3, 3]
-        spans = _link_ends(parents, neutral.joints, tips)
+        spans = _link_ends(parents, neutral.joints, arm.tips)
         light = (masses > 0.0) & are_too_light(masses, spans, parents)
         placeholders = np.where(light & (total is None), masses, 0.0)
         unknown = (masses <= 0.0) | light | are_placeholders(masses.tolist()) | (total is not None)
         if unknown.any():
             masses, middles = guessed_masses(masses, spans, unknown, total=total, parents=parents)
             middles = np.einsum(
-                "nji,nj->ni", frames.T_base_link[:, :3, :3], middles - frames.T_base_link[:, :3, 3]
+                "nji,nj->ni", T_base_link[:, :3, :3], middles - T_base_link[:, :3, 3]
             )
             centres = np.where(unknown[:, None], middles, centres)
         return cls(masses, centres, unknown, placeholders)
@@ -337,8 +395,8 @@ class _Masses:
         if not found:
             return ()
         return (
-            f"the robot description has {few(found, _NAMED)}, which no arm of this reach can weigh: "
-            "placeholders, read as no mass; state the robot's mass (--mass) if it is known",
+            f"the robot description has {few(found, _NAMED)}, which no arm of this reach can "
+            "weigh: placeholders, read as no mass; state the robot's mass (--mass) if it is known",
         )
 
 
@@ -354,43 +412,29 @@ def _attributes(
     mimics = tree.mimics(path)
     names = tuple(joint.name for joint in path)
     types = tuple("prismatic" if joint.kind == "prismatic" else "revolute" for joint in path)
-    neutral = _Neutral.of(tree, names, base)
-    parents = _parents(tree, path)
-    aims = {tree.carrier(path, link): link for pair in reversed(ends) for link in pair}
-    tips = np.array([neutral.links[aims.get(i, joint.child)] for i, joint in enumerate(path)])
-    pins = neutral.pins(tree, path)
-    frames = dh_frames(neutral.joints[:, :3, 3], neutral.axes, tips, parents, _rods_of(pins, aims))
-    T_link_joint = np.linalg.inv(frames.T_base_link) @ neutral.joints
-    way = path_between(tree, names, base, *ends[0]).on_links(T_link_joint)
-    frames = replace(frames, T_last_tip=way.T_joint_tip)
-    links = _Masses.of(neutral, frames, parents, tips, mass)
-    limits = _with_mimics(*neutral.limits(path), names=names, mimics=mimics)
-    on_path = [names[i] for i, _ in way.steps(parents)]
+    arm = _Placed.of(tree, path, base, ends)
+    links = _Masses.of(arm, mass)
+    limits = _with_mimics(*arm.neutral.limits(path), names=names, mimics=mimics)
+    on_path = [names[i] for i, _ in arm.way.steps(arm.parents)]
     choice = Choice(tree.source, names, recorded, on_path, [mimic.source for mimic in mimics])
-    kinematics = Kinematics.of(frames, types, parents)
-    closures = [each.placed(frames.T_base_link) for each in pins]
+    kinematics = Kinematics.of(arm.frames, types, arm.parents)
+    closures = [each.placed(arm.frames.T_base_link) for each in arm.pins]
     closed, notes = _closed(tree, kinematics, closures, limits, choice)
-    return closed | {
+    described = {
         "name": tree.name,
         "joint_names": names,
         "joint_types": types,
         "lower": limits[0],
         "upper": limits[1],
-        "base": base,
-        "tip": way.tip,
-        "frames": frames,
-        "T_link_joint": T_link_joint,
         "masses": links.masses,
         "centres": links.centres,
         "massless": tuple(compress((joint.child for joint in path), links.guessed)),
-        "gravity": neutral.T_base_world.rotation @ neutral.model.gravity.linear,
         "notes": _notes(tree, names, ends, (*notes, *links.notes(names))),
         "urdf": tree.text,
         "source": tree.source,
         "mimics": mimics,
-        "parents": parents,
-        "ends": None if way.is_whole(len(path)) and way.start == base else way,
     }
+    return arm.attributes(base) | closed | described
 
 
 def _rods_of(pins: Sequence[Pins], aims: Collection[int]) -> dict[int, np.ndarray]:
@@ -548,8 +592,8 @@ def are_placeholders(masses: Sequence[float]) -> bool:
 
 
 def are_too_light(masses: np.ndarray, ends: np.ndarray, parents: Sequence[int]) -> np.ndarray:
-    """Return which masses [kg], shape (n,), no arm of these links can have, shape (n,); arguments as
-    in :func:`guessed_masses`.
+    """Return which masses [kg], shape (n,), no arm of these links can have, shape (n,); arguments
+    as in :func:`guessed_masses`.
 
     Exporters write a gram or less where a program wants a mass, such as on the frame of a tool.
     """

@@ -71,15 +71,13 @@ class Field:
 
 
 POINT = Field("point", ("point",), "name")
-_RECORDED = {
-    name: variable.quantity for name, variable in RECORDABLE.items() if not variable.of_joints
-}
-CONDITIONS = {"point": POINT} | {
-    name: Field(name, (name,), quantity)
-    for name, quantity in (
-        {"target": "name"} | _RECORDED | {"stop": "name", "station": "name"}
-    ).items()
-}
+_RECORDED = tuple(
+    Field(name, (name,), of.quantity, Rule(of.expected, of.is_possible))
+    for name, of in RECORDABLE.items()
+    if not of.of_joints
+)
+_TARGET, _STOP, _STATION = (Field(name, (name,), "name") for name in ("target", "stop", "station"))
+CONDITIONS = {of.name: of for of in (POINT, _TARGET, *_RECORDED, _STOP, _STATION)}
 CONDITIONS |= {f"{end}_link": Field(f"{end}_link", (end,), "name") for end in ("from", "to")}
 """Conditions of a pose that a table can contain in addition to the readings."""
 

@@ -11,9 +11,11 @@ vee being that of the antisymmetric part. So the columns of each effect follow f
 these poses. With
 :math:`\delta_\pm = R_0^T (d\varphi_\pm - d\varphi_0)`,
 
-.. math:: df = R_0^T \left( \frac{dp_+ - 2 dp_0 + dp_-}{h^2} - d\varphi_0 \times (a + g e_z) \right), \quad
-          d\omega = \frac{T_+ \delta_+ - T_- \delta_-}{2 h}, \quad d\dot\omega = \frac{T_+ \delta_+
-          + T_- \delta_-}{h^2}, \quad T = \tfrac{1}{2} (\mathrm{tr}(S) I - S) .
+.. math:: df = R_0^T \left( \frac{dp_+ - 2 dp_0 + dp_-}{h^2}
+          - d\varphi_0 \times (a + g e_z) \right), \quad
+          d\omega = \frac{T_+ \delta_+ - T_- \delta_-}{2 h}, \quad
+          d\dot\omega = \frac{T_+ \delta_+ + T_- \delta_-}{h^2}, \quad
+          T = \tfrac{1}{2} (\mathrm{tr}(S) I - S) .
 
 A row is the mean over a Gaussian window in time, by which the readings are filtered, evaluated by
 Gauss-Hermite quadrature. An IMU reads :math:`(I + C_a) f + b_a` and

@@ -90,7 +90,7 @@ class Instrument(SensorSetup):
 
     def _read(self, machine: Machine, poses: Poses, rng: np.random.Generator | None) -> Reading:
         offsets = np.array([*self.targets.values()])
-        seen = ((self.pose @ tips_of(machine, poses))[:, None] @ offsets).reshape(-1, 4, 4)
+        seen = self._seen(tips_of(machine, poses)[:, None], offsets).reshape(-1, 4, 4)
         rows = np.repeat(np.arange(len(poses.q)), len(offsets))
         columns = Table()
         if len(offsets) > 1:
@@ -103,6 +103,12 @@ class Instrument(SensorSetup):
             columns = {name: np.repeat(column, count) for name, column in columns.items()}
             columns["anchor"] = np.tile(np.array(list(self.anchors)), len(seen) // count)
         return Reading(poses, rows, columns | self._readings(machine, seen, rng))
+
+    def _seen(self, tips: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Return the pose of a target in the instrument's frame, shape (..., 4, 4), where the tip
+        is.
+        """
+        return np.asarray(self.pose @ tips @ target)
 
     def _readings(
         self, machine: Machine, seen: np.ndarray, rng: np.random.Generator | None
@@ -126,7 +132,7 @@ class Instrument(SensorSetup):
         """Return the first target in the frame of the instrument, or relative to the
         first anchor.
         """
-        seen: np.ndarray = (self.pose @ tip @ next(iter(self.targets.values())))[:, :3, 3]
+        seen = self._seen(tip, next(iter(self.targets.values())))[:, :3, 3]
         return np.asarray(seen - next(iter(self.points.values()), np.zeros(3)))
 
     def truth(self) -> dict[str, Any]:
@@ -139,6 +145,40 @@ class Instrument(SensorSetup):
             "targets": {name: target.tolist() for name, target in self.targets.items()},
         }
         return found | ({"anchors_in_base_m": as_lists(self.anchors)} if self.anchors else {})
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnHand(Instrument):
+    """An instrument on the hand, such as a camera, that measures an object beside the robot.
+
+    Attributes:
+        pose: Transform from the frame of the robot's first link to the object's, shape (4, 4).
+        targets: The instrument in the frame of the hand; one alone.
+
+    Raises:
+        BadInputError: For several instruments, or anchors, which belong beside the robot.
+    """
+
+    def __post_init__(self) -> None:
+        """Validate as any instrument, and that there is one."""
+        super().__post_init__()
+        if len(self.targets) != 1 or self.anchors:
+            raise BadInputError(
+                f"{len(self.targets)} targets and {len(self.anchors)} anchors of an instrument on "
+                "the hand; expected one object, and no anchors"
+            )
+
+    def _seen(self, tips: np.ndarray, target: np.ndarray) -> np.ndarray:
+        return np.linalg.inv(super()._seen(tips, target))
+
+    def truth(self) -> dict[str, Any]:
+        """Return what is known of it: the path of the readings begins at the hand."""
+        (on_hand,) = self.targets.values()
+        placed = {
+            "T_instrument_base": np.linalg.inv(on_hand).tolist(),
+            "targets": {"": np.linalg.inv(self.pose).tolist()},
+        }
+        return super().truth() | placed
 
 
 @dataclass(frozen=True, kw_only=True)

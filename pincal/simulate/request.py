@@ -13,7 +13,7 @@ from pincal.errors import BadInputError
 from pincal.simulate import contact
 from pincal.simulate.arm import Arm
 from pincal.simulate.camera import OBJECTS, EyeInHand
-from pincal.simulate.instrument import CellCamera, Instrument
+from pincal.simulate.instrument import KINDS, CellCamera, Instrument, OnHand
 from pincal.simulate.lens import draw_lens
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.setup import SensorSetup, draw_conditions, spread_payloads
@@ -43,6 +43,7 @@ class SetupOptions:
         object: Calibration object of a camera, a key of :data:`pincal.simulate.camera.OBJECTS`.
         lens: Given intrinsics of the camera, see :attr:`pincal.simulate.lens.Lens.intrinsics`.
         min_height: Height of the floor in the base frame [m]; None for no floor.
+        on_hand: Whether the instrument is on the hand, and what it measures beside the robot.
     """
 
     sigma: float = 0.0
@@ -57,6 +58,7 @@ class SetupOptions:
     object: str = "paper"
     lens: dict[str, float] = field(default_factory=dict)
     min_height: float | None = 0.0
+    on_hand: bool = False
 
 
 def draw_setup(
@@ -69,6 +71,11 @@ def draw_setup(
     """
     if kind not in SENSORS:
         raise BadInputError(f"sensor {kind!r}; expected one of {', '.join(SENSORS)}")
+    if options.on_hand and (SENSORS[kind] is not _beside or options.ball_bar is not None):
+        raise BadInputError(
+            f"sensor {kind!r} from the hand to a link that no joint moves; expected one of "
+            f"{', '.join(KINDS)}, without a ball bar"
+        )
     return SENSORS[kind](kind, arm, rng, options)
 
 
@@ -79,7 +86,8 @@ def _beside(kind: str, arm: Arm, rng: np.random.Generator, options: SetupOptions
     anchors = {f"anchor_{i + 1}": contact.place_beside(arm, rng) for i in range(options.anchors)}
     sigma = options.sigma
     sigma_angle = options.noise_angle
-    return Instrument(
+    made = OnHand if options.on_hand else Instrument
+    return made(
         reads=kind,
         pose=instrument,
         targets=targets,

@@ -265,9 +265,8 @@ def _moving_joint(model: Any, tip: str) -> int:
     joint = int(model.frames[_frame_id(model, tip)].parentJoint)
     if not joint:
         raise RobotFileError(
-            f"no joint moves {tip!r}, which is to be measured; expected a link of the arm: "
-            f"simulate it as seen from {tip!r} (--from), and invert the poses for what is seen "
-            "from the arm"
+            f"no joint moves {tip!r}, which is to be measured; expected a link of the arm, or "
+            f"with it the hand that sees it (--from HAND --to {tip})"
         )
     return joint
 

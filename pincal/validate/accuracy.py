@@ -7,7 +7,8 @@ accuracy of ISO 9283 for a single measurement. The orientation error is one angl
 Replicates, repeated measurements of one pose, are found by :mod:`pincal.measure.poses`. With l_j
 the distance of replicate j from the mean of n replicates,
 
-.. math:: AP = |\bar x - x_c|, \quad RP = \bar l + 3 S_l, \quad AP_a = |\bar a - a_c|, \quad RP_a = 3 S_a
+.. math:: AP = |\bar x - x_c|, \quad RP = \bar l + 3 S_l, \quad AP_a = |\bar a - a_c|,
+          \quad RP_a = 3 S_a
 
 (ISO 9283:1998, 7.2; S with n - 1; a, b, c turn about x, y, z). The commanded pose of the standard
 is here the prediction for the joint positions that were read: AP is the accuracy of a controller
@@ -291,8 +292,12 @@ def cycle_words(iso: Mapping[str, Any]) -> str:
     """Return the number of cycles in words, and whether the standard requires more.
 
     Example:
-        >>> cycle_words({"poses": {"train": 4, "test": 1}, "cycles": {"min": 3, "max": 5, "standard": 30}})
-        '5 poses, 3 to 5 cycles each; ISO 9283 specifies 30, so AP and especially RP are rough estimates'
+        >>> cycles = {"min": 3, "max": 5, "standard": 30}
+        >>> several, few = cycle_words({"poses": {"test": 5}, "cycles": cycles}).split("; ")
+        >>> several
+        '5 poses, 3 to 5 cycles each'
+        >>> few
+        'ISO 9283 specifies 30, so AP and especially RP are rough estimates'
     """
     poses = sum(iso["poses"].values())
     least = iso["cycles"]["min"]

@@ -285,7 +285,7 @@ def _pulled(fit: ModelFit) -> frozenset[str]:
 
 
 def _bounded(fit: ModelFit) -> frozenset[str]:
-    """Return the lengths that data would have changed by more than the bound, by their parameters."""
+    """Return the parameters of lengths that data would have changed by more than the bound."""
     pairs = zip(fit.problem.parameters, fit.solution.at_bound.tolist(), strict=True)
     return frozenset(
         p.name

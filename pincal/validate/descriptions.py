@@ -1,5 +1,5 @@
-"""The search for a robot's description where it differs from the URDF in several ways at once: signs
-of joints, their zeros, reports of coupled drives, and lengths.
+"""The search for a robot's description where it differs from the URDF in several ways at once:
+signs of joints, their zeros, reports of coupled drives, and lengths.
 
 How joints count is a matter of a few bits and right angles. All combinations of these are looked at
 by one linear fit each (:mod:`pincal.validate.linear_scan`). What the best ones leave is then fitted

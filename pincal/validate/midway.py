@@ -5,7 +5,8 @@ for an instrument that was moved, the lever of a joint with another zero, fixed 
 for another tool. One scan over rows and fields finds the most significant step. With r the
 residuals, C their covariance, F the columns of the fitted parameters, and U the step,
 
-.. math:: g = r^T P U (U^T P U)^{-1} U^T P r, \quad P = C^{-1} - C^{-1} F (F^T C^{-1} F)^{-1} F^T C^{-1}
+.. math:: g = r^T P U (U^T P U)^{-1} U^T P r,
+          \quad P = C^{-1} - C^{-1} F (F^T C^{-1} F)^{-1} F^T C^{-1}
 
 is its gain. Errors of consecutive rows are correlated: a model has the same error at neighbouring
 poses, and instruments drift. So C is that of white noise plus a process whose correlation decays

@@ -257,8 +257,10 @@ def judge(
 
     Example:
         >>> declared = NoiseTest("the declared noise", 1.01, 0.4)
-        >>> judge(declared).value, judge(declared, few=True).value, judge(None).value, judge(None, incomplete=True).value
-        ('adequate', 'not judged', 'not judged', 'not adequate')
+        >>> judge(declared).value, judge(declared, few=True).value
+        ('adequate', 'not judged')
+        >>> judge(None).value, judge(None, incomplete=True).value
+        ('not judged', 'not adequate')
     """
     if unusable or incomplete or (noise_test is not None and noise_test.is_misfit):
         return Verdict.NOT_ADEQUATE

@@ -9,6 +9,7 @@ from msgspec import UNSET, UnsetType
 
 from pincal.identify.fit import FitStage
 from pincal.identify.visit_weights import ScatterByLevel
+from pincal.identity import Identity
 from pincal.notes import Note
 from pincal.validate.lack_of_fit import LackOfFit
 
@@ -22,8 +23,9 @@ class NoiseRecord(TypedDict):
         sigma_m, sigma_rad, sigma_px: noise that the fit used, of lengths [m], angles [rad] and
             image coordinates [px].
         sigma_m_s2, sigma_rad_s: of an IMU's specific forces [m/s^2] and angular rates [rad/s].
-        residual_sigma_m, residual_sigma_rad, residual_sigma_px, residual_sigma_m_s2, residual_sigma_rad_s:
-            estimate from the residuals of the fitted rows, corrected for degrees of freedom.
+        residual_sigma_m, residual_sigma_rad, residual_sigma_px: estimates from the residuals of the
+            fitted rows, corrected for degrees of freedom.
+        residual_sigma_m_s2, residual_sigma_rad_s: the same, of specific forces and angular rates.
     """
 
     source: Literal["declared", "estimated"]
@@ -199,7 +201,7 @@ class Elsewhere:
     """Position error that the calibrated model itself expects away from the measured poses.
 
     It follows from the covariance of the parameters, which is as wide as their priors in what the
-    poses leave open. Errors that the model does not describe are not included.
+    poses leave open, what the model lacks and how the robot arrives.
 
     Attributes:
         mean_mm: expected distance from the predicted to the true position, mean over the poses
@@ -216,6 +218,26 @@ class Elsewhere:
     where: str
     poses: int
     over: str = ""
+
+
+@dataclass(frozen=True)
+class Expanded:
+    """Expanded uncertainty of a coordinate of predicted positions: parameters, what the model
+    lacks, arrival.
+
+    Attributes:
+        here_mm: at the poses of the calibration, k times the root mean square standard uncertainty
+            [mm].
+        anywhere_mm: at random poses within the joint limits [mm].
+        k: coverage factor.
+        rests_on: by what errors were told from noise: declared noise, repeated poses, or the
+            residuals alone.
+    """
+
+    here_mm: float
+    anywhere_mm: float
+    k: float
+    rests_on: Literal["declared noise", "repeated poses", "residuals"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,6 +282,12 @@ class Outcome:
         clocks: of the instruments that read an arm in motion.
         elsewhere: position error to expect away from the measured poses; not where no instrument
             observed positions.
+        intervals: 95 % intervals of the mean and of the 95th percentile of the calibrated model's
+            errors at "test" rows, such as ``mean_mm``; all readings of a pose count as one, and an
+            end that so few poses do not show is null.
+        id: identity of robot, instrument and circumstances; not where nothing was stated.
+        uncertainty: of predicted positions, at these poses and anywhere; not where no instrument
+            gave positions.
     """
 
     noise: NoiseRecord
@@ -285,3 +313,6 @@ class Outcome:
     improvement: tuple[Improvement, ...] | UnsetType = UNSET
     clocks: tuple[ClockRecord, ...] | UnsetType = UNSET
     elsewhere: Elsewhere | UnsetType = UNSET
+    intervals: dict[str, tuple[float | None, float | None]] | UnsetType = UNSET
+    id: Identity | UnsetType = UNSET
+    uncertainty: Expanded | UnsetType = UNSET

@@ -156,8 +156,11 @@ def path_words(found: dict[str, Any]) -> str:
     """Return accuracy and repeatability in words.
 
     Example:
-        >>> path_words({"cycles": 1, "points": 9, "standard": 10, "AT_mm": 0.25})
-        'AT 0.2500 mm; one cycle, the noise of the instrument included: repeat the path, ISO 9283 specifies 10 cycles'
+        >>> found = {"cycles": 1, "points": 9, "standard": 10, "AT_mm": 0.25}
+        >>> for part in path_words(found).split(": "):
+        ...     print(part)
+        AT 0.2500 mm; one cycle, the noise of the instrument included
+        repeat the path, ISO 9283 specifies 10 cycles
     """
     parts = {name: name.rsplit("_", 1) for name in found if name.startswith(("AT_", "RT_"))}
     sizes = [

@@ -177,13 +177,14 @@ def quantile_interval(
 
 
 def error_intervals(
-    sizes: Mapping[str, np.ndarray], *, independent: int
+    sizes: Mapping[str, np.ndarray], *, independent: int, shares: np.ndarray | None = None
 ) -> dict[str, tuple[float | None, float | None]]:
     """Return the intervals of the mean and of the 95th percentile of errors.
 
     Args:
         sizes: the errors by unit, shape (N,) each.
         independent: how many of them are independent.
+        shares: weight of each error in the mean, shape (N,); default: 1.
 
     Returns:
         Ends by name, such as ``mean_mm`` and ``p95_mm``; None for one that is not determined.
@@ -191,11 +192,11 @@ def error_intervals(
     found = dict[str, tuple[float | None, float | None]]()
     for unit, errors in sizes.items():
         if independent > 1:
-            half = -stdtrit(independent - 1, _TAIL) * errors.std(ddof=1) / independent**0.5
-            found[f"mean_{unit}"] = (
-                max(float(errors.mean() - half), 0.0),
-                float(errors.mean() + half),
-            )
+            mean = float(np.average(errors, weights=shares))
+            square = np.average((errors - mean) ** 2, weights=shares)
+            deviation = np.sqrt(square * len(errors) / max(len(errors) - 1, 1))
+            half = float(-stdtrit(independent - 1, _TAIL) * deviation / independent**0.5)
+            found[f"mean_{unit}"] = (max(mean - half, 0.0), mean + half)
         found[f"p95_{unit}"] = quantile_interval(errors, 0.95, independent=independent)
     return found
 

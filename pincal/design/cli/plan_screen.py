@@ -10,7 +10,7 @@ from pincal.cli.screen import print_notes
 from pincal.design.health import HealthCheck
 from pincal.design.motion_design import MotionDesign
 from pincal.design.plan_tables import motion_table, pose_count_table
-from pincal.design.pose_design import SOURCES, Design
+from pincal.design.pose_design import PREDICTED_BY, Design
 from pincal.design.study import RANDOM_DESIGNS
 from pincal.discover.policy import SIGHT
 from pincal.result_table import hanging, one_line
@@ -144,7 +144,7 @@ def _design_facts(found: Design) -> Iterator[tuple[str, str]]:
             numbers = (
                 f"{found.observability[name]:.3g}, random {found.observability_random[name]:.3g}"
             )
-            yield f"index {name}", f"{numbers} (observability, {SOURCES[name]})"
+            yield f"index {name}", f"{numbers} (observability, {PREDICTED_BY[name]})"
 
 
 def _error_facts(found: Design) -> Iterator[tuple[str, str]]:

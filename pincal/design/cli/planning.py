@@ -21,11 +21,18 @@ from pincal.cli.common import (
     coupling_option,
     sign_option,
     tip_option,
+    tip_or_to,
+    to_option,
     type_option,
     xacro_option,
 )
 from pincal.cli.outputs import print_json
 from pincal.cli.quantities import ANGLE, DURATION, LENGTH, masses
+from pincal.design.cli.acceptance_planning import (
+    AcceptancePlanOptions,
+    OutputWanted,
+    write_acceptance_plan,
+)
 from pincal.errors import Exit
 from pincal.robot.cell import Beside
 
@@ -41,19 +48,25 @@ if TYPE_CHECKING:
 _EXAMPLES = """
 Examples:
   pincal design robot.urdf --poses 40 --instrument 3.5 -1 1.2 --payload 80 --out poses.csv
-  pincal design robot.urdf --accuracy 0.05mm --noise 0.03mm --out poses.csv     # how many poses do I need?
-  pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     # which poses to add?
+  pincal design robot.urdf --accuracy 0.05mm --noise 0.03mm --out poses.csv     \
+# how many poses do I need?
+  pincal design robot.urdf --poses 20 --measured tracker.csv --out more.csv     \
+# which poses to add?
   pincal design robot.urdf --poses 40 --out poses.csv \\
       --tell-apart gear_eccentricity:joint_2 gravity_compensator:joint_2
-  pincal design robot.urdf --motion 300s --out motion.csv                       # what to drive with an IMU?
+  pincal design robot.urdf --motion 300s --out motion.csv                       \
+# what to drive with an IMU?
+  pincal design robot.urdf --acceptance 300mm,800mm --out test.csv              \
+# where to put calibrated lengths?
   pincal design results/model.json --check --notice 0.2mm --out check.csv       # has it changed?
   pincal design results/model.json --check --notice 0.5mm --out check.csv \\
-      --socket 0.7 0.3 0.2 --socket 0.5 -0.4 0.4                                # the same with two sockets
+      --socket 0.7 0.3 0.2 --socket 0.5 -0.4 0.4                                \
+# the same with two sockets
 To practise:
   pincal simulate robot.urdf --at poses.csv --out tracker.csv
 
-An effect is NAME[:JOINT][:KEY=VALUE,...], as in discover. Neither the paths from pose to pose nor obstacles
-around the robot are considered: check them before the robot moves.
+An effect is NAME[:JOINT][:KEY=VALUE,...], as in discover. Neither the paths from pose to pose nor
+obstacles around the robot are considered: check them before the robot moves.
 """
 _COUNT = click.IntRange(min=1)
 # Options of poses and of an instrument, on which a motion with an IMU does not depend.
@@ -216,17 +229,20 @@ class DesignArguments:
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
     start: str | None = option(
-        "Link in whose frame the tip is measured, such as the other hand.",
+        "Link in whose frame the target is measured, such as the other hand, or the one with a "
+        "camera.",
         metavar="LINK",
         name="--from",
         words="the base",
     )
+    to: str | None = to_option()
     beside: tuple[Beside, ...] = beside_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     couplings: tuple[str, ...] = coupling_option()
     signs: tuple[str, ...] = sign_option()
     driven: DrivenOptions = group("Motion")
     health: CheckOptions = group("Health check")
+    tested: AcceptancePlanOptions = group("Acceptance test")
     constraints: ConstraintOptions = group("Constraints")
     instrument: InstrumentOptions = group("Instrument")
     model: ModelOptions = group("Model")
@@ -241,6 +257,8 @@ def design(arguments: DesignArguments) -> Exit:
     """
     if arguments.health.check:
         return _check(arguments)
+    if arguments.tested.acceptance is not None:
+        return _acceptance(arguments)
     if arguments.driven.motion is not None:
         return _motion(arguments, arguments.driven.motion)
     from pincal.design.pose_design import design_poses
@@ -302,6 +320,21 @@ def _check(arguments: DesignArguments) -> Exit:
     found = design_check(known, request, options=options, rig=_rig(arguments), limits=limits)
     _write(arguments, robot, found, sensor=found.sensor)
     return Exit.DONE if found.is_met else Exit.INACCURATE
+
+
+def _acceptance(arguments: DesignArguments) -> Exit:
+    from pincal.design.reach import Reach
+
+    if arguments.poses is not None or arguments.accuracy is not None:
+        raise click.UsageError("--acceptance chooses all poses; leave out --poses and --accuracy")
+    robot = _robot(arguments)
+    reach = Reach(robot, _rig(arguments), _limits(robot, arguments))
+    wanted = OutputWanted(
+        out=arguments.out,
+        in_degrees=arguments.degrees,
+        as_json=arguments.general.as_json,
+    )
+    return write_acceptance_plan(reach, arguments.tested, wanted, seed=arguments.seed)
 
 
 def _motion(arguments: DesignArguments, duration: float) -> Exit:
@@ -377,7 +410,8 @@ def _robot(arguments: DesignArguments) -> Robot:
     from pincal.robot.robot import Robot
 
     tree = read_cell(arguments.robot, arguments.beside, xacro_args=dict(arguments.xacro_args))
-    robot = Robot.from_tree(tree, TreeRequest(arguments.tip, arguments.start, arguments.base))
+    tip = tip_or_to(arguments.tip, arguments.to)
+    robot = Robot.from_tree(tree, TreeRequest(tip, arguments.start, arguments.base))
     return as_stated(robot, signs=arguments.signs, couplings=arguments.couplings)
 
 

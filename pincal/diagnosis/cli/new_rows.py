@@ -12,12 +12,14 @@ import click
 
 from pincal.cli.arguments import Output, argument, group, option, verb
 from pincal.cli.common import GeneralOptions, TableArguments, model_argument, noise_angle_option
+from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, print_json, provenance
 from pincal.cli.quantities import LENGTH
 from pincal.errors import Exit, IdentificationError
 from pincal.io.result_folder import output_folder
 
 if TYPE_CHECKING:
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.diagnosis.diagnosis_file import DiagnosisFile
     from pincal.diagnosis.robot_diagnosis import Diagnosis
     from pincal.measure.measurements import Measurements
@@ -27,8 +29,8 @@ _DIAGNOSE_EXAMPLES = """
 Example:
   pincal diagnose results/model.json new.csv --out diagnosis
 
-DIR then holds diagnosis.json, report.html and model.json: the model in which only what has changed was
-re-identified, or the unchanged model; it predicts at the new station.
+DIR then holds diagnosis.json, report.html and model.json: the model in which only what has changed
+was re-identified, or the unchanged model; it predicts at the new station.
 """
 _UPDATE_EXAMPLES = """
 Examples:
@@ -49,20 +51,33 @@ class _NewRows:
     )
     out: Path = option("Folder for the results.", MISSING, metavar="DIR", type=Output())
     table: TableArguments = group("Tables")
+    identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
 
     def read(self, robot: Robot) -> Measurements:
         """Return the new measurements; of a session, the readings of positions if there are any."""
         from pincal.cli.inputs import load_table, load_tables
-        from pincal.cli.streams import no_streams
+        from pincal.measure.log_reader import reader_of
 
-        if no_streams().joints_of(self.data) is None:
+        if reader_of(self.data) is None:
             return load_table(robot, self.data, options=self.table.options)
         tables = load_tables(robot, [self.data], options=self.table.options)
         return next(
             (table for table in tables.values() if table.sensor and table.sensor.reads_place),
             next(iter(tables.values())),
         )
+
+    def load_model(self) -> tuple[FittedRobot, tuple[str, ...]]:
+        """Return the model, with what was stated on the command line; and notes on that.
+
+        Raises:
+            BadInputError: if it is of another robot than stated.
+        """
+        from pincal.calibration.fitted_robot import load_model
+
+        found = load_model(self.model)
+        notes = tuple(self.identity.of_model(found.identity, self.model))
+        return replace(found, identity=self.identity.given.over(found.identity)), notes
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -91,11 +106,10 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
 
     Ten to sixty poses are enough: the calibration, with its uncertainty, serves as prior knowledge.
     """
-    from pincal.calibration.fitted_robot import load_model
     from pincal.diagnosis.robot_diagnosis import diagnose
     from pincal.notes import doubts_of
 
-    calibrated = load_model(arguments.model)
+    calibrated, unchecked = arguments.load_model()
     table = arguments.read(calibrated.robot_model().model.chain.robot)
     with output_folder(arguments.out) as draft:
         found = diagnose(
@@ -111,7 +125,7 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
     else:
         _print_found(found.found)
         click.echo(f"written to {arguments.out}: diagnosis.json model.json report.html")
-    echo_notes(found.found.warnings, quiet=arguments.general.quiet)
+    echo_notes([*found.found.warnings, *unchecked], quiet=arguments.general.quiet)
     if not found.found.is_judged:
         raise IdentificationError(
             f"not judged: {'; '.join(map(str, doubts_of(found.found.warnings)))}"
@@ -170,11 +184,10 @@ def update_verb(arguments: UpdateArguments) -> Exit:
     effect is re-estimated from its prior.
     """
     from pincal.calibration.day_notes import notes_on_day
-    from pincal.calibration.fitted_robot import load_model
     from pincal.diagnosis.model_update import update
     from pincal.validate.accuracy import error_summary
 
-    stations = load_model(arguments.model)
+    stations, _ = arguments.load_model()
     table = arguments.read(stations.robot_model().model.chain.robot)
     calibrated = stations.robot_model(table.kind)
     with output_folder(arguments.out) as draft:

@@ -39,7 +39,8 @@ _LEARN_EXAMPLES = """
 Examples:
   pincal fleet learn r1/model.json r2/model.json r3/model.json --out type.json --report type.html
   pincal fleet learn fleet-store --out type.json --error 0.1mm
-  pincal fleet learn */model.json --out type.json --share site.parquet     # for another site, without names
+  pincal fleet learn */model.json --out type.json --share site.parquet     \
+# for another site, without names
   pincal fleet learn */model.json other-site.parquet --out type.json       # there
 Then:
   pincal calibrate robot.urdf few.csv --type type.json --out results

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pincal.fleet.jobs import Done, Job
     from pincal.fleet.store import Key, Store
     from pincal.identify.options import Options
+    from pincal.identity import Identity
     from pincal.robot.robot import Robot
 
 # Number of failures that are listed.
@@ -48,16 +49,17 @@ Examples:
   pincal fleet add fleet-store check.csv --check --machine R17
   pincal fleet add fleet-store diagnosis/diagnosis.json --machine R17
 
-A store is a folder, or a URL that fsspec can open, such as s3://bucket/fleet; it is created with the first file.
-Several processes may add files at the same time; a file that is added twice is stored once.
+A store is a folder, or a URL that fsspec can open, such as s3://bucket/fleet; it is created with
+the first file. Several processes may add files at the same time; a file that is added twice is
+stored once.
 """
 _JOB_EXAMPLES = """
 Examples:
   pincal fleet {0} fleet-store --noise 0.05mm
   pincal fleet {0} fleet-store --dask tcp://10.0.0.5:8786
 
-Completed work is not repeated: a run that was stopped continues with the rest. To repeat all of it, delete the folder
-{1} of the store.
+Completed work is not repeated: a run that was stopped continues with the rest. To repeat all of it,
+delete the folder {1} of the store.
 """
 _dask = "Work on this Dask cluster, which needs access to the store."
 store_argument = partial(argument, "STORE", "Folder or URL of the store.")
@@ -87,7 +89,10 @@ class AddArguments:
         "FILE...", "Calibrated models, diagnoses (.json), or tables of measurements."
     )
     machine: str | None = option(
-        "Name of the machine.", metavar="NAME", words="of the file, or its folder"
+        "Name of the machine.",
+        metavar="NAME",
+        words="the serial number that a model or diagnosis states, or the name of the file, or "
+        "its folder",
     )
     day: str | None = option("Day of the measurement.", metavar="YYYY-MM-DD", words="today")
     check: bool = option("Add tables as checks of machines that are calibrated already.", False)
@@ -151,13 +156,23 @@ class _Reader:
         from pincal.io.strict_json import MODEL_FILE, read_bounded
 
         if b'"excluded"' in read_bounded(path, MODEL_FILE):
-            load_diagnosis(path)
+            machine = self._stated(load_diagnosis(path).id) or machine
             return _Entry(
                 "diagnosis", partial(add_diagnosis, machine=machine, day=self.day, path=path)
             )
-        load_model(path)
+        machine = self._stated(load_model(path).identity) or machine
         add = partial(add_model, machine=machine, day=self.day, path=path, labels=self.labels)
         return _Entry("model", add)
+
+    def _stated(self, identity: Identity | None) -> str:
+        """Return the serial number that a file states, as the name of its machine; empty if there
+        is none, or another name was given.
+        """
+        from pincal.fleet.store import named_machine
+
+        if self.arguments.machine is not None or identity is None or not identity.robot:
+            return ""
+        return named_machine(identity.robot)
 
     def _table(self, path: Path, machine: str) -> _Entry:
         """Return what a table of measurements adds."""
@@ -370,7 +385,7 @@ def _run(
 
 
 def _failures(found: Done, kind: str) -> Iterator[str]:
-    """Yield lines on the tables that failed, now and before; ``kind`` is where the store has why."""
+    """Yield lines on the tables that failed, now and before; ``kind`` is where the reasons are."""
     for path, reason in list(found.failed.items())[:_FAILURES]:
         yield f"failed: {path}: {reason}"
     if len(found.failed) > _FAILURES:

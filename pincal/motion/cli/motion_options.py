@@ -49,16 +49,12 @@ class MotionOptions(Streams):
                 "arm in motion"
             )
 
-    def joints_of(self, path: Path) -> Path | None:
-        """Return the log of the joints of a session."""
-        from pincal.motion.sessions import joints_of_session
-
-        return joints_of_session(path)
-
     def tables(
         self, robot: Robot, paths: Sequence[Path], reading: TableOptions
     ) -> tuple[dict[str, Measurements], list[Path]]:
         """Return the tables of stations in motion by name, and the other files."""
+        from pincal.measure.log_reader import reader_of
+        from pincal.motion.session_reader import SESSIONS
         from pincal.motion.sessions import Session, read_session, read_streams
         from pincal.motion.stations import session_tables
 
@@ -76,6 +72,6 @@ class MotionOptions(Streams):
                 "tracker": self.tracker,
             }
             sessions.append(read_streams(robot, **given, **plain))
-        folders = [path for path in paths if self.joints_of(path) is not None]
+        folders = [path for path in paths if reader_of(path) is SESSIONS]
         sessions += [read_session(robot, path, **plain) for path in folders]
         return session_tables(robot, sessions), [path for path in paths if path not in folders]

@@ -187,7 +187,7 @@ class ProgramCorrector {
     if (reason) return reason;
     if (point.kind !== "joints") return n === 6 ? "" : `a pose does not determine the joints of an arm with ${n} joints`;
     if (!(largest(this.joints(point.values)) <= 1e5)) return "its numbers are no joint positions";
-    if (point.numbers.length !== n) return `${point.numbers.length} axes; the model has ${n}`;
+    if (point.numbers.length !== n) return `${MODULES.program.counted_axes(point.numbers.length)}; the model has ${n}`;
     const beyond = this.joints(point.values).findIndex((x, i) => x < (ABOUT.lower[i] ?? -Infinity) - 1e-6 || x > (ABOUT.upper[i] ?? Infinity) + 1e-6);
     return beyond < 0 ? "" : `${JOINTS[beyond]} is beyond its limits in the model`;
   }

@@ -104,6 +104,10 @@ const py = (() => {
     next: (x, other) => { const [first = other] = list(x); return first; },
     enumerate: (x, start = 0) => list(x).map((y, i) => [i + start, y]), reversed: (x) => list(x).reverse(),
     zip: (...all) => { const lists = all.map(list); return lists[0].slice(0, Math.min(...lists.map((x) => x.length))).map((_, i) => lists.map((x) => x[i])); },
+    cached: (kind, name) => {
+      const { get } = Object.getOwnPropertyDescriptor(kind, name);
+      Object.defineProperty(kind, name, { get() { const value = get.call(this); Object.defineProperty(this, name, { value }); return value; } });
+    },
     range: (a, b) => Array.from({ length: Math.max(0, b === undefined ? a : b - a) }, (_, i) => i + (b === undefined ? 0 : a)),
     map: (f, x) => list(x).map((y) => f(y)), filter: (f, x) => list(x).filter((y) => truth(f ? f(y) : y)), abs: Math.abs,
     round: (x, n = 0) => (n ? Number(x.toFixed(n)) : rint(x)),

@@ -10,7 +10,7 @@ MODULES.syntax = (() => {
 let LARGEST_PROGRAM;
 LARGEST_PROGRAM = 50000000;
 let MOST_WORDS;
-MOST_WORDS = 1000000;
+MOST_WORDS = 10000000;
 let DEEPEST;
 DEEPEST = 100;
 let _NESTED;
@@ -44,6 +44,7 @@ return null;
 }
 }
 Brackets.prototype.type = "BRACKETS";
+py.cached(Brackets.prototype, "parts");
 class Statement {
 constructor(items = null, start = null, end = null, line = null) {
 this.items = items;
@@ -202,26 +203,33 @@ this.source = source;
 this.words = words;
 }
 }
+let _PAIRS;
+_PAIRS = new py.Dict([["(", ")"], ["[", "]"]]);
 function understood_words(tables, kind) {
 return py.frozenset((() => { const $out = []; for (const table of py.iter(tables)) { if (py.same(table.kind, kind)) for (const word of py.iter(py.call(table.words, "split", ","))) { $out.push(py.call(word, "strip")); } } return $out; })());
 return null;
 }
 function without_brackets(text, quotes = true) {
-let depth, found, is_quoted, letter;
+let found, inner, is_quoted, letter, opened;
 found = "";
-depth = 0;
+opened = py.list();
 is_quoted = false;
 for (const $each of py.iter(py.call(text, "upper"))) {
 letter = $each;
-depth = py.sub(depth, py.both(py.has(")]", letter), () => (depth > 0)));
-if (py.truth(py.both(quotes, () => py.both(py.same(letter, "'"), () => !py.truth(depth))))) {
+inner = (py.truth(opened) ? py.at(opened, -1) : "");
+if (py.same(letter, py.call(_PAIRS, "get", inner, ""))) {
+py.call(opened, "pop");
+}
+if (py.truth(py.both(quotes, () => py.both(py.same(letter, "'"), () => !py.truth(opened))))) {
 is_quoted = !py.truth(is_quoted);
 } else {
-if (py.truth(py.both(!py.truth(depth), () => !py.truth(is_quoted)))) {
+if (py.truth(py.both(!py.truth(opened), () => !py.truth(is_quoted)))) {
 found = py.add(found, letter);
 }
 }
-depth = py.add(depth, py.has("([", letter));
+if (py.truth(py.either(py.same(letter, "["), () => py.both(py.same(letter, "("), () => !py.same(inner, "["))))) {
+py.call(opened, "append", letter);
+}
 }
 return found;
 return null;
@@ -251,7 +259,7 @@ function not_understood(text) {
 return (py.repr(py.call(py.text(text).slice(undefined, 40), "strip")) + ", which is not understood and may displace positions");
 return null;
 }
-return { Understood, understood_words, without_brackets, tokens_of, first_phrase, not_understood };
+return { Understood, _PAIRS, understood_words, without_brackets, tokens_of, first_phrase, not_understood };
 })();
 MODULES.flow = (() => {
 const { Statement } = MODULES.syntax;
@@ -284,14 +292,28 @@ return py.len(this.blocks);
 return null;
 }
 }
+class Code {
+constructor(source = null, statements = null, steps = null, flow = []) {
+this.source = source;
+this.statements = statements;
+this.steps = steps;
+this.flow = flow;
+}
+routine(k) {
+let opening;
+opening = py.at(this.flow, k).routine;
+return ((opening >= 0) ? py.at(this.steps, opening).routine : "");
+return null;
+}
+}
 function followed(files, outside = py.frozenset()) {
-let _, at_any_time, blocks, effects, name, statement, statements, step, steps, why;
-blocks = (() => { const $out = []; for (const [source, statements, steps] of py.iter(files)) { $out.push(_blocks(source, statements, steps)); } return $out; })();
-effects = _effects((() => { const $out = []; for (const [[, , steps], around] of py.iter(py.zip(files, blocks))) { $out.push([steps, around]); } return $out; })());
+let around, at_any_time, blocks, code, effects, found, name, statement, step, walk, why;
+blocks = (() => { const $out = []; for (const code of py.iter(files)) { $out.push(_blocks(code)); } return $out; })();
+effects = _effects((() => { const $out = []; for (const [code, around] of py.iter(py.zip(files, blocks))) { $out.push([code.steps, around]); } return $out; })());
 at_any_time = new py.Dict([]);
 for (const $each of py.iter(files)) {
-[, statements, steps] = $each;
-for (const $each of py.iter(py.zip(statements, steps))) {
+code = $each;
+for (const $each of py.iter(py.zip(code.statements, code.steps))) {
 [statement, step] = $each;
 for (const $each of py.iter(step.starts)) {
 name = $each;
@@ -303,58 +325,109 @@ at_any_time = py.or(at_any_time, py.fromkeys(py.call(effects, "get", name, outsi
 }
 }
 }
-return (() => { const $out = []; for (const [[, statements, steps], around] of py.iter(py.zip(files, blocks))) { $out.push(_followed(statements, steps, around, effects, outside, at_any_time)); } return $out; })();
+found = [];
+for (const $each of py.iter(py.zip(files, blocks))) {
+[code, around] = $each;
+walk = new _Walk(code.statements, code.steps, around, effects, outside, at_any_time);
+py.call(found, "append", new Code(code.source, code.statements, code.steps, walk.through()));
+}
+return found;
 return null;
 }
-function _followed(statements, steps, blocks, effects, outside, at_any_time) {
-let block, changed, i, inside, is_end, known, line, name, routine, run, saved, state, step, where, why;
-inside = new py.Dict((() => { const $out = []; for (const [i, step] of py.iter(py.enumerate(steps))) { if (py.truth(step.opens)) $out.push([i, py.set()]); } return $out; })());
-for (const $each of py.iter(py.enumerate(steps))) {
-[i, step] = $each;
-changed = py.call(step.sets, "union", step.clears, ...py.iter((() => { const $out = []; for (const name of py.iter(step.calls)) { $out.push(py.call(effects, "get", name, outside)); } return $out; })()));
-for (const $each of py.iter([...py.iter((py.truth(step.closes) ? py.text(py.at(blocks, i)).slice(undefined, -1) : py.at(blocks, i))), ...py.iter((py.truth(step.opens) ? [i] : []))])) {
-block = $each;
-py.put(inside, block, py.or(py.at(inside, block), changed));
+class _Walk {
+constructor(statements = null, steps = null, blocks = null, effects = null, outside = null, at_any_time = null, state = py.dict(), saved = py.list(), run = 0) {
+this.statements = statements;
+this.steps = steps;
+this.blocks = blocks;
+this.effects = effects;
+this.outside = outside;
+this.at_any_time = at_any_time;
+this.state = state;
+this.saved = saved;
+this.run = run;
 }
-}
+through() {
+let i, inside, known, routine, setters, step;
+inside = this._set_inside();
 known = [];
-state = new py.Dict([]);
-saved = [];
-run = 0;
-for (const $each of py.iter(py.enumerate(steps))) {
+for (const $each of py.iter(py.enumerate(this.steps))) {
 [i, step] = $each;
-line = py.at(statements, i).line;
 if (py.truth(step.routine)) {
-py.call(saved, "append", state);
-state = new py.Dict([]);
+py.call(this.saved, "append", this.state);
+this.state = new py.Dict([]);
 }
-is_end = py.both(py.bool(step.closes), () => py.bool(py.at(steps, py.at(py.at(blocks, i), -1)).routine));
-if (py.truth(py.either(py.both(step.closes, () => !py.truth(is_end)), () => step.is_jump))) {
-block = (py.truth(py.at(blocks, i)) ? py.at(py.at(blocks, i), -1) : i);
-where = ("it is set on some paths only through the block of line " + py.str(py.at(statements, block).line));
-state = py.or(state, py.fromkeys(py.call(inside, "get", block, []), where));
-}
-if (py.truth(step.is_loop)) {
-state = py.or(state, py.fromkeys(py.at(inside, i), ("it is set within the loop of line " + py.str(line))));
-}
-run = py.add(run, py.bool(py.either(step.opens, () => py.either(step.closes, () => step.is_jump))));
-routine = (py.truth(step.routine) ? i : _routine(steps, py.at(blocks, i)));
-py.call(known, "append", new InForce(new py.Dict([...py.iter(py.call(state, 'items')), ...py.iter(py.call(at_any_time, 'items'))]), py.at(blocks, i), run, routine));
-for (const $each of py.iter(step.calls)) {
-name = $each;
-why = ("line " + py.str(line) + " calls " + py.str(name) + ", which ");
-why = py.add(why, (py.has(effects, name) ? "sets it" : OUTSIDE));
-state = py.or(state, py.fromkeys(py.call(effects, "get", name, outside), why));
-}
-if (py.truth(py.either(step.sets, () => step.clears))) {
-state = py.or(py.or(state, py.fromkeys(step.clears, ("line " + py.str(line) + " may set it"))), py.fromkeys(step.sets, i));
-}
-if (py.truth(py.both(step.closes, () => py.at(steps, py.at(py.at(blocks, i), -1)).routine))) {
-state = py.call(saved, "pop");
+this._join(i, inside);
+this.run = py.add(this.run, py.bool(py.either(step.opens, () => py.either(step.closes, () => step.is_jump))));
+routine = (py.truth(step.routine) ? i : _routine(this.steps, py.at(this.blocks, i)));
+setters = (py.truth(this.at_any_time) ? new py.Dict([...py.iter(py.call(this.state, 'items')), ...py.iter(py.call(this.at_any_time, 'items'))]) : this.state);
+py.call(known, "append", new InForce(setters, py.at(this.blocks, i), this.run, routine));
+this._execute(i);
+if (py.truth(this._ends_routine(i))) {
+this.state = py.call(this.saved, "pop");
 }
 }
 return known;
 return null;
+}
+_set_inside() {
+let around, block, called, changed, i, inside, step;
+inside = new py.Dict((() => { const $out = []; for (const [i, step] of py.iter(py.enumerate(this.steps))) { if (py.truth(step.opens)) $out.push([i, py.set()]); } return $out; })());
+for (const $each of py.iter(py.enumerate(this.steps))) {
+[i, step] = $each;
+called = (() => { const $out = []; for (const name of py.iter(step.calls)) { $out.push(py.call(this.effects, "get", name, this.outside)); } return $out; })();
+changed = py.call(step.sets, "union", step.clears, ...py.iter(called));
+if (!py.truth(changed)) {
+continue;
+}
+around = (py.truth(step.closes) ? py.text(py.at(this.blocks, i)).slice(undefined, -1) : py.at(this.blocks, i));
+for (const $each of py.iter([...py.iter(around), ...py.iter((py.truth(step.opens) ? [i] : []))])) {
+block = $each;
+py.put(inside, block, py.or(py.at(inside, block), changed));
+}
+}
+return inside;
+return null;
+}
+_ends_routine(i) {
+return py.both(py.bool(py.at(this.steps, i).closes), () => py.bool(py.at(this.steps, py.at(py.at(this.blocks, i), -1)).routine));
+return null;
+}
+_join(i, inside) {
+let block, line, step;
+step = py.at(this.steps, i);
+if (py.truth(py.either(py.both(step.closes, () => !py.truth(this._ends_routine(i))), () => step.is_jump))) {
+block = (py.truth(py.at(this.blocks, i)) ? py.at(py.at(this.blocks, i), -1) : i);
+line = py.at(this.statements, block).line;
+this._forget(py.call(inside, "get", block, py.set()), ("it is set on some paths only through the block of line " + py.str(line)));
+}
+if (py.truth(step.is_loop)) {
+line = py.at(this.statements, i).line;
+this._forget(py.at(inside, i), ("it is set within the loop of line " + py.str(line)));
+}
+return null;
+}
+_execute(i) {
+let line, name, step, why;
+step = py.at(this.steps, i);
+line = py.at(this.statements, i).line;
+for (const $each of py.iter(step.calls)) {
+name = $each;
+why = ("line " + py.str(line) + " calls " + py.str(name) + ", which ");
+why = py.add(why, (py.has(this.effects, name) ? "sets it" : OUTSIDE));
+this._forget(py.call(this.effects, "get", name, this.outside), why);
+}
+this._forget(step.clears, ("line " + py.str(line) + " may set it"));
+if (py.truth(step.sets)) {
+this.state = py.or(this.state, py.fromkeys(step.sets, i));
+}
+return null;
+}
+_forget(names, reason) {
+if (py.truth(names)) {
+this.state = py.or(this.state, py.fromkeys(names, reason));
+}
+return null;
+}
 }
 function _routine(steps, blocks) {
 return py.next((() => { const $out = []; for (const i of py.iter(py.reversed(blocks))) { if (py.truth(py.at(steps, i).routine)) $out.push(i); } return $out; })(), -1);
@@ -399,44 +472,54 @@ py.call(ahead, "append", name);
 return new py.Dict((() => { const $out = []; for (const [name, found] of py.iter(py.call(own, "items"))) { $out.push([name, py.frozenset(found)]); } return $out; })());
 return null;
 }
-function _blocks(source, statements, steps) {
-let block, blocks, found, i, line, opened, opens, step, word;
+function _blocks(code) {
+let blocks, found, i, line, opens, step;
 found = [];
 blocks = [];
-for (const $each of py.iter(py.enumerate(steps))) {
+for (const $each of py.iter(py.enumerate(code.steps))) {
 [i, step] = $each;
 py.call(found, "append", blocks);
 if (py.truth(step.closes)) {
-word = py.str(py.at(py.at(statements, i).items, 0));
-if (!py.truth(blocks)) {
-opened = py.call(" or ", "join", step.closes);
-throw source.error((py.repr(word) + " has nothing to close; expected " + py.str(opened) + " before it"), py.at(statements, i).start);
-}
-block = py.at(blocks, -1);
-if (!py.has(step.closes, py.at(steps, block).opens)) {
-throw source.error((py.repr(word) + " within " + py.str(py.at(steps, block).opens) + " of line " + py.str(py.at(statements, block).line) + "; expected its end first"), py.at(statements, i).start);
-}
+_check_closing(code, i, blocks);
 blocks = py.text(blocks).slice(undefined, -1);
 }
 if (py.truth(step.opens)) {
 blocks = [...py.iter(blocks), i];
 if ((py.len(blocks) > _DEEPEST)) {
-throw source.error(("a block within " + py.str(_DEEPEST) + " others; expected fewer"), py.at(statements, i).start);
+throw code.source.error(("a block within " + py.str(_DEEPEST) + " others; expected fewer"), py.at(code.statements, i).start);
 }
 }
 }
 if (py.truth(blocks)) {
-opens = py.at(steps, py.at(blocks, -1)).opens;
-line = py.at(statements, py.at(blocks, -1)).line;
-throw source.error(("the end of the file within " + py.str(opens) + " of line " + py.str(line) + ": is it truncated?"), py.len(source.content));
+opens = py.at(code.steps, py.at(blocks, -1)).opens;
+line = py.at(code.statements, py.at(blocks, -1)).line;
+throw code.source.error(("the end of the file within " + py.str(opens) + " of line " + py.str(line) + ": is it truncated?"), py.len(code.source.content));
 }
 return found;
 return null;
 }
-return { _DEEPEST, OUTSIDE, Step, InForce, followed, _followed, _routine, _effects, _blocks };
+function _check_closing(code, i, blocks) {
+let closes, line, opened, opens, start, word;
+closes = py.at(code.steps, i).closes;
+start = py.at(code.statements, i).start;
+word = py.str(py.at(py.at(code.statements, i).items, 0));
+if (!py.truth(blocks)) {
+opened = py.call(" or ", "join", closes);
+throw code.source.error((py.repr(word) + " has nothing to close; expected " + py.str(opened) + " before it"), start);
+}
+opens = py.at(code.steps, py.at(blocks, -1)).opens;
+if (!py.has(closes, opens)) {
+line = py.at(code.statements, py.at(blocks, -1)).line;
+throw code.source.error((py.repr(word) + " within " + py.str(opens) + " of line " + py.str(line) + "; expected its end first"), start);
+}
+return null;
+}
+return { _DEEPEST, OUTSIDE, Step, InForce, Code, followed, _Walk, _routine, _effects, _blocks, _check_closing };
 })();
 MODULES.line_flow = (() => {
 const { OUTSIDE } = MODULES.flow;
+let MOST_STATES;
+MOST_STATES = 3000000;
 let ANY;
 ANY = "*";
 let STATED_LOAD;
@@ -490,7 +573,12 @@ return found;
 return null;
 }
 function reasons_before(listings, lasting = []) {
-let listing, paths, start;
+let count, listing, paths, start, switched;
+switched = new Set((() => { const $out = []; for (const listing of py.iter(listings)) { for (const line of py.iter(listing.lines)) { for (const [name, ] of py.iter(line.sets)) { $out.push(name); } } } return $out; })());
+count = py.sum((() => { const $out = []; for (const listing of py.iter(listings)) { $out.push(py.len(listing.lines)); } return $out; })());
+if (((py.len(switched) * count) > MOST_STATES)) {
+throw new ProgramError((py.str(py.len(switched)) + " frames that change on " + py.str(count) + " lines; expected a program of at most " + py.str(MOST_STATES) + " pairs of these: divide it"));
+}
 paths = new _Paths(listings, lasting);
 for (const $each of py.iter(listings)) {
 listing = $each;
@@ -519,16 +607,9 @@ this.again = again;
 this.entries = entries;
 }
 connect(start, lines) {
-let is_end, k, label, labels, line;
+let is_end, k, labels, line;
 this._connect_blocks(start, lines);
-labels = py.dict();
-for (const $each of py.iter(py.enumerate(lines))) {
-[k, line] = $each;
-if (py.truth(line.label)) {
-py.call(py.call(labels, "setdefault", line.label, []), "append", py.add(start, k));
-py.call(py.call(labels, "setdefault", ANY, []), "append", py.add(start, k));
-}
-}
+labels = this._labels(start, lines);
 for (const $each of py.iter(py.enumerate(lines))) {
 [k, line] = $each;
 is_end = py.same(py.add(k, 1), py.len(lines));
@@ -539,28 +620,31 @@ if (py.truth(py.both(!py.truth(py.both(line.is_last, () => py.at(lines, py.add(k
 py.call(py.at(this.next, py.add(start, k)), "append", py.add(py.add(start, k), 1));
 }
 }
-for (const $each of py.iter(line.jumps)) {
-label = $each;
-if (!py.same(label, ANY)) {
-py.put(this.next, py.add(start, k), py.add(py.at(this.next, py.add(start, k)), py.call(labels, "get", label, [])));
+py.put(this.next, py.add(start, k), py.add(py.at(this.next, py.add(start, k)), (() => { const $out = []; for (const label of py.iter(line.jumps)) { if (py.has(labels, label)) $out.push(py.at(labels, label)); } return $out; })()));
 }
-}
-}
-this._connect_computed(start, lines, py.call(labels, "get", ANY, []));
 return null;
 }
-_connect_computed(start, lines, labels) {
-let jumps, k;
-jumps = (() => { const $out = []; for (const [k, line] of py.iter(py.enumerate(lines))) { if (py.has(line.jumps, ANY)) $out.push(k); } return $out; })();
-if (!py.truth(jumps)) {
-return null;
+_labels(start, lines) {
+let found, k, label, line, places, those;
+places = py.dict();
+for (const $each of py.iter(py.enumerate(lines))) {
+[k, line] = $each;
+if (py.truth(line.label)) {
+py.call(py.call(places, "setdefault", line.label, []), "append", py.add(start, k));
+py.call(py.call(places, "setdefault", ANY, []), "append", py.add(start, k));
 }
-for (const $each of py.iter(jumps)) {
-k = $each;
-py.call(py.at(this.next, py.add(start, k)), "append", py.len(this.lines));
 }
+found = py.dict();
+for (const $each of py.iter(py.call(places, "items"))) {
+[label, those] = $each;
+py.put(found, label, py.at(those, 0));
+if ((py.len(those) > 1)) {
+py.put(found, label, py.len(this.lines));
 py.call(this.lines, "append", new Line(0));
-py.call(this.next, "append", labels);
+py.call(this.next, "append", those);
+}
+}
+return found;
 return null;
 }
 _connect_blocks(start, lines) {
@@ -612,14 +696,14 @@ py.call(py.at(effects, listing.name), "setdefault", variable, reason);
 }
 for (const $each of py.iter(line.calls)) {
 name = $each;
-py.call(py.call(callers, "setdefault", name, []), "append", listing.name);
+py.put(py.call(callers, "setdefault", name, new py.Dict([])), listing.name, true);
 }
 }
 }
 ahead = (() => { const $out = []; for (const listing of py.iter(this.listings)) { $out.push(listing.name); } return $out; })();
 while (py.truth(ahead)) {
 name = py.call(ahead, "pop");
-for (const $each of py.iter(py.call(callers, "get", name, []))) {
+for (const $each of py.iter(py.call(callers, "get", name, new py.Dict([])))) {
 caller = $each;
 size = py.len(py.at(effects, caller));
 for (const $each of py.iter(py.list(py.call(py.at(effects, name), "items")))) {
@@ -656,7 +740,7 @@ for (const $each of py.iter(targets)) {
 if (py.truth(py.all((() => { const $out = []; for (const name of py.iter(state)) { $out.push(py.has(py.at(before, j), name)); } return $out; })()))) {
 continue;
 }
-py.put(before, j, new py.Dict([...py.iter(py.call(state, 'items')), ...py.iter(py.call(py.at(before, j), 'items'))]));
+py.put(before, j, (py.truth(py.at(before, j)) ? new py.Dict([...py.iter(py.call(state, 'items')), ...py.iter(py.call(py.at(before, j), 'items'))]) : py.dict(state)));
 if (!py.truth(py.at(is_ahead, j))) {
 py.put(is_ahead, j, true);
 py.call(ahead, "append", j);
@@ -687,7 +771,7 @@ return after;
 return null;
 }
 }
-return { ANY, STATED_LOAD, POSITIONS, Line, Listing, with_outside, reasons_before, _Paths };
+return { MOST_STATES, ANY, STATED_LOAD, POSITIONS, Line, Listing, with_outside, reasons_before, _Paths };
 })();
 MODULES.program = (() => {
 const { Number, Statement } = MODULES.syntax;
@@ -824,6 +908,10 @@ this.end = end;
 this.text = text;
 }
 }
+function counted_axes(count) {
+return (py.str(count) + " " + py.str((py.same(count, 1) ? "axis" : "axes")));
+return null;
+}
 function number_text(number, value, least) {
 let digits, sign;
 if ((py.abs(py.sub(value, number.value)) < (0.5 * (10.0 ** -least)))) {
@@ -837,15 +925,17 @@ digits = py.call(digits, "replace", "0.", ".", 1);
 return py.add(sign, digits);
 return null;
 }
-return { Turn, Posture, Frame, Point, Skipped, Load, Motion, Program, Edit, number_text };
+return { Turn, Posture, Frame, Point, Skipped, Load, Motion, Program, Edit, counted_axes, number_text };
 })();
 MODULES.draft = (() => {
 const { ANY, STATED_LOAD, Line } = MODULES.line_flow;
 const { FrameKind, Motion, Point, PointKey, Program, Skipped } = MODULES.program;
+let MOST_USES;
+MOST_USES = 1000000;
 let EVERY;
 EVERY = "*";
 class Draft {
-constructor(sources = null, by_itself = false, motions = py.list(), skipped = py.list(), constants = py.set(), near = py.dict(), at_rest = py.dict(), masses = py.dict(), _points = py.dict(), _frames = new py.Dict([["tool", new py.Dict([])], ["base", new py.Dict([])]]), _written = py.dict(), _read = py.set(), _origins = py.dict()) {
+constructor(sources = null, by_itself = false, motions = py.list(), skipped = py.list(), constants = py.set(), near = py.dict(), at_rest = py.dict(), masses = py.dict(), _points = py.dict(), _frames = new py.Dict([["tool", new py.Dict([])], ["base", new py.Dict([])]]), _arrays = py.dict(), _framed = py.dict(), _written = py.dict(), _read = py.set(), _origins = py.dict()) {
 this.sources = sources;
 this.by_itself = by_itself;
 this.motions = motions;
@@ -856,11 +946,16 @@ this.at_rest = at_rest;
 this.masses = masses;
 this._points = _points;
 this._frames = _frames;
+this._arrays = _arrays;
+this._framed = _framed;
 this._written = _written;
 this._read = _read;
 this._origins = _origins;
 }
 declare(point) {
+if (py.truth(py.both(!py.has(this._points, point.name), () => !py.same(point.name, _stem(point.name))))) {
+py.call(py.call(this._arrays, "setdefault", _stem(point.name), []), "append", point.name);
+}
 py.call(py.call(this._points, "setdefault", point.name, []), "append", point);
 return null;
 }
@@ -913,7 +1008,7 @@ return this._points;
 return null;
 }
 why_displaced(name, reasons) {
-let _, frame, index, kind, point, points, reason, what;
+let _, index, kind, reason, what;
 for (const $each of py.iter(py.call(reasons, "items"))) {
 [what, reason] = $each;
 if (py.same(what, STATED_LOAD)) {
@@ -923,16 +1018,31 @@ continue;
 if (py.truth(py.either(!py.has(["tool", "base"], kind), () => py.both(!py.same(index, ANY), () => !py.truth(py.call(index, "isdigit")))))) {
 return reason;
 }
-points = (() => { const $out = []; for (const other of py.iter(this._elements(name, this._points))) { for (const point of py.iter(py.at(this._points, other))) { $out.push(point); } } return $out; })();
-for (const $each of py.iter(points)) {
-point = $each;
-frame = (py.same(kind, "tool") ? point.tool : point.base);
-if (py.truth(py.both(py.same(point.kind, "pose"), () => py.either(py.same(index, ANY), () => py.same(index, py.both(frame, () => frame.name)))))) {
-return (py.str(kind) + " " + py.str(index) + ": " + py.str(reason));
-}
+if (py.has(this._frames_of(name), what)) {
+return (py.str(what) + ": " + py.str(reason));
 }
 }
 return "";
+return null;
+}
+_frames_of(name) {
+let found, other, point;
+if (!py.has(this._framed, name)) {
+found = py.set();
+for (const $each of py.iter(this.elements(name))) {
+other = $each;
+for (const $each of py.iter(py.at(this._points, other))) {
+point = $each;
+if (py.same(point.kind, "pose")) {
+found = py.or(found, new Set([("tool " + py.str(ANY)), ("base " + py.str(ANY))]));
+found = py.or(found, (((point.tool) ?? null) !== (null) ? new Set([("tool " + py.str(point.tool.name))]) : py.set()));
+found = py.or(found, (((point.base) ?? null) !== (null) ? new Set([("base " + py.str(point.base.name))]) : py.set()));
+}
+}
+}
+py.put(this._framed, name, found);
+}
+return py.at(this._framed, name);
 return null;
 }
 leave_unused(lines) {
@@ -956,86 +1066,36 @@ this.write(name, why);
 return null;
 }
 finish() {
-let ambiguous, before, frame, framed, frames, is_followed, is_framed, kind, known, loads, meant, motion, point, points, program, reason, said, stops, target, used, why;
-frames = new py.Dict((() => { const $out = []; for (const [kind, found] of py.iter(py.call(this._frames, "items"))) { $out.push([kind, new py.Dict((() => { const $out = []; for (const [name, pose] of py.iter(py.call(found, "items"))) { $out.push([name, py.either(this._why(name), () => pose)]); } return $out; })())]); } return $out; })());
+let frames, known, motion, program, uses;
+frames = this._values_of_frames();
+program = new Program(this.sources, py.at(frames, "tool"), py.at(frames, "base"), undefined, undefined, py.list(this.skipped));
+known = this._known(program);
+uses = new _Uses(this, program, known, new Set((() => { const $out = []; for (const one of py.iter(program.skipped)) { $out.push(one.name); } return $out; })()));
+for (const $each of py.iter(this.motions)) {
+motion = $each;
+uses.follow(motion);
+}
+uses.add_unused();
+program.skipped = py.add(program.skipped, (() => { const $out = []; for (const [key, reason] of py.iter(py.call(uses.ambiguous, "items"))) { $out.push(py.call(uses.used, "pop", key).skip(reason)); } return $out; })());
+program.points = uses.used;
+return program;
+return null;
+}
+_values_of_frames() {
+let frame, frames, is_followed, kind, motion, why;
+frames = new py.Dict((() => { const $out = []; for (const [kind, found] of py.iter(py.call(this._frames, "items"))) { $out.push([kind, new py.Dict((() => { const $out = []; for (const [name, pose] of py.iter(py.call(found, "items"))) { $out.push([name, py.either(this.why_written(name), () => pose)]); } return $out; })())]); } return $out; })());
 for (const $each of py.iter(this.motions)) {
 motion = $each;
 for (const $each of py.iter([["tool", motion.tool], ["base", motion.base]])) {
 [kind, frame] = $each;
 is_followed = py.either(((frame.pose) ?? null) !== (null), () => py.has(["", "$"], py.text(frame.name).slice(undefined, 1)));
-why = (py.truth(is_followed) ? "" : this._why(frame.name));
+why = (py.truth(is_followed) ? "" : this.why_written(frame.name));
 if (py.truth(why)) {
 py.call(py.at(frames, kind), "setdefault", frame.name, why);
 }
 }
 }
-program = new Program(this.sources, py.at(frames, "tool"), py.at(frames, "base"), undefined, undefined, py.list(this.skipped));
-known = this._known(program);
-used = new py.Dict([]);
-ambiguous = new py.Dict([]);
-said = new Set((() => { const $out = []; for (const one of py.iter(program.skipped)) { $out.push(one.name); } return $out; })());
-meant = new py.Dict([]);
-for (const $each of py.iter(this.motions)) {
-motion = $each;
-stops = [];
-for (const $each of py.iter(motion.targets)) {
-target = $each;
-if (py.truth(py.both(py.isinstance(target, ["str"]), () => !py.has(meant, target)))) {
-py.put(meant, target, this._meant(target, known));
-}
-points = (py.truth(py.isinstance(target, ["str"])) ? py.at(meant, target) : this._meant(target, known));
-if (py.truth(py.isinstance(target, [Skipped]))) {
-py.call(program.skipped, "append", target);
-py.call(said, "add", target.name);
-} else {
-if (py.truth(py.both(py.isinstance(target, ["str"]), () => !py.truth(py.either(points, () => py.either(py.has(said, target), () => this._elements(target, this._points))))))) {
-reason = py.either(this._why(target), () => "declared elsewhere");
-py.call(program.skipped, "append", new Skipped(target, motion.source, motion.statement.line, reason));
-py.call(said, "add", target);
-}
-}
-for (const $each of py.iter(points)) {
-point = $each;
-loads = py.call(program.loads, "setdefault", point.key, []);
-if (!py.has(loads, motion.load)) {
-py.call(loads, "append", motion.load);
-}
-framed = py.replace(point, { tool: py.either(point.tool, () => motion.tool), base: py.either(point.base, () => motion.base) });
-before = py.call(used, "setdefault", point.key, framed);
-if (py.truth(py.both(py.same(point.kind, "pose"), () => !py.same([before.tool, before.base], [framed.tool, framed.base])))) {
-py.put(ambiguous, point.key, ("used with different frames before and on line " + py.str(motion.statement.line)));
-}
-if (py.truth(py.both(py.same(point.kind, "joints"), () => motion.displaced))) {
-py.put(ambiguous, point.key, motion.displaced);
-}
-}
-py.call(stops, "append", (py.same(py.len(points), 1) ? py.at(points, 0).key : null));
-}
-py.call(program.motions, "append", [motion, py.tuple(stops)]);
-}
-for (const $each of py.iter(py.call(known, "values"))) {
-point = $each;
-if (py.has(used, point.key)) {
-continue;
-}
-is_framed = py.both(((point.tool) ?? null) !== (null), () => ((point.base) ?? null) !== (null));
-if (py.truth(py.either(py.has(this._read, point.name), () => py.has(this._read, _any(point.name))))) {
-py.call(program.skipped, "append", point.skip("other positions are computed from it, and no motion uses it directly"));
-} else {
-if (py.truth(py.both(this.by_itself, () => py.either(py.same(point.kind, "joints"), () => is_framed)))) {
-py.put(used, point.key, point);
-} else {
-if (py.same(point.kind, "joints")) {
-py.call(program.skipped, "append", point.skip("no motion uses it here: it may be something else than a position"));
-} else {
-py.call(program.skipped, "append", point.skip("no motion uses it here, so its tool and base are not known"));
-}
-}
-}
-}
-program.skipped = py.add(program.skipped, (() => { const $out = []; for (const [key, reason] of py.iter(py.call(ambiguous, "items"))) { $out.push(py.call(used, "pop", key).skip(reason)); } return $out; })());
-program.points = used;
-return program;
+return frames;
 return null;
 }
 _known(program) {
@@ -1043,13 +1103,13 @@ let frames, known, name, named, points, reason, seed, targets;
 known = new py.Dict([]);
 frames = this._frame_names();
 named = new Set((() => { const $out = []; for (const motion of py.iter(this.motions)) { for (const target of py.iter(motion.targets)) { if (py.truth(py.isinstance(target, ["str"]))) $out.push(target); } } return $out; })());
-targets = new Set((() => { const $out = []; for (const target of py.iter(named)) { for (const name of py.iter(py.either(this._elements(target, this._points), () => [target]))) { $out.push(name); } } return $out; })());
+targets = new Set((() => { const $out = []; for (const target of py.iter(named)) { for (const name of py.iter(py.either(this.elements(target), () => [target]))) { $out.push(name); } } return $out; })());
 for (const $each of py.iter(py.call(this._points, "items"))) {
 [name, points] = $each;
 if (py.truth(py.both(py.has(frames, name), () => !py.has(targets, name)))) {
 continue;
 }
-reason = this._why(name);
+reason = this.why_written(name);
 if (py.has(frames, name)) {
 reason = "it is a tool or a base, or one is computed from it";
 } else {
@@ -1085,7 +1145,7 @@ ahead = py.add(ahead, more);
 return found;
 return null;
 }
-_why(name) {
+why_written(name) {
 let names;
 names = [name, _any(name), _stem(name)];
 if (!py.truth(py.and(new Set([name, _stem(name)]), this.constants))) {
@@ -1094,18 +1154,136 @@ py.call(names, "append", EVERY);
 return py.next((() => { const $out = []; for (const one of py.iter(names)) { if (py.has(this._written, one)) $out.push(py.at(this._written, one)); } return $out; })(), "");
 return null;
 }
-_elements(name, points) {
+elements(name) {
 if (py.has(name, "*")) {
-return (() => { const $out = []; for (const other of py.iter(points)) { if (py.truth(py.both(!py.same(other, _stem(other)), () => py.same(_stem(other), _stem(name))))) $out.push(other); } return $out; })();
+return py.call(this._arrays, "get", _stem(name), []);
 }
 return (py.has(this._points, name) ? [name] : []);
 return null;
 }
-_meant(target, known) {
-if (py.truth(py.isinstance(target, ["str"]))) {
-return (() => { const $out = []; for (const name of py.iter(this._elements(target, known))) { if (py.has(known, name)) $out.push(py.at(known, name)); } return $out; })();
+is_read(name) {
+return py.either(py.has(this._read, name), () => py.has(this._read, _any(name)));
+return null;
 }
+}
+class _Uses {
+constructor(draft = null, program = null, known = null, said = null, used = py.dict(), ambiguous = py.dict(), meant = py.dict(), loads = py.dict(), work = 0) {
+this.draft = draft;
+this.program = program;
+this.known = known;
+this.said = said;
+this.used = used;
+this.ambiguous = ambiguous;
+this.meant = meant;
+this.loads = loads;
+this.work = work;
+}
+follow(motion) {
+let point, points, stops, target;
+stops = [];
+for (const $each of py.iter(motion.targets)) {
+target = $each;
+points = this._points_of(target);
+if (!py.truth(points)) {
+this._leave(target, motion);
+}
+for (const $each of py.iter(points)) {
+point = $each;
+this._use(point, motion);
+}
+py.call(stops, "append", (py.same(py.len(points), 1) ? py.at(points, 0).key : null));
+}
+py.call(this.program.motions, "append", [motion, py.tuple(stops)]);
+return null;
+}
+_points_of(target) {
+let names;
+if (!py.truth(py.isinstance(target, ["str"]))) {
 return (py.truth(py.isinstance(target, [Point])) ? [target] : []);
+}
+if (!py.has(this.meant, target)) {
+names = this.draft.elements(target);
+py.put(this.meant, target, (() => { const $out = []; for (const name of py.iter(names)) { if (py.has(this.known, name)) $out.push(py.at(this.known, name)); } return $out; })());
+}
+this.work = py.add(this.work, py.len(py.at(this.meant, target)));
+if ((this.work > MOST_USES)) {
+throw new ProgramError(("more than " + py.str(MOST_USES) + " uses of points by motions, computed indices included; expected fewer: divide the program"));
+}
+return py.at(this.meant, target);
+return null;
+}
+_leave(target, motion) {
+let line, reason;
+if (py.truth(py.isinstance(target, [Skipped]))) {
+py.call(this.program.skipped, "append", target);
+py.call(this.said, "add", target.name);
+} else {
+if (py.truth(py.both(py.isinstance(target, ["str"]), () => !py.truth(py.either(py.has(this.said, target), () => this.draft.elements(target)))))) {
+reason = py.either(this.draft.why_written(target), () => "declared elsewhere");
+line = motion.statement.line;
+py.call(this.program.skipped, "append", new Skipped(target, motion.source, line, reason));
+py.call(this.said, "add", target);
+}
+}
+return null;
+}
+_use(point, motion) {
+let before, framed;
+this._note_load(point, motion);
+framed = py.replace(point, { tool: py.either(point.tool, () => motion.tool), base: py.either(point.base, () => motion.base) });
+before = py.call(this.used, "setdefault", point.key, framed);
+if (py.same(point.kind, "joints")) {
+if (py.truth(motion.displaced)) {
+py.put(this.ambiguous, point.key, motion.displaced);
+}
+} else {
+if (!py.same([before.tool, before.base], [framed.tool, framed.base])) {
+py.put(this.ambiguous, point.key, ("used with different frames before and on line " + py.str(motion.statement.line)));
+}
+}
+return null;
+}
+_note_load(point, motion) {
+let found, line, name, text;
+found = py.call(this.program.loads, "setdefault", point.key, []);
+line = (((motion.load) ?? null) !== (null) ? motion.load.line : 0);
+text = (((motion.load) ?? null) !== (null) ? motion.load.text : "");
+name = [...py.iter(point.key), line, text];
+if (!py.has(this.loads, name)) {
+py.put(this.loads, name, true);
+py.call(found, "append", motion.load);
+}
+return null;
+}
+add_unused() {
+let point, reason;
+for (const $each of py.iter(py.call(this.known, "values"))) {
+point = $each;
+if (py.has(this.used, point.key)) {
+continue;
+}
+reason = this._why_unused(point);
+if (py.truth(reason)) {
+py.call(this.program.skipped, "append", point.skip(reason));
+} else {
+py.put(this.used, point.key, point);
+}
+}
+return null;
+}
+_why_unused(point) {
+let is_framed;
+if (py.truth(this.draft.is_read(point.name))) {
+return "other positions are computed from it, and no motion uses it directly";
+}
+is_framed = py.both(((point.tool) ?? null) !== (null), () => ((point.base) ?? null) !== (null));
+if (py.truth(py.both(this.draft.by_itself, () => py.either(py.same(point.kind, "joints"), () => is_framed)))) {
+return "";
+}
+if (py.same(point.kind, "joints")) {
+return "no motion uses it here: it may be something else than a position";
+}
+return "no motion uses it here, so its tool and base are not known";
 return null;
 }
 }
@@ -1130,11 +1308,11 @@ function _any(name) {
 return (py.str(_stem(name)) + "[*]");
 return null;
 }
-return { EVERY, Draft, joined, _stem, _any };
+return { MOST_USES, EVERY, Draft, _Uses, joined, _stem, _any };
 })();
 MODULES.statement_reader = (() => {
 const { Draft } = MODULES.draft;
-const { InForce, Step } = MODULES.flow;
+const { Code, InForce, Step } = MODULES.flow;
 const { STATED_LOAD } = MODULES.line_flow;
 const { Frame, Load, Point, Skipped } = MODULES.program;
 const { Brackets, Statement, calls_in, element_name, split, text_of_items, words_in } = MODULES.syntax;
@@ -1143,14 +1321,24 @@ PARAMETER = "a parameter of the routine";
 let EXTERNAL;
 EXTERNAL = "an external axis is not at 0";
 class Reader {
-constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null) {
+constructor(draft = null, file = null, code = null, harmless = null, entries = null) {
 this.draft = draft;
 this.file = file;
-this.statements = statements;
-this.steps = steps;
-this.flow = flow;
+this.code = code;
 this.harmless = harmless;
 this.entries = entries;
+}
+get statements() {
+return this.code.statements;
+return null;
+}
+get steps() {
+return this.code.steps;
+return null;
+}
+get flow() {
+return this.code.flow;
+return null;
 }
 literal(line, name, items) {
 throw NotImplementedError;
@@ -1160,14 +1348,20 @@ skip(name, line, reason) {
 return new Skipped(name, this.file, line, reason);
 return null;
 }
+not_understood(motion, line) {
+py.call(this.draft.skipped, "append", this.skip((py.str(motion) + " of line " + py.str(line)), line, "not understood"));
+return null;
+}
 words(items) {
 return py.set(words_in(items, this.case));
 return null;
 }
 parameters(k) {
-let routine;
-routine = py.at(this.flow, k).routine;
-return ((routine >= 0) ? py.set(formal_names(py.at(this.statements, routine), undefined, this.case)) : py.set());
+return py.call(this._parameters, "get", py.at(this.flow, k).routine, py.frozenset());
+return null;
+}
+get _parameters() {
+return new py.Dict((() => { const $out = []; for (const [k, step] of py.iter(py.enumerate(this.steps))) { if (py.truth(step.routine)) $out.push([k, py.frozenset(formal_names(py.at(this.statements, k), undefined, this.case))]); } return $out; })());
 return null;
 }
 target(k, part) {
@@ -1217,7 +1411,7 @@ this.draft.pass_to(called, (() => { const $out = []; for (const part of py.iter(
 return null;
 }
 displaced(k, kinds) {
-let called, found, kind, known, routine;
+let called, found, kind, known;
 known = py.at(this.flow, k);
 for (const $each of py.iter(kinds)) {
 kind = $each;
@@ -1231,11 +1425,8 @@ return ("line " + py.str(py.at(this.statements, found).line) + " displaces posit
 if (((found) ?? null) !== (null)) {
 return ("positions may be displaced (" + py.str(kind) + "): " + py.str(found));
 } else {
-if ((known.routine >= 0)) {
-routine = py.at(this.steps, known.routine).routine;
-if (py.has(this.entries.displaced_at_start(kind), routine)) {
+if (py.truth(this.starts_displaced(k, kind))) {
 return ("positions may be displaced (" + py.str(kind) + "): another routine does so");
-}
 }
 }
 }
@@ -1243,16 +1434,21 @@ return ("positions may be displaced (" + py.str(kind) + "): another routine does
 return "";
 return null;
 }
+starts_displaced(k, kind) {
+let routine;
+routine = this.code.routine(k);
+return py.both(py.bool(routine), () => py.has(this.entries.displaced_at_start(kind), routine));
+return null;
+}
 load(k) {
-let found, known, routine, statement;
+let found, known, statement;
 known = py.at(this.flow, k);
 found = py.call(known.setters, "get", STATED_LOAD);
 if (py.truth(py.isinstance(found, ["int"]))) {
 statement = py.at(this.statements, found);
 return new Load(text_of_items(statement.items), statement.line, this.mass(statement));
 }
-routine = ((known.routine >= 0) ? py.at(this.steps, known.routine).routine : "");
-if (py.truth(py.both(((found) ?? null) === (null), () => py.has(this.entries.displaced_at_start(STATED_LOAD), routine)))) {
+if (py.truth(py.both(((found) ?? null) === (null), () => this.starts_displaced(k, STATED_LOAD)))) {
 found = "it is set by another routine";
 }
 return (((found) ?? null) !== (null) ? new Load(found, py.at(this.statements, k).line) : null);
@@ -1274,6 +1470,7 @@ return null;
 }
 }
 Reader.prototype.case = false;
+py.cached(Reader.prototype, "_parameters");
 class Entries {
 constructor(files = null, ends = null, lasting = [], known = py.dict()) {
 this.files = files;
@@ -1289,41 +1486,61 @@ return py.at(this.known, kind);
 return null;
 }
 _displaced_at_start(kind) {
-let ahead, called, ended, flow, found, heirs, is_clean, k, name, routine, state, statements, step, steps;
-found = py.set();
-called = py.set();
-heirs = py.dict();
-ended = py.dict();
+let code, k, starts;
+starts = new _Starts(kind, this.ends);
 for (const $each of py.iter(this.files)) {
-[statements, steps, flow] = $each;
-for (const $each of py.iter(py.enumerate(steps))) {
-[k, step] = $each;
-state = py.call(py.at(flow, k).setters, "get", kind);
-is_clean = py.either(((state) ?? null) === (null), () => py.both(py.isinstance(state, ["int"]), () => this.ends(py.at(statements, state))));
-called = py.or(called, py.set(step.calls));
-found = py.or(found, py.set(step.starts));
-routine = ((py.at(flow, k).routine >= 0) ? py.at(steps, py.at(flow, k).routine).routine : "");
+code = $each;
+for (const $each of py.iter(py.range(py.len(code.steps)))) {
+k = $each;
+starts.look_at(code, k);
+}
+}
+return starts.displaced(py.has(this.lasting, kind));
+return null;
+}
+}
+class _Starts {
+constructor(kind = null, ends = null, found = py.set(), called = py.set(), heirs = py.dict(), is_clean = py.dict()) {
+this.kind = kind;
+this.ends = ends;
+this.found = found;
+this.called = called;
+this.heirs = heirs;
+this.is_clean = is_clean;
+}
+look_at(code, k) {
+let is_clean, name, routine, state, step;
+step = py.at(code.steps, k);
+state = py.call(py.at(code.flow, k).setters, "get", this.kind);
+is_clean = py.either(((state) ?? null) === (null), () => py.both(py.isinstance(state, ["int"]), () => this.ends(py.at(code.statements, state))));
+this.called = py.or(this.called, py.set(step.calls));
+this.found = py.or(this.found, py.set(step.starts));
+routine = code.routine(k);
 for (const $each of py.iter(step.calls)) {
 name = $each;
 if (!py.truth(is_clean)) {
-py.call(found, "add", name);
+py.call(this.found, "add", name);
 } else {
 if (((state) ?? null) === (null)) {
-py.call(py.call(heirs, "setdefault", routine, []), "append", name);
+py.call(py.call(this.heirs, "setdefault", routine, []), "append", name);
 }
 }
 }
-if (py.truth(py.both(step.closes, () => py.at(steps, py.at(py.at(flow, k).blocks, -1)).routine))) {
-py.put(ended, routine, is_clean);
+if (py.truth(py.both(step.closes, () => py.at(code.steps, py.at(py.at(code.flow, k).blocks, -1)).routine))) {
+py.put(this.is_clean, routine, is_clean);
 }
+return null;
 }
-}
-if (py.has(this.lasting, kind)) {
-found = py.or(found, new Set((() => { const $out = []; for (const [name, is_clean] of py.iter(py.call(ended, "items"))) { if (!py.truth(py.either(is_clean, () => py.has(called, name)))) $out.push(name); } return $out; })()));
+displaced(lasts) {
+let ahead, ended, found, name;
+found = py.set(this.found);
+if (py.truth(lasts)) {
+ended = py.call(this.is_clean, "items");
+found = py.or(found, new Set((() => { const $out = []; for (const [name, is_clean] of py.iter(ended)) { if (!py.truth(py.either(is_clean, () => py.has(this.called, name)))) $out.push(name); } return $out; })()));
 }
 ahead = py.sorted(found);
 while (py.truth(ahead)) {
-for (const $each of py.iter(py.call(heirs, "get", py.call(ahead, "pop"), []))) {
+for (const $each of py.iter(py.call(this.heirs, "get", py.call(ahead, "pop"), []))) {
 name = $each;
 if (!py.has(found, name)) {
 py.call(found, "add", name);
@@ -1354,7 +1571,7 @@ py.call(found, "append", py.at(words, -1));
 return found;
 return null;
 }
-return { PARAMETER, EXTERNAL, Reader, Entries, formal_names };
+return { PARAMETER, EXTERNAL, Reader, Entries, _Starts, formal_names };
 })();
 MODULES.language = (() => {
 const { Motion, Point, Posture, Program, Turn, number_text } = MODULES.program;
@@ -1438,7 +1655,7 @@ _SPOT = "FANUC R-30iB, spot welding operator's manual, program instructions";
 let _GERMAN;
 _GERMAN = "FANUC R-30iA/R-30iB, the same in German system software";
 let LISTING_WORDS;
-LISTING_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": branch, program control, wait and condition monitor instructions"), "LBL, JMP, CALL, RUN, IF, ELSE, ENDIF, SELECT, FOR, ENDFOR, END, WAIT, PAUSE, ABORT, WHEN, MONITOR, MONITOR END, TIMEOUT, RESUME_PROG, ENABLE RESUME_PROG, CLEAR RESUME_PROG, THEN"), new Understood("instruction", (py.str(_MANUAL) + ": conditions of skips and offsets, which act on motions with that option only"), "SKIP CONDITION, OFFSET CONDITION, TOOL_OFFSET CONDITION, VOFFSET CONDITION, LOCK PREG, UNLOCK PREG"), new Understood("instruction", (py.str(_MANUAL) + ": miscellaneous instructions"), "RSR, UALM, TIMER, OVERRIDE, REMARK, MESSAGE, PAYLOAD, COL DETECT ON, COL DETECT OFF, COL GUARD ADJUST, JOINT_MAX_SPEED, LINEAR_MAX_SPEED, DIAG_REC, POINT_LOGIC, STRLEN, SUBSTR, FINDSTR, VISION RUN_FIND, VISION GET_OFFSET, VISION GET_NFOUND, VISION GET_PASSFAIL, SAVE_LOG"), new Understood("instruction", _ARC, "ARC START, ARC END, WEAVE, WEAVE SINE, WEAVE FIGURE, WEAVE CIRCLE, WEAVE L, WEAVE END, WIRE FORWARD, WIRE BACKWARD"), new Understood("instruction", _SPOT, "SPOT, BACKUP, STROKE, BU, SS, SE, HAND OPEN, HAND CLOSE"), new Understood("variable", (py.str(_MANUAL) + ": registers, inputs and outputs, frame numbers, speeds, parameters"), "R, PR, SR, AR, PL, DI, DO, RI, RO, GI, GO, AI, AO, SI, SO, UI, UO, WI, WO, WSI, WSO, SDI, SDO, RDI, RDO, GDI, GDO, M, F, LO, TIMER, OVERRIDE, UFRAME_NUM, UTOOL_NUM, JOINT_MAX_SPEED, LINEAR_MAX_SPEED, UALM, RSR, $MCR.$GENOVERRIDE, $WAITTMOUT, $SPEED, $MCR.$PRGOVERRIDE, $MCR_GRP.$PRGOVERRIDE"), new Understood("variable", _GERMAN, "BENUTZER_NUM, WKZ_NUM"), new Understood("option", (py.str(_MANUAL) + ": speed and positioning path of a motion"), "FINE, CNT, CR, CD, MM/SEC, CM/MIN, INCH/MIN, IN/MIN, DEG/SEC, SEC, MSEC, MM, MAX_SPEED, WELD_SPEED, R, AR, PSPD"), new Understood("option", (py.str(_MANUAL) + ": additional motion instructions without an offset; what they switch or call"), "ACC, WJNT, MROT, PTH, RT_LD, AP_LD, BREAK, EV, IND.EV, TB, TA, DB, CALL, P-SPS, DO, RO, GO, AO, F, ON, OFF, PULSE, POINT_LOGIC, ALIM"), new Understood("option", _ARC, "ARC START, ARC END, WEAVE, WEAVE SINE, WEAVE FIGURE, WEAVE CIRCLE, WEAVE L, WEAVE END"), new Understood("option", _SPOT, "SPOT, SS, SE")];
+LISTING_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": branch, program control, wait and condition monitor instructions"), "LBL, JMP, CALL, RUN, IF, ELSE, ENDIF, SELECT, FOR, ENDFOR, END, WAIT, PAUSE, ABORT, WHEN, MONITOR, MONITOR END, TIMEOUT, RESUME_PROG, ENABLE RESUME_PROG, CLEAR RESUME_PROG, THEN"), new Understood("instruction", "FANUC, listings of the VASS standard: the condition on which a motion may go on", "TC_ONLINE"), new Understood("instruction", (py.str(_MANUAL) + ": conditions of skips and offsets, which act on motions with that option only"), "SKIP CONDITION, OFFSET CONDITION, TOOL_OFFSET CONDITION, VOFFSET CONDITION, LOCK PREG, UNLOCK PREG"), new Understood("instruction", (py.str(_MANUAL) + ": miscellaneous instructions"), "RSR, UALM, TIMER, OVERRIDE, REMARK, MESSAGE, PAYLOAD, COL DETECT ON, COL DETECT OFF, COL GUARD ADJUST, JOINT_MAX_SPEED, LINEAR_MAX_SPEED, DIAG_REC, POINT_LOGIC, STRLEN, SUBSTR, FINDSTR, VISION RUN_FIND, VISION GET_OFFSET, VISION GET_NFOUND, VISION GET_PASSFAIL, SAVE_LOG"), new Understood("instruction", _ARC, "ARC START, ARC END, WEAVE, WEAVE SINE, WEAVE FIGURE, WEAVE CIRCLE, WEAVE L, WEAVE END, WIRE FORWARD, WIRE BACKWARD"), new Understood("instruction", _SPOT, "SPOT, BACKUP, STROKE, BU, SS, SE, HAND OPEN, HAND CLOSE"), new Understood("variable", (py.str(_MANUAL) + ": registers, inputs and outputs, frame numbers, speeds, parameters"), "R, PR, SR, AR, PL, DI, DO, RI, RO, GI, GO, AI, AO, SI, SO, UI, UO, WI, WO, WSI, WSO, SDI, SDO, RDI, RDO, GDI, GDO, M, F, LO, TIMER, OVERRIDE, UFRAME_NUM, UTOOL_NUM, JOINT_MAX_SPEED, LINEAR_MAX_SPEED, UALM, RSR, $MCR.$GENOVERRIDE, $WAITTMOUT, $SPEED, $MCR.$PRGOVERRIDE, $MCR_GRP.$PRGOVERRIDE"), new Understood("variable", _GERMAN, "BENUTZER_NUM, WKZ_NUM"), new Understood("option", (py.str(_MANUAL) + ": speed and positioning path of a motion"), "FINE, CNT, CR, CD, MM/SEC, CM/MIN, INCH/MIN, IN/MIN, DEG/SEC, SEC, MSEC, MM, MAX_SPEED, WELD_SPEED, R, AR, PSPD"), new Understood("option", (py.str(_MANUAL) + ": additional motion instructions without an offset; what they switch or call"), "ACC, WJNT, MROT, PTH, RT_LD, AP_LD, BREAK, EV, IND.EV, TB, TA, DB, CALL, P-SPS, DO, RO, GO, AO, F, ON, OFF, PULSE, POINT_LOGIC, ALIM"), new Understood("option", _ARC, "ARC START, ARC END, WEAVE, WEAVE SINE, WEAVE FIGURE, WEAVE CIRCLE, WEAVE L, WEAVE END"), new Understood("option", _SPOT, "SPOT, SS, SE")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(LISTING_WORDS, "instruction");
 let _VARIABLES;
@@ -1468,7 +1685,7 @@ let k, phrase, tokens;
 tokens = tokens_of(without_brackets(options));
 k = 0;
 while ((k < py.len(tokens))) {
-phrase = first_phrase(py.text(tokens).slice(k, undefined), _OPTIONS);
+phrase = first_phrase(py.text(tokens).slice(k, py.add(k, 3)), _OPTIONS);
 if (py.same(phrase, "INC")) {
 return ("a relative motion (INC), line " + py.str(line));
 }
@@ -1507,7 +1724,7 @@ if (py.truth(py.both(py.same(first, "ELSE"), () => !py.has(flat, ",")))) {
 block = "else";
 }
 }
-action = (py.has(flat, ",") ? py.at(py.call(flat, "split", ","), -1) : "");
+action = py.at(py.call(flat, "partition", ","), 2);
 sets = py.tuple(_sets(action, text, number));
 return new Line(number, sets, undefined, undefined, jumps, calls, undefined, block);
 }
@@ -1525,7 +1742,7 @@ left = tokens_of(py.at(py.call(flat, "partition", "="), 0));
 phrase = first_phrase(tokens, _PHRASES);
 target = (py.truth(left) ? py.at(left, 0) : "");
 if (py.truth(py.both(py.has(flat, "="), () => py.has(_FRAMES, target)))) {
-index = py.call(py.at(py.call(py.at(py.call(py.at(py.call(py.call(text, "upper"), "partition", (py.str(target) + "[")), 2), "partition", "]"), 0), "partition", ":"), 0), "strip");
+index = index_of(py.at(py.call(py.at(py.call(py.call(text, "upper"), "partition", (py.str(target) + "[")), 2), "partition", "]"), 0));
 name = (py.str(py.at(_FRAMES, target)) + " " + py.str((py.truth(py.call(index, "isdigit")) ? index : ANY)));
 (yield [name, ("line " + py.str(number) + " sets it while the program runs")]);
 } else {
@@ -1552,6 +1769,12 @@ if (!py.has(_INSTRUCTIONS, phrase)) {
 }
 }
 }
+}
+function index_of(text) {
+let _, first, more;
+[first, , more] = [...py.iter(py.call(text, "partition", ":"))];
+return py.call(py.at(py.call((py.truth(py.call(py.call(first, "strip"), "startswith", "GP")) ? more : first), "partition", ","), 0), "strip");
+return null;
 }
 function _label(text) {
 let upper;
@@ -1585,7 +1808,7 @@ py.call(found, "append", (py.truth(py.either(!py.truth(name), () => py.has(py.at
 return py.tuple(found);
 return null;
 }
-return { _MANUAL, _ARC, _SPOT, _GERMAN, LISTING_WORDS, _INSTRUCTIONS, _VARIABLES, _OPTIONS, COMPUTED, _MOVED, _BEGINS, _ENDS, SWITCHED, _PHRASES, _FRAMES, _CONDITIONS, _BLOCKS, why_moved_by_options, effect_of_options, effect_in_listing, _sets, _label, _jumps, _indices, _calls };
+return { _MANUAL, _ARC, _SPOT, _GERMAN, LISTING_WORDS, _INSTRUCTIONS, _VARIABLES, _OPTIONS, COMPUTED, _MOVED, _BEGINS, _ENDS, SWITCHED, _PHRASES, _FRAMES, _CONDITIONS, _BLOCKS, why_moved_by_options, effect_of_options, effect_in_listing, _sets, index_of, _label, _jumps, _indices, _calls };
 })();
 MODULES.jbi_lines = (() => {
 const { ANY, POSITIONS, BlockPart, Line } = MODULES.line_flow;
@@ -1593,7 +1816,7 @@ const { Understood, not_understood, understood_words, without_brackets } = MODUL
 let _MANUAL;
 _MANUAL = "Yaskawa DX200, INFORM language manual, chapter 2";
 let JOB_WORDS;
-JOB_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": control instructions"), "NOP, END, JUMP, CALL, RET, TIMER, WAIT, LABEL, COMM, IF, IFTHEN, IFTHENEXP, ELSEIF, ELSEIFEXP, ELSE, ENDIF, UNTIL, PAUSE, ABORT, CWAIT, ADVINIT, ADVSTOP, MSG, CLS, DIALOG, WHILE, WHILEEXP, ENDWHILE, FOR, NEXT, SWITCH, CASE, DEFAULT, ENDSWITCH, PSTART, PWAIT, TSYNC, SETUALM, SHCKSET, SHCKRST, NWAIT, SPEED, RETURN"), new Understood("instruction", (py.str(_MANUAL) + ": input and output instructions"), "DOUT, DIN, AOUT, ARATION, ARATIOF, PULSE, SETOUT"), new Understood("instruction", (py.str(_MANUAL) + ": operating instructions; a position variable that they set is left"), "SET, SETE, GETE, GETS, GETPOS, GETARG, INC, DEC, ADD, SUB, MUL, DIV, CNVRT, CLEAR, SIN, COS, ATAN, SQRT, AND, OR, NOT, XOR, MULMAT, INVMAT, SETFILE, GETFILE, SETREG, GETREG, MSHIFT, CNVR, VAL, ASC, CHR$, MID$, LEN, CAT$, VAL2STR, PRINT, SWAP"), new Understood("instruction", (py.str(_MANUAL) + ": work instructions (arc and spot welding, handling)"), "ARCON, ARCOF, ARCSET, ARCCTS, ARCCTE, AWELD, VWELD, WVON, WVOF, REFP, ANTSTICK, SPOT, SVSPOT, SVSPOTMOV, SVGUNCL, GUNCL, STROKE, HAND, HSEN, TOOLON, TOOLOF, PALACT, CUTON, CUTOF"), new Understood("option", (py.str(_MANUAL) + ": move instructions (speed, position level, acceleration, no wait)"), "VJ, V, VR, VE, PL, CR, ACC, DEC, NWAIT, FPT, CV, EC, EX")];
+JOB_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": control instructions"), "NOP, END, JUMP, CALL, RET, TIMER, WAIT, LABEL, COMM, IF, IFTHEN, IFTHENEXP, ELSEIF, ELSEIFEXP, ELSE, ENDIF, UNTIL, PAUSE, ABORT, CWAIT, ADVINIT, ADVSTOP, MSG, CLS, DIALOG, WHILE, WHILEEXP, ENDWHILE, FOR, NEXT, SWITCH, CASE, DEFAULT, ENDSWITCH, PSTART, PWAIT, TSYNC, SETUALM, SHCKSET, SHCKRST, NWAIT, SPEED, RETURN"), new Understood("instruction", (py.str(_MANUAL) + ": input and output instructions"), "DOUT, DIN, AOUT, ARATION, ARATIOF, PULSE, SETOUT"), new Understood("instruction", (py.str(_MANUAL) + ": operating instructions; a position variable that they set is left"), "SET, SETE, GETE, GETS, GETPOS, GETARG, INC, DEC, ADD, SUB, MUL, DIV, CNVRT, CLEAR, SIN, COS, ATAN, SQRT, AND, OR, NOT, XOR, MULMAT, INVMAT, GETFILE, SETREG, GETREG, MSHIFT, CNVR, VAL, ASC, CHR$, MID$, LEN, CAT$, VAL2STR, PRINT, SWAP"), new Understood("instruction", (py.str(_MANUAL) + ": work instructions (arc and spot welding, handling)"), "ARCON, ARCOF, ARCSET, ARCCTS, ARCCTE, AWELD, VWELD, WVON, WVOF, REFP, ANTSTICK, SPOT, SVSPOT, SVSPOTMOV, SVGUNCL, GUNCL, STROKE, HAND, TOOLON, TOOLOF, CUTON, CUTOF"), new Understood("option", (py.str(_MANUAL) + ": move instructions (speed, position level, acceleration, no wait)"), "VJ, V, VR, VE, PL, CR, ACC, DEC, NWAIT, FPT, EC, EX")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(JOB_WORDS, "instruction");
 let _OPTIONS;
@@ -1677,7 +1900,7 @@ return null;
 return { _MANUAL, JOB_WORDS, _INSTRUCTIONS, _OPTIONS, SHIFT, _VARIABLES, _BEGINS, _ENDS, _BLOCKS, effect_in_job, _sets_no_variable, _sets, why_not_reached, named_in };
 })();
 MODULES.rapid_blocks = (() => {
-const { InForce, Step } = MODULES.flow;
+const { Code, Step } = MODULES.flow;
 const { STATED_LOAD } = MODULES.line_flow;
 const { Path } = MODULES.program;
 const { Brackets, Statement, calls_in, is_token, nested, place_of, split, text_of_items, word, words_in } = MODULES.syntax;
@@ -1702,6 +1925,8 @@ let _JUMPS;
 _JUMPS = ["ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD"];
 let _ALONE;
 _ALONE = [...py.iter(_CLOSES), "ELSE", "ERROR", "UNDO", "BACKWARD"];
+let _CONDITIONS;
+_CONDITIONS = ["IF", "TEST", ...py.iter(_LOOPS)];
 let ONCE;
 ONCE = "IF without THEN";
 let _STORAGE;
@@ -1716,44 +1941,72 @@ MOTIONS = new py.Dict([...py.iter(py.call(_PLAIN, 'items')), ...py.iter(py.call(
 let _MANUAL;
 _MANUAL = "ABB, technical reference manual: RAPID instructions, functions and data types";
 let RAPID_WORDS;
-RAPID_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": program flow, waiting, errors, interrupts"), "IF, ELSEIF, ELSE, ENDIF, FOR, ENDFOR, WHILE, ENDWHILE, TEST, CASE, DEFAULT, ENDTEST, GOTO, RETURN, EXIT, EXITCYCLE, STOP, BREAK, RAISE, RETRY, TRYNEXT, RESETRETRYCOUNT, WAITTIME, WAITUNTIL, WAITDI, WAITDO, WAITGI, WAITGO, WAITAI, WAITAO, WAITROB, WAITSYNCTASK, CONNECT, IDELETE, IDISABLE, IENABLE, ISLEEP, IWATCH, ISIGNALDI, ISIGNALDO, ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE"), new Understood("instruction", (py.str(_MANUAL) + ": motion settings that keep target and tool"), "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, WZENABLE, WZDISABLE, WZFREE, ARCREFRESH"), new Understood("instruction", (py.str(_MANUAL) + ": inputs, outputs, operator, files, clocks, numbers"), "SETDO, SETGO, SETAO, SET, RESET, INVERTDO, PULSEDO, IOENABLE, IODISABLE, ALIASIO, TPWRITE, TPERASE, TPREADNUM, TPREADDNUM, TPREADFK, TPSHOW, UIMSGBOX, UIMSGWRITE, UISHOW, OPEN, CLOSE, WRITE, WRITEBIN, WRITEANYBIN, WRITESTRBIN, WRITERAWBYTES, READRAWBYTES, PACKRAWBYTES, UNPACKRAWBYTES, CLEARRAWBYTES, COPYRAWBYTES, CLEARIOBUFF, REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT"), new Understood("function", (py.str(_MANUAL) + ": functions, none of which changes an argument"), "OFFS, RELTOOL, POSEMULT, POSEINV, POSEVECT, DEFFRAME, DEFACCFRAME, CROBT, CJOINTT, CPOS, CTOOL, CWOBJ, CALCJOINTT, CALCROBT, ORIENTZYX, EULERZYX, DISTANCE, VECTMAGN, DOTPROD, CROSSPROD, NORIENT, MIRPOS, ROBOS, ABS, SQRT, SIN, COS, TAN, ACOS, ASIN, ATAN, ATAN2, ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, STRTOVAL, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE"), new Understood("option", (py.str(_MANUAL) + ": optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL"), "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT")];
+RAPID_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": program flow, waiting, errors, interrupts"), "IF, ELSEIF, ELSE, ENDIF, FOR, ENDFOR, WHILE, ENDWHILE, TEST, CASE, DEFAULT, ENDTEST, GOTO, RETURN, EXIT, EXITCYCLE, STOP, BREAK, RAISE, RETRY, TRYNEXT, RESETRETRYCOUNT, WAITTIME, WAITUNTIL, WAITDI, WAITDO, WAITGI, WAITGO, WAITAI, WAITAO, WAITROB, WAITSYNCTASK, CONNECT, IDELETE, IDISABLE, IENABLE, ISLEEP, IWATCH, ISIGNALDI, ISIGNALDO, ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE"), new Understood("instruction", (py.str(_MANUAL) + ": motion settings that keep target and tool"), "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, WZENABLE, WZDISABLE, WZFREE, ARCREFRESH"), new Understood("instruction", (py.str(_MANUAL) + ": inputs, outputs, operator, files, clocks, numbers"), "SETDO, SETGO, SETAO, SET, RESET, INVERTDO, PULSEDO, IOENABLE, IODISABLE, ALIASIO, TPWRITE, TPERASE, TPREADNUM, TPREADDNUM, TPREADFK, TPSHOW, UIMSGBOX, UIMSGWRITE, UISHOW, OPEN, CLOSE, WRITE, WRITEBIN, WRITEANYBIN, WRITESTRBIN, WRITERAWBYTES, READRAWBYTES, PACKRAWBYTES, UNPACKRAWBYTES, CLEARRAWBYTES, COPYRAWBYTES, CLEARIOBUFF, REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT"), new Understood("function", (py.str(_MANUAL) + ": functions, none of which changes an argument"), "OFFS, RELTOOL, POSEMULT, POSEINV, POSEVECT, DEFFRAME, DEFACCFRAME, CROBT, CJOINTT, CPOS, CTOOL, CWOBJ, CALCJOINTT, CALCROBT, ORIENTZYX, EULERZYX, DISTANCE, VECTMAGN, DOTPROD, CROSSPROD, NORIENT, MIRPOS, ROBOS, ABS, SQRT, SIN, COS, TAN, ACOS, ASIN, ATAN, ATAN2, ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE"), new Understood("filler", (py.str(_MANUAL) + ": StrToVal, which writes to its second argument"), "STRTOVAL"), new Understood("option", (py.str(_MANUAL) + ": optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL"), "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(RAPID_WORDS, "instruction");
 let RAPID_FUNCTIONS;
 RAPID_FUNCTIONS = understood_words(RAPID_WORDS, "function");
+let _FILLERS;
+_FILLERS = understood_words(RAPID_WORDS, "filler");
 let MOTION_OPTIONS;
 MOTION_OPTIONS = understood_words(RAPID_WORDS, "option");
 let SWITCHES;
-SWITCHES = new py.Dict([["PDISPON", "PDISP"], ["PDISPSET", "PDISP"], ["PDISPOFF", "PDISP"], ["EOFFSON", "EOFFS"], ["EOFFSSET", "EOFFS"], ["EOFFSOFF", "EOFFS"], ["CORRCON", "CORR"], ["CORRWRITE", "CORR"], ["CORRDISCON", "CORR"], ["CORRCLEAR", "CORR"], ["SINGAREA", "SINGAREA"], ["SOFTACT", "SOFT"], ["SOFTDEACT", "SOFT"], ["CSSACT", "CSS"], ["CSSOFFSETTUNE", "CSS"], ["CSSFORCEOFFSETACT", "CSS"], ["CSSDEACT", "CSS"], ["SYNCMOVEON", "SYNCMOVE"], ["SYNCMOVERESUME", "SYNCMOVE"], ["SYNCMOVEOFF", "SYNCMOVE"], ["SYNCMOVESUSPEND", "SYNCMOVE"], ["WAITWOBJ", "CONVEYOR"], ["DROPWOBJ", "CONVEYOR"], ["WAITSENSOR", "SENSOR"], ["SYNCTOSENSOR", "SENSOR"], ["DROPSENSOR", "SENSOR"], ["FCACT", "FORCE"], ["FCPRESSLSTART", "FORCE"], ["FCPRESSEND", "FORCE"], ["FCDEACT", "FORCE"], ["EGMACTMOVE", "EGM"], ["EGMRUNJOINT", "EGM"], ["EGMRUNPOSE", "EGM"], ["EGMSTOP", "EGM"], ["EGMRESET", "EGM"], ["CONFL", "CONFL"], ["CONFJ", "CONFJ"], ["GRIPLOAD", STATED_LOAD]]);
+SWITCHES = new py.Dict([["PDISPON", "PDISP"], ["PDISPSET", "PDISP"], ["PDISPOFF", "PDISP"], ["EOFFSON", "EOFFS"], ["EOFFSSET", "EOFFS"], ["EOFFSOFF", "EOFFS"], ["CORRCON", "CORR"], ["CORRWRITE", "CORR"], ["CORRDISCON", "CORR"], ["CORRCLEAR", "CORR"], ["SINGAREA", "SINGAREA"], ["SOFTACT", "SOFT"], ["SOFTDEACT", "SOFT"], ["CSSACT", "CSS"], ["CSSOFFSETTUNE", "CSS"], ["CSSFORCEOFFSETACT", "CSS"], ["CSSDEACT", "CSS"], ["SYNCMOVEON", "SYNCMOVE"], ["SYNCMOVERESUME", "SYNCMOVE"], ["SYNCMOVEOFF", "SYNCMOVE"], ["SYNCMOVESUSPEND", "SYNCMOVE"], ["WAITWOBJ", "CONVEYOR"], ["DROPWOBJ", "CONVEYOR"], ["SYNCWWOBJ", "CONVEYOR"], ["INDAMOVE", "INDEPENDENT"], ["INDCMOVE", "INDEPENDENT"], ["INDDMOVE", "INDEPENDENT"], ["INDRMOVE", "INDEPENDENT"], ["INDRESET", "INDEPENDENT"], ["SETLEADTHROUGH", "LEADTHROUGH"], ["WAITSENSOR", "SENSOR"], ["SYNCTOSENSOR", "SENSOR"], ["DROPSENSOR", "SENSOR"], ["FCACT", "FORCE"], ["FCPRESSLSTART", "FORCE"], ["FCPRESS1LSTART", "FORCE"], ["FCPRESSL", "FORCE"], ["FCPRESSC", "FORCE"], ["FCREFSTART", "FORCE"], ["FCREFSTOP", "FORCE"], ["FCPRESSEND", "FORCE"], ["FCDEACT", "FORCE"], ["EGMACTMOVE", "EGM"], ["EGMMOVEL", "EGM"], ["EGMMOVEC", "EGM"], ["EGMRUNJOINT", "EGM"], ["EGMRUNPOSE", "EGM"], ["EGMSTOP", "EGM"], ["EGMRESET", "EGM"], ["CONFL", "CONFL"], ["CONFJ", "CONFJ"], ["GRIPLOAD", STATED_LOAD]]);
 let DISPLACES;
 DISPLACES = py.sorted(py.sub(new Set([...py.iter(py.call(SWITCHES, "values"))]), new Set(["CONFL", "CONFJ", STATED_LOAD])));
 let JOINTS_TOO;
-JOINTS_TOO = ["CORR", "CSS", "EGM", "FORCE", "SENSOR", "SOFT"];
+JOINTS_TOO = ["CORR", "CSS", "EGM", "FORCE", "INDEPENDENT", "LEADTHROUGH", "SENSOR", "SOFT"];
 let _ENDS_IT;
-_ENDS_IT = ["PDISPOFF", "EOFFSOFF", "CORRCLEAR", "SOFTDEACT", "CSSDEACT", "SYNCMOVEOFF", "DROPWOBJ", "DROPSENSOR", "FCDEACT", "EGMRESET"];
+_ENDS_IT = ["PDISPOFF", "EOFFSOFF", "CORRCLEAR", "SOFTDEACT", "CSSDEACT", "SYNCMOVEOFF", "DROPWOBJ", "DROPSENSOR", "FCDEACT", "EGMRESET", "INDRESET"];
 let READING;
 READING = ["TPWRITE", "WRITE", "ERRWRITE", "ERRLOG", "UIMSGBOX", "SETSYSDATA", "MOVEEXTJ", "GRIPLOAD"];
 let BY_NAME;
 BY_NAME = ["SETDATAVAL", "SETALLDATAVAL"];
 function ends_displacement(statement) {
-let first;
+let first, has_off;
 first = word(py.at(statement.items, 0));
-return py.either(py.has(_ENDS_IT, first), () => py.both(py.same(first, "SINGAREA"), () => py.has(words_in(statement.items), "OFF")));
+has_off = py.has(["SINGAREA", "SETLEADTHROUGH"], first);
+return py.either(py.has(_ENDS_IT, first), () => py.both(has_off, () => py.has(words_in(statement.items), "OFF")));
 return null;
 }
-function statements_of(source) {
-return (() => { const $out = []; for (const whole of py.iter(source.statements(_TOKENS, _WORDS))) { for (const part of py.iter(_divided(whole))) { $out.push(part); } } return $out; })();
+function code_of(source) {
+let parts;
+parts = (() => { const $out = []; for (const whole of py.iter(source.statements(_TOKENS, _WORDS))) { for (const part of py.iter(_divided(whole))) { $out.push(part); } } return $out; })();
+return new Code(source, (() => { const $out = []; for (const [statement, ] of py.iter(parts)) { $out.push(statement); } return $out; })(), (() => { const $out = []; for (const [, step] of py.iter(parts)) { $out.push(step); } return $out; })());
 return null;
 }
 function* _divided(whole) {
-let closing, end, ends, first, is_label, items, k, opening, size, statement;
+let end, first, is_label, items, k, size, statement;
 items = whole.items;
 k = 0;
 while ((k < py.len(items))) {
 first = word(py.at(items, k));
-end = py.len(items);
-opening = (py.truth(py.both(py.same(first, "LOCAL"), () => (py.add(k, 1) < end))) ? word(py.at(items, py.add(k, 1))) : first);
-is_label = py.both((py.add(k, 1) < end), () => is_token(py.at(items, py.add(k, 1)), "SIGN", ":"));
+size = _size_of_head(items, k);
+if (py.truth(py.both(py.same(first, "IF"), () => !py.truth(size)))) {
+(yield* py.iter(_once(whole, py.text(items).slice(k, undefined))));
+return null;
+}
+end = (py.truth(size) ? py.min(py.add(k, size), py.len(items)) : py.len(items));
+statement = _part(whole, py.text(items).slice(k, end));
+is_label = py.both(_is_label(items, k), () => !py.has(_HEADS, first));
+(yield [statement, _step(statement, _opening(items, k), is_label)]);
+k = end;
+}
+}
+function _opening(items, k) {
+let first;
+first = word(py.at(items, k));
+return (py.truth(py.both(py.same(first, "LOCAL"), () => (py.add(k, 1) < py.len(items)))) ? word(py.at(items, py.add(k, 1))) : first);
+return null;
+}
+function _is_label(items, k) {
+return py.both((py.add(k, 1) < py.len(items)), () => is_token(py.at(items, py.add(k, 1)), "SIGN", ":"));
+return null;
+}
+function _size_of_head(items, k) {
+let first, has_brackets, opening, size;
+first = word(py.at(items, k));
+opening = _opening(items, k);
 size = 0;
 if (py.has(_ALONE, first)) {
 size = 1;
@@ -1762,47 +2015,50 @@ if (py.truth(py.either(py.has(_ROUTINES, opening), () => py.has(["MODULE", "RECO
 size = py.add((py.same(first, "LOCAL") ? 1 : 0), (py.same(opening, "FUNC") ? 3 : 2));
 } else {
 if (py.has(_HEADS, first)) {
-closing = py.at(_HEADS, first);
-ends = (() => { const $out = []; for (const j of py.iter(py.range(k, end))) { if (py.truth(py.either(py.same(word(py.at(items, j)), closing), () => is_token(py.at(items, j), "SIGN", closing)))) $out.push(j); } return $out; })();
-if (py.truth(py.both(!py.truth(ends), () => py.same(first, "IF")))) {
-(yield* py.iter(_once(whole, py.text(items).slice(k, undefined))));
-return null;
-}
-size = (py.truth(ends) ? py.sub(py.add(py.at(ends, 0), 1), k) : 0);
+size = py.add(_distance(items, k, [py.at(_HEADS, first)]), 1);
 } else {
-if (py.truth(py.both(first, () => is_label))) {
+if (py.truth(py.both(first, () => _is_label(items, k)))) {
 size = 2;
 } else {
-if (py.truth(py.either(py.same(first, "TEST"), () => !py.truth(first)))) {
-ends = (() => { const $out = []; for (const j of py.iter(py.range(py.add(k, 1), end))) { if (py.has((py.truth(first) ? ["CASE", "DEFAULT"] : ["MODULE"]), word(py.at(items, j)))) $out.push(j); } return $out; })();
-size = (py.truth(ends) ? py.sub(py.at(ends, 0), k) : 0);
+if (py.same(first, "TEST")) {
+size = py.max(_distance(items, k, ["CASE", "DEFAULT"]), 0);
+} else {
+if (!py.truth(first)) {
+size = py.max(py.add(_distance(items, py.add(k, 1), ["MODULE"]), 1), 0);
 }
 }
 }
 }
 }
-if (py.truth(py.both(size, () => py.both((py.add(k, size) < end), () => py.both(py.isinstance(py.at(items, py.add(k, size)), [Brackets]), () => py.either(py.has(_BLOCKS, opening), () => py.same(first, "ERROR"))))))) {
-size = py.add(size, 1);
 }
-end = (py.truth(size) ? py.min(py.add(k, size), end) : end);
-statement = _part(whole, py.text(items).slice(k, end));
-(yield [statement, _step(statement, opening, py.both(is_label, () => !py.has(_HEADS, first)))]);
-k = end;
+has_brackets = py.both(size, () => py.both((py.add(k, size) < py.len(items)), () => py.isinstance(py.at(items, py.add(k, size)), [Brackets])));
+return (py.truth(py.both(has_brackets, () => py.either(py.has(_BLOCKS, opening), () => py.same(first, "ERROR")))) ? py.add(size, 1) : size);
+return null;
 }
+function _distance(items, k, words) {
+let j;
+for (const $each of py.iter(py.range(k, py.len(items)))) {
+j = $each;
+if (py.truth(py.either(py.has(words, word(py.at(items, j))), () => py.both(is_token(py.at(items, j), "SIGN"), () => py.has(words, py.str(py.at(items, j))))))) {
+return py.sub(j, k);
+}
+}
+return -1;
+return null;
 }
 function* _once(whole, items) {
 let condition, k, motions, sides, statement;
 motions = (() => { const $out = []; for (const k of py.iter(py.range(1, py.len(items)))) { if (py.truth(py.either(py.has(MOTIONS, word(py.at(items, k))), () => py.either(py.has(SWITCHES, word(py.at(items, k))), () => py.has(BY_NAME, word(py.at(items, k))))))) $out.push(k); } return $out; })();
 k = (py.truth(motions) ? py.at(motions, -1) : 1);
 sides = split(items, ":=");
-if (py.truth(py.both(!py.truth(motions), () => py.same(py.len(sides), 2)))) {
+if (py.truth(py.both(!py.truth(motions), () => py.both(py.same(py.len(sides), 2), () => is_assignment(items))))) {
 k = py.sub(py.len(py.at(sides, 0)), 1);
 while (py.truth(py.both((k > 1), () => py.either(py.isinstance(py.at(items, k), [Brackets]), () => py.either(is_token(py.at(items, k), "SIGN", "."), () => is_token(py.at(items, py.sub(k, 1)), "SIGN", ".")))))) {
 k = py.sub(k, 1);
 }
 }
 condition = _part(whole, py.text(items).slice(undefined, 1));
-(yield [condition, new Step(ONCE)]);
+(yield [condition, new Step(ONCE, undefined, undefined, undefined, undefined, undefined, undefined, _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(py.text(items).slice(undefined, k)))) { $out.push(name); } return $out; })()))]);
 if ((k < py.len(items))) {
 statement = _part(whole, py.text(items).slice(k, undefined));
 (yield [statement, _step(statement, word(py.at(statement.items, 0)), false)]);
@@ -1816,35 +2072,54 @@ return new Statement(py.tuple(items), ...py.iter(place_of(items)), line);
 return null;
 }
 function _step(statement, opening, is_label) {
-let calls, first, is_known, items, names, own;
+let calls, first, is_own, items, names;
 items = statement.items;
 first = word(py.at(statement.items, 0));
 if (py.has(_BLOCKS, opening)) {
 names = (() => { const $out = []; for (const item of py.iter(items)) { if (py.truth(word(item))) $out.push(word(item)); } return $out; })();
-return new Step(opening, undefined, (py.has(_ROUTINES, opening) ? py.at(names, -1) : ""), py.has(_LOOPS, opening));
+return new Step(opening, undefined, (py.has(_ROUTINES, opening) ? py.at(names, -1) : ""), py.has(_LOOPS, opening), undefined, undefined, undefined, (py.has(_CONDITIONS, first) ? _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(name); } return $out; })()) : []));
 }
 if (py.has(_CLOSES, first)) {
 return new Step(undefined, py.at(_CLOSES, first));
 }
 if (py.truth(py.either(py.has(_JUMPS, first), () => is_label))) {
-return new Step(undefined, undefined, undefined, undefined, true);
+return new Step(undefined, undefined, undefined, undefined, true, undefined, undefined, _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(name); } return $out; })()));
 }
 if (py.same(first, "CONNECT")) {
 return new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, py.tuple(words_in(py.text(items).slice(1, undefined))));
 }
-own = (py.truth(py.both(first, () => !py.truth(py.any((() => { const $out = []; for (const item of py.iter(items)) { $out.push(is_token(item, "SIGN", ":=")); } return $out; })())))) ? first : "");
-names = [own, ...py.iter((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(py.call(name, "upper")); } return $out; })())];
-is_known = py.either(py.has(MOTIONS, first), () => py.has(_STORAGE, first));
-calls = py.tuple((() => { const $out = []; for (const name of py.iter(names)) { if (py.truth(py.both(name, () => py.both(!py.truth(py.both(is_known, () => py.same(name, first))), () => py.both(!py.has(_INSTRUCTIONS, name), () => py.both(!py.has(RAPID_FUNCTIONS, name), () => !py.has(SWITCHES, name))))))) $out.push(name); } return $out; })());
+is_own = !py.truth(py.either(is_assignment(items), () => py.either(py.has(MOTIONS, first), () => py.has(_STORAGE, first))));
+names = (() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { if (py.truth(py.either(is_own, () => !py.same(py.call(name, "upper"), first)))) $out.push(name); } return $out; })();
+calls = _routines([...py.iter((py.truth(is_own) ? [first] : [])), ...py.iter(names), ...py.iter(_called_by_text(items))]);
 return new Step(undefined, undefined, undefined, undefined, undefined, (py.has(SWITCHES, first) ? py.frozenset(new Set([py.at(SWITCHES, first)])) : py.frozenset()), undefined, calls);
 return null;
 }
-function check_blocks(source, statements, steps, flow) {
-let found, is_outside, known, statement, step, where;
-if (!py.truth(py.any((() => { const $out = []; for (const step of py.iter(steps)) { $out.push(py.same(step.opens, "MODULE")); } return $out; })()))) {
+function _routines(names) {
+return py.tuple((() => { const $out = []; for (const name of py.iter(names)) { if (py.truth(py.both(name, () => py.both(!py.has(_INSTRUCTIONS, py.call(name, "upper")), () => py.both(!py.has(RAPID_FUNCTIONS, py.call(name, "upper")), () => py.both(!py.has(_FILLERS, py.call(name, "upper")), () => !py.has(SWITCHES, py.call(name, "upper")))))))) $out.push(py.call(name, "upper")); } return $out; })());
+return null;
+}
+function _called_by_text(items) {
+let texts;
+texts = py.text(split(items, "%")).slice(1, 2);
+if (py.truth(py.both(py.has(MOTIONS, word(py.at(items, 0))), () => py.call(word(py.at(items, 0)), "endswith", "SYNC")))) {
+py.call(texts, "append", py.at(split(items), -1));
+}
+return (() => { const $out = []; for (const text of py.iter(texts)) { $out.push((py.truth(py.both(py.same(py.len(text), 1), () => is_token(py.at(text, 0), "TEXT"))) ? py.call(py.call(py.str(py.at(text, 0)), "strip", "\""), "upper") : "%")); } return $out; })();
+return null;
+}
+function is_assignment(items) {
+let signs;
+signs = (() => { const $out = []; for (const item of py.iter(items)) { if (py.truth(is_token(item, "SIGN", ":=", "\\"))) $out.push(py.str(item)); } return $out; })();
+return py.same(py.text(signs).slice(undefined, 1), [":="]);
+return null;
+}
+function check_blocks(code) {
+let found, is_outside, known, source, statement, step, where;
+source = code.source;
+if (!py.truth(py.any((() => { const $out = []; for (const step of py.iter(code.steps)) { $out.push(py.same(step.opens, "MODULE")); } return $out; })()))) {
 throw source.error(py.add("the end of the file, expected ", _WORDS), py.len(source.content));
 }
-for (const $each of py.iter(py.zip(statements, steps, flow))) {
+for (const $each of py.iter(py.zip(code.statements, code.steps, code.flow))) {
 [statement, step, known] = $each;
 found = text_of_items(py.text(statement.items).slice(undefined, 1));
 is_outside = py.same(known.depth, 0);
@@ -1858,11 +2133,11 @@ throw source.error((py.repr(found) + " within another routine; expected " + py.s
 }
 return null;
 }
-return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, statements_of, _divided, _once, _part, _step, check_blocks };
+return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, _CONDITIONS, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, _FILLERS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, _routines, _called_by_text, is_assignment, check_blocks };
 })();
 MODULES.fanuc_ls = (() => {
 const { Draft, joined } = MODULES.draft;
-const { COMPUTED, LISTING_WORDS, SWITCHED, effect_in_listing, effect_of_options, why_moved_by_options } = MODULES.fanuc_lines;
+const { COMPUTED, LISTING_WORDS, SWITCHED, effect_in_listing, effect_of_options, index_of, why_moved_by_options } = MODULES.fanuc_lines;
 const { ControllerLanguage } = MODULES.language;
 const { STATED_LOAD, Line, Listing, reasons_before, with_outside } = MODULES.line_flow;
 const { Frame, Load, Motion, Path, Point, Posture, Program, Skipped, Turn } = MODULES.program;
@@ -1878,15 +2153,26 @@ _JUMPS = ["LBL", "JMP", "IF", "ELSE", "SELECT", "FOR", "CALL", "END", "SKIP"];
 let _PATHS;
 _PATHS = new py.Dict([["J", "joint"], ["L", "line"]]);
 class _Instruction {
-constructor(number = null, kind = null, places = null, text = null, is_assignment = false) {
+constructor(number = null, kind = null, places = null, texts = null, is_assignment = false) {
 this.number = number;
 this.kind = kind;
 this.places = places;
-this.text = text;
+this.texts = texts;
 this.is_assignment = is_assignment;
 }
+get text() {
+return py.call(" ", "join", (() => { const $out = []; for (const text of py.iter(this.texts)) { if (py.truth(text)) $out.push(text); } return $out; })());
+return null;
+}
 get is_half_an_arc() {
-return py.both(py.same(this.kind, "C"), () => py.both(py.same(py.len(this.places), 1), () => !py.truth(this.text)));
+return py.both(py.same(this.kind, "C"), () => py.both(py.same(py.len(this.places), 1), () => !py.truth(py.any(this.texts))));
+return null;
+}
+take(more) {
+if (py.same(this.kind, "C")) {
+this.places = py.add(this.places, more.places);
+}
+this.texts = py.add(this.texts, more.texts);
 return null;
 }
 get effect() {
@@ -1900,6 +2186,7 @@ return effect_in_listing(this.text, this.number);
 return null;
 }
 }
+py.cached(_Instruction.prototype, "text");
 class FanucLs extends ControllerLanguage {
 read(sources) {
 let _, begin, block, displaced, draft, drafts, end, groups, i, instructions, line, lines, listings, name, parts, place, point, source, title;
@@ -2017,7 +2304,7 @@ FanucLs.prototype.grammars = [_LINES, _POSITIONS];
 FanucLs.prototype.understood = LISTING_WORDS;
 LANGUAGES.register(FanucLs);
 function _instructions(lines) {
-let before, found, is_arc, is_assignment, is_more, kind, line, number, parts, place, places, text;
+let found, is_arc, is_more, line, one, parts, text;
 found = py.list();
 for (const $each of py.iter(lines)) {
 line = $each;
@@ -2029,39 +2316,42 @@ text = py.call(py.str(py.call(parts, "get", "REST", py.call(parts, "get", "OTHER
 if (py.truth(py.both(py.same(line.data, "other"), () => py.call(text, "startswith", ["!", "//", "--"])))) {
 continue;
 }
-is_more = py.both(py.same(py.str(py.call(parts, "get", "LINE_NUMBER", "")), ":"), () => (py.len(found) > 0));
-place = py.call(parts, "get", "PLACE");
-number = py.either(py.next((() => { const $out = []; for (const token of py.iter(py.call(parts, "values"))) { $out.push(token); } return $out; })()).line, () => 0);
-text = py.call((!py.has(text, "(") ? py.at(py.call(text, "partition", " !"), 0) : text), "rstrip", "; ");
-is_assignment = py.both(py.same(line.data, "more"), () => py.call(text, "startswith", "="));
-places = (((place) ?? null) !== (null) ? [place] : []);
-is_arc = py.both(py.same(line.data, "more"), () => py.both((py.len(found) > 0), () => py.at(found, -1).is_half_an_arc));
-if (py.truth(py.either(is_more, () => py.both(is_arc, () => !py.truth(is_assignment))))) {
-before = py.call(found, "pop");
-places = (py.same(before.kind, "C") ? [...py.iter(before.places), ...py.iter(places)] : before.places);
-py.call(found, "append", py.replace(before, { places: places, text: py.call((py.str(before.text) + " " + py.str(text)), "strip") }));
-continue;
+one = _instruction(line.data, parts, text);
+is_more = py.same(py.str(py.call(parts, "get", "LINE_NUMBER", "")), ":");
+is_arc = py.both(py.same(line.data, "more"), () => !py.truth(one.is_assignment));
+if (py.truth(py.both(found, () => py.either(is_more, () => py.both(is_arc, () => py.at(found, -1).is_half_an_arc))))) {
+py.at(found, -1).take(one);
+} else {
+py.call(found, "append", one);
 }
-kind = py.str(py.call(parts, "get", "KIND", ""));
-py.call(found, "append", new _Instruction(number, kind, places, text, is_assignment));
 }
 return found;
 return null;
 }
+function _instruction(data, parts, text) {
+let is_assignment, number, place, places;
+place = py.call(parts, "get", "PLACE");
+number = py.either(py.next((() => { const $out = []; for (const token of py.iter(py.call(parts, "values"))) { $out.push(token); } return $out; })()).line, () => 0);
+text = py.call((!py.has(text, "(") ? py.at(py.call(text, "partition", " !"), 0) : text), "rstrip", "; ");
+is_assignment = py.both(py.same(data, "more"), () => py.call(text, "startswith", "="));
+places = (((place) ?? null) !== (null) ? [place] : []);
+return new _Instruction(number, py.str(py.call(parts, "get", "KIND", "")), places, [text], is_assignment);
+return null;
+}
 function _place(text) {
-let _, first, index, kind, more, number;
+let _, index, kind, number;
 [kind, , index] = [...py.iter(py.call(text, "partition", "["))];
-[first, , more] = [...py.iter(py.call(py.call(index, "removesuffix", "]"), "partition", ":"))];
-number = py.call(py.at(py.call((py.truth(py.call(py.call(first, "strip"), "startswith", "GP")) ? more : first), "partition", ","), 0), "strip");
+number = index_of(py.call(index, "removesuffix", "]"));
 return (py.str(kind) + "[" + py.str((py.truth(py.call(number, "isdigit")) ? number : "*")) + "]");
 return null;
 }
 function* _places_in(text) {
-let k, piece;
-for (const $each of py.iter(py.enumerate(py.text(py.call(text, "split", "P[")).slice(1, undefined), 1))) {
-[k, piece] = $each;
-if (!py.truth(py.call(py.text(py.at(py.call(text, "split", "P["), py.sub(k, 1))).slice(-1, undefined), "isalpha"))) {
-(yield _place(py.add(py.add("P[", py.at(py.call(piece, "split", "]"), 0)), "]")));
+let k, pieces;
+pieces = py.call(text, "split", "P[");
+for (const $each of py.iter(py.range(1, py.len(pieces)))) {
+k = $each;
+if (!py.truth(py.call(py.text(py.at(pieces, py.sub(k, 1))).slice(-1, undefined), "isalpha"))) {
+(yield _place(py.add(py.add("P[", py.at(py.call(py.at(pieces, k), "split", "]"), 0)), "]")));
 }
 }
 }
@@ -2077,14 +2367,14 @@ function _side(sides, yes, no) {
 return (py.same(py.has(sides, yes), py.has(sides, no)) ? null : py.has(sides, yes));
 return null;
 }
-return { _LINES, _POSITIONS, _WORDS, _JUMPS, _PATHS, _Instruction, FanucLs, _instructions, _place, _places_in, _posture, _side };
+return { _LINES, _POSITIONS, _WORDS, _JUMPS, _PATHS, _Instruction, FanucLs, _instructions, _instruction, _place, _places_in, _posture, _side };
 })();
 MODULES.jbi = (() => {
 const { Draft, joined } = MODULES.draft;
 const { JOB_WORDS, SHIFT, effect_in_job, named_in, why_not_reached } = MODULES.jbi_lines;
 const { ControllerLanguage } = MODULES.language;
 const { Line, Listing, reasons_before, with_outside } = MODULES.line_flow;
-const { Frame, Motion, Path, Point, Posture, Program, Skipped, Turn } = MODULES.program;
+const { Frame, Motion, Path, Point, Posture, Program, Skipped, Turn, counted_axes } = MODULES.program;
 const { Number, Statement, number_at } = MODULES.syntax;
 let _GRAMMAR;
 _GRAMMAR = "\nstart: (COMMENT? _NL)* JOB _NL (_head? _NL)* INST _NL (_line? _NL)* (_line? _EOT)\n_head: tag | configuration | position | COMMENT\ntag: TAG REST?\nconfiguration: RCONF SIGNED (\",\" SIGNED)*\nposition: PLACE \"=\" SIGNED (\",\" SIGNED)*\n_line: motion | other | COMMENT\nmotion: MOVE PLACE REST?\nother: OTHER\nJOB.5: /\\/JOB(?![^\\s])/\nINST.5: /\\/\\/INST(?![^\\s])/\nRCONF.4: /\\/\\/\\/RCONF/\nTAG.3: /\\/{2,3}[A-Z][A-Z0-9]*/\nMOVE.3: /(MOV[JLCS]|IMOV)(?![A-Z0-9])/\nPLACE.3: /(BC|EC|BP|EX|C|P)\\d+|P\\[[^\\]\\r\\n]*\\]/\nSIGNED: /[+-]?(\\d+(\\.\\d*)?|\\.\\d+)/\nREST: /[^\\s\\x04'][^\\r\\n\\x04]*/\nOTHER: /[^\\s\\x04'][^\\r\\n\\x04]*/\nCOMMENT.4: /'[^\\r\\n]*/\n_NL: /\\r\\n|\\r|\\n/\n_EOT: \"\\x04\"\n%ignore /[ \\t\\f\\xa0]+/\n";
@@ -2117,7 +2407,7 @@ if (py.truth(py.both(py.same(point.kind, "joints"), () => ((this.pulses) ?? null
 return "it is in pulses: give the pulses per degree (--pulses)";
 }
 if (py.truth(py.both(py.same(point.kind, "joints"), () => !py.same(py.len(py.either(this.pulses, () => [])), py.len(point.numbers))))) {
-return (py.str(py.len(point.numbers)) + " axes, but --pulses has " + py.str(py.len(py.either(this.pulses, () => []))));
+return (py.str(counted_axes(py.len(point.numbers))) + ", but --pulses has " + py.str(py.len(py.either(this.pulses, () => []))));
 }
 return "";
 return null;
@@ -2154,63 +2444,29 @@ return joined((() => { const $out = []; for (const draft of py.iter(drafts)) { $
 return null;
 }
 _positions(draft, i, source, parts) {
-let counts, expected, name, part, place, point, posture, rest, seen, tags, values;
-tags = new py.Dict([["TOOL", ""], ["USER", ""], ["POSTYPE", ""]]);
-posture = new Posture();
+let counts, expected, head, part, seen;
+head = new _Head();
 seen = 0;
 for (const $each of py.iter(parts)) {
 part = $each;
-if (py.same(part.data, "tag")) {
-[name, ...rest] = [...py.iter((() => { const $out = []; for (const child of py.iter(part.children)) { $out.push(py.str(child)); } return $out; })())];
-py.put(tags, py.call(name, "lstrip", "/"), (py.truth(rest) ? py.call(py.at(rest, 0), "strip") : ""));
-} else {
-if (py.same(part.data, "configuration")) {
-posture = _posture((() => { const $out = []; for (const token of py.iter(py.text(part.children).slice(1, undefined))) { $out.push(number_at(token)); } return $out; })());
-} else {
+head.take(part);
 if (py.same(part.data, "position")) {
 seen = py.add(seen, 1);
-[place, ...values] = [...py.iter(part.children)];
-name = _name(py.str(place));
-point = this._point(draft, i, name, place.line, (() => { const $out = []; for (const token of py.iter(values)) { $out.push(number_at(token)); } return $out; })(), tags, posture);
-if (py.truth(point)) {
-draft.take((py.truth(py.isinstance(point, ["str"])) ? new Skipped(name, i, place.line, point) : point));
+_note_position(draft, i, part, head);
 }
 }
-}
-}
-}
-counts = (() => { const $out = []; for (const text of py.iter(py.call(py.call(tags, "get", "NPOS", py.str(seen)), "split", ","))) { $out.push(py.call(text, "strip")); } return $out; })();
+counts = (() => { const $out = []; for (const text of py.iter(py.call(py.call(head.tags, "get", "NPOS", py.str(seen)), "split", ","))) { $out.push(py.call(text, "strip")); } return $out; })();
 expected = py.sum((() => { const $out = []; for (const text of py.iter(counts)) { if (py.truth(py.call(text, "isdigit"))) $out.push(py.int(text)); } return $out; })());
 if (!py.same(seen, expected)) {
-throw source.error((py.str(seen) + " positions; expected the " + py.str(expected) + " of ///NPOS"), 0);
+throw source.error((py.str(seen) + " position" + py.str((py.same(seen, 1) ? "" : "s")) + "; expected the " + py.str(expected) + " of ///NPOS"), 0);
 }
-return null;
-}
-_point(draft, i, name, line, values, tags, posture) {
-let base, kind, numbers;
-numbers = py.tuple((() => { const $out = []; for (const number of py.iter(values)) { if (((number) ?? null) !== (null)) $out.push(number); } return $out; })());
-kind = py.at(tags, "POSTYPE");
-if (py.truth(py.call(name, "startswith", ["BC", "EC", "BP", "EX"]))) {
-py.put(draft.at_rest, name, py.all((() => { const $out = []; for (const number of py.iter(numbers)) { $out.push(py.same(number.value, 0.0)); } return $out; })()));
-return "";
-}
-if (py.same(kind, "PULSE")) {
-return new Point(name, i, line, "joints", numbers);
-}
-if (py.truth(py.either(!py.has(["BASE", "ROBOT", "USER"], kind), () => !py.has([6, 7], py.len(numbers))))) {
-return ("positions of the type " + py.str(kind) + " are not supported");
-}
-if (py.truth(py.both(py.same(py.len(numbers), 7), () => py.at(numbers, 6).value))) {
-return "its elbow angle is not 0";
-}
-base = (py.same(kind, "USER") ? new Frame(py.either(py.at(tags, "USER"), () => "USER")) : new Frame(kind, np.eye(4)));
-return new Point(name, i, line, "pose", py.text(numbers).slice(undefined, 6), posture, new Frame(py.either(py.at(tags, "TOOL"), () => "TOOL")), base);
 return null;
 }
 _motions(draft, i, parts, displaced) {
-let arc, kind, name, part, path, place, reasons, run, span, target, targets, why;
+let arc, kind, name, part, path, place, reasons, run, span, target, targets, via;
 run = 0;
-arc = py.list();
+arc = 0;
+via = "";
 for (const $each of py.iter(py.zip(_instructions(parts), displaced))) {
 [part, reasons] = $each;
 if (!py.same(part.data, "motion")) {
@@ -2218,37 +2474,25 @@ run = py.add(run, py.call(py.call(py.str(py.at(part.children, 0)), "upper"), "st
 continue;
 }
 kind = py.str(py.at(part.children, 0));
-place = py.at(part.children, 1);
-name = _name(py.str(place));
-span = [place.start_pos, place.end_pos];
-target = name;
-if (py.same(kind, "IMOV")) {
-draft.write(name, ("line " + py.str(place.line) + " moves by it (IMOV)"));
-target = new Skipped(name, i, place.line, "a relative motion");
-} else {
-if (py.has(name, "[")) {
-target = new Skipped(name, i, place.line, "a computed position");
-} else {
-if (py.truth((why = _why_left(draft, name, part, reasons)))) {
-draft.write(name, why);
+name = _name(py.str(py.at(part.children, 1)));
+target = _target(draft, i, part, reasons);
+arc = (py.same(kind, "MOVC") ? py.add(arc, 1) : 0);
+if (py.same(arc, 2)) {
+via = name;
+continue;
 }
-}
-}
-arc = (py.same(kind, "MOVC") ? [...py.iter(arc), name] : []);
 path = py.call(_PATHS, "get", kind, "joint");
 targets = [target];
-if (py.same(py.len(arc), 1)) {
+if (py.same(arc, 1)) {
 path = "line";
 } else {
-if (py.same(py.len(arc), 2)) {
-continue;
-} else {
-if (py.same(py.len(arc), 3)) {
+if (py.same(arc, 3)) {
 path = "circle";
-targets = [py.at(arc, 1), target];
+targets = [via, target];
 }
 }
-}
+place = py.at(part.children, 1);
+span = [place.start_pos, place.end_pos];
 py.call(draft.motions, "append", new Motion(path, targets, new Statement([], ...py.iter(span), place.line), i, undefined, undefined, span, run));
 }
 return null;
@@ -2260,6 +2504,76 @@ Jbi.prototype.grammars = [_GRAMMAR];
 Jbi.prototype.digits = [4, 6, 0];
 Jbi.prototype.understood = JOB_WORDS;
 LANGUAGES.register(Jbi);
+function _target(draft, i, part, reasons) {
+let kind, line, name, why;
+kind = py.str(py.at(part.children, 0));
+line = py.at(part.children, 1).line;
+name = _name(py.str(py.at(part.children, 1)));
+if (py.same(kind, "IMOV")) {
+draft.write(name, ("line " + py.str(line) + " moves by it (IMOV)"));
+return new Skipped(name, i, line, "a relative motion");
+}
+if (py.has(name, "[")) {
+return new Skipped(name, i, line, "a computed position");
+}
+why = _why_left(draft, name, part, reasons);
+if (py.truth(why)) {
+draft.write(name, why);
+}
+return name;
+return null;
+}
+class _Head {
+constructor(tags = new py.Dict([["TOOL", ""], ["USER", ""], ["POSTYPE", ""]]), posture = py.Posture()) {
+this.tags = tags;
+this.posture = posture;
+}
+take(part) {
+let name, rest;
+if (py.same(part.data, "tag")) {
+[name, ...rest] = [...py.iter((() => { const $out = []; for (const child of py.iter(part.children)) { $out.push(py.str(child)); } return $out; })())];
+py.put(this.tags, py.call(name, "lstrip", "/"), (py.truth(rest) ? py.call(py.at(rest, 0), "strip") : ""));
+} else {
+if (py.same(part.data, "configuration")) {
+this.posture = _posture((() => { const $out = []; for (const token of py.iter(py.text(part.children).slice(1, undefined))) { $out.push(number_at(token)); } return $out; })());
+}
+}
+return null;
+}
+point(i, place, numbers) {
+let base, kind, name, tool, user;
+name = _name(py.str(place));
+kind = py.at(this.tags, "POSTYPE");
+if (py.same(kind, "PULSE")) {
+return new Point(name, i, place.line, "joints", numbers);
+}
+if (py.truth(py.either(!py.has(["BASE", "ROBOT", "USER"], kind), () => !py.has([6, 7], py.len(numbers))))) {
+return ("positions of the type " + py.str(kind) + " are not supported");
+}
+if (py.truth(py.both(py.same(py.len(numbers), 7), () => py.at(numbers, 6).value))) {
+return "its elbow angle is not 0";
+}
+user = new Frame(py.either(py.at(this.tags, "USER"), () => "USER"));
+base = (py.same(kind, "USER") ? user : new Frame(kind, np.eye(4)));
+tool = new Frame(py.either(py.at(this.tags, "TOOL"), () => "TOOL"));
+return new Point(name, i, place.line, "pose", py.text(numbers).slice(undefined, 6), this.posture, tool, base);
+return null;
+}
+}
+function _note_position(draft, i, part, head) {
+let found, name, numbers, place, point, values;
+[place, ...values] = [...py.iter(part.children)];
+name = _name(py.str(place));
+found = (() => { const $out = []; for (const token of py.iter(values)) { $out.push(number_at(token)); } return $out; })();
+numbers = py.tuple((() => { const $out = []; for (const number of py.iter(found)) { if (((number) ?? null) !== (null)) $out.push(number); } return $out; })());
+if (py.truth(py.call(name, "startswith", ["BC", "EC", "BP", "EX"]))) {
+py.put(draft.at_rest, name, py.all((() => { const $out = []; for (const number of py.iter(numbers)) { $out.push(py.same(number.value, 0.0)); } return $out; })()));
+return null;
+}
+point = head.point(i, place, numbers);
+draft.take((py.truth(py.isinstance(point, ["str"])) ? new Skipped(name, i, place.line, point) : point));
+return null;
+}
 function _instructions(parts) {
 return (() => { const $out = []; for (const part of py.iter(parts)) { if (py.has(["motion", "other"], part.data)) $out.push(part); } return $out; })();
 return null;
@@ -2326,11 +2640,11 @@ turns = py.tuple((() => { const $out = []; for (const [k, j] of py.iter([[3, 3],
 return new Posture(!py.truth(py.at(flags, 2)), !py.truth(py.at(flags, 1)), py.at(flags, 0), turns);
 return null;
 }
-return { _GRAMMAR, _WORDS, _PATHS, _JUMPS, Jbi, _instructions, _listing, _why_left, _note_changes, _name, _posture };
+return { _GRAMMAR, _WORDS, _PATHS, _JUMPS, Jbi, _target, _Head, _note_position, _instructions, _listing, _why_left, _note_changes, _name, _posture };
 })();
 MODULES.krl = (() => {
 const { Draft } = MODULES.draft;
-const { OUTSIDE, Step, followed } = MODULES.flow;
+const { OUTSIDE, Code, Step, followed } = MODULES.flow;
 const { ControllerLanguage } = MODULES.language;
 const { POSITIONS, STATED_LOAD } = MODULES.line_flow;
 const { Frame, Load, Motion, Path, Point, Posture, Program, Skipped, Turn } = MODULES.program;
@@ -2374,11 +2688,13 @@ _SPEEDS = ["#VEL_PTP", "#VEL_CP", "#ACC_PTP", "#ACC_CP", "#OUT_SYNC"];
 let _MANUAL;
 _MANUAL = "KUKA System Software 8, operating and programming instructions for system integrators";
 let _KRL_WORDS;
-_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRLEN, STRDECLLEN, STRCLEAR, STRADD, STRFIND, STRCOMP, STRCOPY, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
+_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, PATH, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, STRLEN, STRDECLLEN, STRFIND, STRCOMP, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("function", "KUKA System Software 8.3 and later: collision detection, as their inline forms call it", "USE_CM_PRO_VALUES, SET_CD_PARAMS"), new Understood("filler", "KUKA, CREAD/CWRITE for KSS 8: texts and channels, which write to their arguments", "CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRCLEAR, STRADD, STRCOPY"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $OUT_C, $COLLMON_TOL_PRO, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(_KRL_WORDS, "instruction");
 let _HARMLESS;
 _HARMLESS = understood_words(_KRL_WORDS, "function");
+let _FILLERS;
+_FILLERS = understood_words(_KRL_WORDS, "filler");
 let _VARIABLES;
 _VARIABLES = understood_words(_KRL_WORDS, "variable");
 let _TURNING;
@@ -2395,39 +2711,35 @@ let _SETTABLE;
 _SETTABLE = ["$TOOL", "$BASE", "FDAT_ACT", "$ORI_TYPE", "LDAT_ACT", "$LOAD"];
 class Krl extends ControllerLanguage {
 read(sources) {
-let by_value, data, draft, entries, files, flows, i, k, outside, reader, readers, source, statements, steps;
+let code, data, draft, entries, files, harmless, k, reader, readers, source, statements;
 draft = new Draft(sources);
 files = [];
 for (const $each of py.iter(sources)) {
 source = $each;
 statements = source.statements(_TOKENS, _WORDS);
-py.call(files, "append", [source, statements, (() => { const $out = []; for (const statement of py.iter(statements)) { $out.push(_step(statement)); } return $out; })()]);
+py.call(files, "append", new Code(source, statements, (() => { const $out = []; for (const statement of py.iter(statements)) { $out.push(_step(statement)); } return $out; })()));
 }
-flows = followed(files, _FRAMES);
-by_value = new Set((() => { const $out = []; for (const [, statements, steps] of py.iter(files)) { for (const [statement, step] of py.iter(py.zip(statements, steps))) { if (py.truth(_takes_values(statement, step))) $out.push(step.routine); } } return $out; })());
+files = followed(files, _FRAMES);
+for (const $each of py.iter(files)) {
+code = $each;
+_check_outside(code);
+}
+harmless = py.or(_HARMLESS, new Set((() => { const $out = []; for (const code of py.iter(files)) { for (const [statement, step] of py.iter(py.zip(code.statements, code.steps))) { if (py.truth(_takes_values(statement, step))) $out.push(step.routine); } } return $out; })()));
 data = new _Data();
-entries = new Entries((() => { const $out = []; for (const [[, statements, steps], flow] of py.iter(py.zip(files, flows))) { $out.push([statements, steps, flow]); } return $out; })(), ((statement) => data.turns(statement)));
-readers = [];
-for (const $each of py.iter(py.enumerate(files))) {
-[i, [source, statements, steps]] = $each;
-outside = (() => { const $out = []; for (const [k, s] of py.iter(py.enumerate(statements))) { if (py.truth(py.both(!py.truth(py.at(py.at(flows, i), k).depth), () => !py.truth(py.at(steps, k).opens)))) $out.push(s); } return $out; })();
-if (py.truth(py.either(outside, () => !py.truth(statements)))) {
-throw source.error(py.add("a statement outside DEF or DEFDAT; expected ", _WORDS), (py.truth(outside) ? py.at(outside, 0).start : 0));
-}
-py.call(readers, "append", new _SourceReader(draft, i, statements, steps, py.at(flows, i), py.or(_HARMLESS, by_value), entries, this));
-}
+entries = new Entries(files, ((statement) => data.turns(statement)));
+readers = (() => { const $out = []; for (const [i, code] of py.iter(py.enumerate(files))) { $out.push(new _SourceReader(draft, i, code, harmless, entries, this, data)); } return $out; })();
 for (const $each of py.iter(readers)) {
 reader = $each;
 for (const $each of py.iter(py.range(py.len(reader.statements)))) {
 k = $each;
-reader.declare(k, data);
+reader.declare(k);
 }
 }
 for (const $each of py.iter(readers)) {
 reader = $each;
 for (const $each of py.iter(py.range(py.len(reader.statements)))) {
 k = $each;
-reader.move(k, data);
+reader.move(k);
 }
 }
 return draft.finish();
@@ -2468,6 +2780,10 @@ this.frames = frames;
 this.is_fixed = is_fixed;
 this.constant = constant;
 }
+tool_is_fixed() {
+this.is_fixed = true;
+return null;
+}
 turns(statement) {
 let sides;
 if (py.truth(_by_bas(statement.items))) {
@@ -2497,22 +2813,20 @@ return null;
 }
 }
 class _SourceReader extends Reader {
-constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null) {
+constructor(draft = null, file = null, code = null, harmless = null, entries = null, language = null, data = null) {
 super();
 this.draft = draft;
 this.file = file;
-this.statements = statements;
-this.steps = steps;
-this.flow = flow;
+this.code = code;
 this.harmless = harmless;
 this.entries = entries;
 this.language = language;
+this.data = data;
 }
-declare(k, data) {
-let fields, first, group, is_part, items, line, mass, name, part, sides, statement, turning;
+declare(k) {
+let action, condition, first, is_part, items, name, part, reason, sides, statement;
 statement = py.at(this.statements, k);
 items = statement.items;
-line = statement.line;
 while (py.truth(py.both(items, () => py.has(["GLOBAL", "DECL", "CONST"], word(py.at(items, 0)))))) {
 items = py.text(items).slice(1, undefined);
 }
@@ -2520,40 +2834,69 @@ first = (py.truth(items) ? word(py.at(items, 0)) : "");
 if (py.truth(py.either(!py.truth(items), () => py.either(py.has(_MOTIONS, first), () => py.either(py.has(_RELATIVE, first), () => py.has(_ROUTINES, first)))))) {
 return null;
 }
+if (py.same(first, "IMPORT")) {
+reason = ("line " + py.str(statement.line) + " shares it with another file");
+for (const $each of py.iter(py.sorted(this.words(py.text(items).slice(1, undefined))))) {
+name = $each;
+this.draft.write(name, reason);
+}
+return null;
+}
+action = _action(items);
+if (py.truth(action)) {
+condition = py.text(items).slice(undefined, -py.len(action));
+this.pass_arguments(statement.line, condition);
+this.draft.read(this.words(condition));
+items = action;
+} else {
+if (py.has(["ANIN", "DIGIN"], first)) {
+items = py.text(items).slice(2, undefined);
+} else {
 if (py.truth(py.both((py.len(items) > 1), () => py.both(first, () => word(py.at(items, 1)))))) {
 items = py.text(items).slice(1, undefined);
 }
-this.pass_arguments(line, items);
+}
+}
+this.pass_arguments(statement.line, items);
 for (const $each of py.iter(split(items))) {
 part = $each;
 sides = split(part, "=");
 [name, is_part] = [...py.iter(element_name(py.at(sides, 0)))];
 if (py.truth(py.either(!py.same(py.len(sides), 2), () => !py.truth(name)))) {
 this.draft.read(this.words(part));
-continue;
+} else {
+if (!py.truth(this._note_data(name, py.at(sides, 1)))) {
+this._set(statement.line, name, is_part, py.at(sides, 1));
 }
-group = aggregate(py.at(sides, 1), "{");
-fields = (((group) ?? null) !== (null) ? _fields(group) : null);
-turning = (((fields) ?? null) !== (null) ? py.call(fields, "get", "ORI_TYP", []) : []);
+}
+}
+return null;
+}
+_note_data(name, value) {
+let fields, group, is_mode, is_new, mass, turning;
+group = aggregate(value, "{");
+fields = py.either((((group) ?? null) !== (null) ? _fields(group) : null), () => new py.Dict([]));
+turning = py.call(fields, "get", "ORI_TYP", []);
 if (py.truth(py.both(turning, () => !py.has(_TURNING, text_of_items(turning))))) {
-py.call(data.constant, "add", name);
+py.call(this.data.constant, "add", name);
 }
-if (py.truth(py.both(py.same(name, "$IPO_MODE"), () => py.same(text_of_items(py.at(sides, 1)), "#TCP")))) {
-data.is_fixed = true;
+is_mode = py.both(py.same(name, "$IPO_MODE"), () => ((call_of(value)) ?? null) === (null));
+if (py.truth(py.both(is_mode, () => !py.same(text_of_items(value), "#BASE")))) {
+this.data.tool_is_fixed();
 }
-if (py.truth(py.both(((fields) ?? null) !== (null), () => py.both(py.has(fields, "TOOL_NO"), () => py.has(fields, "BASE_NO"))))) {
-py.put(data.frames, name, (py.has(data.frames, name) ? null : _frame_data(fields)));
-continue;
+if (py.truth(py.both(py.has(fields, "TOOL_NO"), () => py.has(fields, "BASE_NO")))) {
+is_new = !py.has(this.data.frames, name);
+py.put(this.data.frames, name, (py.truth(is_new) ? _frame_data(fields) : null));
+return true;
 }
-if (py.has(data.frames, name)) {
-py.put(data.frames, name, null);
+if (py.has(this.data.frames, name)) {
+py.put(this.data.frames, name, null);
 }
-mass = this._mass(py.at(sides, 1));
+mass = this._mass(value);
 if (py.truth(py.both(((mass) ?? null) !== (null), () => py.call(name, "startswith", "LOAD_DATA[")))) {
 py.put(this.draft.masses, name, mass);
 }
-this._set(line, name, is_part, py.at(sides, 1));
-}
+return false;
 return null;
 }
 _set(line, name, is_part, value) {
@@ -2601,38 +2944,53 @@ return this.skip(name, line, "S or T is not a number");
 return new Point(name, this.file, line, "pose", found, posture);
 return null;
 }
-move(k, data) {
-let arcs, base, can_insert, displaced, first, items, known, lost, parts, path, span, statement, stop, takes_posture, targets, tool, why;
+move(k) {
+let displaced, first, items, path, places, statement, tool, why;
 statement = py.at(this.statements, k);
-known = py.at(this.flow, k);
 items = statement.items;
-first = word(py.at(statement.items, 0));
+first = word(py.at(items, 0));
 if (py.has(_RELATIVE, first)) {
-this.draft.read(this.words(py.text(items).slice(1, undefined)));
-lost = this.skip(py.text(text_of_items(items)).slice(undefined, 40), statement.line, "a relative motion");
-py.call(this.draft.motions, "append", new Motion("joint", [lost], statement, this.file, undefined, undefined, undefined, known.run));
+this._move_relatively(k);
 return null;
 }
 if (py.truth(py.either(!py.has(_MOTIONS, first), () => py.either((py.len(items) < 2), () => is_token(py.at(items, 1), "SIGN", "="))))) {
 return null;
 }
-stop = py.next((() => { const $out = []; for (const [j, item] of py.iter(py.enumerate(items))) { if (py.has(_AFTER, word(item))) $out.push(j); } return $out; })(), py.len(items));
-parts = (() => { const $out = []; for (const part of py.iter(split(py.text(items).slice(1, stop)))) { if (py.truth(part)) $out.push(part); } return $out; })();
-arcs = (() => { const $out = []; for (const part of py.iter(parts)) { if (py.same(word(py.at(part, 0)), "CA")) $out.push(part); } return $out; })();
-parts = (() => { const $out = []; for (const part of py.iter(parts)) { if (!py.same(word(py.at(part, 0)), "CA")) $out.push(part); } return $out; })();
-if (!py.truth(parts)) {
+places = _places(py.text(items).slice(1, undefined));
+if (!py.truth(places.parts)) {
 return null;
 }
-tool = this._frame("$TOOL", k, data);
+path = places.path(py.at(_MOTIONS, first));
+tool = this._frame("$TOOL", k);
 displaced = this.displaced(k, [POSITIONS]);
-why = py.either(displaced, () => this._why_moved(k, !py.same(py.at(_MOTIONS, first), "joint"), data));
-base = (py.truth(why) ? new Frame("$BASE", undefined, why) : this._frame("$BASE", k, data));
-targets = py.tuple((() => { const $out = []; for (const part of py.iter(parts)) { $out.push(this.target(k, part)); } return $out; })());
-path = (py.truth(py.either(arcs, () => !py.same(py.len(parts), py.add(1, py.same(py.at(_MOTIONS, first), "circle"))))) ? "joint" : py.at(_MOTIONS, first));
-can_insert = py.both(py.same(path, "line"), () => !py.truth(py.any((() => { const $out = []; for (const j of py.iter(known.blocks)) { $out.push(py.call(py.at(this.steps, j).opens, "endswith", "SPLINE")); } return $out; })())));
-span = place_of(py.at(parts, -1));
-takes_posture = py.has(_BY_POSTURE, first);
-py.call(this.draft.motions, "append", new Motion(path, targets, statement, this.file, tool, base, span, known.run, can_insert, takes_posture, py.either(this.load(k), () => this._load_of_tool(k, tool)), displaced));
+why = py.either(displaced, () => this._why_moved(k, !py.same(py.at(_MOTIONS, first), "joint")));
+py.call(this.draft.motions, "append", new Motion(path, py.tuple((() => { const $out = []; for (const part of py.iter(places.parts)) { $out.push(this.target(k, part)); } return $out; })()), statement, this.file, tool, (py.truth(why) ? new Frame("$BASE", undefined, why) : this._frame("$BASE", k)), place_of(py.at(places.parts, -1)), py.at(this.flow, k).run, py.both(py.same(path, "line"), () => !py.truth(this._splines(k))), py.has(_BY_POSTURE, first), py.either(this.load(k), () => this._load_of_tool(k, tool)), displaced));
+return null;
+}
+_move_relatively(k) {
+let lost, name, run, statement;
+statement = py.at(this.statements, k);
+this.draft.read(this.words(py.text(statement.items).slice(1, undefined)));
+name = py.text(text_of_items(statement.items)).slice(undefined, 40);
+lost = this.skip(name, statement.line, "a relative motion");
+run = py.at(this.flow, k).run;
+py.call(this.draft.motions, "append", new Motion("joint", [lost], statement, this.file, undefined, undefined, undefined, run));
+return null;
+}
+_splines(k) {
+return (() => { const $out = []; for (const j of py.iter(py.at(this.flow, k).blocks)) { if (py.truth(py.call(py.at(this.steps, j).opens, "endswith", "SPLINE"))) $out.push(j); } return $out; })();
+return null;
+}
+_settings(k) {
+let found, items, j, start;
+found = [];
+for (const $each of py.iter([k, ...py.iter(this._splines(k))])) {
+j = $each;
+items = py.at(this.statements, j).items;
+start = py.next((() => { const $out = []; for (const [i, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "WITH")) $out.push(py.add(i, 1)); } return $out; })(), py.len(items));
+found = py.add(found, split(py.text(items).slice(start, undefined)));
+}
+return found;
 return null;
 }
 _load_of_tool(k, tool) {
@@ -2660,23 +3018,22 @@ number = (py.truth(py.both(((fields) ?? null) !== (null), () => py.has(fields, "
 return (py.truth(py.both(((number) ?? null) !== (null), () => (number.value >= 0.0))) ? number.value : null);
 return null;
 }
-_why_moved(k, is_line, data) {
-let is_part, is_turning, items, kinds, name, part, sides, with_;
-items = py.at(this.statements, k).items;
-with_ = py.next((() => { const $out = []; for (const [j, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "WITH")) $out.push(py.add(j, 1)); } return $out; })(), py.len(items));
+_why_moved(k, is_line) {
+let is_part, is_turning, kinds, line, name, part, sides;
+line = py.at(this.statements, k).line;
 is_turning = false;
-for (const $each of py.iter(split(py.text(items).slice(with_, undefined)))) {
+for (const $each of py.iter(this._settings(k))) {
 part = $each;
 sides = split(part, "=");
 [name, is_part] = [...py.iter(element_name(py.at(sides, 0)))];
 name = py.at(py.call(name, "partition", "["), 0);
 if (py.truth(py.both(py.same(py.len(sides), 2), () => py.either(!py.has(_VARIABLES, name), () => py.both(is_part, () => py.has(_FRAMES, name)))))) {
-return ("line " + py.str(py.at(this.statements, k).line) + " sets " + py.str(name));
+return ("line " + py.str(line) + " sets " + py.str(name));
 }
 if (py.truth(py.both(py.same(py.len(sides), 2), () => py.same(name, _ORIENTATION)))) {
-is_turning = data.is_turning(py.at(sides, 1));
+is_turning = this.data.is_turning(py.at(sides, 1));
 if (!py.truth(is_turning)) {
-return ("line " + py.str(py.at(this.statements, k).line) + " does not turn the tool ($ORI_TYPE)");
+return ("line " + py.str(line) + " does not turn the tool ($ORI_TYPE)");
 }
 }
 }
@@ -2684,54 +3041,62 @@ kinds = (py.truth(py.both(is_line, () => !py.truth(is_turning))) ? [_ROBOT, _ORI
 return this.displaced(k, kinds);
 return null;
 }
-_frame(variable, k, data) {
-let around, call, found, hint, index, items, part, routine, setter, sides, source, what, why, with_;
-if (py.truth(data.is_fixed)) {
+_frame(variable, k) {
+let found, hint, part, sides, why;
+if (py.truth(this.data.is_fixed)) {
 return new Frame(variable, undefined, "the tool is fixed in the cell ($IPO_MODE=#TCP)");
 }
-items = py.at(this.statements, k).items;
-with_ = py.next((() => { const $out = []; for (const [j, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "WITH")) $out.push(py.add(j, 1)); } return $out; })(), py.len(items));
-for (const $each of py.iter(split(py.text(items).slice(with_, undefined)))) {
+for (const $each of py.iter(this._settings(k))) {
 part = $each;
 sides = split(part, "=");
 if (py.truth(py.both(py.same(py.len(sides), 2), () => py.same(text_of_items(py.at(sides, 0)), variable)))) {
-return this._frame_of(variable, k, py.at(sides, 1), data);
+return this._frame_of(variable, k, py.at(sides, 1));
 }
 }
 found = py.call(py.at(this.flow, k).setters, "get", variable);
-around = py.at(this.flow, k).routine;
-routine = ((around >= 0) ? py.at(this.steps, around).routine : "");
-if (py.truth(py.both(((found) ?? null) === (null), () => py.has(this.entries.displaced_at_start(variable), routine)))) {
+if (py.truth(py.both(((found) ?? null) === (null), () => this.starts_displaced(k, variable)))) {
 found = "a routine that calls this one sets it";
 }
-if (!py.truth(py.isinstance(found, ["int"]))) {
+if (py.truth(py.isinstance(found, ["int"]))) {
+return this._frame_set_by(variable, found, k);
+}
 hint = (" (--with its file, or --" + py.str(py.call(py.text(variable).slice(1, undefined), "lower")) + " '" + py.str(variable) + "=X,Y,Z,...')");
 why = (py.str(variable) + ": " + py.str(found) + py.str((py.truth(py.both(((found) ?? null) !== (null), () => py.has(found, OUTSIDE))) ? hint : "")));
 return new Frame(variable, undefined, (((found) ?? null) !== (null) ? why : ""));
+return null;
 }
+_frame_set_by(variable, found, k) {
+let call, fields, group, index, setter, sides, source, value, what, why;
 setter = py.at(this.statements, found).items;
-call = call_of(setter);
 sides = split(setter, "=");
 if (py.same(py.len(sides), 2)) {
-return this._frame_of(variable, k, py.at(sides, 1), data);
+return this._frame_of(variable, k, py.at(sides, 1));
 }
+call = call_of(setter);
 index = (py.truth(py.both(((call) ?? null) !== (null), () => (py.len(py.at(call, 1).parts) > 1))) ? number_of(py.at(py.at(call, 1).parts, 1)) : null);
 what = _by_bas(setter);
 if (py.truth(py.both(py.has(["#TOOL", "#BASE"], what), () => ((index) ?? null) !== (null)))) {
 return _frame_named((py.str(py.text(what).slice(1, undefined)) + "_DATA[" + py.str(index.text) + "]"));
 }
-source = py.call(py.at(this.flow, found).setters, "get", "FDAT_ACT");
 if (!py.has(_BY_DATA, what)) {
 return new Frame(variable, undefined, ("line " + py.str(py.at(this.statements, found).line) + " may set " + py.str(variable)));
 }
+source = py.call(py.at(this.flow, found).setters, "get", "FDAT_ACT");
 if (!py.truth(py.isinstance(source, ["int"]))) {
-return new Frame(variable, undefined, ("FDAT_ACT: " + py.str((((source) ?? null) !== (null) ? source : "it is set elsewhere"))));
+why = ("FDAT_ACT: " + py.str((((source) ?? null) !== (null) ? source : "it is set elsewhere")));
+return new Frame(variable, undefined, why);
 }
-return _frame_of_data(variable, text_of_items(py.at(split(py.at(this.statements, source).items, "="), 1)), data);
+value = py.at(split(py.at(this.statements, source).items, "="), 1);
+group = aggregate(value, "{");
+fields = (((group) ?? null) !== (null) ? _fields(group) : null);
+if (py.truth(py.both(((fields) ?? null) !== (null), () => py.both(py.has(fields, "TOOL_NO"), () => py.has(fields, "BASE_NO"))))) {
+return _frame_of_pair(variable, _frame_data(fields));
+}
+return _frame_of_data(variable, text_of_items(value), this.data);
 return null;
 }
-_frame_of(variable, k, items, data) {
-let call, found, frame;
+_frame_of(variable, k, items) {
+let call, found, frame, name;
 found = this.literal(0, variable, items);
 if (py.truth(py.both(py.isinstance(found, [Point]), () => !py.truth(this.language.is_pose(found.values))))) {
 return new Frame(variable, undefined, (py.str(variable) + ": its numbers are no pose"));
@@ -2741,12 +3106,41 @@ return new Frame(variable, this.language.pose(found.values));
 }
 call = call_of(items);
 if (py.truth(py.both(((call) ?? null) !== (null), () => py.has(["STOOL", "STOOL2", "SBASE"], py.call(py.at(call, 0), "upper"))))) {
-return _frame_of_data(variable, py.at(py.call(text_of_items(py.at(call, 1).items), "partition", "."), 0), data);
+name = py.at(py.call(text_of_items(py.at(call, 1).items), "partition", "."), 0);
+return _frame_of_data(variable, name, this.data);
 }
 frame = this.frame(k, items, (py.str(variable) + " is computed"));
 return (py.truth(frame.reason) ? frame : _frame_named(frame.name));
 return null;
 }
+}
+class _Places {
+constructor(parts = null, is_arc = null) {
+this.parts = parts;
+this.is_arc = is_arc;
+}
+path(usual) {
+let is_usual;
+is_usual = py.both(!py.truth(this.is_arc), () => py.same(py.len(this.parts), py.add(1, py.same(usual, "circle"))));
+return (py.truth(is_usual) ? usual : "joint");
+return null;
+}
+}
+function _places(items) {
+let parts, places, stop;
+stop = py.next((() => { const $out = []; for (const [j, item] of py.iter(py.enumerate(items))) { if (py.has(_AFTER, word(item))) $out.push(j); } return $out; })(), py.len(items));
+parts = (() => { const $out = []; for (const part of py.iter(split(py.text(items).slice(undefined, stop)))) { if (py.truth(part)) $out.push(part); } return $out; })();
+places = (() => { const $out = []; for (const part of py.iter(parts)) { if (!py.same(word(py.at(part, 0)), "CA")) $out.push(part); } return $out; })();
+return new _Places(places, (py.len(places) < py.len(parts)));
+return null;
+}
+function _check_outside(code) {
+let outside;
+outside = (() => { const $out = []; for (const [statement, step, known] of py.iter(py.zip(code.statements, code.steps, code.flow))) { if (py.truth(py.both(!py.truth(known.depth), () => !py.truth(step.opens)))) $out.push(statement); } return $out; })();
+if (py.truth(py.either(outside, () => !py.truth(code.statements)))) {
+throw code.source.error(py.add("a statement outside DEF or DEFDAT; expected ", _WORDS), (py.truth(outside) ? py.at(outside, 0).start : 0));
+}
+return null;
 }
 function _takes_values(statement, step) {
 let parts;
@@ -2764,7 +3158,14 @@ found = py.call(data.frames, "get", name);
 if (((found) ?? null) === (null)) {
 return new Frame(variable, undefined, ("the frame data " + py.str(name) + " are not in these files, or not as numbers"));
 }
-return _frame_named((py.same(variable, "$TOOL") ? py.at(found, 0) : py.at(found, 1)));
+return _frame_of_pair(variable, found);
+return null;
+}
+function _frame_of_pair(variable, pair) {
+if (((pair) ?? null) === (null)) {
+return new Frame(variable, undefined, "the numbers of its tool and its base are not in numbers");
+}
+return _frame_named((py.same(variable, "$TOOL") ? py.at(pair, 0) : py.at(pair, 1)));
 return null;
 }
 function _frame_data(fields) {
@@ -2831,20 +3232,17 @@ return (py.truth(py.both(((call) ?? null) !== (null), () => py.both(py.same(py.c
 return null;
 }
 function _step(statement) {
-let action, calls, changed, done, first, is_part, items, name, opens, sides, what;
+let calls, first, items, names, opens;
 items = statement.items;
-first = word(py.at(statement.items, 0));
+first = word(py.at(items, 0));
 opens = (py.truth(py.both(py.same(first, "GLOBAL"), () => (py.len(items) > 1))) ? word(py.at(items, 1)) : first);
 if (py.has(_ROUTINES, opens)) {
 return new Step(opens, undefined, py.at((() => { const $out = []; for (const item of py.iter(items)) { if (py.truth(word(item))) $out.push(word(item)); } return $out; })(), -1));
 }
-calls = py.tuple((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { if (!py.has(_HARMLESS, py.call(name, "upper"))) $out.push(py.call(name, "upper")); } return $out; })());
-done = (() => { const $out = []; for (const [k, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "DO")) $out.push(k); } return $out; })();
-if (py.truth(done)) {
-action = py.text(items).slice(py.add(py.at(done, -1), 1), undefined);
-name = py.at(element_name(py.at(split(action, "="), 0)), 0);
-changed = (py.truth(action) ? _set_by_assignment(action, name) : py.frozenset());
-return new Step(undefined, undefined, undefined, undefined, undefined, undefined, py.or(changed, py.and(new Set([name]), _FRAMES)), undefined, calls);
+names = (() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(py.call(name, "upper")); } return $out; })();
+calls = py.tuple((() => { const $out = []; for (const name of py.iter(names)) { if (py.truth(py.both(!py.has(_HARMLESS, name), () => !py.has(_FILLERS, name)))) $out.push(name); } return $out; })());
+if (py.truth(py.any((() => { const $out = []; for (const item of py.iter(items)) { $out.push(py.same(word(item), "DO")); } return $out; })()))) {
+return _started(_action(items), calls);
 }
 if (py.truth(py.either(py.has(_LOOPS, first), () => py.has(_BLOCKS, first)))) {
 return new Step(first, undefined, undefined, py.has(_LOOPS, first), undefined, undefined, undefined, calls);
@@ -2858,17 +3256,31 @@ return new Step(undefined, undefined, undefined, undefined, true);
 if (py.same(first, "BAS")) {
 return new Step(undefined, undefined, undefined, undefined, undefined, _set_by_bas(items));
 }
+return (py.has(_MOTIONS, first) ? new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, calls) : _assigned(items, calls));
+return null;
+}
+function _action(items) {
+let done;
+done = (() => { const $out = []; for (const [k, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "DO")) $out.push(k); } return $out; })();
+return (py.truth(done) ? py.text(items).slice(py.add(py.at(done, -1), 1), undefined) : []);
+return null;
+}
+function _started(action, calls) {
+let changed, name;
+name = py.at(element_name(py.at(split(action, "="), 0)), 0);
+changed = (py.truth(action) ? _set_by_assignment(action, name) : py.frozenset());
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, py.or(changed, py.and(new Set([name]), _FRAMES)), undefined, calls);
+return null;
+}
+function _assigned(items, calls) {
+let is_part, name, sides, what;
 sides = split(items, "=");
 [name, is_part] = [...py.iter(element_name(py.at(sides, 0)))];
-changed = (!py.has(_MOTIONS, first) ? _set_by_assignment(items, name) : py.frozenset());
-if (py.truth(py.either(!py.same(py.len(sides), 2), () => py.either(py.has(_MOTIONS, first), () => !py.has(_SETTABLE, name))))) {
-return new Step(undefined, undefined, undefined, undefined, undefined, undefined, changed, calls);
+if (py.truth(py.either(!py.same(py.len(sides), 2), () => !py.has(_SETTABLE, name)))) {
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, _set_by_assignment(items, name), calls);
 }
 what = py.frozenset(new Set([py.call(new py.Dict([["LDAT_ACT", _ORIENTATION], ["$LOAD", STATED_LOAD]]), "get", name, name)]));
-if (py.truth(is_part)) {
-return new Step(undefined, undefined, undefined, undefined, undefined, undefined, what, calls);
-}
-return new Step(undefined, undefined, undefined, undefined, undefined, what, undefined, calls);
+return (py.truth(is_part) ? new Step(undefined, undefined, undefined, undefined, undefined, undefined, what, calls) : new Step(undefined, undefined, undefined, undefined, undefined, what, undefined, calls));
 return null;
 }
 function _set_by_bas(items) {
@@ -2898,14 +3310,14 @@ is_known = py.either(py.has(_INSTRUCTIONS, first), () => py.either(py.has(_RELAT
 return (py.truth(py.either(is_known, () => !py.truth(first))) ? py.frozenset() : py.frozenset(new Set([POSITIONS])));
 return null;
 }
-return { _TOKENS, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _MOTIONS, _BY_POSTURE, _RELATIVE, _AFTER, _POSE, _JOINTS, _EXTERNAL, _NULL, _FRAMES, _BY_DATA, _SPEEDS, _MANUAL, _KRL_WORDS, _INSTRUCTIONS, _HARMLESS, _VARIABLES, _TURNING, _ORIENTATION, _ROBOT, _PLACES, _MOVES, _SETTABLE, Krl, _Data, _SourceReader, _takes_values, _frame_named, _frame_of_data, _frame_data, _fields, _bits, _posture, _by_bas, _step, _set_by_bas, _set_by_assignment };
+return { _TOKENS, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _MOTIONS, _BY_POSTURE, _RELATIVE, _AFTER, _POSE, _JOINTS, _EXTERNAL, _NULL, _FRAMES, _BY_DATA, _SPEEDS, _MANUAL, _KRL_WORDS, _INSTRUCTIONS, _HARMLESS, _FILLERS, _VARIABLES, _TURNING, _ORIENTATION, _ROBOT, _PLACES, _MOVES, _SETTABLE, Krl, _Data, _SourceReader, _Places, _places, _check_outside, _takes_values, _frame_named, _frame_of_data, _frame_of_pair, _frame_data, _fields, _bits, _posture, _by_bas, _step, _action, _started, _assigned, _set_by_bas, _set_by_assignment };
 })();
 MODULES.rapid = (() => {
 const { Draft } = MODULES.draft;
-const { InForce, Step, followed } = MODULES.flow;
+const { Code, Step, followed } = MODULES.flow;
 const { ControllerLanguage } = MODULES.language;
 const { Frame, Load, Motion, Point, Posture, Program, Skipped, Turn } = MODULES.program;
-const { BY_NAME, DISPLACES, GRAMMAR, JOINTS_TOO, MOTION_OPTIONS, MOTIONS, OF_OPTIONS, ONCE, RAPID_FUNCTIONS, RAPID_WORDS, READING, SWITCHES, check_blocks, ends_displacement, statements_of } = MODULES.rapid_blocks;
+const { BY_NAME, DISPLACES, GRAMMAR, JOINTS_TOO, MOTION_OPTIONS, MOTIONS, OF_OPTIONS, ONCE, RAPID_FUNCTIONS, RAPID_WORDS, READING, SWITCHES, check_blocks, code_of, ends_displacement, is_assignment } = MODULES.rapid_blocks;
 const { EXTERNAL, Entries, Reader, formal_names } = MODULES.statement_reader;
 const { Brackets, Number, Statement, aggregate, calls_in, element_name, number_of, numbers_of, place_of, split, text_of_items, word, words_in } = MODULES.syntax;
 let _SEARCHES;
@@ -2922,32 +3334,24 @@ let _NONE;
 _NONE = 8900000000.0;
 class Rapid extends ControllerLanguage {
 read(sources) {
-let _, changing, draft, entries, files, flow, flows, i, k, parts, reader, routines, source, statements, steps, switched;
+let code, draft, entries, files, harmless, i, k, reader, switched;
 draft = new Draft(sources);
 draft.frame("TOOL0", np.eye(4), ["tool"]);
 draft.frame("WOBJ0", np.eye(4), ["base"]);
 py.call(draft.constants, "update", ["TOOL0", "WOBJ0"]);
-files = [];
-for (const $each of py.iter(sources)) {
-source = $each;
-parts = statements_of(source);
-py.call(files, "append", [source, (() => { const $out = []; for (const [statement, ] of py.iter(parts)) { $out.push(statement); } return $out; })(), (() => { const $out = []; for (const [, step] of py.iter(parts)) { $out.push(step); } return $out; })()]);
+files = (() => { const $out = []; for (const source of py.iter(sources)) { $out.push(code_of(source)); } return $out; })();
+switched = py.frozenset((() => { const $out = []; for (const code of py.iter(files)) { for (const step of py.iter(code.steps)) { for (const name of py.iter(step.sets)) { $out.push(name); } } } return $out; })());
+files = followed(files, py.and(switched, py.set(DISPLACES)));
+for (const $each of py.iter(files)) {
+code = $each;
+check_blocks(code);
 }
-switched = py.call(py.set(), "union", ...py.iter((() => { const $out = []; for (const [, , steps] of py.iter(files)) { for (const step of py.iter(steps)) { $out.push(step.sets); } } return $out; })()));
-flows = followed(files, py.and(py.frozenset(switched), py.set(DISPLACES)));
-changing = py.set();
-routines = py.set();
-for (const $each of py.iter(py.zip(files, flows))) {
-[[source, statements, steps], flow] = $each;
-check_blocks(source, statements, steps, flow);
-changing = py.or(changing, py.set(_that_change_parameters(statements, steps, flow)));
-routines = py.or(routines, new Set((() => { const $out = []; for (const step of py.iter(steps)) { if (py.truth(step.routine)) $out.push(step.routine); } return $out; })()));
-}
-entries = new Entries((() => { const $out = []; for (const [[, statements, steps], flow] of py.iter(py.zip(files, flows))) { $out.push([statements, steps, flow]); } return $out; })(), ends_displacement, DISPLACES);
+harmless = py.or(py.or(RAPID_FUNCTIONS, py.set(READING)), _that_keep_parameters(files));
+entries = new Entries(files, ends_displacement, DISPLACES);
 for (const $each of py.iter(py.enumerate(files))) {
-[i, [, statements, steps]] = $each;
-reader = new _ModuleReader(draft, i, statements, steps, py.at(flows, i), py.or(py.or(RAPID_FUNCTIONS, py.sub(routines, changing)), py.set(READING)), entries, this, switched);
-for (const $each of py.iter(py.range(py.len(statements)))) {
+[i, code] = $each;
+reader = new _ModuleReader(draft, i, code, harmless, entries, this, switched);
+for (const $each of py.iter(py.range(py.len(code.statements)))) {
 k = $each;
 reader.statement(k);
 }
@@ -3010,13 +3414,11 @@ Rapid.prototype.grammars = [GRAMMAR];
 Rapid.prototype.understood = RAPID_WORDS;
 LANGUAGES.register(Rapid);
 class _ModuleReader extends Reader {
-constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null, switched = null) {
+constructor(draft = null, file = null, code = null, harmless = null, entries = null, language = null, switched = null) {
 super();
 this.draft = draft;
 this.file = file;
-this.statements = statements;
-this.steps = steps;
-this.flow = flow;
+this.code = code;
 this.harmless = harmless;
 this.entries = entries;
 this.language = language;
@@ -3050,12 +3452,12 @@ return new Point(name, this.file, line, "pose", [...py.iter(py.at(lists, 0)), ..
 return null;
 }
 statement(k) {
-let first, is_part, items, line, name, sides, statement, step, stops, storage;
+let first, is_constant, items, line, sides, statement, step, storage;
 statement = py.at(this.statements, k);
 step = py.at(this.steps, k);
 items = statement.items;
 line = statement.line;
-first = word(py.at(statement.items, 0));
+first = word(py.at(items, 0));
 if (py.truth(py.either(step.opens, () => py.either(step.closes, () => step.is_jump)))) {
 if (!py.truth(step.routine)) {
 this.pass_arguments(line, items);
@@ -3070,34 +3472,50 @@ return null;
 this.pass_arguments(line, items);
 storage = (() => { const $out = []; for (const [j, item] of py.iter(py.enumerate(py.text(items).slice(undefined, 2)))) { if (py.has(_STORAGE, word(item))) $out.push(j); } return $out; })();
 sides = split(items, ":=");
-[name, is_part] = [...py.iter(element_name(py.at(sides, 0)))];
 if (py.truth(storage)) {
-this._declare(line, py.text(items).slice(py.add(py.at(storage, 0), 1), undefined), py.same(word(py.at(items, py.at(storage, 0))), "CONST"));
+is_constant = py.same(word(py.at(items, py.at(storage, 0))), "CONST");
+this._declare(line, py.text(items).slice(py.add(py.at(storage, 0), 1), undefined), is_constant);
 } else {
-if (py.same(py.len(sides), 2)) {
-this.assign(line, name, is_part, py.at(sides, 1));
+if (py.truth(py.both(py.same(py.len(sides), 2), () => is_assignment(items)))) {
+this.assign(line, ...py.iter(element_name(py.at(sides, 0))), py.at(sides, 1));
 } else {
 if (py.has(_SEARCHES, first)) {
-py.call(this.draft.skipped, "append", this.skip(("search of line " + py.str(line)), line, "it ends when a signal arrives"));
-stops = (() => { const $out = []; for (const part of py.iter((() => { const $out = []; for (const part of py.iter(split(py.text(items).slice(1, undefined)))) { $out.push(py.at(split(part, "\\"), 0)); } return $out; })())) { if (py.truth(part)) $out.push(part); } return $out; })();
-this.draft.pass_to(first, (() => { const $out = []; for (const part of py.iter(py.text(stops).slice(1, 2))) { $out.push(py.at(element_name(part), 0)); } return $out; })(), line);
-this.draft.read(this.words(items));
-py.call(this.draft.motions, "append", new Motion("joint", [], statement, this.file, undefined, undefined, undefined, -1));
+this._search(statement);
 } else {
+this._instruct(statement);
+}
+}
+}
+return null;
+}
+_search(statement) {
+let first, line, plain, reason, stops;
+line = statement.line;
+reason = "it ends when a signal arrives";
+py.call(this.draft.skipped, "append", this.skip(("search of line " + py.str(line)), line, reason));
+plain = (() => { const $out = []; for (const part of py.iter(split(py.text(statement.items).slice(1, undefined)))) { $out.push(py.at(split(part, "\\"), 0)); } return $out; })();
+stops = py.text((() => { const $out = []; for (const part of py.iter(plain)) { if (py.truth(part)) $out.push(part); } return $out; })()).slice(1, 2);
+first = word(py.at(statement.items, 0));
+this.draft.pass_to(first, (() => { const $out = []; for (const part of py.iter(stops)) { $out.push(py.at(element_name(part), 0)); } return $out; })(), line);
+this.draft.read(this.words(statement.items));
+py.call(this.draft.motions, "append", new Motion("joint", [], statement, this.file, undefined, undefined, undefined, -1));
+return null;
+}
+_instruct(statement) {
+let first, line;
+line = statement.line;
+first = word(py.at(statement.items, 0));
 if (py.has(BY_NAME, first)) {
 this.draft.write_any(("line " + py.str(line) + " sets data by their names (" + py.str(first) + ")"));
 }
 if (py.has(SWITCHES, first)) {
-this.draft.derive("displacement", this.words(py.text(items).slice(1, undefined)));
+this.draft.derive("displacement", this.words(py.text(statement.items).slice(1, undefined)));
 } else {
 if (!py.has(this.harmless, first)) {
-this.draft.pass_to(py.either(first, () => "a routine"), this.words(py.text(items).slice(1, undefined)), line);
+this.draft.pass_to(py.either(first, () => "a routine"), this.words(py.text(statement.items).slice(1, undefined)), line);
 }
 }
-this.draft.read(this.words(items));
-}
-}
-}
+this.draft.read(this.words(statement.items));
 return null;
 }
 _declare(line, items, is_constant) {
@@ -3157,49 +3575,42 @@ this.draft.write(name, (py.truth(value) ? "a computed value" : "it is set while 
 return null;
 }
 _move(k) {
-let base, can_insert, count, displaced, first, known, name, options, part, path, piece, pieces, places, plain, sides, span, statement, takes_posture, targets, tool, tools, unknown, why;
+let count, displaced, first, given, path, places, statement, targets, tool, tools;
 statement = py.at(this.statements, k);
-known = py.at(this.flow, k);
 first = word(py.at(statement.items, 0));
 path = py.at(MOTIONS, first);
-plain = [];
-options = new py.Dict([]);
-for (const $each of py.iter(split(py.text(statement.items).slice(1, undefined)))) {
-part = $each;
-pieces = split(part, "\\");
-plain = py.add(plain, (py.truth(py.at(pieces, 0)) ? [py.at(pieces, 0)] : []));
-for (const $each of py.iter(py.text(pieces).slice(1, undefined))) {
-piece = $each;
-sides = split(piece, ":=");
-if (py.truth(py.at(sides, 0))) {
-py.put(options, word(py.at(py.at(sides, 0), 0)), (py.same(py.len(sides), 2) ? py.at(sides, 1) : []));
-}
-}
-}
+given = _arguments(py.text(statement.items).slice(1, undefined));
 count = (py.same(path, "circle") ? 2 : 1);
-places = py.text(plain).slice(undefined, count);
+places = py.text(given.plain).slice(undefined, count);
 if ((py.len(places) < count)) {
-name = (py.str(first) + " of line " + py.str(statement.line));
-py.call(this.draft.skipped, "append", this.skip(name, statement.line, "not understood"));
+this.not_understood(first, statement.line);
 return null;
 }
+displaced = this._displaced(k, given.options);
 targets = py.tuple((() => { const $out = []; for (const part of py.iter(places)) { $out.push(this.target(k, part)); } return $out; })());
-tools = (py.has(OF_OPTIONS, first) ? py.text(plain).slice(-1, undefined) : py.text(plain).slice(py.add(count, 2), py.add(count, 3)));
+tools = (py.has(OF_OPTIONS, first) ? py.text(given.plain).slice(-1, undefined) : py.text(given.plain).slice(py.add(count, 2), py.add(count, 3)));
 tool = this.frame(k, (py.truth(tools) ? py.at(tools, 0) : []), "its tool is computed");
-base = (py.has(options, "WOBJ") ? this.frame(k, py.at(options, "WOBJ"), "its work object is computed") : new Frame("WOBJ0"));
-displaced = this._displaced(k, options);
+py.call(this.draft.motions, "append", new Motion(path, this._understood(targets, given.options, statement.line), statement, this.file, tool, this._base(k, given.options, displaced), place_of(py.at(places, -1)), py.at(this.flow, k).run, py.both(py.same(first, "MOVEL"), () => !py.same(py.at(this.steps, py.sub(k, 1)).opens, ONCE)), this._takes_posture(k, (py.same(path, "joint") ? "CONFJ" : "CONFL")), this._load_of(given.options, k), (py.same(first, "MOVEABSJ") ? displaced : "")));
+return null;
+}
+_base(k, options, displaced) {
 if (py.truth(displaced)) {
-base = new Frame("displacement", undefined, displaced);
+return new Frame("displacement", undefined, displaced);
 }
+if (!py.has(options, "WOBJ")) {
+return new Frame("WOBJ0");
+}
+return this.frame(k, py.at(options, "WOBJ"), "its work object is computed");
+return null;
+}
+_understood(targets, options, line) {
+let unknown, why;
 unknown = py.next((() => { const $out = []; for (const name of py.iter(options)) { if (!py.has(MOTION_OPTIONS, name)) $out.push(name); } return $out; })(), "");
-if (py.truth(unknown)) {
-why = ("line " + py.str(statement.line) + ": \\" + py.str(unknown) + " is not understood and may displace it");
-targets = py.tuple((() => { const $out = []; for (const target of py.iter(targets)) { $out.push(this.left(target, why)); } return $out; })());
+if (!py.truth(unknown)) {
+return targets;
 }
-can_insert = py.both(py.same(first, "MOVEL"), () => !py.same(py.at(this.steps, py.sub(k, 1)).opens, ONCE));
-span = place_of(py.at(places, -1));
-takes_posture = this._takes_posture(known, (py.same(path, "joint") ? "CONFJ" : "CONFL"));
-py.call(this.draft.motions, "append", new Motion(path, targets, statement, this.file, tool, base, span, known.run, can_insert, takes_posture, this._load_of(options, k), (py.same(first, "MOVEABSJ") ? displaced : "")));
+why = ("line " + py.str(line) + ": \\" + py.str(unknown) + " is not understood and may displace it");
+return py.tuple((() => { const $out = []; for (const target of py.iter(targets)) { $out.push(this.left(target, why)); } return $out; })());
 return null;
 }
 _displaced(k, options) {
@@ -3227,9 +3638,9 @@ name = text_of_items(py.text(statement.items).slice(1, undefined));
 return (py.same(name, "LOAD0") ? 0.0 : py.call(this.draft.masses, "get", name));
 return null;
 }
-_takes_posture(known, switch_) {
+_takes_posture(k, switch_) {
 let found;
-found = py.call(known.setters, "get", switch_);
+found = py.call(py.at(this.flow, k).setters, "get", switch_);
 if (py.truth(py.isinstance(found, ["int"]))) {
 return !py.has(this.words(py.at(this.statements, found).items), "OFF");
 }
@@ -3237,34 +3648,64 @@ return py.both(((found) ?? null) === (null), () => !py.has(this.switched, switch
 return null;
 }
 }
-function _that_change_parameters(statements, steps, flow) {
-let first, found, group, k, name, routine, sides, statement, step, touched;
-found = [];
-for (const $each of py.iter(py.enumerate(statements))) {
-[k, statement] = $each;
-step = py.at(steps, k);
-routine = py.at(flow, k).routine;
-first = word(py.at(statement.items, 0));
-if (py.truth(py.either((routine < 0), () => step.routine))) {
-continue;
+class _MoveArguments {
+constructor(plain = null, options = null) {
+this.plain = plain;
+this.options = options;
 }
+}
+function _arguments(items) {
+let options, part, piece, pieces, plain, sides;
+plain = [];
+options = py.dict();
+for (const $each of py.iter(split(items))) {
+part = $each;
+pieces = split(part, "\\");
+plain = py.add(plain, (py.truth(py.at(pieces, 0)) ? [py.at(pieces, 0)] : []));
+for (const $each of py.iter(py.text(pieces).slice(1, undefined))) {
+piece = $each;
+sides = split(piece, ":=");
+if (py.truth(py.at(sides, 0))) {
+py.put(options, word(py.at(py.at(sides, 0), 0)), (py.same(py.len(sides), 2) ? py.at(sides, 1) : []));
+}
+}
+}
+return new _MoveArguments(plain, options);
+return null;
+}
+function _that_keep_parameters(files) {
+let changeable, code, found, k, names, statement;
+found = new Set((() => { const $out = []; for (const code of py.iter(files)) { for (const step of py.iter(code.steps)) { if (py.truth(step.routine)) $out.push(step.routine); } } return $out; })());
+for (const $each of py.iter(files)) {
+code = $each;
+changeable = new py.Dict((() => { const $out = []; for (const [k, step] of py.iter(py.enumerate(code.steps))) { if (py.truth(step.routine)) $out.push([k, py.set(formal_names(py.at(code.statements, k), _CHANGEABLE))]); } return $out; })());
+for (const $each of py.iter(py.enumerate(code.statements))) {
+[k, statement] = $each;
+names = py.call(changeable, "get", py.at(code.flow, k).routine, py.set());
+if (py.truth(py.both(names, () => py.both(!py.truth(py.at(code.steps, k).routine), () => py.and(_touched(statement, py.at(code.steps, k)), names))))) {
+found = py.sub(found, new Set([code.routine(k)]));
+}
+}
+}
+return found;
+return null;
+}
+function _touched(statement, step) {
+let first, found, group, name, sides;
+first = word(py.at(statement.items, 0));
+found = py.set();
 sides = split(statement.items, ":=");
-touched = py.set();
-if (py.truth(py.both(py.same(py.len(sides), 2), () => !py.has(MOTIONS, first)))) {
-py.call(touched, "add", py.at(element_name(py.at(sides, 0)), 0));
+if (py.truth(py.both(py.same(py.len(sides), 2), () => py.both(!py.has(MOTIONS, first), () => is_assignment(statement.items))))) {
+py.call(found, "add", py.at(element_name(py.at(sides, 0)), 0));
 } else {
 if (!py.truth(py.either(step.opens, () => py.either(step.closes, () => py.either(step.is_jump, () => py.has(MOTIONS, first)))))) {
-touched = py.or(touched, py.set(words_in(py.text(statement.items).slice(1, undefined))));
+found = py.or(found, py.set(words_in(py.text(statement.items).slice(1, undefined))));
 }
 }
 for (const $each of py.iter(calls_in(statement.items))) {
 [name, group] = $each;
 if (!py.has(RAPID_FUNCTIONS, py.call(name, "upper"))) {
-touched = py.or(touched, new Set((() => { const $out = []; for (const part of py.iter(group.parts)) { $out.push(py.at(element_name(part), 0)); } return $out; })()));
-}
-}
-if (py.truth(py.and(touched, py.set(formal_names(py.at(statements, routine), _CHANGEABLE))))) {
-py.call(found, "append", py.at(steps, routine).routine);
+found = py.or(found, new Set((() => { const $out = []; for (const part of py.iter(group.parts)) { $out.push(py.at(element_name(part), 0)); } return $out; })()));
 }
 }
 return found;
@@ -3311,11 +3752,11 @@ end = py.at(commas, 2);
 return py.add(py.add(py.text(text).slice(undefined, start), " z0"), py.text(text).slice(end, undefined));
 return null;
 }
-return { _SEARCHES, _STORAGE, _TARGETS, _DATA, _CHANGEABLE, _NONE, Rapid, _ModuleReader, _that_change_parameters, _at_rest, _lists, _posture, _in_zone };
+return { _SEARCHES, _STORAGE, _TARGETS, _DATA, _CHANGEABLE, _NONE, Rapid, _ModuleReader, _MoveArguments, _arguments, _that_keep_parameters, _touched, _at_rest, _lists, _posture, _in_zone };
 })();
 MODULES.urscript = (() => {
 const { Draft } = MODULES.draft;
-const { InForce, Step, followed } = MODULES.flow;
+const { Code, InForce, Step, followed } = MODULES.flow;
 const { ControllerLanguage } = MODULES.language;
 const { POSITIONS, STATED_LOAD } = MODULES.line_flow;
 const { Frame, Motion, Path, Point, Posture, Program, Skipped } = MODULES.program;
@@ -3333,7 +3774,7 @@ _ENDLESS = ["servoj", "servoc", "servol", "speedj", "speedl"];
 let _MANUAL;
 _MANUAL = "Universal Robots, script manual (PolyScope 5)";
 let _SCRIPT_WORDS;
-_SCRIPT_WORDS = [new Understood("function", (py.str(_MANUAL) + ": module motion (ends of motions, kinematics; no motion of its own)"), "stopj, stopl, stops, get_conveyor_tick_count, set_conveyor_tick_count, conveyor_pulse_decode, encoder_enable_pulse_decode, encoder_enable_set_tick_count, encoder_get_tick_count, encoder_set_tick_count, encoder_unwind_delta_tick_count, position_deviation_warning, is_within_safety_limits, is_steady"), new Understood("function", (py.str(_MANUAL) + ": module internals"), "get_actual_joint_positions, get_actual_joint_positions_history, get_actual_joint_speeds, get_actual_tcp_pose, get_actual_tcp_speed, get_actual_tool_flange_pose, get_controller_temp, get_forward_kin, get_inverse_kin, get_inverse_kin_has_solution, get_joint_temp, get_joint_torques, get_steptime, get_target_joint_positions, get_target_joint_speeds, get_target_payload, get_target_payload_cog, get_target_payload_inertia, get_target_tcp_pose, get_target_tcp_speed, get_target_waypoint, get_tcp_force, get_tcp_offset, get_tool_accelerometer_reading, get_tool_current, popup, powerdown, sleep, str_at, str_cat, str_empty, str_find, str_len, str_sub, sync, textmsg, to_num, to_str, assert, time, set_payload, set_payload_cog, set_payload_mass, set_target_payload, set_gravity, set_flag, get_flag, halt, rtde_set_watchdog, request_boolean_from_primary_client, request_float_from_primary_client, request_integer_from_primary_client, request_string_from_primary_client"), new Understood("function", (py.str(_MANUAL) + ": module urmath"), "acos, asin, atan, atan2, binary_list_to_integer, ceil, cos, d2r, floor, get_list_length, length, integer_to_binary_list, interpolate_pose, inv, list_append, list_insert, list_remove, list_extend, list_clear, log, norm, normalize, point_dist, pose_add, pose_dist, pose_inv, pose_sub, pose_trans, pow, r2d, random, rotvec2rpy, rpy2rotvec, sin, size, sqrt, tan, transpose, wrench_trans, struct, True, False, and, or, not, xor, mod, if, elif, while, return, p, run, join, kill"), new Understood("function", (py.str(_MANUAL) + ": module interfaces"), "get_analog_in, get_analog_out, get_configurable_digital_in, get_configurable_digital_out, get_digital_in, get_digital_out, get_euromap_input, get_euromap_output, get_standard_analog_in, get_standard_analog_out, get_standard_digital_in, get_standard_digital_out, get_tool_analog_in, get_tool_digital_in, get_tool_digital_out, modbus_add_signal, modbus_delete_signal, modbus_get_signal_status, modbus_send_custom_command, modbus_set_output_register, modbus_set_output_signal, modbus_set_runstate_dependent_choice, modbus_set_signal_update_frequency, read_input_boolean_register, read_input_float_register, read_input_integer_register, read_output_boolean_register, read_output_float_register, read_output_integer_register, read_port_bit, read_port_register, set_analog_inputrange, set_analog_out, set_analog_outputdomain, set_configurable_digital_out, set_digital_out, set_euromap_output, set_euromap_runstate_dependent_choice, set_runstate_configurable_digital_output_to_value, set_runstate_standard_analog_output_to_value, set_runstate_standard_digital_output_to_value, set_runstate_tool_digital_output_to_value, set_standard_analog_input_domain, set_standard_analog_out, set_standard_digital_out, set_tool_analog_input_domain, set_tool_communication, set_tool_digital_out, set_tool_digital_output_mode, set_tool_output_mode, set_tool_voltage, socket_close, socket_get_var, socket_open, socket_read_ascii_float, socket_read_binary_integer, socket_read_byte_list, socket_read_line, socket_read_string, socket_send_byte, socket_send_int, socket_send_line, socket_send_string, socket_set_var, write_output_boolean_register, write_output_float_register, write_output_integer_register, write_port_bit, write_port_register, zero_ftsensor, set_input_actions_to_default, set_standard_digital_input_action, set_tool_digital_input_action, set_configurable_digital_input_action, set_gp_boolean_input_action, enter_critical, exit_critical, set_safety_mode_transition_hardness")];
+_SCRIPT_WORDS = [new Understood("function", (py.str(_MANUAL) + ": module motion (ends of motions, kinematics; no motion of its own)"), "stopj, stopl, stops, get_conveyor_tick_count, set_conveyor_tick_count, conveyor_pulse_decode, encoder_enable_pulse_decode, encoder_enable_set_tick_count, encoder_get_tick_count, encoder_set_tick_count, encoder_unwind_delta_tick_count, position_deviation_warning, is_within_safety_limits, is_steady"), new Understood("function", (py.str(_MANUAL) + ": module internals"), "get_actual_joint_positions, get_actual_joint_positions_history, get_actual_joint_speeds, get_actual_tcp_pose, get_actual_tcp_speed, get_actual_tool_flange_pose, get_controller_temp, get_forward_kin, get_inverse_kin, get_inverse_kin_has_solution, get_joint_temp, get_joint_torques, get_steptime, get_target_joint_positions, get_target_joint_speeds, get_target_payload, get_target_payload_cog, get_target_payload_inertia, get_target_tcp_pose, get_target_tcp_speed, get_target_waypoint, get_tcp_force, get_tcp_offset, get_tool_accelerometer_reading, get_tool_current, popup, powerdown, sleep, str_at, str_cat, str_empty, str_find, str_len, str_sub, sync, textmsg, to_num, to_str, assert, time, force, rpc_factory, get_target_tcp_pose_along_path, get_target_tcp_speed_along_path, set_payload, set_payload_cog, set_payload_mass, set_target_payload, set_gravity, set_flag, get_flag, halt, rtde_set_watchdog, request_boolean_from_primary_client, request_float_from_primary_client, request_integer_from_primary_client, request_string_from_primary_client"), new Understood("function", (py.str(_MANUAL) + ": module urmath"), "acos, asin, atan, atan2, binary_list_to_integer, ceil, cos, d2r, floor, get_list_length, length, integer_to_binary_list, interpolate_pose, inv, list_append, list_insert, list_remove, list_extend, list_clear, log, norm, normalize, point_dist, pose_add, pose_dist, pose_inv, pose_sub, pose_trans, pow, r2d, random, rotvec2rpy, rpy2rotvec, sin, size, sqrt, tan, transpose, wrench_trans, struct, True, False, and, or, not, xor, mod, if, elif, while, return, p, run, join, kill"), new Understood("function", (py.str(_MANUAL) + ": module interfaces"), "get_analog_in, get_analog_out, get_configurable_digital_in, get_configurable_digital_out, get_digital_in, get_digital_out, get_euromap_input, get_euromap_output, get_standard_analog_in, get_standard_analog_out, get_standard_digital_in, get_standard_digital_out, get_tool_analog_in, get_tool_digital_in, get_tool_digital_out, modbus_add_signal, modbus_delete_signal, modbus_get_signal_status, modbus_send_custom_command, modbus_set_output_register, modbus_set_output_signal, modbus_set_runstate_dependent_choice, modbus_set_signal_update_frequency, read_input_boolean_register, read_input_float_register, read_input_integer_register, read_output_boolean_register, read_output_float_register, read_output_integer_register, read_port_bit, read_port_register, set_analog_inputrange, set_analog_out, set_analog_outputdomain, set_configurable_digital_out, set_digital_out, set_euromap_output, set_euromap_runstate_dependent_choice, set_runstate_configurable_digital_output_to_value, set_runstate_standard_analog_output_to_value, set_runstate_standard_digital_output_to_value, set_runstate_tool_digital_output_to_value, set_standard_analog_input_domain, set_standard_analog_out, set_standard_digital_out, set_tool_analog_input_domain, set_tool_communication, set_tool_digital_out, set_tool_digital_output_mode, set_tool_output_mode, set_tool_voltage, socket_close, socket_get_var, socket_open, socket_read_ascii_float, socket_read_binary_integer, socket_read_byte_list, socket_read_line, socket_read_string, socket_send_byte, socket_send_int, socket_send_line, socket_send_string, socket_set_var, write_output_boolean_register, write_output_float_register, write_output_integer_register, write_port_bit, write_port_register, zero_ftsensor, set_input_actions_to_default, set_standard_digital_input_action, set_tool_digital_input_action, set_configurable_digital_input_action, set_gp_boolean_input_action, enter_critical, exit_critical, set_safety_mode_transition_hardness")];
 let _HARMLESS;
 _HARMLESS = understood_words(_SCRIPT_WORDS, "function");
 let _SWITCHES;
@@ -3346,26 +3787,17 @@ let _OPENS;
 _OPENS = new py.Dict([["def", "routine"], ["thread", "routine"], ["sec", "routine"], ["while", "loop"], ["for", "loop"], ["if", "branch"]]);
 class UrScript extends ControllerLanguage {
 read(sources) {
-let _, displaced, draft, entries, files, flows, harmless, i, k, reader, source, statements, steps;
+let code, displaced, draft, entries, files, harmless, i, k, reader, switched;
 draft = new Draft(sources);
-files = [];
-for (const $each of py.iter(sources)) {
-source = $each;
-statements = source.statements(_TOKENS, _WORDS, true);
-steps = (() => { const $out = []; for (const statement of py.iter(statements)) { $out.push(_step(statement)); } return $out; })();
-if (!py.truth(py.any((() => { const $out = []; for (const [k, step] of py.iter(py.enumerate(steps))) { $out.push(py.either(step.opens, () => ((call_of(py.at(statements, k).items)) ?? null) !== (null))); } return $out; })()))) {
-throw source.error(("no statement that calls or defines anything; expected " + py.str(_WORDS)), 0);
-}
-py.call(files, "append", [source, statements, steps]);
-}
-flows = followed(files, py.frozenset(new Set([POSITIONS])));
-displaced = py.sub(new Set([POSITIONS, ...py.iter((() => { const $out = []; for (const [, , steps] of py.iter(files)) { for (const step of py.iter(steps)) { for (const name of py.iter(step.sets)) { $out.push(name); } } } return $out; })())]), new Set(["tcp", STATED_LOAD]));
-entries = new Entries((() => { const $out = []; for (const [[, statements, steps], flow] of py.iter(py.zip(files, flows))) { $out.push([statements, steps, flow]); } return $out; })(), _ends_displacement);
+files = followed((() => { const $out = []; for (const source of py.iter(sources)) { $out.push(_code(source)); } return $out; })(), py.frozenset(new Set([POSITIONS])));
+switched = new Set((() => { const $out = []; for (const code of py.iter(files)) { for (const step of py.iter(code.steps)) { for (const name of py.iter(step.sets)) { $out.push(name); } } } return $out; })());
+displaced = py.sorted(py.sub(new Set([POSITIONS, ...py.iter(switched)]), new Set(["tcp", STATED_LOAD])));
+entries = new Entries(files, _ends_displacement);
 for (const $each of py.iter(py.enumerate(files))) {
-[i, [, statements, steps]] = $each;
-harmless = py.frozenset((() => { const $out = []; for (const statement of py.iter(statements)) { for (const [name, ] of py.iter(calls_in(statement.items))) { $out.push(name); } } return $out; })());
-reader = new _ScriptReader(draft, i, statements, steps, py.at(flows, i), harmless, entries, this, py.sorted(displaced));
-for (const $each of py.iter(py.range(py.len(statements)))) {
+[i, code] = $each;
+harmless = py.frozenset((() => { const $out = []; for (const statement of py.iter(code.statements)) { for (const [name, ] of py.iter(calls_in(statement.items))) { $out.push(name); } } return $out; })());
+reader = new _ScriptReader(draft, i, code, harmless, entries, this, displaced);
+for (const $each of py.iter(py.range(py.len(code.statements)))) {
 k = $each;
 reader.statement(k);
 }
@@ -3396,13 +3828,11 @@ UrScript.prototype.grammars = [nested(_TOKENS, true)];
 UrScript.prototype.understood = _SCRIPT_WORDS;
 LANGUAGES.register(UrScript);
 class _ScriptReader extends Reader {
-constructor(draft = null, file = null, statements = null, steps = null, flow = null, harmless = null, entries = null, language = null, displacements = null) {
+constructor(draft = null, file = null, code = null, harmless = null, entries = null, language = null, displacements = null) {
 super();
 this.draft = draft;
 this.file = file;
-this.statements = statements;
-this.steps = steps;
-this.flow = flow;
+this.code = code;
 this.harmless = harmless;
 this.entries = entries;
 this.language = language;
@@ -3482,41 +3912,24 @@ return found;
 return null;
 }
 _move(k, called, arguments_) {
-let base, count, displaced, known, mode, named, part, path, places, plain, span, statement, targets, why;
+let count, displaced, given, known, path, places, statement, targets, why;
 statement = py.at(this.statements, k);
 known = py.at(this.flow, k);
-named = py.dict();
-plain = [];
-for (const $each of py.iter(arguments_.parts)) {
-part = $each;
-if (py.truth(py.both((py.len(part) > 2), () => is_token(py.at(part, 1), "SIGN", "=")))) {
-py.put(named, py.str(py.at(part, 0)), py.text(part).slice(2, undefined));
-} else {
-if (py.truth(part)) {
-py.call(plain, "append", part);
-}
-}
-}
+given = _arguments(arguments_);
 path = py.at(_MOTIONS, called);
 count = (py.same(path, "circle") ? 2 : 1);
-places = py.text(plain).slice(undefined, count);
+places = given.places(count);
 if ((py.len(places) < count)) {
-places = (() => { const $out = []; for (const key of py.iter(["pose_via", "pose_to", "pose", "q"])) { if (py.has(named, key)) $out.push(py.at(named, key)); } return $out; })();
-}
-if ((py.len(places) < count)) {
-py.call(this.draft.skipped, "append", this.skip((py.str(called) + " of line " + py.str(statement.line)), statement.line, "not understood"));
+this.not_understood(called, statement.line);
 return null;
 }
 targets = py.tuple((() => { const $out = []; for (const part of py.iter(places)) { $out.push(this.target(k, part)); } return $out; })());
-displaced = this.displaced(k, this.displacements);
-base = (py.truth(displaced) ? new Frame("", undefined, displaced) : new Frame("base", np.eye(4)));
-mode = ((py.len(plain) > _MODE) ? py.text(py.at(plain, _MODE)).slice(undefined, undefined) : py.call(named, "get", "mode", []));
-if (py.truth(py.both(py.same(path, "circle"), () => !py.has(["", "0"], text_of_items(mode))))) {
+if (py.truth(py.both(py.same(path, "circle"), () => !py.has(["", "0"], given.mode)))) {
 why = ("line " + py.str(statement.line) + " does not turn the tool to its orientation (mode)");
 targets = [py.at(targets, 0), this.left(py.at(targets, 1), why)];
 }
-span = place_of(py.at(places, -1));
-py.call(this.draft.motions, "append", new Motion(path, targets, statement, this.file, this._tool(known), base, span, known.run, py.same(path, "line"), undefined, this.load(k), displaced));
+displaced = this.displaced(k, this.displacements);
+py.call(this.draft.motions, "append", new Motion(path, targets, statement, this.file, this._tool(known), (py.truth(displaced) ? new Frame("", undefined, displaced) : new Frame("base", np.eye(4))), place_of(py.at(places, -1)), known.run, py.same(path, "line"), undefined, this.load(k), displaced));
 return null;
 }
 mass(statement) {
@@ -3545,16 +3958,78 @@ return null;
 }
 }
 _ScriptReader.prototype.case = true;
+class _ScriptArguments {
+constructor(plain = null, named = null) {
+this.plain = plain;
+this.named = named;
+}
+places(count) {
+let names;
+if ((py.len(this.plain) >= count)) {
+return py.text(this.plain).slice(undefined, count);
+}
+names = ["pose_via", "pose_to", "pose", "q"];
+return (() => { const $out = []; for (const name of py.iter(names)) { if (py.has(this.named, name)) $out.push(py.at(this.named, name)); } return $out; })();
+return null;
+}
+get mode() {
+let is_plain;
+is_plain = (py.len(this.plain) > _MODE);
+return text_of_items((py.truth(is_plain) ? py.at(this.plain, _MODE) : py.call(this.named, "get", "mode", [])));
+return null;
+}
+}
+function _arguments(brackets) {
+let named, part, plain;
+named = py.dict();
+plain = [];
+for (const $each of py.iter(brackets.parts)) {
+part = $each;
+if (py.truth(py.both((py.len(part) > 2), () => is_token(py.at(part, 1), "SIGN", "=")))) {
+py.put(named, py.str(py.at(part, 0)), py.text(part).slice(2, undefined));
+} else {
+if (py.truth(part)) {
+py.call(plain, "append", part);
+}
+}
+}
+return new _ScriptArguments(plain, named);
+return null;
+}
+function _code(source) {
+let statements, steps;
+statements = source.statements(_TOKENS, _WORDS, true);
+steps = (() => { const $out = []; for (const statement of py.iter(statements)) { $out.push(_step(statement)); } return $out; })();
+if (!py.truth(py.any((() => { const $out = []; for (const [statement, step] of py.iter(py.zip(statements, steps))) { $out.push(py.either(step.opens, () => ((call_of(statement.items)) ?? null) !== (null))); } return $out; })()))) {
+throw source.error(("no statement that calls or defines anything; expected " + py.str(_WORDS)), 0);
+}
+return new Code(source, statements, steps);
+return null;
+}
 function _ends_displacement(statement) {
 return py.has(_ENDS_IT, py.str(py.at(statement.items, 0)));
 return null;
+}
+function* _called(items) {
+let is_call, item, k;
+for (const $each of py.iter(py.enumerate(items))) {
+[k, item] = $each;
+if (!py.truth(py.isinstance(item, [Brackets]))) {
+continue;
+}
+is_call = py.both(py.same(item.kind, "("), () => py.both((k > 0), () => is_token(py.at(items, py.sub(k, 1)), "WORD")));
+if (py.truth(py.both(is_call, () => !py.truth(py.both((k > 1), () => is_token(py.at(items, py.sub(k, 2)), "SIGN", ".")))))) {
+(yield py.str(py.at(items, py.sub(k, 1))));
+}
+(yield* py.iter(_called(item.items)));
+}
 }
 function _step(statement) {
 let calls, first, items, kind, name;
 items = statement.items;
 first = (py.truth(is_token(py.at(items, 0), "WORD")) ? py.str(py.at(items, 0)) : "");
 kind = py.call(_OPENS, "get", first, "");
-calls = py.tuple((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { if (py.truth(py.both(!py.has(_HARMLESS, name), () => py.both(!py.has(_SWITCHES, name), () => py.both(!py.has(_MOTIONS, name), () => !py.has(_ENDLESS, name)))))) $out.push(name); } return $out; })());
+calls = py.tuple((() => { const $out = []; for (const name of py.iter(_called(items))) { if (py.truth(py.both(!py.has(_HARMLESS, name), () => py.both(!py.has(_SWITCHES, name), () => py.both(!py.has(_MOTIONS, name), () => !py.has(_ENDLESS, name)))))) $out.push(name); } return $out; })());
 if (py.same(kind, "routine")) {
 name = py.next((() => { const $out = []; for (const item of py.iter(py.text(items).slice(1, undefined))) { if (py.truth(is_token(item, "WORD"))) $out.push(py.str(item)); } return $out; })(), first);
 return new Step(first, undefined, name, undefined, undefined, undefined, undefined, undefined, (py.same(first, "thread") ? [name] : []));
@@ -3571,5 +4046,5 @@ return new Step(undefined, undefined, undefined, undefined, true, undefined, und
 return new Step(undefined, undefined, undefined, undefined, undefined, (py.has(_SWITCHES, first) ? py.frozenset(new Set([py.at(_SWITCHES, first)])) : py.frozenset()), undefined, calls);
 return null;
 }
-return { _TOKENS, _WORDS, _MOTIONS, _ENDLESS, _MANUAL, _SCRIPT_WORDS, _HARMLESS, _SWITCHES, _ENDS_IT, _MODE, _OPENS, UrScript, _ScriptReader, _ends_displacement, _step };
+return { _TOKENS, _WORDS, _MOTIONS, _ENDLESS, _MANUAL, _SCRIPT_WORDS, _HARMLESS, _SWITCHES, _ENDS_IT, _MODE, _OPENS, UrScript, _ScriptReader, _ScriptArguments, _arguments, _code, _ends_displacement, _called, _step };
 })();

@@ -194,8 +194,9 @@ def workspace_figure(evidence: RowErrors, view: Literal["top", "side"]) -> Figur
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     figure.subplots_adjust(right=1.0 - 0.75 / FIGURE_WIDTH, wspace=0.08)
     means = np.concatenate([evidence.sizes("before"), evidence.sizes("after")])
-    low, high = np.quantile(means[means > 0.0], [0.1, 0.98]) if np.any(means > 0.0) else (1e-3, 1.0)
-    low, high = float(low), float(max(high, 1.01 * low))
+    ends = np.quantile(means[means > 0.0], [0.1, 0.98]) if np.any(means > 0.0) else (1e-3, 1.0)
+    low = float(ends[0])
+    high = max(float(ends[1]), 1.01 * low)
     # A square map.
     half = 0.52 * max(float(np.ptp(across)), float(np.ptp(along)), 1e-3)
     a, b = (float(v.min() + v.max()) / 2.0 for v in (across, along))

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pincal.robot.robot import Robot
     from pincal.simulate.effect import HiddenEffect
     from pincal.simulate.machine import TrueMachine
+    from pincal.simulate.request import SetupOptions
     from pincal.simulate.session import MovingSession
     from pincal.simulate.setup import Campaign, SensorSetup
 
@@ -38,18 +39,22 @@ _EXAMPLES = """Examples:
   pincal simulate robot.urdf --poses 300 --out tracker.csv
   pincal simulate robot.urdf --poses 300 --payload 0,80 --masses-off 3 \\
       --effect gear_eccentricity:joint_3:size=1e-4,order=1 --out tracker.csv --truth truth.json
-  pincal simulate robot.urdf --poses 500 --pose-seed 1 --noise 0mm --out exact.csv   # the same machine
+  pincal simulate robot.urdf --poses 500 --pose-seed 1 --noise 0mm --out exact.csv   \
+# the same machine
 Other sensors:
   pincal simulate robot.urdf --sensor pose --noise-angle 0.05mrad --poses 200 --out poses.csv
-  pincal simulate robot.urdf --sensor camera_point --points-out object.csv --out seen.csv   # as in the paper
+  pincal simulate robot.urdf --sensor camera_point --points-out object.csv --out seen.csv   \
+# as in the paper
   pincal simulate robot.urdf --sensor camera_pixel --object grid --poses 60 --noise 0.1px \\
       --points-out grid.csv --camera-out camera.json --out image.csv
   pincal simulate robot.urdf --sockets 6 --poses 240 --points-out sockets.csv --out contacts.csv
   pincal simulate robot.urdf --anchors 3 --poses 200 --points-out anchors.csv --out wires.csv
   pincal simulate robot.urdf --ball-bar 300mm --anchors 2 --poses 200 --out bar.csv
 In motion:
-  pincal simulate robot.urdf --path 300s --imu --out monday   # joints.csv and imu.csv, each on its own clock
-  pincal simulate robot.urdf --path 5min --imu --sensor position --effect joint_lag:joint_2 --out tuesday
+  pincal simulate robot.urdf --path 300s --imu --out monday   \
+# joints.csv and imu.csv, each on its own clock
+  pincal simulate robot.urdf --path 5min --imu --sensor position --effect joint_lag:joint_2 \
+--out tuesday
 Then:
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
 """
@@ -85,6 +90,11 @@ def simulate(arguments: SimulateArguments) -> Exit:
 
     arguments.check()
     robot = _robot(arguments)
+    if arguments.motion.path is not None and _is_from_hand(robot):
+        raise click.UsageError(
+            f"--path: readings from {robot.path.start} to {robot.tip}, which no joint moves, are "
+            "simulated at rest; give --poses N"
+        )
     machine = _machine(robot, arguments)
     if arguments.motion.path is not None:
         return _drive(robot, machine, arguments)
@@ -116,7 +126,7 @@ def _robot(arguments: SimulateArguments) -> Robot:
 
     given = arguments.machine
     tree = read_cell(arguments.robot, given.beside, xacro_args=dict(given.xacro_args))
-    wanted = TreeRequest(given.tip, given.start, given.base)
+    wanted = TreeRequest(given.end, given.start, given.base)
     robot = Robot.from_tree(tree, wanted)
     if not given.also:
         return robot
@@ -193,7 +203,7 @@ def _drawn_session(
 
     rng = Stream.LAYOUT.generator(arguments.setup_seed)
     tracker = draw_setup(
-        arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options()
+        arguments.kind, machine.nominal, rng=rng, options=_setup_options(robot, arguments)
     )
     path = arguments.motion.path
     course = via_path(robot, machine.names, path) if isinstance(path, Path) else None
@@ -286,8 +296,9 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
     made = _machine_between(robot, given, urdf)
     # Errors are in proportion to an arm, for a tree always the same one, whatever the links of the
     # readings are.
-    measured = made(tip=robot.tip, start=robot.path.start).nominal
-    ends = {robot.tip, *(tip for _, tip in robot.links)}
+    start, tip = _arm_ends(robot)
+    measured = made(tip=tip, start=start).nominal
+    ends = {tip, *(tip for _, tip in robot.links)}
     machine = draw_machine(
         made(tip=min(ends)),
         seed=arguments.campaign.seed,
@@ -301,6 +312,21 @@ def _machine(robot: Robot, arguments: SimulateArguments) -> TrueMachine:
         machine,
         nominal=replace(measured, masses=machine.nominal.masses, centres=machine.nominal.centres),
     )
+
+
+def _is_from_hand(robot: Robot) -> bool:
+    """Return whether readings are from a hand to a link that no joint moves, as by a camera."""
+    return robot.path.tip_joint < 0 <= robot.path.start_joint
+
+
+def _arm_ends(robot: Robot) -> tuple[str, str]:
+    """Return the first and last link of the arm that moves between the ends of the readings."""
+    ends = (robot.path.start, robot.path.tip)
+    return ends[::-1] if _is_from_hand(robot) else ends
+
+
+def _setup_options(robot: Robot, arguments: SimulateArguments) -> SetupOptions:
+    return replace(arguments.setup_options(), on_hand=_is_from_hand(robot))
 
 
 def _machine_between(
@@ -357,7 +383,8 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
     given = arguments.campaign
     conditions: dict[str, np.ndarray] = {}
     rng = Stream.LAYOUT.generator(arguments.setup_seed)
-    setup = draw_setup(arguments.kind, machine.nominal, rng=rng, options=arguments.setup_options())
+    options = _setup_options(robot, arguments)
+    setup = draw_setup(arguments.kind, machine.nominal, rng=rng, options=options)
     if given.at is not None:
         from pincal.cli.inputs import load_table
 
@@ -450,7 +477,7 @@ def _of_arm(verb: str, arguments: SimulateArguments) -> str:
     """Return a command on the same arm and what was written of it."""
     machine = arguments.machine
     words = [f"pincal {verb} {arguments.robot} {arguments.out}"]
-    words += [f"--tip {machine.tip}"] if machine.tip else []
+    words += [f"--tip {machine.end}"] if machine.end else []
     words += [f"--base {machine.base}"] if machine.base else []
     words += [f"--beside {of}" for of in machine.beside]
     return " ".join(

@@ -22,6 +22,8 @@ from pincal.cli.common import (
     gravity_option,
     robot_argument,
     tip_option,
+    tip_or_to,
+    to_option,
     xacro_option,
 )
 from pincal.cli.quantities import ANGLES, LENGTH, NoiseType, QuantityType, masses
@@ -106,11 +108,13 @@ class MachineArguments:
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
     start: str | None = option(
-        "Link in whose frame the tip is measured, such as the other hand.",
+        "Link in whose frame the target is measured, such as the other hand, or the one with a "
+        "camera.",
         metavar="LINK",
         name="--from",
         words="the base",
     )
+    to: str | None = to_option()
     also: tuple[str, ...] = option(
         "Further link whose joints belong to the machine; the same set of links and seed "
         "gives the same machine.",
@@ -148,6 +152,11 @@ class MachineArguments:
     effects: tuple[str, ...] = option(
         "Hidden effect; see below.", (), metavar="NAME[:JOINT][:KEY=VALUE,...]", name="--effect"
     )
+
+    @property
+    def end(self) -> str | None:
+        """The link that is measured, as either option gives it; None for the default."""
+        return tip_or_to(self.tip, self.to)
 
 
 @dataclass(frozen=True, kw_only=True)

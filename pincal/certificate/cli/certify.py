@@ -1,0 +1,124 @@
+"""``pincal certificate``: a sheet to sign, and the same as a digital calibration certificate."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import MISSING, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pincal.cli.arguments import Output, argument, group, option, verb
+from pincal.cli.common import GeneralOptions
+from pincal.cli.identity_options import HEADING, IdentityOptions
+from pincal.cli.outputs import echo_notes, print_json
+from pincal.errors import Exit, OutputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from pincal.certificate.statement import Certificate
+
+PAGE_FILE = "certificate.html"
+DCC_FILE = "dcc.xml"
+_EXAMPLES = """
+Examples:
+  pincal certificate results/model.json --out certificate
+  pincal certificate results --out results --set "id.laboratory=Example Ltd" --set id.country=DE
+
+DIR then holds certificate.html, one page of A4 to print and sign, and dcc.xml, the same as a
+digital calibration certificate of PTB. What neither the model nor --set states is marked as not
+stated.
+"""
+
+
+def _day(text: str) -> datetime.date:
+    """Return a day."""
+    try:
+        return datetime.date.fromisoformat(text)
+    except ValueError:
+        raise click.BadParameter(f"{text!r}; expected a day as YYYY-MM-DD") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertificateArguments:
+    """Arguments of certificate."""
+
+    source: Path = argument(
+        "MODEL.json|DIR",
+        "Calibrated model in the folder of its results, or a folder that calibrate, discover or "
+        "measure wrote.",
+    )
+    out: Path = option("Folder for the certificate.", MISSING, metavar="DIR", type=Output())
+    number: str = option(
+        "Number of the certificate.", "", metavar="NUMBER", words="from the file's checksum"
+    )
+    issued: datetime.date | None = option(
+        "Day on which it is issued.", metavar="YYYY-MM-DD", words="today", type=_day
+    )
+    identity: IdentityOptions = group(HEADING)
+    general: GeneralOptions = group("General")
+
+
+@verb(CertificateArguments, examples=_EXAMPLES)
+def certificate(arguments: CertificateArguments) -> Exit:
+    """Certify a calibrated robot, or a measured part.
+
+    The figures are those of result.json or measured.json; nothing is computed anew but the budget
+    of a robot.
+    """
+    found = _certificate(arguments)
+    _write(arguments.out, found)
+    if arguments.general.as_json:
+        contents = {"number": found.number, "out": str(arguments.out)}
+        print_json(contents | {"not_stated": list(found.lacking)})
+    else:
+        for doubt in found.doubts:
+            click.echo(f"doubt: {doubt}")
+        click.echo(f"{found.title}: {found.item}, No. {found.number}")
+        click.echo(f"written to {arguments.out}: {PAGE_FILE} {DCC_FILE}")
+    echo_notes(_notes(found), quiet=arguments.general.quiet)
+    return Exit.DONE
+
+
+def _certificate(arguments: CertificateArguments) -> Certificate:
+    """Return the certificate of what the command line names."""
+    from pincal.certificate.of_measured import MEASURED, certificate_of_measured
+    from pincal.certificate.of_model import certificate_of_model
+    from pincal.certificate.statement import Issue
+    from pincal.io.result_folder import MODEL
+
+    day = arguments.issued or datetime.datetime.now(tz=datetime.UTC).date()
+    issue = Issue(number=arguments.number.strip(), day=day)
+    source = arguments.source
+    stated = arguments.identity.given
+    if not source.is_dir():
+        return certificate_of_model(source, stated, issue)
+    if (source / MODEL).is_file() and not (source / MEASURED).is_file():
+        return certificate_of_model(source / MODEL, stated, issue)
+    return certificate_of_measured(source, stated, issue)
+
+
+def _write(folder: Path, found: Certificate) -> None:
+    """Write both files; other files of the folder are kept, as it may be that of the results."""
+    from pincal.atomic import write_atomic
+    from pincal.certificate.certificate_page import certificate_page
+    from pincal.certificate.dcc import digital_certificate
+
+    contents = {PAGE_FILE: certificate_page(found).encode(), DCC_FILE: digital_certificate(found)}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: can't write here ({error.strerror}); choose another --out"
+        ) from None
+    for name, content in contents.items():
+        write_atomic(folder / name, content, advice="choose another --out")
+
+
+def _notes(found: Certificate) -> Iterator[str]:
+    """Yield what a certificate needs and the user has not stated."""
+    if found.lacking:
+        keys = ", ".join(f"id.{key}" for key in found.lacking)
+        yield f"not stated, and marked so: {keys}; --set KEY=VALUE states them"

@@ -1,0 +1,293 @@
+"""The certificate of a calibrated robot: its ``model.json`` and the ``result.json`` beside it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from msgspec import UNSET
+
+from pincal.calibration.fitted_robot import FittedRobot, load_model
+from pincal.calibration.result import ResultFile
+from pincal.calibration.statement import COVERAGE_FACTOR
+from pincal.certificate.statement import (
+    NOT_STATED,
+    Budget,
+    BudgetLine,
+    Certificate,
+    Figure,
+    FigureGroup,
+    Issue,
+    Range,
+)
+from pincal.discover.discovery_file import Findings
+from pincal.discover.report.found_words import effect_words
+from pincal.errors import BadInputError
+from pincal.export.formulas import sides_following
+from pincal.identity import Identity
+from pincal.io.result_folder import file_hash
+from pincal.io.strict_json import FileKind, read_json
+from pincal.model.conditions import Conditions
+from pincal.notes import Note, doubts_of
+from pincal.report.words import noise_words
+from pincal.thresholds import Count
+from pincal.validate.misfit import worst
+
+# Poses over which the uncertainty is averaged, more of which change it by a per cent, and their
+# seed.
+_POSES: Count = 400
+_SEED: Count = 0
+_RESULT = "result.json"
+_RESULT_FILE = FileKind(
+    "a result.json", BadInputError, "take the file from a backup or run pincal calibrate again"
+)
+_DISCOVERY = "discovery.json"
+_DISCOVERY_FILE = FileKind(
+    "a discovery.json", BadInputError, "take the file from a backup or run pincal discover again"
+)
+_STATISTICS = {"mean": "mean", "rms": "root mean square", "p95": "95 % of the rows", "max": "worst"}
+_WAYS = {
+    "regions": "each row predicted by a fit without its region of joint space",
+    "stretches": "each row predicted by a fit without its stretch of consecutive rows",
+    "sessions": "each row predicted by a fit without its session",
+    "random": "each row predicted by a fit without it and others at random",
+    "held out": "rows that no fit has used",
+    "station": "each station predicted by the others",
+}
+# Sources that are known otherwise than by statistics of the readings.
+_TYPE_B = {"conditions", "temperature"}
+
+
+def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certificate:
+    """Return the certificate of a calibrated robot.
+
+    Args:
+        path: its ``model.json``; figures are those of the ``result.json`` in the same folder.
+        stated: what is stated in addition to the model's own identity.
+        issue: number and day of the certificate.
+
+    Raises:
+        ModelFileError: if the model can't be read.
+        BadInputError: if there is no ``result.json`` beside it, or it can't be read; or if the
+            model is of another robot than stated.
+    """
+    fitted = load_model(path)
+    stated.require(fitted.identity, str(path))
+    result_path = path.with_name(_RESULT)
+    if not result_path.is_file():
+        raise BadInputError(
+            f"{result_path}: not there; a certificate states the figures of the calibration: give "
+            "the model in the folder that calibrate or discover wrote"
+        )
+    result = read_json(result_path, ResultFile, _RESULT_FILE)
+    _require_result_of(fitted, result, result_path)
+    found = _search_of(path)
+    robot = fitted.robot_model()
+    budget = position_budget(robot)
+    notes = [note for note in result.warnings if isinstance(note, Note)]
+    notes += () if found is None else found.warnings
+    verdicts = [result.verdict] if found is None else [result.verdict, found.verdict]
+    inputs = fitted.provenance.get("inputs")
+    beside = [result_path, *([] if found is None else [path.with_name(_DISCOVERY)])]
+    files = {file.name: file_hash(file) for file in (path, *beside)}
+    return Certificate(
+        title="Calibration certificate of a robot",
+        issue=issue,
+        item=robot.model.chain.robot.name,
+        identity=stated.over(fitted.identity),
+        ranges=tuple(_ranges(robot)),
+        facts=_facts(fitted, result) | _searched(found),
+        verdict=worst(verdicts).value,
+        doubts=tuple(dict.fromkeys(doubt.text for doubt in doubts_of(notes))),
+        groups=tuple(_groups(result, budget)),
+        budget=budget if budget.lines else None,
+        files=files | (dict(inputs) if isinstance(inputs, Mapping) else {}),
+        versions={
+            "calibrated with pincal": str(fitted.provenance.get("pincal", NOT_STATED)),
+            "certificate by pincal": version("pincal"),
+        },
+    )
+
+
+def _require_result_of(fitted: FittedRobot, result: ResultFile, path: Path) -> None:
+    """Refuse a result of another model, as two that were saved into one folder by hand."""
+    named = {parameter.name for parameter in result.parameters}
+    if named != set(fitted.estimate.names):
+        raise BadInputError(
+            f"{path}: its parameters are not those of the model beside it; expected the result of "
+            "the same calibration: calibrate again into a folder of its own"
+        )
+
+
+def _search_of(path: Path) -> Findings | None:
+    """Return what the search of a model found; None if it was calibrated without one."""
+    beside = path.with_name(_DISCOVERY)
+    return read_json(beside, Findings, _DISCOVERY_FILE) if beside.is_file() else None
+
+
+def _searched(found: Findings | None) -> dict[str, str]:
+    """Return in words what a search for missing effects found."""
+    if found is None:
+        return {"search": "none for effects that the model lacks"}
+    effects = ", ".join(map(effect_words, found.effects)) or "no effect"
+    return {"search": f"{effects} found; {found.unexplained_mm:.4f} mm unexplained"}
+
+
+def position_budget(robot: FittedRobot) -> Budget:
+    """Return the standard uncertainty of one coordinate of predicted positions by its sources, root
+    mean squares over poses within the range of the calibration [mm].
+    """
+    variances = robot.position_variances(_covered_poses(robot))
+    squares = {source: float(np.mean(found)) for source, found in variances.items()}
+    total = sum(squares.values())
+    lines = [
+        BudgetLine(
+            source=source,
+            type="B" if source in _TYPE_B else "A",
+            standard=1e3 * math.sqrt(square),
+            degrees=None,
+            share=square / total if total else 0.0,
+        )
+        for source, square in squares.items()
+        if square > 0.0
+    ]
+    return Budget(
+        of="one coordinate of a predicted position, root mean square over poses within the "
+        "measured range of every joint",
+        unit="mm",
+        lines=tuple(sorted(lines, key=lambda line: -line.share)),
+    )
+
+
+def _covered_poses(robot: FittedRobot) -> Conditions:
+    """Return random poses within the ranges of the calibration's rows."""
+    arm = robot.model.chain.robot
+    covered = robot.covered
+    rng = np.random.default_rng(_SEED)
+    lower, upper = covered.q[arm.own_joints].T
+    q = arm.spread(lower + (upper - lower) * rng.random((_POSES, len(lower))))
+    found = Conditions.at(q, payload_centre=robot.payload_centre)
+    return replace(
+        found,
+        payload=rng.uniform(covered.payload[0], covered.payload[1], _POSES),
+        approach=sides_following(arm, rng.choice([-1, 1], q.shape)),
+    )
+
+
+def _ranges(robot: FittedRobot) -> Iterator[Range]:
+    """Yield what the calibration's rows cover."""
+    arm = robot.model.chain.robot
+    covered = robot.covered
+    for name, unit, (lower, upper) in zip(arm.joint_names, arm.joint_units, covered.q, strict=True):
+        factor, shown = (180.0 / math.pi, "deg") if unit == "rad" else (1e3, "mm")
+        yield Range(name=name, lower=lower * factor, upper=upper * factor, unit=shown)
+    yield Range(
+        name="payload",
+        lower=float(covered.payload[0]),
+        upper=float(covered.payload[1]),
+        unit="kg",
+    )
+    if "temperature" in covered.days:
+        mean, deviation = covered.days["temperature"]
+        k = COVERAGE_FACTOR
+        yield Range(
+            name="temperature",
+            lower=mean - k * deviation,
+            upper=mean + k * deviation,
+            unit="deg C",
+        )
+
+
+def _facts(fitted: FittedRobot, result: ResultFile) -> dict[str, str]:
+    """Return the scope and the method, by names."""
+    chain = fitted.stations[0].model.chain
+    kinds = dict.fromkeys(station.sensor_kind for station in fitted.stations)
+    effects = dict.fromkeys(
+        effect.name for station in fitted.stations for effect in station.model.effects
+    )
+    found = {
+        "arm": f"{chain.robot.base} to {chain.robot.tip}",
+        "targets": ", ".join(chain.targets),
+        "stations": ", ".join(fitted.names) if len(fitted.names) > 1 else "",
+        "measured": f"{result.rows['train']} rows of {', '.join(kinds)}",
+        "method": f"least squares on all rows; effects: {', '.join(effects)}",
+        "validation": _validation(result),
+        "noise": f"{noise_words(result.noise)} ({result.noise['source']})",
+        "rests on": "" if result.uncertainty is UNSET else result.uncertainty.rests_on,
+    }
+    return {name: text for name, text in found.items() if text}
+
+
+def _validation(result: ResultFile) -> str:
+    """Return in words by what rows the errors are stated."""
+    if result.validation is UNSET:
+        return "none: the errors are those of the fitted rows"
+    folds = f" ({result.validation.folds} folds)" if result.validation.folds else ""
+    return _WAYS[result.validation.way] + folds
+
+
+def _groups(result: ResultFile, budget: Budget) -> Iterator[FigureGroup]:
+    """Yield the figures."""
+    part = "test" if "test" in result.error["calibrated"] else "train"
+    rows = result.rows["test" if part == "test" else "train"]
+    seen = "not fitted" if part == "test" else "fitted"
+    for model, title in (
+        ("calibrated", "Error of the calibrated robot"),
+        ("nominal", "Error of the nominal robot, base and tool fitted"),
+    ):
+        is_stated = model == "calibrated" and part == "test"
+        intervals = {} if result.intervals is UNSET or not is_stated else result.intervals
+        figures = tuple(_statistics(result.error[model][part], intervals))
+        # Readings of an IMU, say, have no errors in these units.
+        if figures:
+            yield FigureGroup(title=title, figures=figures, remark=f"{rows} rows, {seen}")
+    k = COVERAGE_FACTOR
+    combined = math.sqrt(sum(line.standard**2 for line in budget.lines))
+    expanded = Figure(
+        name=f"U (k = {k:g}) over the measured ranges", value=k * combined, unit=budget.unit
+    )
+    yield FigureGroup(
+        title="Uncertainty of predicted positions",
+        figures=(*_stated(result), expanded, *_elsewhere(result)),
+        remark="U: of one coordinate, root mean square, without noise of new readings",
+    )
+
+
+def _stated(result: ResultFile) -> Iterator[Figure]:
+    """Yield the uncertainty that the calibration states."""
+    if result.uncertainty is UNSET:
+        return
+    known = result.uncertainty
+    yield Figure(name=f"U (k = {known.k:g}) at the measured poses", value=known.here_mm, unit="mm")
+    yield Figure(
+        name=f"U (k = {known.k:g}) within the joint limits", value=known.anywhere_mm, unit="mm"
+    )
+
+
+def _statistics(
+    error: Mapping[str, float], intervals: Mapping[str, tuple[float | None, float | None]]
+) -> Iterator[Figure]:
+    """Yield the statistics of errors, with their intervals where these are known."""
+    for unit in ("mm", "mrad", "px"):
+        for key, name in _STATISTICS.items():
+            statistic = f"{key}_{unit}"
+            if statistic in error:
+                yield Figure(
+                    name=name,
+                    value=error[statistic],
+                    unit=unit,
+                    interval=intervals.get(statistic),
+                )
+
+
+def _elsewhere(result: ResultFile) -> Iterator[Figure]:
+    """Yield the error that the model expects anywhere."""
+    if result.elsewhere is UNSET:
+        return
+    where = result.elsewhere.over or "the joint limits"
+    yield Figure(name=f"expected within {where}, mean", value=result.elsewhere.mean_mm, unit="mm")
+    yield Figure(name=f"expected within {where}, worst", value=result.elsewhere.worst_mm, unit="mm")

@@ -1,0 +1,195 @@
+"""What a certificate says, whatever it is written as."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import date
+from typing import Literal
+
+from pincal.errors import BadInputError
+from pincal.identity import Identity
+
+NOT_STATED = "not stated"
+"""Stands where the user has stated nothing: a certificate leaves no gap unmarked."""
+
+ConformityWord = Literal["conforms", "does not conform", "undecided"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """A number with its unit and, where it is known, its uncertainty.
+
+    Attributes:
+        name: what it is, in words.
+        value: the number, as it stands in the file that it was taken from.
+        unit: its unit: "mm", "mrad", "deg" and so on; empty for a plain number.
+        expanded: expanded uncertainty, in the unit.
+        coverage: coverage factor k of that.
+        interval: ends of the interval of 95 %, in the unit; None for an end that is not known.
+        nominal: what it should be, in the unit.
+        limits: least and largest permissible value, in the unit; infinite for none.
+        decision: whether it conforms to the limits.
+
+    Raises:
+        BadInputError: for a number that is not finite.
+    """
+
+    name: str
+    value: float
+    unit: str
+    expanded: float | None = None
+    coverage: float | None = None
+    interval: tuple[float | None, float | None] | None = None
+    nominal: float | None = None
+    limits: tuple[float, float] | None = None
+    decision: ConformityWord | None = None
+
+    def __post_init__(self) -> None:
+        ends = self.interval or ()
+        for value in (self.value, self.expanded, self.coverage, self.nominal, *ends):
+            if value is not None and not math.isfinite(value):
+                raise BadInputError(
+                    f"{self.name}: {value}; a certificate states finite numbers only: repeat the "
+                    "command that wrote the file"
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FigureGroup:
+    """Figures that belong together.
+
+    Attributes:
+        title: what they are of.
+        figures: the figures.
+        remark: how they are to be read; may be empty.
+    """
+
+    title: str
+    figures: tuple[Figure, ...]
+    remark: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetLine:
+    """A source of uncertainty.
+
+    Attributes:
+        source: its name.
+        type: "A", by statistics of readings, or "B", by other knowledge; empty if not known.
+        standard: standard uncertainty, in the unit of the budget.
+        degrees: degrees of freedom; None where they are not known.
+        share: of the variance, 0 to 1.
+    """
+
+    source: str
+    type: str
+    standard: float
+    degrees: float | None
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """Where an uncertainty comes from.
+
+    Attributes:
+        of: the uncertainty, in words.
+        unit: of all lines.
+        lines: the sources, the largest first.
+    """
+
+    of: str
+    unit: str
+    lines: tuple[BudgetLine, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """Values for which a certificate is valid.
+
+    Attributes:
+        name: of a joint, or a condition.
+        lower: the least.
+        upper: the largest.
+        unit: of both.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Issue:
+    """What belongs to a certificate and not to what was measured.
+
+    Attributes:
+        number: of the certificate; empty for one made of the checksum of its first file.
+        day: on which it is issued.
+    """
+
+    number: str
+    day: date
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """All that a certificate says.
+
+    Attributes:
+        title: of the document.
+        issue: number and day.
+        item: what was calibrated or measured.
+        identity: what was stated of robot, instrument and circumstances.
+        ranges: joint positions and conditions for which it is valid.
+        facts: further entries of the scope and of the method, by their names.
+        verdict: of the model; empty if there is none.
+        doubts: reservations, in full.
+        groups: the results.
+        budget: where the uncertainty comes from; None where that is not known.
+        rule: how it is decided whether figures conform; empty if nothing is decided.
+        files: SHA-256 by name of the files that it was made of, the first one that it certifies.
+        versions: of the software, by what was done with it.
+    """
+
+    title: str
+    issue: Issue
+    item: str
+    identity: Identity
+    ranges: tuple[Range, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+    verdict: str = ""
+    doubts: tuple[str, ...] = ()
+    groups: tuple[FigureGroup, ...]
+    budget: Budget | None = None
+    rule: str = ""
+    files: Mapping[str, str]
+    versions: Mapping[str, str]
+
+    @property
+    def number(self) -> str:
+        """Number of the certificate."""
+        first = next(iter(self.files.values()))
+        return self.issue.number or f"pincal-{first[:16]}"
+
+    @property
+    def traceability(self) -> str:
+        """What is known of the chain of calibrations to the unit of length."""
+        instrument = self.identity.instrument or NOT_STATED
+        certificate = self.identity.certificate or NOT_STATED
+        return (
+            f"Lengths and angles are those of the instrument: {instrument}; its calibration "
+            f"certificate: {certificate}. These entries are as the user stated them and were not "
+            "verified. The software is no link of a chain of calibrations and is not accredited; "
+            "an error of the instrument's scale is included only where the budget lists it."
+        )
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Keys of entries that a certificate needs and the user has not stated."""
+        needed = ("robot", "instrument", "certificate", "operator", "date", "place", "laboratory",
+                  "country", "customer")  # fmt: skip
+        return tuple(key for key in needed if not getattr(self.identity, key))

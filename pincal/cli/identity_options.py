@@ -1,0 +1,77 @@
+"""Identity of a calibration on the command line: stated, or compared with that of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from pincal.cli.arguments import option, pair
+from pincal.errors import BadInputError
+from pincal.identity import KEYS, Identity
+
+_PREFIX = "id."
+_EXPECTED = "id.KEY=VALUE, such as id.robot=2021300117"
+HEADING = "Identity"
+
+
+def identity_entry(text: str) -> tuple[str, str]:
+    """Return key and value of an entry.
+
+    Raises:
+        click.BadParameter: if there is no such entry, or the value is none.
+    """
+    key, value = pair(text, _EXPECTED)
+    if not key.startswith(_PREFIX):
+        raise click.BadParameter(f"{text.strip()!r}; expected {_EXPECTED}")
+    key = key.removeprefix(_PREFIX)
+    try:
+        Identity.of({key: value})
+    except BadInputError as error:
+        raise click.BadParameter(str(error)) from None
+    return key, value
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentityOptions:
+    """What is stated of robot, instrument and circumstances."""
+
+    entries: tuple[tuple[str, str], ...] = option(
+        f"State which robot it is, how it was measured and by whom. Keys: {', '.join(KEYS)}; "
+        "anything else as id.note.NAME.",
+        (),
+        metavar="id.KEY=VALUE",
+        name="--set",
+        type=identity_entry,
+    )
+
+    @property
+    def given(self) -> Identity:
+        """What was stated; of a key given twice the last value."""
+        return Identity.of(dict(self.entries))
+
+    def of_model(self, known: Identity, path: Path) -> Iterator[str]:
+        """Yield a note where it can't be checked that a model is of the robot stated, and where
+        the robot has another controller now.
+
+        Args:
+            known: identity of the model.
+            path: its file.
+
+        Raises:
+            BadInputError: if the model is of another robot.
+        """
+        given = self.given
+        given.require(known, str(path))
+        if given.robot and not known.robot:
+            yield (
+                f"{path} does not state its robot: it was not checked that it is of "
+                f"{given.robot}; pincal update --set id.robot=... or a new calibration states it"
+            )
+        if given.controller and known.controller and given.controller != known.controller:
+            yield (
+                f"the controller is {given.controller}, at the calibration it was "
+                f"{known.controller}: its mastering and corrections may differ"
+            )

@@ -1,0 +1,120 @@
+"""Acceptance by calibrated lengths: closed forms, the rule of ISO 14253-1, the plan, and the command on a real arm."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from test_cli import run
+
+from pincal import Robot
+from pincal.acceptance.enclosing_sphere import smallest_sphere
+from pincal.acceptance.lengths import Contacts, Permitted, acceptance, decided
+from pincal.design.acceptance_plan import PLACES, plan_acceptance
+from pincal.design.reach import Limits, Reach, SensorSetup
+from pincal.errors import MeasurementError
+from pincal.sensors.setup import KnownDistance
+
+SOCKETS = Path(__file__).parents[2] / "shared" / "data" / "holiday_sockets"
+needs_sockets = pytest.mark.skipif(not SOCKETS.exists(), reason="measurements of shared/data are absent")
+
+
+def test_the_smallest_sphere_is_that_of_closed_forms_and_of_a_search(rng: np.random.Generator) -> None:
+    """A cube's corners have half its diagonal; of random points no centre gives a smaller largest distance."""
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    assert smallest_sphere(corners).radius == pytest.approx(3.0**0.5)
+    assert smallest_sphere(np.array([[1.0, 2.0, 3.0]])).radius == 0.0
+    assert smallest_sphere(np.array([[0.0, 0, 0], [0.0, 0, 2.0], [0.0, 0, 2.0]])).radius == pytest.approx(1.0)
+    for n in (3, 7, 40):
+        points = rng.standard_normal((n, 3))
+        found = smallest_sphere(points)
+        assert found.holds(points)
+        searched = minimize(
+            lambda at, points=points: np.linalg.norm(points - at, axis=1).max(),
+            points.mean(axis=0),
+            method="Nelder-Mead",
+            options={"xatol": 1e-9, "fatol": 1e-12, "maxiter": 4000},
+        )
+        assert found.radius == pytest.approx(searched.fun, rel=1e-3) and found.radius <= searched.fun + 1e-9
+
+
+def contacts(*positions: float, sigma: float = 0.0) -> Contacts:
+    """Return contacts with the seats a and b in turn, at these places along x, all errors their own."""
+    place = np.array(positions)[:, None] * [1.0, 0.0, 0.0]
+    n = len(place)
+    covariance = sigma**2 * np.einsum("nm,ab->namb", np.eye(n), np.eye(3))
+    return Contacts(np.array(["a", "b"] * (n // 2)), place, covariance)
+
+
+def test_errors_of_lengths_are_those_of_the_standard() -> None:
+    """A length of 500 mm, read .1 mm too long and .3 mm too short; the seat b is found .4 mm apart."""
+    length = KnownDistance("a", "b", 0.5, 1e-5)
+    found = acceptance(contacts(0.0, 0.5001, 0.0, 0.4997, sigma=1e-4), [length], Permitted(2e-4, 1e-4))
+    (errors,) = found.lengths
+    assert errors.errors == pytest.approx([1e-4, -3e-4]) and errors.worst == pytest.approx(-3e-4)
+    assert errors.permitted == pytest.approx(2.5e-4) and found.outcome == "fail"
+    assert errors.stated == pytest.approx([2.0**0.5 * 1e-4] * 2)
+    assert errors.within_stated == 1
+    assert "2 lengths where ISO 10360 asks for 105" in found.scope
+    found = acceptance(contacts(0.0, 0.5001, 0.0, 0.4997), [length], Permitted(4e-4, 0.0), permitted_location=5e-4)
+    by_seat = {each.seat: each.diameter for each in found.locations}
+    assert by_seat == pytest.approx({"a": 0.0, "b": 4e-4}) and found.outcome == "pass"
+    assert found.to_dict()["lengths"][0]["worst_mm"] == pytest.approx(-0.3)
+
+
+def test_a_decision_leaves_the_uncertainty_of_the_test() -> None:
+    """Proven within, proven beyond, or neither, by 1.645 standard uncertainties."""
+    assert decided(1.83e-4, 2e-4, 1e-5) == "pass" and decided(-1.84e-4, 2e-4, 1e-5) == "undecided"
+    assert decided(2.16e-4, 2e-4, 1e-5) == "undecided" and decided(-2.17e-4, 2e-4, 1e-5) == "fail"
+
+
+def test_wrong_acceptances_are_as_rare_as_stated(rng: np.random.Generator) -> None:
+    """Of lengths whose error is just beyond the limit, 5 % pass where the artefact's uncertainty is all of it."""
+    passed = [decided(2e-4 + 1e-5 * rng.standard_normal(), 2e-4, 1e-5) == "pass" for _ in range(4000)]
+    assert np.mean(passed) < 0.05 + 3.0 * (0.05 * 0.95 / 4000) ** 0.5
+
+
+def test_a_length_without_contacts_is_told() -> None:
+    """A name that no row has is an error with the names that there are."""
+    with pytest.raises(MeasurementError, match=r"no row of socket 'c'.*the table has a, b"):
+        acceptance(contacts(0.0, 0.5), [KnownDistance("a", "c", 0.5)], Permitted(1e-4, 0.0))
+
+
+@pytest.mark.long
+def test_a_plan_has_the_tool_point_in_the_ends() -> None:
+    """By the nominal arm, each contact is at its end; ends are as far apart as the length, in seven places."""
+    ur10 = Robot.from_urdf("ur10")
+    reach = Reach(ur10, SensorSetup(tool=(0.0, 0.0, 0.1)), Limits())
+    plan = plan_acceptance(reach, [0.4], times=2)
+    assert len(plan.lengths) == PLACES and len(plan.contacts) == 4 * PLACES
+    ends = {name: end for of in plan.lengths for name, end in zip((of.first, of.second), of.ends, strict=True)}
+    for of in plan.lengths:
+        assert np.linalg.norm(of.ends[1] - of.ends[0]) == pytest.approx(0.4)
+    tips = ur10.forward_kinematics(np.array([contact.q for contact in plan.contacts]))
+    places = tips[:, :3, 3] + tips[:, :3, :3] @ [0.0, 0.0, 0.1]
+    wanted = np.array([ends[contact.socket] for contact in plan.contacts])
+    assert np.abs(places - wanted).max() < 2e-4
+
+
+@pytest.mark.long
+@needs_sockets
+def test_the_command_judges_a_real_arm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A Panda calibrated at two places is tried at the third, whose sockets are 40 mm apart."""
+    known = [("A1", "A2", "39.90mm"), ("A2", "A3", "39.92mm"), ("B1", "B2", "39.97mm"), ("B2", "B3", "40.00mm")]
+    stated = [word for distance in known for word in ("--socket-distance", *distance)]
+    tables = [SOCKETS / f"panda_{place}.csv" for place in "AB"]
+    fit = ["--tip", "panda_hand_tcp", "--model", "geometric", "--quiet", "--out", tmp_path / "out"]
+    assert run("calibrate", SOCKETS / "panda.urdf", *tables, *stated, *fit) == 0
+    lengths = tmp_path / "lengths.csv"
+    lengths.write_text("first,second,distance [mm],sigma [mm]\nC1,C2,40,0.02\nC2,C3,40,0.02\n")
+    judged = ["validate", tmp_path / "out" / "model.json", SOCKETS / "panda_C.csv", "--acceptance", lengths, "--quiet"]
+    capsys.readouterr()
+    assert run(*judged, "--mpe", "0.1mm", "--json") == 5
+    found = json.loads(capsys.readouterr().out)
+    assert found["outcome"] == "fail" and found["measured"] == 20
+    assert run(*judged, "--mpe", "1mm+1mm/m", "--mpe-location", "2mm") == 0
+    text = capsys.readouterr().out
+    assert "PASS" in text and "L_Dia" in text and "20 lengths where ISO 10360 asks for 105" in text
