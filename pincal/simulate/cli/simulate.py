@@ -90,8 +90,6 @@ def simulate(arguments: SimulateArguments) -> Exit:
     """Simulate the measurement of a machine with chosen errors and hidden effects."""
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
-    from pincal.simulate.request import Stream
-    from pincal.simulate.true_part import readings_of_features
 
     arguments.check()
     robot = _robot(arguments)
@@ -107,17 +105,8 @@ def simulate(arguments: SimulateArguments) -> Exit:
     features = _true_features(arguments)
     campaign = _campaign(robot, machine, arguments, features)
     log_step("measuring them")
-    noise = Stream.READINGS if features else Stream.NOISE
-    table = campaign.measure(machine, noise.generator(arguments.pose_seed))
-    if features:
-        first_pass = campaign.q[: len(campaign.q) // arguments.campaign.cycles, 0]
-        named = [feature.name for feature in features]
-        table = readings_of_features(table, machine.names[0], first_pass, named)
-    table = {name: table[name] for name in (robot.joint_names[i] for i in robot.own_joints)} | table
-    start = robot.path.start
+    table = _measured(robot, machine, campaign, arguments, features)
     rows = len(table[machine.names[0]])
-    if start != robot.base or robot.links:
-        table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
     found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
     if features:
         found |= truth_of(features, found)
@@ -130,6 +119,32 @@ def simulate(arguments: SimulateArguments) -> Exit:
     else:
         click.echo(_summary(arguments, found, setup=campaign.setup, rows=rows))
     return Exit.DONE
+
+
+def _measured(
+    robot: Robot,
+    machine: TrueMachine,
+    campaign: Campaign,
+    arguments: SimulateArguments,
+    features: tuple[TrueFeature, ...],
+) -> dict[str, np.ndarray]:
+    """Return the columns of the table: the robot's own joints first, then what was read."""
+    from pincal.simulate.request import Stream
+    from pincal.simulate.true_part import readings_of_features
+
+    # The same seed gives a calibration and readings of a part, whose noise is not the same.
+    noise = Stream.READINGS if features else Stream.NOISE
+    table = campaign.measure(machine, noise.generator(arguments.pose_seed))
+    if features:
+        first_pass = campaign.q[: len(campaign.q) // arguments.campaign.cycles, 0]
+        named = [feature.name for feature in features]
+        table = readings_of_features(table, machine.names[0], first_pass, named)
+    table = {name: table[name] for name in (robot.joint_names[i] for i in robot.own_joints)} | table
+    start = robot.path.start
+    rows = len(table[machine.names[0]])
+    if start != robot.base or robot.links:
+        table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
+    return table
 
 
 def _robot(arguments: SimulateArguments) -> Robot:
@@ -398,23 +413,35 @@ def _true_features(arguments: SimulateArguments) -> tuple[TrueFeature, ...]:
     return arguments.part.drawn(Stream.PART.generator(arguments.pose_seed))
 
 
+def _setup(
+    robot: Robot,
+    machine: TrueMachine,
+    arguments: SimulateArguments,
+    features: tuple[TrueFeature, ...],
+) -> SensorSetup:
+    """Return the sensor, and what it looks at."""
+    from pincal.simulate.request import Stream, draw_setup
+    from pincal.simulate.true_part import object_of_features
+
+    options = _setup_options(robot, arguments)
+    if features:
+        options = looking_at(options, object_of_features(features))
+    rng = Stream.LAYOUT.generator(arguments.setup_seed)
+    return draw_setup(arguments.kind, machine.nominal, rng=rng, options=options)
+
+
 def _campaign(
     robot: Robot,
     machine: TrueMachine,
     arguments: SimulateArguments,
     features: tuple[TrueFeature, ...],
 ) -> Campaign:
-    from pincal.simulate.request import Repetition, Stream, draw_setup, poses_of_table, repeat_poses
+    from pincal.simulate.request import Repetition, Stream, poses_of_table, repeat_poses
     from pincal.simulate.setup import Campaign
-    from pincal.simulate.true_part import object_of_features
 
     given = arguments.campaign
     conditions: dict[str, np.ndarray] = {}
-    rng = Stream.LAYOUT.generator(arguments.setup_seed)
-    options = _setup_options(robot, arguments)
-    if features:
-        options = looking_at(options, object_of_features(features))
-    setup = draw_setup(arguments.kind, machine.nominal, rng=rng, options=options)
+    setup = _setup(robot, machine, arguments, features)
     if given.at is not None:
         from pincal.cli.inputs import load_table
 
