@@ -273,6 +273,7 @@ def programs() -> Iterator[str]:
         "option": "options of a motion",
         "variable": "what may be assigned to",
         "function": "functions and words before brackets",
+        "filler": "functions that change at most their arguments",
     }
     for name, language in sorted(LANGUAGES.known().items()):
         if not language.__module__.startswith("pincal.programs."):

@@ -10,10 +10,11 @@ import argparse
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from discovery_cases import FOREIGN, NAMED, draw_case
 from feature_maps import APART, FEATURES, difference, near_rows, pairs_apart
 from scipy.cluster.vq import kmeans2
 
@@ -31,9 +32,12 @@ SERIES = {
     "ur10_B": ("ur10", "ur10_tmac/series_B.csv", 1, 5e-5),
     "ur5": ("ur5", "ur5_tracker/grid.csv", 1, 2e-5),
 }
+KINDS = ("null", *FOREIGN, *NAMED)
 WAYS = ("regions", "stretch", "random")
 # Regions of joint space, and how many of them are left out; the part of rows otherwise.
 REGIONS, LEFT_OUT, PART = 10, 3, 0.3
+# Rows of simulated arms that are fitted, and predicted.
+FITTED, FRESH = 150, 300
 # A reading farther from its prediction than this multiple of the median is wrong.
 WRONG = 6.0
 # Pairs and features of each kind that are drawn from the rows, and as few pairs as are worth a rate.
@@ -149,9 +153,25 @@ def judged(of: Split, *, declared: bool) -> tuple[Judged, str]:
     return Judged(model, station.conditions.select(kept), off[kept], noise), found.result.verdict_of().value
 
 
+def simulated(kind: str, seed: int) -> tuple[Judged, str]:
+    """Return predictions of a drawn arm at poses that were not fitted, against the truth, and the verdict."""
+    case = draw_case(kind, seed, n=FITTED + FRESH)
+    order = np.random.default_rng(seed).permutation(len(case.rows))
+    fitted, fresh = np.sort(order[:FITTED]), np.sort(order[FITTED:])
+    options = replace(case.options, effects=Options().effects)
+    found = run_calibration(case.robot, case.rows.select(fitted), options)
+    station = found.fit.readings(case.rows.select(fresh))
+    off = case.clean[fresh] - found.fit.predict(station.conditions)[:, :, 3]
+    return Judged(found.fit, station.conditions, off, 0.0), found.result.verdict_of().value
+
+
 def covered(of: Split, *, declared: bool, seed: int) -> str:
     """Return how many coordinates, differences and features intervals hold, and how wide they are, in words."""
-    found, verdict = judged(of, declared=declared)
+    return in_words(*judged(of, declared=declared), seed=seed)
+
+
+def in_words(found: Judged, verdict: str, *, seed: int) -> str:
+    """Return how many coordinates, differences and features intervals hold, and how wide they are, in words."""
     points = found.of_points()
     rms = [1e3 * float(np.sqrt(np.mean(size**2))) for size in (points.u, points.off)]
     words = "; ".join([f"points {points}", *found.of_features(seed)])
@@ -174,10 +194,18 @@ def main() -> None:
     parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--rows", type=int, default=300)
+    parser.add_argument(
+        "--kinds", nargs="+", choices=KINDS, default=[], help="simulated arms instead: what is hidden of them"
+    )
     arguments = parser.parse_args()
+    warnings.simplefilter("ignore", pincal.PincalWarning)
+    for kind in arguments.kinds:
+        for seed in range(arguments.seeds):
+            print(f"{kind:20s} seed {seed}: {in_words(*simulated(kind, seed), seed=seed)}", flush=True)
+    if arguments.kinds:
+        return
     if not DATA.exists():
         sys.exit(f"{DATA} is not there: these are real measurements, of which the project holds no copy")
-    warnings.simplefilter("ignore", pincal.PincalWarning)
     for series, way, seed, declared in cases(arguments):
         found = covered(split(series, way, arguments.rows, seed), declared=declared, seed=seed)
         noise = "noise declared" if declared else "no noise declared"

@@ -185,6 +185,8 @@ def test_what_is_not_translated_is_refused_with_its_line() -> None:
     """When the script is made, not in the page."""
     with pytest.raises(NotImplementedError, match=r"line 2: with open"):
         Translator().translate({"a": "def f():\n    with open('x') as file:\n        pass\n"})
+    with pytest.raises(NotImplementedError, match="two classes are named _Reader"):
+        Translator().translate({name: "class _Reader:\n    pass\n" for name in ("a", "b")})
 
 
 def test_a_grammar_is_numbered_in_the_order_in_which_it_is_read() -> None:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pincal import Robot, calibrate, load_model, measurements_from_arrays, run_calibration
-from pincal.calibration.discrepancy import Discrepancy, discrepancy_of, errs_with_drives
+from pincal.calibration.discrepancy import Discrepancy, discrepancy_of, errs_with_drives, hidden_in_noise
+from pincal.calibration.left_out_variance import left_out_variances
 from pincal.identify.options import Options
 
 NOISE = 2e-5
@@ -28,7 +29,7 @@ def test_what_drives_lack_is_found_with_its_lengths(rng: np.random.Generator) ->
     q = rng.uniform(-1.5, 1.5, (150, 3))
     levers = _levers(len(q), rng)
     off = _sines(q, levers, 1e-4, 4.0) + 3e-5 * rng.standard_normal((len(q), 3))
-    found = discrepancy_of(off, q, levers, np.zeros(len(q)))
+    found = discrepancy_of(off, q, levers, np.zeros((len(q), 3, 3)))
     assert found is not None
     variances = found.factor**2 * found.drives.sum(axis=1)
     assert np.all(np.abs(np.sqrt(variances) / (1e-4 / np.sqrt(2.0)) - 1.0) < 0.5)
@@ -60,7 +61,7 @@ def test_noise_is_no_discrepancy(rng: np.random.Generator) -> None:
     draws = [errs_with_drives(NOISE * rng.standard_normal((len(q), 3)), q, levers) for _ in range(200)]
     assert max(draws) < 4.0
     assert errs_with_drives(_sines(q, levers, 3.0 * NOISE, 3.0), q, levers) > 4.0
-    assert discrepancy_of(np.zeros((5, 3)), q[:5], levers[:, :5], np.zeros(5)) is None
+    assert discrepancy_of(np.zeros((5, 3)), q[:5], levers[:, :5], np.zeros((5, 3, 3))) is None
 
 
 @pytest.fixture(scope="module")
@@ -100,17 +101,49 @@ def test_intervals_hold_what_the_model_lacks(ripples: tuple[Robot, np.ndarray, n
     assert np.allclose(again.predict(q[120:140], return_sigma=True)[1], sigma[:20], rtol=1e-9)
 
 
-def test_an_adequate_model_lacks_nothing(ripples: tuple[Robot, np.ndarray, np.ndarray]) -> None:
-    """Where residuals are noise, the uncertainty is that of the parameters alone."""
+def test_an_adequate_model_may_lack_what_noise_hides(ripples: tuple[Robot, np.ndarray, np.ndarray]) -> None:
+    """Where residuals are noise, what is lacking is at most what they could just not show; of unknown noise, nothing."""
     robot, q, _ = ripples
     from pincal import Chain, Conditions, Model
 
     place = Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q[:80]))[:, :, 3]
     noise = NOISE * np.random.default_rng(7).standard_normal((80, 3))
     rows = measurements_from_arrays(robot.joint_names, q[:80], position=place + noise)
-    assert run_calibration(robot, rows, Options(sigma=NOISE)).fit.discrepancy is None
+    found = run_calibration(robot, rows, Options(sigma=NOISE)).fit
+    assert found.discrepancy is not None
+    lacking = found.position_variances(found.conditions_at(q[100:200]))["model"]
+    assert np.sqrt(lacking.mean()) < 0.6 * NOISE
     assert run_calibration(robot, rows, Options()).fit.discrepancy is None
     assert calibrate(robot, rows, Options(sigma=NOISE)).discrepancy is None
+
+
+def test_predictions_without_a_fold_are_as_uncertain_as_those_of_a_fit_without_it(
+    ripples: tuple[Robot, np.ndarray, np.ndarray],
+) -> None:
+    """The covariance by a difference of information is that of a fit to the other rows."""
+    robot, q, place = ripples
+    rows = measurements_from_arrays(robot.joint_names, q[:120], position=place[:120])
+    fit = calibrate(robot, rows, Options(sigma=NOISE)).fit
+    fold = np.arange(120) % 4
+    (found,) = left_out_variances(fit, fold, [0])
+    others = calibrate(robot, rows.select(np.flatnonzero(fold != 2)), Options(sigma=NOISE))
+    expected = others.position_variances(others.conditions_at(q[:120][fold == 2]))["parameters"]
+    np.testing.assert_allclose(np.einsum("naa->na", found)[fold == 2], expected, rtol=0.03)
+
+
+def test_what_noise_hides_is_the_mean_of_its_posterior(rng: np.random.Generator) -> None:
+    """The size of what is lacking is found where it shows, and is of the order of its own uncertainty where it does not."""
+    levers = _levers(200, rng)
+    known = np.tile(NOISE**2 * np.eye(3), (200, 1, 1))
+    noise = NOISE * rng.standard_normal((200, 3))
+    none = hidden_in_noise(noise, levers, known)
+    assert none is not None
+    of_none = np.sqrt(np.einsum("naa->na", none.variances(levers)).mean())
+    # The variance of 600 readings is known to sqrt(2 / 600) of theirs.
+    assert of_none < 2.0 * NOISE * (2.0 / 600.0) ** 0.25
+    more = hidden_in_noise(np.sqrt(5.0) * noise, levers, known)
+    assert more is not None
+    assert np.sqrt(np.einsum("naa->na", more.variances(levers)).mean()) == pytest.approx(2.0 * NOISE, rel=0.15)
 
 
 def test_orientations_are_as_uncertain_as_drives_and_the_rest_make_them(rng: np.random.Generator) -> None:

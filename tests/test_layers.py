@@ -57,11 +57,10 @@ SATELLITES = (
     "design",
     "fleet",
     "viewer",
+    "features",
     "simulate",
     "certificate",
     "acceptance",
-    "features",
-    "simulate",
     "demo",
 )
 # Two layers that know nothing of each other.

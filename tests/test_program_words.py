@@ -3,6 +3,8 @@
 Each statement stands between two motions: the first one is corrected, the second one only if nothing displaces it.
 """
 
+from functools import cache
+
 import pytest
 from program_cases import KUKA
 from test_program_safety import FRAMES, TCP, P, Q, T, U, rapid, read
@@ -57,13 +59,18 @@ def ur(between: str, options: str = "", move: str = "movel(b{})") -> tuple[str, 
     return "URScript", f"{TCP}a={U}\nb={U}\nq={Q}\nmovej({Q})\nmovel(a)\n{between}{move.format(options)}\n"
 
 
+@cache
+def corrector_of(language: str, tool: str, values: str) -> Corrector:
+    """Return the corrector of a cell with one tool, or with none."""
+    reader = LANGUAGES.known()[language]()
+    tools = {tool: reader.frame(values)} if tool else {}
+    return Corrector(calibrated(0.0), reader, ProgramCell(axes=ProgramAxes.parse(None, KUKA), tools=tools))
+
+
 def corrected(language: str, text: str, *, tool: str = "", values: str = "0,0,100,0,0,0") -> tuple[set[str], list[str]]:
     """Return the names of the points whose values and frames are known, and what is said of the others."""
-    reader = LANGUAGES.known()[language]()
-    name = tool or {"FANUC LS": "1", "JBI": "1"}.get(language, "")
-    tools = {name: reader.frame(values)} if name else {}
     program = read(language, text)
-    corrector = Corrector(calibrated(0.0), reader, ProgramCell(axes=ProgramAxes.parse(None, KUKA), tools=tools))
+    corrector = corrector_of(language, tool or {"FANUC LS": "1", "JBI": "1"}.get(language, ""), values)
     said = [f"{one.name}: {one.reason}" for one in program.skipped]
     found = set()
     for point in program.points.values():

@@ -28,10 +28,12 @@ from typing import Annotated
 
 import numpy as np
 from msgspec.structs import replace as changed
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 from scipy.optimize import nnls
+from scipy.special import log_ndtr
 
 from pincal.calibration.calibration_numbers import DISCREPANCY
+from pincal.calibration.left_out_variance import left_out_variances
 from pincal.calibration.position_covariance import SharedErrors
 from pincal.identify.fit import ModelFit
 from pincal.identify.folds import left_out_residuals
@@ -55,6 +57,9 @@ _LEVER: Scale = 1e-3
 # Part of the mean variance that weights take at least to be of single poses: where the first
 # estimate has none, they would else rest on differences of a few near poses alone.
 _SINGLE: Scale = 0.1
+# Largest factor on standard deviations, and the accuracy of a factor.
+_LARGEST: Scale = 30.0
+_CLOSE: Scale = 1e-4
 # Angles of a drive between which its errors are interpolated, and the part of their variance that
 # keeps their covariance regular where angles nearly coincide.
 _ANGLES: Count = 128
@@ -213,7 +218,7 @@ def errs_with_drives(residuals: np.ndarray, q: np.ndarray, levers: np.ndarray) -
 
 
 def discrepancy_of(
-    residuals: np.ndarray, q: np.ndarray, levers: np.ndarray, noise: np.ndarray
+    residuals: np.ndarray, q: np.ndarray, levers: np.ndarray, known: np.ndarray
 ) -> Discrepancy | None:
     """Return the discrepancy that residuals at poses not fitted show; None for too few.
 
@@ -222,7 +227,8 @@ def discrepancy_of(
             as displacements of the target [m].
         q: shape (N, n), joint positions.
         levers: shape (n, N, 3), motion of the target by each drive.
-        noise: shape (N,), variance of a coordinate that is known to be of the readings [m^2].
+        known: shape (N, 3, 3), covariance of these that is known to be of the readings and of the
+            parameters of the fit [m^2].
     """
     if len(residuals) < DISCREPANCY.fewest:
         return None
@@ -231,7 +237,7 @@ def discrepancy_of(
     moves = np.sqrt(np.mean(np.sum(levers**2, axis=2), axis=1)) > _LEVER
     drives = np.zeros((q.shape[1], len(_LENGTHS)))
     drives[moves], rest = _variances(
-        residuals[some], q[some][:, moves], levers[moves][:, some], noise[some]
+        residuals[some], q[some][:, moves], levers[moves][:, some], known[some]
     )
     plain = Discrepancy(
         lengths=np.array(_LENGTHS),
@@ -240,21 +246,84 @@ def discrepancy_of(
         factor=1.0,
         coordinates=residuals.size,
     )
-    variance = np.einsum("naa->na", plain.variances(levers)) + noise[:, None]
-    if not np.all(variance > 0.0):
+    factor = _factor(
+        residuals,
+        np.einsum("naa->na", plain.variances(levers)),
+        np.einsum("naa->na", known),
+    )
+    return changed(plain, factor=factor) if factor else None
+
+
+def hidden_in_noise(
+    residuals: np.ndarray, levers: np.ndarray, known: np.ndarray
+) -> Discrepancy | None:
+    """Return the discrepancy to expect of an adequate model; None for too few residuals.
+
+    That nothing shows in the noise does not say that nothing is there. What is lacking is taken to
+    be half of all drives alike, half of no other pose; its variance is the mean of the posterior,
+    with the exponential prior of a mean that residuals could just show.
+
+    Args:
+        residuals: shape (N, 3), as for :func:`discrepancy_of`.
+        levers: shape (n, N, 3).
+        known: shape (N, 3, 3).
+    """
+    size = float(np.mean(np.sum(levers**2, axis=0)))
+    if len(residuals) < DISCREPANCY.fewest or not size:
         return None
-    reached = np.quantile(np.abs(residuals) / np.sqrt(variance), DISCREPANCY.covered)
-    return changed(plain, factor=float(reached) / _NORMAL)
+    drives = np.zeros((len(levers), len(_LENGTHS)))
+    drives[:, -1] = 0.5 / size
+    unit = Discrepancy(
+        lengths=np.array(_LENGTHS), drives=drives, rest=0.5, factor=1.0, coordinates=residuals.size
+    )
+    shape = np.einsum("naa->na", unit.variances(levers))
+    variance = np.einsum("naa->na", known)
+    weight = shape / (2.0 * variance**2)
+    information = float(np.sum(weight * shape))
+    if not 0.0 < information < np.inf:
+        return None
+    spread = information**-0.5
+    found = float(np.sum(weight * (residuals**2 - variance))) / information
+    # A normal variable of positive values, its mean shifted by the prior.
+    shifted = found / spread - 1.0
+    mean = shifted + float(np.exp(-0.5 * shifted**2 - log_ndtr(shifted))) / np.sqrt(2.0 * np.pi)
+    return changed(unit, factor=float(np.sqrt(mean * spread)))
+
+
+def _factor(residuals: np.ndarray, lacking: np.ndarray, known: np.ndarray) -> float:
+    """Return the factor on the standard deviations of what is lacking by which intervals cover what
+    they say; 0 where what is known does already.
+
+    Args:
+        residuals: shape (N, 3).
+        lacking: shape (N, 3), variances.
+        known: shape (N, 3), variances beside these.
+    """
+
+    def covers(factor: float) -> bool:
+        u = np.sqrt(factor**2 * lacking + known)
+        return bool(np.mean(np.abs(residuals) <= _NORMAL * u) >= DISCREPANCY.covered)
+
+    if covers(0.0) or not np.any(lacking):
+        return 0.0
+    if not covers(_LARGEST):
+        return _LARGEST
+    low = 0.0
+    high = _LARGEST
+    while high - low > _CLOSE * high:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if covers(middle) else (middle, high)
+    return high
 
 
 def _variances(
-    residuals: np.ndarray, q: np.ndarray, levers: np.ndarray, noise: np.ndarray
+    residuals: np.ndarray, q: np.ndarray, levers: np.ndarray, blocks: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Return the variances of the drives, shape (n, L), and of the rest, by least squares on the
     products of residuals of all pairs of poses, the second time weighted.
     """
     n = len(residuals)
-    known = np.kron(np.diag(noise), np.eye(3))
+    known = block_diag(*blocks)
     terms = [
         np.einsum("nm,na,mb->namb", alike, lever, lever).reshape(3 * n, 3 * n)
         for position, lever in zip(q.T, levers, strict=True)
@@ -281,15 +350,13 @@ def _least_squares(terms: list[np.ndarray], products: np.ndarray) -> np.ndarray:
 
 
 def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
-    """Return the discrepancy of a fit; None where its residuals are noise, or readings do not give
-    positions.
+    """Return the discrepancy of a fit; None where readings do not give positions, or where no noise
+    is known and residuals follow no drive.
 
-    Where noise was declared or readings were repeated the verdict tells whether they are; else
-    whether they follow the position of a drive. What is then not known to be of the readings counts
-    as the model's.
+    Where noise was declared or readings were repeated, the verdict tells whether residuals are
+    noise; what may be hidden in it is then of another estimate. Else what is not known to be of the
+    readings or the parameters counts as the model's.
     """
-    if verdict is Verdict.ADEQUATE:
-        return None
     stations = [k for k, at in enumerate(fit.problem.stations) if _gives_positions(at)]
     if not stations:
         return None
@@ -303,12 +370,17 @@ def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
         return None
     (by_station,) = left_out_residuals(fit, fit.solution, [fold])
     left_out = [_LeftOut.of(rows[i], by_station[k]) for i, k in enumerate(stations)]
-    found = discrepancy_of(
-        np.vstack([of.displacements for of in left_out]),
-        np.vstack([of.rows.q for of in left_out]),
-        np.concatenate([of.rows.levers for of in left_out], axis=1),
-        np.concatenate([of.rows.noise for of in left_out]),
-    )
+    residuals = np.vstack([of.displacements for of in left_out])
+    levers = np.concatenate([of.rows.levers for of in left_out], axis=1)
+    noise = np.concatenate([of.rows.noise for of in left_out])[:, None, None] * np.eye(3)
+    if verdict is Verdict.ADEQUATE:
+        by_parameters = zip(left_out_variances(fit, fold, stations), left_out, strict=True)
+        known = noise + np.concatenate([found[of.some] for found, of in by_parameters])
+        return hidden_in_noise(residuals, levers, known)
+    # Parameters of a model that lacks something err by what it lacks, not by the noise: what fits
+    # without a region miss there is all of the model.
+    q = np.vstack([of.rows.q for of in left_out])
+    found = discrepancy_of(residuals, q, levers, noise)
     turned = [of for of in left_out if of.turns is not None]
     if found is None or not turned:
         return found
@@ -396,11 +468,13 @@ class _LeftOut:
         displacements: shape (N, 3), of the target's position [m].
         turns: shape (N, 3), rotation from predicted to read orientations [rad]; None where none are
             read.
+        some: shape (N,), their places among all of the station.
     """
 
     rows: _Rows
     displacements: np.ndarray
     turns: np.ndarray | None
+    some: np.ndarray
 
     @classmethod
     def of(cls, rows: _Rows, residuals: np.ndarray) -> _LeftOut:
@@ -408,7 +482,7 @@ class _LeftOut:
         displacements = rows.at.displacements(rows.values, residuals)
         some = np.flatnonzero(rows.is_kept & np.isfinite(displacements).all(axis=1))
         turns = residuals[3:6, some].T if rows.turn_noise is not None else None
-        return cls(rows.select(some), displacements[some], turns)
+        return cls(rows.select(some), displacements[some], turns, some)
 
     @property
     def turn_noise(self) -> np.ndarray:

@@ -38,6 +38,19 @@ def in_base_frame(calibrated: FittedRobot) -> FittedRobot:
     )
 
 
+def tip_in_instrument(calibrated: FittedRobot) -> FittedRobot:
+    """Return the calibrated model without its target, which predicts the pose of the tip in the
+    instrument's frame.
+    """
+    found = _with_effects(
+        calibrated, lambda effect: not _is_of(effect, "tool"), calibrated.model.chain.base_rotation
+    )
+    chain = found.model.chain
+    tools = np.tile(np.eye(3), (len(chain.targets), 1, 1))
+    model = found.model.with_chain(chain.with_references(chain.base_rotation, tools))
+    return found.with_model(model, found.estimate)
+
+
 def _with_effects(
     calibrated: FittedRobot, is_kept: Callable[[Effect], bool], base_rotation: np.ndarray
 ) -> FittedRobot:

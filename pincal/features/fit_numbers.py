@@ -30,6 +30,15 @@ class FitNumbers:
         "the points do not determine the feature",
         "linear propagation of errors is off by about a tenth there",
     )
+    parallel: float = number(
+        0.1,
+        "ratio",
+        "test_part_values.py::test_distances_are_the_known_ones",
+        "sine of the angle of two axes below which they count as parallel, so that their distance "
+        "is that of places beside each other",
+        "holes of one drilling direction are within milliradians, the axes of a gear pair that "
+        "crosses are not",
+    )
     form: float = number(
         0.05,
         "probability",

@@ -11,7 +11,8 @@ offset      of a plane: along the nominal normal at the nominal position [m]
 tilt        angle between direction and nominal direction, 0 to pi/2 [rad]
 position    diameter of the smallest zone about the nominal that holds the feature (ISO 1101) [m]
 distance    between two features [m]
-angle       between the directions of two features, 0 to pi/2 [rad]
+angle       between two features, 0 to pi/2, or to pi where the nominal angle is obtuse [rad]
+i j k       direction, its sign that of the nominal one; told, and never tolerated
 =========== ==================================================================================
 """
 
@@ -47,6 +48,7 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
 UNIT_OF: Mapping[str, str] = {
     **dict.fromkeys((*_SPATIAL, "position", "offset", "diameter", "distance"), "m"),
     **dict.fromkeys(("tilt", "angle"), "rad"),
+    **dict.fromkeys(("i", "j", "k"), "1"),
 }
 """SI units of the quantities."""
 

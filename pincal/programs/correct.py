@@ -340,21 +340,13 @@ class Corrector:
 
         On a line or a circle an arm keeps its posture, unless it passes through a singular pose.
         """
+        search, i = place
         start = joints.get(use.start) if use.start else None
-        posture = point.posture
+        posture = self._posture(point, search, use, start)
         known = start
         if point.near is not None and len(point.near) == self.robot.n_joints:
+            posture = point.posture
             known = self.joints(point, np.array(point.near))
-        elif (
-            start is not None
-            and use.is_line
-            and self.arms.has_sides
-            and not (use.takes_posture and posture.is_whole)
-        ):
-            front, up, down = (
-                bool(side > 0.0) if side else None for side in place[0].sides_of(start)
-            )
-            posture = Posture(front, up, down)
         last = joints[next(reversed(joints))] if joints else self.cell.seed
         near = known if known is not None else last
         is_determined = known is not None or (self.arms.has_sides and posture.is_whole)
@@ -364,11 +356,29 @@ class Corrector:
                 "start from (--seed-joints)"
             )
         near = np.zeros(self.robot.n_joints) if near is None else near
-        search, i = place
         clear = search.clear_choice(i, posture, near, known=known) if is_determined else None
         if clear is not None:
             return clear
         reached = self._nearest_first(search.all_of(i), posture, near)
+        return self._first_of(reached, near, is_determined=is_determined)
+
+    def _posture(
+        self, point: Point, search: PoseSearch, use: _Use, start: np.ndarray | None
+    ) -> Posture:
+        """Return the posture in which a point is reached: on a line or a circle that of its
+        start.
+        """
+        obeys = use.takes_posture and point.posture.is_whole
+        if start is None or not use.is_line or not self.arms.has_sides or obeys:
+            return point.posture
+        front, up, down = (bool(side > 0.0) if side else None for side in search.sides_of(start))
+        return Posture(front, up, down)
+
+    @staticmethod
+    def _first_of(
+        reached: Sequence[np.ndarray], near: np.ndarray, *, is_determined: bool
+    ) -> np.ndarray | str:
+        """Return the first of some joint positions, or why it is not clear."""
         if not reached:
             return (
                 "no joint positions within the limits reach it in its posture, by the nominal model"
@@ -445,10 +455,8 @@ class Corrector:
             if reasons[i]:
                 skipped.append(row.point.skip(reasons[i]))
                 continue
-            base, tool = (np.linalg.inv(frame) for frame in row.frames)
-            ends = (transform(T[i, :, :3], T[i, :, 3]) for T in (tips, moved))
-            before, after = (base @ T @ tool for T in ends)
             point = row.point
+            before, after = self._poses(row, (tips[i], moved[i]))
             values = (
                 self.language.numbers(after, point.values)
                 if point.kind == "pose"
@@ -463,6 +471,14 @@ class Corrector:
                 point, values, q[i], commanded[i], row.frames, row.payload, shift, turn, has_it
             )
         return changes
+
+    @staticmethod
+    def _poses(row: _Row, tips: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Return the poses of a point's tool in its base, shape (4, 4), at poses of the tip, shape
+        (3, 4).
+        """
+        base, tool = (np.linalg.inv(frame) for frame in row.frames)
+        return [base @ transform(tip[:, :3], tip[:, 3]) @ tool for tip in tips]
 
     def _with_turns(
         self, program: Program, changes: dict[PointKey, Change], skipped: list[Skipped]

@@ -29,6 +29,11 @@ LISTING_WORDS = (
     ),
     Understood(
         "instruction",
+        "FANUC, listings of the VASS standard: the condition on which a motion may go on",
+        "TC_ONLINE",
+    ),
+    Understood(
+        "instruction",
         f"{_MANUAL}: conditions of skips and offsets, which act on motions with that option only",
         "SKIP CONDITION, OFFSET CONDITION, TOOL_OFFSET CONDITION, VOFFSET CONDITION, LOCK PREG, "
         "UNLOCK PREG",
@@ -141,8 +146,8 @@ def effect_in_listing(text: str, number: int) -> Line:
             block = "branch"
         elif first == "ELSE" and "," not in flat:
             block = "else"
-        # The action of a condition stands behind its last comma.
-        action = flat.split(",")[-1] if "," in flat else ""
+        # The action of a condition stands behind its first comma.
+        action = flat.partition(",")[2]
         sets = tuple(_sets(action, text, number))
         return Line(number, sets, jumps=jumps, calls=calls, block=block)
     phrase = first_phrase(tokens, _PHRASES)
@@ -167,7 +172,7 @@ def _sets(flat: str, text: str, number: int) -> Iterator[tuple[str, str]]:
     phrase = first_phrase(tokens, _PHRASES)
     target = left[0] if left else ""
     if "=" in flat and target in _FRAMES:
-        index = text.upper().partition(f"{target}[")[2].partition("]")[0].partition(":")[0].strip()
+        index = index_of(text.upper().partition(f"{target}[")[2].partition("]")[0])
         name = f"{_FRAMES[target]} {index if index.isdigit() else ANY}"
         yield name, f"line {number} sets it while the program runs"
     elif "=" in flat and phrase not in _INSTRUCTIONS:
@@ -182,6 +187,17 @@ def _sets(flat: str, text: str, number: int) -> Iterator[tuple[str, str]]:
         yield found, f"line {number} displaces positions ({text[:40].strip()})"
     elif phrase not in _INSTRUCTIONS:
         yield POSITIONS, f"line {number}: {not_understood(text)}"
+
+
+def index_of(text: str) -> str:
+    """Return the number in brackets, without its comment and the group before it.
+
+    Example:
+        >>> index_of("3:table"), index_of("GP1:3"), index_of("R[1"), index_of(" 2,5")
+        ('3', '3', 'R[1', '2')
+    """
+    first, _, more = text.partition(":")
+    return (more if first.strip().startswith("GP") else first).partition(",")[0].strip()
 
 
 def _label(text: str) -> str:

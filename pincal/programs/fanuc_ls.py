@@ -18,6 +18,7 @@ from pincal.programs.fanuc_lines import (
     SWITCHED,
     effect_in_listing,
     effect_of_options,
+    index_of,
     why_moved_by_options,
 )
 from pincal.programs.language import LANGUAGES, ControllerLanguage
@@ -279,8 +280,7 @@ def _place(text: str) -> str:
     position, is P[*].
     """
     kind, _, index = text.partition("[")
-    first, _, more = index.removesuffix("]").partition(":")
-    number = (more if first.strip().startswith("GP") else first).partition(",")[0].strip()
+    number = index_of(index.removesuffix("]"))
     return f"{kind}[{number if number.isdigit() else '*'}]"
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -133,67 +133,19 @@ class Jbi(ControllerLanguage):
 
     def _positions(self, draft: Draft, i: int, source: Source, parts: Sequence[Any]) -> None:
         """Note the positions, each with the tags before it."""
-        tags = {"TOOL": "", "USER": "", "POSTYPE": ""}
-        posture = Posture()
+        head = _Head()
         seen = 0
         for part in parts:
-            if part.data == "tag":
-                name, *rest = (str(child) for child in part.children)
-                tags[name.lstrip("/")] = rest[0].strip() if rest else ""
-            elif part.data == "configuration":
-                posture = _posture([number_at(token) for token in part.children[1:]])
-            elif part.data == "position":
+            head.take(part)
+            if part.data == "position":
                 seen += 1
-                place, *values = part.children
-                name = _name(str(place))
-                point = self._point(
-                    draft,
-                    i,
-                    name,
-                    place.line,
-                    [number_at(token) for token in values],
-                    tags,
-                    posture,
-                )
-                if point:
-                    draft.take(
-                        Skipped(name, i, place.line, point) if isinstance(point, str) else point
-                    )
-        counts = [text.strip() for text in tags.get("NPOS", str(seen)).split(",")]
+                _note_position(draft, i, part, head)
+        counts = [text.strip() for text in head.tags.get("NPOS", str(seen)).split(",")]
         expected = sum(int(text) for text in counts if text.isdigit())
         if seen != expected:
             raise source.error(
                 f"{seen} position{'' if seen == 1 else 's'}; expected the {expected} of ///NPOS", 0
             )
-
-    def _point(
-        self,
-        draft: Draft,
-        i: int,
-        name: str,
-        line: int,
-        values: Sequence[Number | None],
-        tags: dict[str, str],
-        posture: Posture,
-    ) -> Point | str:
-        """Return the point of a position, or why it can't be used; "" for one of an
-        external axis.
-        """
-        numbers = tuple(number for number in values if number is not None)
-        kind = tags["POSTYPE"]
-        if name.startswith(("BC", "EC", "BP", "EX")):
-            draft.at_rest[name] = all(number.value == 0.0 for number in numbers)
-            return ""
-        if kind == "PULSE":
-            return Point(name, i, line, "joints", numbers)
-        if kind not in ("BASE", "ROBOT", "USER") or len(numbers) not in (6, 7):
-            return f"positions of the type {kind} are not supported"
-        if len(numbers) == 7 and numbers[6].value:
-            return "its elbow angle is not 0"
-        base = Frame(tags["USER"] or "USER") if kind == "USER" else Frame(kind, np.eye(4))
-        return Point(
-            name, i, line, "pose", numbers[:6], posture, Frame(tags["TOOL"] or "TOOL"), base
-        )
 
     def _motions(
         self,
@@ -247,6 +199,55 @@ def _target(draft: Draft, i: int, part: Any, reasons: Mapping[str, str]) -> str 
     if why:
         draft.write(name, why)
     return name
+
+
+@dataclass
+class _Head:
+    """What the lines before a position say of it.
+
+    Attributes:
+        tags: by their names.
+        posture: the arm configuration.
+    """
+
+    tags: dict[str, str] = field(default_factory=lambda: {"TOOL": "", "USER": "", "POSTYPE": ""})
+    posture: Posture = field(default_factory=Posture)
+
+    def take(self, part: Any) -> None:
+        """Take a tag or a configuration."""
+        if part.data == "tag":
+            name, *rest = (str(child) for child in part.children)
+            self.tags[name.lstrip("/")] = rest[0].strip() if rest else ""
+        elif part.data == "configuration":
+            self.posture = _posture([number_at(token) for token in part.children[1:]])
+
+    def point(self, i: int, place: Any, numbers: tuple[Number, ...]) -> Point | str:
+        """Return the point of a position, or why it can't be used."""
+        name = _name(str(place))
+        kind = self.tags["POSTYPE"]
+        if kind == "PULSE":
+            return Point(name, i, place.line, "joints", numbers)
+        if kind not in ("BASE", "ROBOT", "USER") or len(numbers) not in (6, 7):
+            return f"positions of the type {kind} are not supported"
+        if len(numbers) == 7 and numbers[6].value:
+            return "its elbow angle is not 0"
+        user = Frame(self.tags["USER"] or "USER")
+        base = user if kind == "USER" else Frame(kind, np.eye(4))
+        tool = Frame(self.tags["TOOL"] or "TOOL")
+        return Point(name, i, place.line, "pose", numbers[:6], self.posture, tool, base)
+
+
+def _note_position(draft: Draft, i: int, part: Any, head: _Head) -> None:
+    """Note a position; of one of an external axis only whether that is at 0."""
+    place, *values = part.children
+    name = _name(str(place))
+    found = [number_at(token) for token in values]
+    numbers = tuple(number for number in found if number is not None)
+    if name.startswith(("BC", "EC", "BP", "EX")):
+        draft.at_rest[name] = all(number.value == 0.0 for number in numbers)
+        return
+    point = head.point(i, place, numbers)
+    draft.take(Skipped(name, i, place.line, point) if isinstance(point, str) else point)
 
 
 def _instructions(parts: Sequence[Any]) -> list[Any]:

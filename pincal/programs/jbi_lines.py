@@ -33,20 +33,20 @@ JOB_WORDS = (
         "instruction",
         f"{_MANUAL}: operating instructions; a position variable that they set is left",
         "SET, SETE, GETE, GETS, GETPOS, GETARG, INC, DEC, ADD, SUB, MUL, DIV, CNVRT, CLEAR, SIN, "
-        "COS, ATAN, SQRT, AND, OR, NOT, XOR, MULMAT, INVMAT, SETFILE, GETFILE, SETREG, GETREG, "
+        "COS, ATAN, SQRT, AND, OR, NOT, XOR, MULMAT, INVMAT, GETFILE, SETREG, GETREG, "
         "MSHIFT, CNVR, VAL, ASC, CHR$, MID$, LEN, CAT$, VAL2STR, PRINT, SWAP",
     ),
     Understood(
         "instruction",
         f"{_MANUAL}: work instructions (arc and spot welding, handling)",
         "ARCON, ARCOF, ARCSET, ARCCTS, ARCCTE, AWELD, VWELD, WVON, WVOF, REFP, ANTSTICK, "
-        "SPOT, SVSPOT, SVSPOTMOV, SVGUNCL, GUNCL, STROKE, HAND, HSEN, TOOLON, TOOLOF, PALACT, "
+        "SPOT, SVSPOT, SVSPOTMOV, SVGUNCL, GUNCL, STROKE, HAND, TOOLON, TOOLOF, "
         "CUTON, CUTOF",
     ),
     Understood(
         "option",
         f"{_MANUAL}: move instructions (speed, position level, acceleration, no wait)",
-        "VJ, V, VR, VE, PL, CR, ACC, DEC, NWAIT, FPT, CV, EC, EX",
+        "VJ, V, VR, VE, PL, CR, ACC, DEC, NWAIT, FPT, EC, EX",
     ),
 )
 _INSTRUCTIONS = understood_words(JOB_WORDS, "instruction")

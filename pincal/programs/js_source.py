@@ -34,6 +34,16 @@ from pincal.programs.arms import rigid_pose
 from pincal.robot.robot import Robot
 from pincal.units import UNITS, size_of
 
+# The style and the scripts of the page, in their order.
+_PARTS = (
+    "corrector.css",
+    "corrector_table.js",
+    "python.js",
+    "programs.js",
+    "readers.js",
+    "corrector_programs.js",
+    "corrector.js",
+)
 _JS = Language(
     statement="  const {} = {};",
     functions={"rint": "rint"}
@@ -91,16 +101,7 @@ class CorrectorPage(Format):
         formulas = formulas_of(placed_in(calibrated, "base"))
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame="base"))
         templates = files("pincal.programs").joinpath("page")
-        names = (
-            "corrector.css",
-            "corrector_table.js",
-            "python.js",
-            "programs.js",
-            "readers.js",
-            "corrector_programs.js",
-            "corrector.js",
-        )
-        style, table, *scripts = (templates.joinpath(name).read_text("utf-8") for name in names)
+        style, *scripts = (templates.joinpath(name).read_text("utf-8") for name in _PARTS)
         loader = jinja2.PackageLoader("pincal.programs", "page")
         page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(
             "corrector.html.j2"
@@ -113,7 +114,7 @@ class CorrectorPage(Format):
             about=in_script(json.dumps(_about(calibrated, formulas, self.frame), allow_nan=False)),
             model=js_source(formulas),
             style=style,
-            script="\n".join((table, *scripts)),
+            script="\n".join(scripts),
         )
         return Exported({"": html.encode()}, notes_on(calibrated), worst)
 
@@ -177,15 +178,9 @@ _TAKEN = """  let moments = new Array({n}).fill(0);
 def _about(calibrated: FittedRobot, formulas: Formulas, frame: str) -> dict[str, Any]:
     """Return the data of the robot on the page in addition to the formulas."""
     chain = calibrated.model.chain
-    own = formulas.joints
-    at = checked_poses(calibrated)
     robot = chain.robot
+    own = formulas.joints
     days = calibrated.covered.days
-    bases = base_in_instrument(calibrated, at)
-    stands = bool(np.ptp(bases, axis=0).max() <= EXPORT.still) and not np.allclose(
-        bases[0], np.eye(4)[:3], rtol=0.0, atol=EXPORT.still
-    )
-    shown = robot.kinematics
     combination = robot.combination[np.ix_(own, own)]
     return {
         "robot": robot.name,
@@ -193,8 +188,7 @@ def _about(calibrated: FittedRobot, formulas: Formulas, frame: str) -> dict[str,
         "start": middle_of_range(robot)[own].tolist(),
         "needs": formulas.inputs,
         "days": {name: days[name][0] for name in ("temperature", "time") if name in days},
-        "frame": frame if stands else "base",
-        "base": bases[0].ravel().tolist() if stands else None,
+        **_base_of(calibrated, frame),
         "reach": robot.reach,
         "numbered": NUMBERED.pattern,
         "lower": [_limit(value) for value in robot.lower[own]],
@@ -207,15 +201,35 @@ def _about(calibrated: FittedRobot, formulas: Formulas, frame: str) -> dict[str,
             for quantity, units in UNITS.items()
         },
         "follows": _follows(calibrated),
-        "arm": {
-            "first": shown.first[:3].ravel().tolist(),
-            "before": shown.before[:, :3].reshape(-1, 12).tolist(),
-            "after": shown.after[:, :3].reshape(-1, 12).tolist(),
-            "tip": robot.frames.T_last_tip[:3].ravel().tolist(),
-        },
+        "arm": _arm(robot),
         "nodes": [T[:3, 3].tolist() for T in robot.T_link_joint],
         "types_of_all": robot.joint_types,
         "up": (-chain.gravity / max(float(np.linalg.norm(chain.gravity)), 1e-300)).tolist(),
+    }
+
+
+def _base_of(calibrated: FittedRobot, frame: str) -> dict[str, Any]:
+    """Return the default frame of positions, and the pose of the base in the instrument if the
+    robot stands still in it elsewhere than at its origin.
+    """
+    bases = base_in_instrument(calibrated, checked_poses(calibrated))
+    stands = bool(np.ptp(bases, axis=0).max() <= EXPORT.still) and not np.allclose(
+        bases[0], np.eye(4)[:3], rtol=0.0, atol=EXPORT.still
+    )
+    return {
+        "frame": frame if stands else "base",
+        "base": bases[0].ravel().tolist() if stands else None,
+    }
+
+
+def _arm(robot: Robot) -> dict[str, Any]:
+    """Return the fixed transforms of the nominal arm, row by row."""
+    shown = robot.kinematics
+    return {
+        "first": shown.first[:3].ravel().tolist(),
+        "before": shown.before[:, :3].reshape(-1, 12).tolist(),
+        "after": shown.after[:, :3].reshape(-1, 12).tolist(),
+        "tip": robot.frames.T_last_tip[:3].ravel().tolist(),
     }
 
 

@@ -101,11 +101,21 @@ _KRL_WORDS = (
         "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, "
         "B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, "
         "SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, "
-        "SJERK, SORI_TYP, SLOAD, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, "
-        "INV_POS, VARSTATE, PULSE, SIGN, ROUND, CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, "
-        "COPEN, CCLOSE, CIOCTL, STRLEN, STRDECLLEN, STRCLEAR, STRADD, STRFIND, STRCOMP, STRCOPY, "
-        "MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, "
+        "SJERK, SORI_TYP, SLOAD, PATH, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, "
+        "INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, STRLEN, STRDECLLEN, STRFIND, "
+        "STRCOMP, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, "
         "EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM",
+    ),
+    Understood(
+        "function",
+        "KUKA System Software 8.3 and later: collision detection, as their inline forms call it",
+        "USE_CM_PRO_VALUES, SET_CD_PARAMS",
+    ),
+    Understood(
+        "filler",
+        "KUKA, CREAD/CWRITE for KSS 8: texts and channels, which write to their arguments",
+        "CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, "
+        "CIOCTL, STRCLEAR, STRADD, STRCOPY",
     ),
     Understood(
         "variable",
@@ -113,7 +123,8 @@ _KRL_WORDS = (
         "$TOOL, $BASE, $ORI_TYPE and $LOAD are read",
         "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, "
         "$APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, "
-        "$ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, "
+        "$OUT_C, $COLLMON_TOL_PRO, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, "
+        "$CYCFLAG, $BWDSTART, $H_POS, "
         "$CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, "
         "$CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, "
         "$ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, "
@@ -123,6 +134,7 @@ _KRL_WORDS = (
 )
 _INSTRUCTIONS = understood_words(_KRL_WORDS, "instruction")
 _HARMLESS = understood_words(_KRL_WORDS, "function")
+_FILLERS = understood_words(_KRL_WORDS, "filler")
 _VARIABLES = understood_words(_KRL_WORDS, "variable")
 # Values of $ORI_TYPE with which lines and circles end in the orientation of their targets.
 _TURNING = ("#VAR", "#JOINT")
@@ -218,7 +230,7 @@ class _Data:
     constant: set[str] = field(default_factory=set)
 
     def tool_is_fixed(self) -> None:
-        """Note that the tool is fixed in the cell."""
+        """Note that the tool is fixed in the cell, or may be."""
         self.is_fixed = True
 
     def turns(self, statement: Statement) -> bool:
@@ -255,13 +267,26 @@ class _SourceReader(Reader):
     def declare(self, k: int) -> None:
         """Note what a statement sets."""
         statement = self.statements[k]
-        items = statement.items
+        items: Sequence[Any] = statement.items
         while items and word(items[0]) in ("GLOBAL", "DECL", "CONST"):
             items = items[1:]
         first = word(items[0]) if items else ""
         if not items or first in _MOTIONS or first in _RELATIVE or first in _ROUTINES:
             return
-        if len(items) > 1 and first and word(items[1]):
+        if first == "IMPORT":
+            reason = f"line {statement.line} shares it with another file"
+            for name in sorted(self.words(items[1:])):
+                self.draft.write(name, reason)
+            return
+        action = _action(items)
+        if action:
+            condition = items[: -len(action)]
+            self.pass_arguments(statement.line, condition)
+            self.draft.read(self.words(condition))
+            items = action
+        elif first in ("ANIN", "DIGIN"):
+            items = items[2:]
+        elif len(items) > 1 and first and word(items[1]):
             items = items[1:]
         self.pass_arguments(statement.line, items)
         for part in split(items):
@@ -279,7 +304,9 @@ class _SourceReader(Reader):
         turning = fields.get("ORI_TYP", ())
         if turning and text_of_items(turning) not in _TURNING:
             self.data.constant.add(name)
-        if name == "$IPO_MODE" and text_of_items(value) == "#TCP":
+        # With data of motions the mode is that of their frame data.
+        is_mode = name == "$IPO_MODE" and call_of(value) is None
+        if is_mode and text_of_items(value) != "#BASE":
             self.data.tool_is_fixed()
         if "TOOL_NO" in fields and "BASE_NO" in fields:
             is_new = name not in self.data.frames
@@ -334,23 +361,18 @@ class _SourceReader(Reader):
         statement = self.statements[k]
         items = statement.items
         first = word(items[0])
-        run = self.flow[k].run
         if first in _RELATIVE:
-            self.draft.read(self.words(items[1:]))
-            lost = self.skip(text_of_items(items)[:40], statement.line, "a relative motion")
-            self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=run))
+            self._move_relatively(k)
             return
         if first not in _MOTIONS or len(items) < 2 or is_token(items[1], "SIGN", "="):
             return
         places = _places(items[1:])
         if not places.parts:
             return
-        usual = _MOTIONS[first]
-        is_usual = not places.is_arc and len(places.parts) == 1 + (usual == "circle")
-        path = usual if is_usual else "joint"
+        path = places.path(_MOTIONS[first])
         tool = self._frame("$TOOL", k)
         displaced = self.displaced(k, [POSITIONS])
-        why = displaced or self._why_moved(k, is_line=usual != "joint")
+        why = displaced or self._why_moved(k, is_line=_MOTIONS[first] != "joint")
         self.draft.motions.append(
             Motion(
                 path,
@@ -360,16 +382,37 @@ class _SourceReader(Reader):
                 tool,
                 Frame("$BASE", reason=why) if why else self._frame("$BASE", k),
                 place_of(places.parts[-1]),
-                run,
-                can_insert=path == "line" and not self._is_in_spline(k),
+                self.flow[k].run,
+                can_insert=path == "line" and not self._splines(k),
                 takes_posture=first in _BY_POSTURE,
                 load=self.load(k) or self._load_of_tool(k, tool),
                 displaced=displaced,
             )
         )
 
-    def _is_in_spline(self, k: int) -> bool:
-        return any(self.steps[j].opens.endswith("SPLINE") for j in self.flow[k].blocks)
+    def _move_relatively(self, k: int) -> None:
+        """Note a motion by a distance, whose end is not known."""
+        statement = self.statements[k]
+        self.draft.read(self.words(statement.items[1:]))
+        name = text_of_items(statement.items)[:40]
+        lost = self.skip(name, statement.line, "a relative motion")
+        run = self.flow[k].run
+        self.draft.motions.append(Motion("joint", (lost,), statement, self.file, run=run))
+
+    def _splines(self, k: int) -> list[int]:
+        """Return the statements that open the splines around a motion."""
+        return [j for j in self.flow[k].blocks if self.steps[j].opens.endswith("SPLINE")]
+
+    def _settings(self, k: int) -> list[tuple[Any, ...]]:
+        """Return what a motion, or else the spline around it, sets for it behind WITH."""
+        found = []
+        for j in (k, *self._splines(k)):
+            items = self.statements[j].items
+            start = next(
+                (i + 1 for i, item in enumerate(items) if word(item) == "WITH"), len(items)
+            )
+            found += split(items[start:])
+        return found
 
     def _load_of_tool(self, k: int, tool: Frame) -> Load | None:
         """Return the load that is set with a tool, if the files contain it in numbers."""
@@ -395,7 +438,7 @@ class _SourceReader(Reader):
         """Return why a motion to a pose ends elsewhere, "" if it does not."""
         line = self.statements[k].line
         is_turning = False
-        for part in _settings(self.statements[k].items):
+        for part in self._settings(k):
             sides = split(part, "=")
             name, is_part = element_name(sides[0])
             name = name.partition("[")[0]
@@ -412,7 +455,7 @@ class _SourceReader(Reader):
         """Return $TOOL or $BASE before a statement."""
         if self.data.is_fixed:
             return Frame(variable, reason="the tool is fixed in the cell ($IPO_MODE=#TCP)")
-        for part in _settings(self.statements[k].items):
+        for part in self._settings(k):
             sides = split(part, "=")
             if len(sides) == 2 and text_of_items(sides[0]) == variable:
                 return self._frame_of(variable, k, sides[1])
@@ -442,8 +485,12 @@ class _SourceReader(Reader):
         if not isinstance(source, int):
             why = f"FDAT_ACT: {source if source is not None else 'it is set elsewhere'}"
             return Frame(variable, reason=why)
-        name = text_of_items(split(self.statements[source].items, "=")[1])
-        return _frame_of_data(variable, name, self.data)
+        value = split(self.statements[source].items, "=")[1]
+        group = aggregate(value, "{")
+        fields = _fields(group) if group is not None else None
+        if fields is not None and "TOOL_NO" in fields and "BASE_NO" in fields:
+            return _frame_of_pair(variable, _frame_data(fields))
+        return _frame_of_data(variable, text_of_items(value), self.data)
 
     def _frame_of(self, variable: str, k: int, items: Sequence[Any]) -> Frame:
         """Return the frame of an expression."""
@@ -467,6 +514,11 @@ class _Places:
     parts: Sequence[Sequence[Any]]
     is_arc: bool
 
+    def path(self, usual: Path) -> Path:
+        """Return the path through the places: another than the usual one is not followed."""
+        is_usual = not self.is_arc and len(self.parts) == 1 + (usual == "circle")
+        return usual if is_usual else "joint"
+
 
 def _places(items: Sequence[Any]) -> _Places:
     """Return the places that are named behind the word of a motion."""
@@ -474,12 +526,6 @@ def _places(items: Sequence[Any]) -> _Places:
     parts = [part for part in split(items[:stop]) if part]
     places = [part for part in parts if word(part[0]) != "CA"]
     return _Places(places, len(places) < len(parts))
-
-
-def _settings(items: Sequence[Any]) -> list[tuple[Any, ...]]:
-    """Return what a motion sets for itself, behind WITH."""
-    start = next((j + 1 for j, item in enumerate(items) if word(item) == "WITH"), len(items))
-    return split(items[start:])
 
 
 def _check_outside(code: Code) -> None:
@@ -519,7 +565,14 @@ def _frame_of_data(variable: str, name: str, data: _Data) -> Frame:
         return Frame(
             variable, reason=f"the frame data {name} are not in these files, or not as numbers"
         )
-    return _frame_named(found[0] if variable == "$TOOL" else found[1])
+    return _frame_of_pair(variable, found)
+
+
+def _frame_of_pair(variable: str, pair: tuple[str, str] | None) -> Frame:
+    """Return the tool or the base of a pair of these, by their names."""
+    if pair is None:
+        return Frame(variable, reason="the numbers of its tool and its base are not in numbers")
+    return _frame_named(pair[0] if variable == "$TOOL" else pair[1])
 
 
 def _frame_data(fields: Mapping[str, tuple[Any, ...]]) -> tuple[str, str] | None:
@@ -594,10 +647,10 @@ def _step(statement: Statement) -> Step:
     opens = word(items[1]) if first == "GLOBAL" and len(items) > 1 else first
     if opens in _ROUTINES:
         return Step(opens=opens, routine=[word(item) for item in items if word(item)][-1])
-    calls = tuple(name.upper() for name, _ in calls_in(items) if name.upper() not in _HARMLESS)
-    done = [k for k, item in enumerate(items) if word(item) == "DO"]
-    if done:
-        return _started(items[done[-1] + 1 :], calls)
+    names = [name.upper() for name, _ in calls_in(items)]
+    calls = tuple(name for name in names if name not in _HARMLESS and name not in _FILLERS)
+    if any(word(item) == "DO" for item in items):
+        return _started(_action(items), calls)
     if first in _LOOPS or first in _BLOCKS:
         return Step(opens=first, is_loop=first in _LOOPS, calls=calls)
     if first in _CLOSES:
@@ -609,6 +662,14 @@ def _step(statement: Statement) -> Step:
     if first == "BAS":
         return Step(sets=_set_by_bas(items))
     return Step(calls=calls) if first in _MOTIONS else _assigned(items, calls)
+
+
+def _action(items: Sequence[Any]) -> Sequence[Any]:
+    """Return what an interrupt or a trigger does, behind its last DO; nothing of other
+    statements.
+    """
+    done = [k for k, item in enumerate(items) if word(item) == "DO"]
+    return items[done[-1] + 1 :] if done else ()
 
 
 def _started(action: Sequence[Any], calls: tuple[str, ...]) -> Step:

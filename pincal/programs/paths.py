@@ -4,7 +4,7 @@ points against that.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from pincal.compensate.robot_frames import in_base_frame
 from pincal.programs.correct import Change, Corrector
 from pincal.programs.language import ControllerLanguage
 from pincal.programs.program import Edit, Motion, PointKey, Program, Skipped
+from pincal.programs.syntax import Source
 from pincal.robot.se3 import compose, exponentials, inverse, rotation_vectors, transform
 from pincal.thresholds import Count, Scale
 
@@ -125,33 +126,20 @@ class Follower:
 
         The poses, shape (4, 4), are to be commanded in the base of the motion.
         """
-        start, end = leg.ends
         parts = 2
-        back = inverse(leg.tool[None, :3])
-        ends = compose(self.corrector.arms.tips(np.array([start.q, end.q])), leg.tool[None, :3])
-        stop = np.array([[ends[0], np.full((3, 4), np.nan), ends[1]]])
         while parts <= _MOST_PARTS:
-            q = start.q[None]
-            meant = []
-            for k in range(1, parts):
-                q, reached = self.corrector.arms.reach(q, compose(_between(stop, k / parts), back))
-                if not reached[0]:
-                    return "the arm can't follow it"
-                meant.append(q[0])
+            meant = self._along(leg, parts)
+            if isinstance(meant, str):
+                return meant
+            start, end = leg.ends
+            payloads = np.full(len(meant), end.payload)
             commanded, reasons = self.corrector.solve(
-                np.array(meant),
-                self.corrector.arms.tips(np.array(meant)),
-                np.full(len(meant), end.payload),
+                meant, self.corrector.arms.tips(meant), payloads
             )
             if any(reasons):
                 return next(reason for reason in reasons if reason)
-            pairs = np.array(
-                [
-                    [start.q, start.commanded],
-                    *zip(meant, commanded, strict=True),
-                    [end.q, end.commanded],
-                ]
-            )
+            stops = zip(meant, commanded, strict=True)
+            pairs = np.array([[start.q, start.commanded], *stops, [end.q, end.commanded]])
             sizes = self._sizes(
                 [pairs[k : k + 2] for k in range(parts)],
                 np.repeat(leg.tool[None], parts, axis=0),
@@ -164,13 +152,29 @@ class Follower:
             parts *= 2
         return f"the limit is exceeded even with {_MOST_PARTS} parts"
 
+    def _along(self, leg: Leg, parts: int) -> np.ndarray | str:
+        """Return the nominal joint positions where a line is divided, shape (parts - 1, n), or why
+        there are none.
+        """
+        start, end = leg.ends
+        back = inverse(leg.tool[None, :3])
+        ends = compose(self.corrector.arms.tips(np.array([start.q, end.q])), leg.tool[None, :3])
+        stop = np.array([[ends[0], np.full((3, 4), np.nan), ends[1]]])
+        q = start.q[None]
+        found = []
+        for k in range(1, parts):
+            q, reached = self.corrector.arms.reach(q, compose(_between(stop, k / parts), back))
+            if not reached[0]:
+                return "the arm can't follow it"
+            found.append(q[0])
+        return np.array(found)
+
     def inserted(
         self, program: Program, legs: Sequence[Leg], limit: float
     ) -> tuple[list[Edit], list[Skipped], int]:
         """Return inserted statements that keep lines within a limit [m], motions without any, and
         the number of points.
         """
-        language = self.corrector.language
         edits = list[Edit]()
         skipped = list[Skipped]()
         count = 0
@@ -178,10 +182,9 @@ class Follower:
             if deviation.size <= limit:
                 continue
             motion = leg.motion
-            source = program.sources[motion.source]
-            begin = max(source.text.rfind(end, 0, motion.statement.start) for end in "\r\n") + 1
-            indent = source.text[begin : motion.statement.start]
-            poses = _no_insertion(language, motion, indent) or self.divided(leg, limit)
+            line = _line_before(program.sources[motion.source], motion.statement.start)
+            why = _no_insertion(self.corrector.language, motion, line.indent)
+            poses = why or self.divided(leg, limit)
             if isinstance(poses, str):
                 name = f"motion of line {motion.statement.line}"
                 words = (
@@ -190,21 +193,46 @@ class Follower:
                 )
                 skipped.append(Skipped(name, motion.source, motion.statement.line, words))
                 continue
-            ending = (
-                "\r\n"
-                if source.text.endswith("\r\n", 0, begin)
-                else source.text[:begin][-1:] or "\n"
+            text = "".join(
+                line.indent + statement + line.ending
+                for statement in self._statements(program, leg, poses)
             )
-            point = leg.ends[-1].point
-            text = ""
-            near = point.values
-            for pose in poses:
-                near = language.numbers(pose, near)
-                statement = language.statement(motion, source, values=near, posture=point.posture)
-                text += indent + statement + ending
-            edits.append(Edit(motion.source, begin, begin, text))
+            edits.append(Edit(motion.source, line.begin, line.begin, text))
             count += len(poses)
         return edits, skipped, count
+
+    def _statements(self, program: Program, leg: Leg, poses: Sequence[np.ndarray]) -> Iterator[str]:
+        """Yield the statements of motions to poses on the way of a leg."""
+        language = self.corrector.language
+        point = leg.ends[-1].point
+        source = program.sources[leg.motion.source]
+        near = point.values
+        for pose in poses:
+            near = language.numbers(pose, near)
+            yield language.statement(leg.motion, source, values=near, posture=point.posture)
+
+
+@dataclass(frozen=True)
+class _LineBefore:
+    """Where statements are inserted.
+
+    Attributes:
+        begin: position of the beginning of the line in the text.
+        indent: what stands before the statement on its line.
+        ending: the end of the line before.
+    """
+
+    begin: int
+    indent: str
+    ending: str
+
+
+def _line_before(source: Source, start: int) -> _LineBefore:
+    """Return the place before the line of a statement that begins at a position."""
+    begin = max(source.text.rfind(end, 0, start) for end in "\r\n") + 1
+    is_pair = source.text.endswith("\r\n", 0, begin)
+    ending = "\r\n" if is_pair else source.text[:begin][-1:] or "\n"
+    return _LineBefore(begin, source.text[begin:start], ending)
 
 
 def _no_insertion(language: ControllerLanguage, motion: Motion, indent: str) -> str:

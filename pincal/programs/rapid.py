@@ -28,6 +28,7 @@ from pincal.programs.rapid_blocks import (
     check_blocks,
     code_of,
     ends_displacement,
+    is_assignment,
 )
 from pincal.programs.statement_reader import EXTERNAL, Entries, Reader, formal_names
 from pincal.programs.syntax import (
@@ -187,7 +188,7 @@ class _ModuleReader(Reader):
         if storage:
             is_constant = word(items[storage[0]]) == "CONST"
             self._declare(line, items[storage[0] + 1 :], is_constant=is_constant)
-        elif len(sides) == 2:
+        elif len(sides) == 2 and is_assignment(items):
             self.assign(line, *element_name(sides[0]), sides[1])
         elif first in _SEARCHES:
             self._search(statement)
@@ -269,8 +270,7 @@ class _ModuleReader(Reader):
         count = 2 if path == "circle" else 1
         places = given.plain[:count]
         if len(places) < count:
-            name = f"{first} of line {statement.line}"
-            self.draft.skipped.append(self.skip(name, statement.line, "not understood"))
+            self.not_understood(first, statement.line)
             return
         displaced = self._displaced(k, given.options)
         targets = tuple(self.target(k, part) for part in places)
@@ -392,7 +392,7 @@ def _touched(statement: Statement, step: Step) -> set[str]:
     first = word(statement.items[0])
     found = set[str]()
     sides = split(statement.items, ":=")
-    if len(sides) == 2 and first not in MOTIONS:
+    if len(sides) == 2 and first not in MOTIONS and is_assignment(statement.items):
         found.add(element_name(sides[0])[0])
     elif not (step.opens or step.closes or step.is_jump or first in MOTIONS):
         found |= set(words_in(statement.items[1:]))

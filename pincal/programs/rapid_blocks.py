@@ -4,7 +4,7 @@ on the control flow.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from pincal.programs.flow import Code, Step
@@ -52,6 +52,7 @@ _CLOSES = {end: (opens,) for opens, end in _BLOCKS.items()}
 _HEADS = {"IF": "THEN", "ELSEIF": "THEN", "FOR": "DO", "WHILE": "DO", "CASE": ":", "DEFAULT": ":"}
 _JUMPS = ("ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD")
 _ALONE = (*_CLOSES, "ELSE", "ERROR", "UNDO", "BACKWARD")
+_CONDITIONS = ("IF", "TEST", *_LOOPS)
 ONCE = "IF without THEN"
 _STORAGE = ("CONST", "PERS", "VAR", "LOCAL", "TASK", "ALIAS")
 _PLAIN = {"MOVEL": "line", "MOVEJ": "joint", "MOVEC": "circle", "MOVEABSJ": "joint"}
@@ -119,9 +120,14 @@ RAPID_WORDS = (
         "ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, "
         "XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, "
         "AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, "
-        "STRTOVAL, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, "
+        "PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, "
         "BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, "
         "READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE",
+    ),
+    Understood(
+        "filler",
+        f"{_MANUAL}: StrToVal, which writes to its second argument",
+        "STRTOVAL",
     ),
     Understood(
         "option",
@@ -133,6 +139,7 @@ RAPID_WORDS = (
 )
 _INSTRUCTIONS = understood_words(RAPID_WORDS, "instruction")
 RAPID_FUNCTIONS = understood_words(RAPID_WORDS, "function")
+_FILLERS = understood_words(RAPID_WORDS, "filler")
 MOTION_OPTIONS = understood_words(RAPID_WORDS, "option")
 # Instructions by what they switch: displacements of positions, and whether configurations are
 # monitored.
@@ -160,14 +167,28 @@ SWITCHES = {
     "SYNCMOVESUSPEND": "SYNCMOVE",
     "WAITWOBJ": "CONVEYOR",
     "DROPWOBJ": "CONVEYOR",
+    "SYNCWWOBJ": "CONVEYOR",
+    "INDAMOVE": "INDEPENDENT",
+    "INDCMOVE": "INDEPENDENT",
+    "INDDMOVE": "INDEPENDENT",
+    "INDRMOVE": "INDEPENDENT",
+    "INDRESET": "INDEPENDENT",
+    "SETLEADTHROUGH": "LEADTHROUGH",
     "WAITSENSOR": "SENSOR",
     "SYNCTOSENSOR": "SENSOR",
     "DROPSENSOR": "SENSOR",
     "FCACT": "FORCE",
     "FCPRESSLSTART": "FORCE",
+    "FCPRESS1LSTART": "FORCE",
+    "FCPRESSL": "FORCE",
+    "FCPRESSC": "FORCE",
+    "FCREFSTART": "FORCE",
+    "FCREFSTOP": "FORCE",
     "FCPRESSEND": "FORCE",
     "FCDEACT": "FORCE",
     "EGMACTMOVE": "EGM",
+    "EGMMOVEL": "EGM",
+    "EGMMOVEC": "EGM",
     "EGMRUNJOINT": "EGM",
     "EGMRUNPOSE": "EGM",
     "EGMSTOP": "EGM",
@@ -178,7 +199,7 @@ SWITCHES = {
 }
 DISPLACES = sorted({*SWITCHES.values()} - {"CONFL", "CONFJ", STATED_LOAD})
 # Those of positions in joints as well.
-JOINTS_TOO = ("CORR", "CSS", "EGM", "FORCE", "SENSOR", "SOFT")
+JOINTS_TOO = ("CORR", "CSS", "EGM", "FORCE", "INDEPENDENT", "LEADTHROUGH", "SENSOR", "SOFT")
 _ENDS_IT = (
     "PDISPOFF",
     "EOFFSOFF",
@@ -190,6 +211,7 @@ _ENDS_IT = (
     "DROPSENSOR",
     "FCDEACT",
     "EGMRESET",
+    "INDRESET",
 )
 # Instructions that only read their arguments.
 READING = (
@@ -209,7 +231,8 @@ BY_NAME = ("SETDATAVAL", "SETALLDATAVAL")
 def ends_displacement(statement: Statement) -> bool:
     """Return whether a statement of ``SWITCHES`` ends what it switches."""
     first = word(statement.items[0])
-    return first in _ENDS_IT or (first == "SINGAREA" and "OFF" in words_in(statement.items))
+    has_off = first in ("SINGAREA", "SETLEADTHROUGH")
+    return first in _ENDS_IT or (has_off and "OFF" in words_in(statement.items))
 
 
 def code_of(source: Source) -> Code:
@@ -289,7 +312,7 @@ def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, S
     ]
     k = motions[-1] if motions else 1
     sides = split(items, ":=")
-    if not motions and len(sides) == 2:
+    if not motions and len(sides) == 2 and is_assignment(items):
         k = len(sides[0]) - 1
         while k > 1 and (
             isinstance(items[k], Brackets)
@@ -298,7 +321,7 @@ def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, S
         ):
             k -= 1
     condition = _part(whole, items[:1])
-    yield condition, Step(opens=ONCE)
+    yield condition, Step(opens=ONCE, calls=_routines(name for name, _ in calls_in(items[:k])))
     if k < len(items):
         statement = _part(whole, items[k:])
         yield statement, _step(statement, word(statement.items[0]), is_label=False)
@@ -320,28 +343,54 @@ def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:
             opens=opening,
             routine=names[-1] if opening in _ROUTINES else "",
             is_loop=opening in _LOOPS,
+            calls=_routines(name for name, _ in calls_in(items)) if first in _CONDITIONS else (),
         )
     if first in _CLOSES:
         return Step(closes=_CLOSES[first])
     if first in _JUMPS or is_label:
-        return Step(is_jump=True)
+        return Step(is_jump=True, calls=_routines(name for name, _ in calls_in(items)))
     if first == "CONNECT":
         return Step(starts=tuple(words_in(items[1:])))
-    own = first if first and not any(is_token(item, "SIGN", ":=") for item in items) else ""
-    names = [own, *(name.upper() for name, _ in calls_in(items))]
-    is_known = first in MOTIONS or first in _STORAGE
-    calls = tuple(
-        name
-        for name in names
-        if name
-        and not (is_known and name == first)
-        and name not in _INSTRUCTIONS
-        and name not in RAPID_FUNCTIONS
-        and name not in SWITCHES
-    )
+    is_own = not (is_assignment(items) or first in MOTIONS or first in _STORAGE)
+    names = [name for name, _ in calls_in(items) if is_own or name.upper() != first]
+    calls = _routines([*([first] if is_own else []), *names, *_called_by_text(items)])
     return Step(
         sets=frozenset({SWITCHES[first]}) if first in SWITCHES else frozenset(), calls=calls
     )
+
+
+def _routines(names: Iterable[str]) -> tuple[str, ...]:
+    """Return those of some names before brackets, or of statements, that are not RAPID's own."""
+    return tuple(
+        name.upper()
+        for name in names
+        if name
+        and name.upper() not in _INSTRUCTIONS
+        and name.upper() not in RAPID_FUNCTIONS
+        and name.upper() not in _FILLERS
+        and name.upper() not in SWITCHES
+    )
+
+
+def _called_by_text(items: Sequence[Any]) -> list[str]:
+    """Return the names of routines that a statement calls by a text: ``%"name"%``, or the last
+    argument of MoveLSync; a computed one has no routine's name.
+    """
+    texts = split(items, "%")[1:2]
+    if word(items[0]) in MOTIONS and word(items[0]).endswith("SYNC"):
+        texts.append(split(items)[-1])
+    return [
+        str(text[0]).strip('"').upper() if len(text) == 1 and is_token(text[0], "TEXT") else "%"
+        for text in texts
+    ]
+
+
+def is_assignment(items: Sequence[Any]) -> bool:
+    r"""Return whether items assign a value: not where an optional argument is given one, as in
+    ``up\x:=1``.
+    """
+    signs = [str(item) for item in items if is_token(item, "SIGN", ":=", "\\")]
+    return signs[:1] == [":="]
 
 
 def check_blocks(code: Code) -> None:

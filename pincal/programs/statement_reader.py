@@ -71,6 +71,10 @@ class Reader:
     def skip(self, name: str, line: int, reason: str) -> Skipped:
         return Skipped(name, self.file, line, reason)
 
+    def not_understood(self, motion: str, line: int) -> None:
+        """Note a motion whose arguments are not understood."""
+        self.draft.skipped.append(self.skip(f"{motion} of line {line}", line, "not understood"))
+
     def words(self, items: Sequence[Any]) -> set[str]:
         return set(words_in(items, case=self.case))
 

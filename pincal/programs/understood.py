@@ -11,8 +11,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-# A statement of its own; a word behind the target of a motion; what may be assigned to; a function.
-WordKind = Literal["instruction", "option", "variable", "function"]
+# A statement of its own; a word behind the target of a motion; what may be assigned to; a function
+# that changes none of its arguments; one that may change these, but nothing else.
+WordKind = Literal["instruction", "option", "variable", "function", "filler"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,9 @@ class Understood:
     kind: WordKind
     source: str
     words: str
+
+
+_PAIRS = {"(": ")", "[": "]"}
 
 
 def understood_words(tables: Sequence[Understood], kind: WordKind) -> frozenset[str]:
@@ -46,15 +50,19 @@ def without_brackets(text: str, *, quotes: bool = True) -> str:
         'J P[] 50% CNT0 OFFSET,PR[]'
     """
     found = ""
-    depth = 0
+    opened = list[str]()
     is_quoted = False
     for letter in text.upper():
-        depth -= letter in ")]" and depth > 0
-        if quotes and letter == "'" and not depth:
+        inner = opened[-1] if opened else ""
+        if letter == _PAIRS.get(inner, ""):
+            opened.pop()
+        if quotes and letter == "'" and not opened:
             is_quoted = not is_quoted
-        elif not depth and not is_quoted:
+        elif not opened and not is_quoted:
             found += letter
-        depth += letter in "(["
+        # Round brackets within square ones are text: ``MESSAGE[a (]``.
+        if letter == "[" or (letter == "(" and inner != "["):
+            opened.append(letter)
     return found
 
 

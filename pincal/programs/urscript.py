@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,7 +67,8 @@ _SCRIPT_WORDS = (
         "get_target_payload_inertia, get_target_tcp_pose, get_target_tcp_speed, "
         "get_target_waypoint, get_tcp_force, get_tcp_offset, get_tool_accelerometer_reading, "
         "get_tool_current, popup, powerdown, sleep, str_at, str_cat, str_empty, str_find, str_len, "
-        "str_sub, sync, textmsg, to_num, to_str, assert, time, "
+        "str_sub, sync, textmsg, to_num, to_str, assert, time, force, rpc_factory, "
+        "get_target_tcp_pose_along_path, get_target_tcp_speed_along_path, "
         "set_payload, set_payload_cog, set_payload_mass, "
         "set_target_payload, set_gravity, set_flag, get_flag, halt, rtde_set_watchdog, "
         "request_boolean_from_primary_client, request_float_from_primary_client, "
@@ -284,9 +285,7 @@ class _ScriptReader(Reader):
         count = 2 if path == "circle" else 1
         places = given.places(count)
         if len(places) < count:
-            self.draft.skipped.append(
-                self.skip(f"{called} of line {statement.line}", statement.line, "not understood")
-            )
+            self.not_understood(called, statement.line)
             return
         targets = tuple(self.target(k, part) for part in places)
         if path == "circle" and given.mode not in ("", "0"):
@@ -388,6 +387,19 @@ def _ends_displacement(statement: Statement) -> bool:
     return str(statement.items[0]) in _ENDS_IT
 
 
+def _called(items: Sequence[Any]) -> Iterator[str]:
+    """Yield the names of functions of the controller that items call at any depth: not those
+    behind a point, which are run by another computer (rpc_factory).
+    """
+    for k, item in enumerate(items):
+        if not isinstance(item, Brackets):
+            continue
+        is_call = item.kind == "(" and k > 0 and is_token(items[k - 1], "WORD")
+        if is_call and not (k > 1 and is_token(items[k - 2], "SIGN", ".")):
+            yield str(items[k - 1])
+        yield from _called(item.items)
+
+
 def _step(statement: Statement) -> Step:
     """Return the effect of a statement on the control flow and the tool."""
     items = statement.items
@@ -395,7 +407,7 @@ def _step(statement: Statement) -> Step:
     kind = _OPENS.get(first, "")
     calls = tuple(
         name
-        for name, _ in calls_in(items)
+        for name in _called(items)
         if name not in _HARMLESS
         and name not in _SWITCHES
         and name not in _MOTIONS

@@ -5,7 +5,7 @@ left unchanged.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from pincal.programs.correct import Change, ProgramCell
     from pincal.programs.language import ControllerLanguage
     from pincal.programs.paths import Deviation
-    from pincal.programs.program import Program, Skipped
+    from pincal.programs.program import Edit, PointKey, Program, Skipped
     from pincal.robot.robot import Robot
 
 # Links of the controller's world and flange in URDFs of ROS-Industrial.
@@ -132,34 +132,17 @@ def correct_file(
     Raises:
         ProgramError: for a file that is truncated, in another dialect, or can't be read.
     """
-    from pincal.atomic import write_atomic
     from pincal.programs.correct import Corrector
-    from pincal.programs.explanation import explanations
-    from pincal.programs.language import files_of, read_sources
+    from pincal.programs.language import files_of
     from pincal.programs.paths import Follower, legs_of
-    from pincal.programs.program import spliced
 
-    if out.suffix.lower() != path.suffix.lower():
-        raise click.UsageError(
-            f"--out {out}: a {language.name} program is written as one; expected a name "
-            f"that ends in {path.suffix}"
-        )
     files = files_of(path, language)
-    outs = [out.with_suffix(file.suffix) for file in files]
-    if any(target.resolve() == file.resolve() for target, file in zip(outs, files, strict=True)):
-        raise click.UsageError(
-            f"--out {out}: this is the program itself; expected another name, or the same "
-            "one in another folder, so that a "
-            "second run does not correct it again"
-        )
+    outs = _outputs(path, out, files, language)
     if options.pulses is not None:
         language = language.with_pulses(options.pulses)
-    program = language.read(read_sources([*files, *options.with_files]))
-    only_read = range(len(files), len(files) + len(options.with_files))
-    program.leave(only_read)
-    corrector = Corrector(
-        calibrated, language, _cell(calibrated.model.chain.robot, language, options, limits)
-    )
+    program = _program(files, language, options)
+    robot = calibrated.model.chain.robot
+    corrector = Corrector(calibrated, language, _cell(robot, language, options, limits))
     changes, left = corrector.changes(program)
     follower = Follower(corrector)
     legs = legs_of(program, changes)
@@ -170,32 +153,79 @@ def correct_file(
         more, others, inserted = follower.inserted(program, legs, options.path_error)
         edits = edits + more
         left = left + others
+    _write(program, edits, outs)
+    result = _result(program, list(changes.values()), left, deviations)
+    if options.explain:
+        _explain(result["points"], program, changes)
+    is_renamed = language.is_pair and out.stem.lower() != path.stem.lower()
+    result |= _links(robot, corrector.cell, options)
+    result |= {"must_be_named": path.name if is_renamed else "", "notes": corrector.notes(program)}
+    result |= {"inserted": inserted, "out": [str(target) for target in outs]}
+    return result, list(changes.values())
+
+
+def _program(
+    files: Sequence[Path], language: ControllerLanguage, options: ProgramOptions
+) -> Program:
+    """Return the program of some files, of which those of ``--with`` are only read."""
+    from pincal.programs.language import read_sources
+
+    program = language.read(read_sources([*files, *options.with_files]))
+    program.leave(range(len(files), len(files) + len(options.with_files)))
+    return program
+
+
+def _outputs(
+    path: Path, out: Path, files: Sequence[Path], language: ControllerLanguage
+) -> list[Path]:
+    """Return the files to be written, one for each of a program; refuse those of the program."""
+    if out.suffix.lower() != path.suffix.lower():
+        raise click.UsageError(
+            f"--out {out}: a {language.name} program is written as one; expected a name "
+            f"that ends in {path.suffix}"
+        )
+    outs = [out.with_suffix(file.suffix) for file in files]
+    if any(target.resolve() == file.resolve() for target, file in zip(outs, files, strict=True)):
+        raise click.UsageError(
+            f"--out {out}: this is the program itself; expected another name, or the same "
+            "one in another folder, so that a "
+            "second run does not correct it again"
+        )
+    return outs
+
+
+def _explain(
+    points: Sequence[dict[str, Any]], program: Program, changes: Mapping[PointKey, Change]
+) -> None:
+    """Add to each point why it could be corrected."""
+    from pincal.programs.explanation import explanations
+
+    reasons = explanations(program, changes).values()
+    for point, reason in zip(points, reasons, strict=True):
+        point["because"] = reason
+
+
+def _write(program: Program, edits: Sequence[Edit], outs: Sequence[Path]) -> None:
+    """Write the files of a program with edits applied."""
+    from pincal.atomic import write_atomic
+    from pincal.programs.program import spliced
+
     # A pair keeps its name and is therefore written into another folder.
     with contextlib.suppress(OSError):
-        out.parent.mkdir(parents=True, exist_ok=True)
+        outs[0].parent.mkdir(parents=True, exist_ok=True)
     for i, target in enumerate(outs):
         write_atomic(target, spliced(program.sources[i], i, edits))
-    result = _result(program, list(changes.values()), left, deviations)
-    robot = calibrated.model.chain.robot
-    cell = corrector.cell
-    links = {
-        "world": options.world or (robot.base if np.array_equal(cell.world, np.eye(4)) else _WORLD),
-        "flange": options.flange
-        or (robot.tip if np.array_equal(cell.flange, np.eye(4)) else _FLANGE),
+
+
+def _links(robot: Robot, cell: ProgramCell, options: ProgramOptions) -> dict[str, str]:
+    """Return where the controller's frames are, and its axes, as they are said to the user."""
+    world = robot.base if np.array_equal(cell.world, np.eye(4)) else _WORLD
+    flange = robot.tip if np.array_equal(cell.flange, np.eye(4)) else _FLANGE
+    return {
+        "world": options.world or world,
+        "flange": options.flange or flange,
         "axes": options.axes or "the model's joints",
-        "must_be_named": path.name
-        if language.is_pair and out.stem.lower() != path.stem.lower()
-        else "",
     }
-    notes = {"notes": corrector.notes(program)}
-    if options.explain:
-        reasons = explanations(program, changes).values()
-        for point, reason in zip(result["points"], reasons, strict=True):
-            point["because"] = reason
-    return result | links | notes | {
-        "inserted": inserted,
-        "out": [str(target) for target in outs],
-    }, list(changes.values())
 
 
 @dataclass(frozen=True)
@@ -296,23 +326,17 @@ def _result(
 
 def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
     """Yield the lines that summarise a corrected program."""
-    points = result["points"]
     left = result["left"]
-    yield f"{language}: {counted(len(points), 'point')} corrected, {len(left)} left unchanged"
+    yield (
+        f"{language}: {counted(len(result['points']), 'point')} corrected, "
+        f"{len(left)} left unchanged"
+    )
     yield (
         f"  the controller's world is {result['world']}, its flange {result['flange']} "
         "(--world, --flange), its axes are"
     )
     yield f"  {result['axes']} (--axes)"
-    width = max(
-        (len(f"{point['file']} line {point['line']}, {point['name']}") for point in points),
-        default=0,
-    )
-    for point in points:
-        name = f"{point['file']} line {point['line']}, {point['name']}"
-        yield f"  {name:{width}s} {point['shift_mm']:9.4f} mm {point['turn_mrad']:9.4f} mrad"
-        if "because" in point:
-            yield f"    {point['because']}"
+    yield from _lines_of_points(result["points"])
     path = result["path"]
     if "largest_mm" in path:
         yield (
@@ -332,3 +356,13 @@ def summary_of_program(result: dict[str, Any], language: str) -> Iterator[str]:
             "the controller requires the file to be named after its module: "
             f"{result['must_be_named']}"
         )
+
+
+def _lines_of_points(points: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield the changes of points, one below the other, and why each was corrected."""
+    names = [f"{point['file']} line {point['line']}, {point['name']}" for point in points]
+    width = max((len(name) for name in names), default=0)
+    for name, point in zip(names, points, strict=True):
+        yield f"  {name:{width}s} {point['shift_mm']:9.4f} mm {point['turn_mrad']:9.4f} mrad"
+        if "because" in point:
+            yield f"    {point['because']}"

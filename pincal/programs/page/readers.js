@@ -203,26 +203,33 @@ this.source = source;
 this.words = words;
 }
 }
+let _PAIRS;
+_PAIRS = new py.Dict([["(", ")"], ["[", "]"]]);
 function understood_words(tables, kind) {
 return py.frozenset((() => { const $out = []; for (const table of py.iter(tables)) { if (py.same(table.kind, kind)) for (const word of py.iter(py.call(table.words, "split", ","))) { $out.push(py.call(word, "strip")); } } return $out; })());
 return null;
 }
 function without_brackets(text, quotes = true) {
-let depth, found, is_quoted, letter;
+let found, inner, is_quoted, letter, opened;
 found = "";
-depth = 0;
+opened = py.list();
 is_quoted = false;
 for (const $each of py.iter(py.call(text, "upper"))) {
 letter = $each;
-depth = py.sub(depth, py.both(py.has(")]", letter), () => (depth > 0)));
-if (py.truth(py.both(quotes, () => py.both(py.same(letter, "'"), () => !py.truth(depth))))) {
+inner = (py.truth(opened) ? py.at(opened, -1) : "");
+if (py.same(letter, py.call(_PAIRS, "get", inner, ""))) {
+py.call(opened, "pop");
+}
+if (py.truth(py.both(quotes, () => py.both(py.same(letter, "'"), () => !py.truth(opened))))) {
 is_quoted = !py.truth(is_quoted);
 } else {
-if (py.truth(py.both(!py.truth(depth), () => !py.truth(is_quoted)))) {
+if (py.truth(py.both(!py.truth(opened), () => !py.truth(is_quoted)))) {
 found = py.add(found, letter);
 }
 }
-depth = py.add(depth, py.has("([", letter));
+if (py.truth(py.either(py.same(letter, "["), () => py.both(py.same(letter, "("), () => !py.same(inner, "["))))) {
+py.call(opened, "append", letter);
+}
 }
 return found;
 return null;
@@ -252,7 +259,7 @@ function not_understood(text) {
 return (py.repr(py.call(py.text(text).slice(undefined, 40), "strip")) + ", which is not understood and may displace positions");
 return null;
 }
-return { Understood, understood_words, without_brackets, tokens_of, first_phrase, not_understood };
+return { Understood, _PAIRS, understood_words, without_brackets, tokens_of, first_phrase, not_understood };
 })();
 MODULES.flow = (() => {
 const { Statement } = MODULES.syntax;
@@ -1341,6 +1348,10 @@ skip(name, line, reason) {
 return new Skipped(name, this.file, line, reason);
 return null;
 }
+not_understood(motion, line) {
+py.call(this.draft.skipped, "append", this.skip((py.str(motion) + " of line " + py.str(line)), line, "not understood"));
+return null;
+}
 words(items) {
 return py.set(words_in(items, this.case));
 return null;
@@ -1644,7 +1655,7 @@ _SPOT = "FANUC R-30iB, spot welding operator's manual, program instructions";
 let _GERMAN;
 _GERMAN = "FANUC R-30iA/R-30iB, the same in German system software";
 let LISTING_WORDS;
-LISTING_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": branch, program control, wait and condition monitor instructions"), "LBL, JMP, CALL, RUN, IF, ELSE, ENDIF, SELECT, FOR, ENDFOR, END, WAIT, PAUSE, ABORT, WHEN, MONITOR, MONITOR END, TIMEOUT, RESUME_PROG, ENABLE RESUME_PROG, CLEAR RESUME_PROG, THEN"), new Understood("instruction", (py.str(_MANUAL) + ": conditions of skips and offsets, which act on motions with that option only"), "SKIP CONDITION, OFFSET CONDITION, TOOL_OFFSET CONDITION, VOFFSET CONDITION, LOCK PREG, UNLOCK PREG"), new Understood("instruction", (py.str(_MANUAL) + ": miscellaneous instructions"), "RSR, UALM, TIMER, OVERRIDE, REMARK, MESSAGE, PAYLOAD, COL DETECT ON, COL DETECT OFF, COL GUARD ADJUST, JOINT_MAX_SPEED, LINEAR_MAX_SPEED, DIAG_REC, POINT_LOGIC, STRLEN, SUBSTR, FINDSTR, VISION RUN_FIND, VISION GET_OFFSET, VISION GET_NFOUND, VISION GET_PASSFAIL, SAVE_LOG"), new Understood("instruction", _ARC, "ARC START, ARC END, WEAVE, WEAVE SINE, WEAVE FIGURE, WEAVE CIRCLE, WEAVE L, WEAVE END, WIRE FORWARD, WIRE BACKWARD"), new Understood("instruction", _SPOT, "SPOT, BACKUP, STROKE, BU, SS, SE, HAND OPEN, HAND CLOSE"), new Understood("variable", (py.str(_MANUAL) + ": registers, inputs and outputs, frame numbers, speeds, parameters"), "R, PR, SR, AR, PL, DI, DO, RI, RO, GI, GO, AI, AO, SI, SO, UI, UO, WI, WO, WSI, WSO, SDI, SDO, RDI, RDO, GDI, GDO, M, F, LO, TIMER, OVERRIDE, UFRAME_NUM, UTOOL_NUM, JOINT_MAX_SPEED, LINEAR_MAX_SPEED, UALM, RSR, $MCR.$GENOVERRIDE, $WAITTMOUT, $SPEED, $MCR.$PRGOVERRIDE, $MCR_GRP.$PRGOVERRIDE"), new Understood("variable", _GERMAN, "BENUTZER_NUM, WKZ_NUM"), new Understood("option", (py.str(_MANUAL) + ": speed and positioning path of a motion"), "FINE, CNT, CR, CD, MM/SEC, CM/MIN, INCH/MIN, IN/MIN, DEG/SEC, SEC, MSEC, MM, MAX_SPEED, WELD_SPEED, R, AR, PSPD"), new Understood("option", (py.str(_MANUAL) + ": additional motion instructions without an offset; what they switch or call"), "ACC, WJNT, MROT, PTH, RT_LD, AP_LD, BREAK, EV, IND.EV, TB, TA, DB, CALL, P-SPS, DO, RO, GO, AO, F, ON, OFF, PULSE, POINT_LOGIC, ALIM"), new Understood("option", _ARC, "ARC START, ARC END, WEAVE, WEAVE SINE, WEAVE FIGURE, WEAVE CIRCLE, WEAVE L, WEAVE END"), new Understood("option", _SPOT, "SPOT, SS, SE")];
+LISTING_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": branch, program control, wait and condition monitor instructions"), "LBL, JMP, CALL, RUN, IF, ELSE, ENDIF, SELECT, FOR, ENDFOR, END, WAIT, PAUSE, ABORT, WHEN, MONITOR, MONITOR END, TIMEOUT, RESUME_PROG, ENABLE RESUME_PROG, CLEAR RESUME_PROG, THEN"), new Understood("instruction", "FANUC, listings of the VASS standard: the condition on which a motion may go on", "TC_ONLINE"), new Understood("instruction", (py.str(_MANUAL) + ": conditions of skips and offsets, which act on motions with that option only"), "SKIP CONDITION, OFFSET CONDITION, TOOL_OFFSET CONDITION, VOFFSET CONDITION, LOCK PREG, UNLOCK PREG"), new Understood("instruction", (py.str(_MANUAL) + ": miscellaneous instructions"), "RSR, UALM, TIMER, OVERRIDE, REMARK, MESSAGE, PAYLOAD, COL DETECT ON, COL DETECT OFF, COL GUARD ADJUST, JOINT_MAX_SPEED, LINEAR_MAX_SPEED, DIAG_REC, POINT_LOGIC, STRLEN, SUBSTR, FINDSTR, VISION RUN_FIND, VISION GET_OFFSET, VISION GET_NFOUND, VISION GET_PASSFAIL, SAVE_LOG"), new Understood("instruction", _ARC, "ARC START, ARC END, WEAVE, WEAVE SINE, WEAVE FIGURE, WEAVE CIRCLE, WEAVE L, WEAVE END, WIRE FORWARD, WIRE BACKWARD"), new Understood("instruction", _SPOT, "SPOT, BACKUP, STROKE, BU, SS, SE, HAND OPEN, HAND CLOSE"), new Understood("variable", (py.str(_MANUAL) + ": registers, inputs and outputs, frame numbers, speeds, parameters"), "R, PR, SR, AR, PL, DI, DO, RI, RO, GI, GO, AI, AO, SI, SO, UI, UO, WI, WO, WSI, WSO, SDI, SDO, RDI, RDO, GDI, GDO, M, F, LO, TIMER, OVERRIDE, UFRAME_NUM, UTOOL_NUM, JOINT_MAX_SPEED, LINEAR_MAX_SPEED, UALM, RSR, $MCR.$GENOVERRIDE, $WAITTMOUT, $SPEED, $MCR.$PRGOVERRIDE, $MCR_GRP.$PRGOVERRIDE"), new Understood("variable", _GERMAN, "BENUTZER_NUM, WKZ_NUM"), new Understood("option", (py.str(_MANUAL) + ": speed and positioning path of a motion"), "FINE, CNT, CR, CD, MM/SEC, CM/MIN, INCH/MIN, IN/MIN, DEG/SEC, SEC, MSEC, MM, MAX_SPEED, WELD_SPEED, R, AR, PSPD"), new Understood("option", (py.str(_MANUAL) + ": additional motion instructions without an offset; what they switch or call"), "ACC, WJNT, MROT, PTH, RT_LD, AP_LD, BREAK, EV, IND.EV, TB, TA, DB, CALL, P-SPS, DO, RO, GO, AO, F, ON, OFF, PULSE, POINT_LOGIC, ALIM"), new Understood("option", _ARC, "ARC START, ARC END, WEAVE, WEAVE SINE, WEAVE FIGURE, WEAVE CIRCLE, WEAVE L, WEAVE END"), new Understood("option", _SPOT, "SPOT, SS, SE")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(LISTING_WORDS, "instruction");
 let _VARIABLES;
@@ -1713,7 +1724,7 @@ if (py.truth(py.both(py.same(first, "ELSE"), () => !py.has(flat, ",")))) {
 block = "else";
 }
 }
-action = (py.has(flat, ",") ? py.at(py.call(flat, "split", ","), -1) : "");
+action = py.at(py.call(flat, "partition", ","), 2);
 sets = py.tuple(_sets(action, text, number));
 return new Line(number, sets, undefined, undefined, jumps, calls, undefined, block);
 }
@@ -1731,7 +1742,7 @@ left = tokens_of(py.at(py.call(flat, "partition", "="), 0));
 phrase = first_phrase(tokens, _PHRASES);
 target = (py.truth(left) ? py.at(left, 0) : "");
 if (py.truth(py.both(py.has(flat, "="), () => py.has(_FRAMES, target)))) {
-index = py.call(py.at(py.call(py.at(py.call(py.at(py.call(py.call(text, "upper"), "partition", (py.str(target) + "[")), 2), "partition", "]"), 0), "partition", ":"), 0), "strip");
+index = index_of(py.at(py.call(py.at(py.call(py.call(text, "upper"), "partition", (py.str(target) + "[")), 2), "partition", "]"), 0));
 name = (py.str(py.at(_FRAMES, target)) + " " + py.str((py.truth(py.call(index, "isdigit")) ? index : ANY)));
 (yield [name, ("line " + py.str(number) + " sets it while the program runs")]);
 } else {
@@ -1758,6 +1769,12 @@ if (!py.has(_INSTRUCTIONS, phrase)) {
 }
 }
 }
+}
+function index_of(text) {
+let _, first, more;
+[first, , more] = [...py.iter(py.call(text, "partition", ":"))];
+return py.call(py.at(py.call((py.truth(py.call(py.call(first, "strip"), "startswith", "GP")) ? more : first), "partition", ","), 0), "strip");
+return null;
 }
 function _label(text) {
 let upper;
@@ -1791,7 +1808,7 @@ py.call(found, "append", (py.truth(py.either(!py.truth(name), () => py.has(py.at
 return py.tuple(found);
 return null;
 }
-return { _MANUAL, _ARC, _SPOT, _GERMAN, LISTING_WORDS, _INSTRUCTIONS, _VARIABLES, _OPTIONS, COMPUTED, _MOVED, _BEGINS, _ENDS, SWITCHED, _PHRASES, _FRAMES, _CONDITIONS, _BLOCKS, why_moved_by_options, effect_of_options, effect_in_listing, _sets, _label, _jumps, _indices, _calls };
+return { _MANUAL, _ARC, _SPOT, _GERMAN, LISTING_WORDS, _INSTRUCTIONS, _VARIABLES, _OPTIONS, COMPUTED, _MOVED, _BEGINS, _ENDS, SWITCHED, _PHRASES, _FRAMES, _CONDITIONS, _BLOCKS, why_moved_by_options, effect_of_options, effect_in_listing, _sets, index_of, _label, _jumps, _indices, _calls };
 })();
 MODULES.jbi_lines = (() => {
 const { ANY, POSITIONS, BlockPart, Line } = MODULES.line_flow;
@@ -1799,7 +1816,7 @@ const { Understood, not_understood, understood_words, without_brackets } = MODUL
 let _MANUAL;
 _MANUAL = "Yaskawa DX200, INFORM language manual, chapter 2";
 let JOB_WORDS;
-JOB_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": control instructions"), "NOP, END, JUMP, CALL, RET, TIMER, WAIT, LABEL, COMM, IF, IFTHEN, IFTHENEXP, ELSEIF, ELSEIFEXP, ELSE, ENDIF, UNTIL, PAUSE, ABORT, CWAIT, ADVINIT, ADVSTOP, MSG, CLS, DIALOG, WHILE, WHILEEXP, ENDWHILE, FOR, NEXT, SWITCH, CASE, DEFAULT, ENDSWITCH, PSTART, PWAIT, TSYNC, SETUALM, SHCKSET, SHCKRST, NWAIT, SPEED, RETURN"), new Understood("instruction", (py.str(_MANUAL) + ": input and output instructions"), "DOUT, DIN, AOUT, ARATION, ARATIOF, PULSE, SETOUT"), new Understood("instruction", (py.str(_MANUAL) + ": operating instructions; a position variable that they set is left"), "SET, SETE, GETE, GETS, GETPOS, GETARG, INC, DEC, ADD, SUB, MUL, DIV, CNVRT, CLEAR, SIN, COS, ATAN, SQRT, AND, OR, NOT, XOR, MULMAT, INVMAT, SETFILE, GETFILE, SETREG, GETREG, MSHIFT, CNVR, VAL, ASC, CHR$, MID$, LEN, CAT$, VAL2STR, PRINT, SWAP"), new Understood("instruction", (py.str(_MANUAL) + ": work instructions (arc and spot welding, handling)"), "ARCON, ARCOF, ARCSET, ARCCTS, ARCCTE, AWELD, VWELD, WVON, WVOF, REFP, ANTSTICK, SPOT, SVSPOT, SVSPOTMOV, SVGUNCL, GUNCL, STROKE, HAND, HSEN, TOOLON, TOOLOF, PALACT, CUTON, CUTOF"), new Understood("option", (py.str(_MANUAL) + ": move instructions (speed, position level, acceleration, no wait)"), "VJ, V, VR, VE, PL, CR, ACC, DEC, NWAIT, FPT, CV, EC, EX")];
+JOB_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": control instructions"), "NOP, END, JUMP, CALL, RET, TIMER, WAIT, LABEL, COMM, IF, IFTHEN, IFTHENEXP, ELSEIF, ELSEIFEXP, ELSE, ENDIF, UNTIL, PAUSE, ABORT, CWAIT, ADVINIT, ADVSTOP, MSG, CLS, DIALOG, WHILE, WHILEEXP, ENDWHILE, FOR, NEXT, SWITCH, CASE, DEFAULT, ENDSWITCH, PSTART, PWAIT, TSYNC, SETUALM, SHCKSET, SHCKRST, NWAIT, SPEED, RETURN"), new Understood("instruction", (py.str(_MANUAL) + ": input and output instructions"), "DOUT, DIN, AOUT, ARATION, ARATIOF, PULSE, SETOUT"), new Understood("instruction", (py.str(_MANUAL) + ": operating instructions; a position variable that they set is left"), "SET, SETE, GETE, GETS, GETPOS, GETARG, INC, DEC, ADD, SUB, MUL, DIV, CNVRT, CLEAR, SIN, COS, ATAN, SQRT, AND, OR, NOT, XOR, MULMAT, INVMAT, GETFILE, SETREG, GETREG, MSHIFT, CNVR, VAL, ASC, CHR$, MID$, LEN, CAT$, VAL2STR, PRINT, SWAP"), new Understood("instruction", (py.str(_MANUAL) + ": work instructions (arc and spot welding, handling)"), "ARCON, ARCOF, ARCSET, ARCCTS, ARCCTE, AWELD, VWELD, WVON, WVOF, REFP, ANTSTICK, SPOT, SVSPOT, SVSPOTMOV, SVGUNCL, GUNCL, STROKE, HAND, TOOLON, TOOLOF, CUTON, CUTOF"), new Understood("option", (py.str(_MANUAL) + ": move instructions (speed, position level, acceleration, no wait)"), "VJ, V, VR, VE, PL, CR, ACC, DEC, NWAIT, FPT, EC, EX")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(JOB_WORDS, "instruction");
 let _OPTIONS;
@@ -1908,6 +1925,8 @@ let _JUMPS;
 _JUMPS = ["ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD"];
 let _ALONE;
 _ALONE = [...py.iter(_CLOSES), "ELSE", "ERROR", "UNDO", "BACKWARD"];
+let _CONDITIONS;
+_CONDITIONS = ["IF", "TEST", ...py.iter(_LOOPS)];
 let ONCE;
 ONCE = "IF without THEN";
 let _STORAGE;
@@ -1922,29 +1941,32 @@ MOTIONS = new py.Dict([...py.iter(py.call(_PLAIN, 'items')), ...py.iter(py.call(
 let _MANUAL;
 _MANUAL = "ABB, technical reference manual: RAPID instructions, functions and data types";
 let RAPID_WORDS;
-RAPID_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": program flow, waiting, errors, interrupts"), "IF, ELSEIF, ELSE, ENDIF, FOR, ENDFOR, WHILE, ENDWHILE, TEST, CASE, DEFAULT, ENDTEST, GOTO, RETURN, EXIT, EXITCYCLE, STOP, BREAK, RAISE, RETRY, TRYNEXT, RESETRETRYCOUNT, WAITTIME, WAITUNTIL, WAITDI, WAITDO, WAITGI, WAITGO, WAITAI, WAITAO, WAITROB, WAITSYNCTASK, CONNECT, IDELETE, IDISABLE, IENABLE, ISLEEP, IWATCH, ISIGNALDI, ISIGNALDO, ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE"), new Understood("instruction", (py.str(_MANUAL) + ": motion settings that keep target and tool"), "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, WZENABLE, WZDISABLE, WZFREE, ARCREFRESH"), new Understood("instruction", (py.str(_MANUAL) + ": inputs, outputs, operator, files, clocks, numbers"), "SETDO, SETGO, SETAO, SET, RESET, INVERTDO, PULSEDO, IOENABLE, IODISABLE, ALIASIO, TPWRITE, TPERASE, TPREADNUM, TPREADDNUM, TPREADFK, TPSHOW, UIMSGBOX, UIMSGWRITE, UISHOW, OPEN, CLOSE, WRITE, WRITEBIN, WRITEANYBIN, WRITESTRBIN, WRITERAWBYTES, READRAWBYTES, PACKRAWBYTES, UNPACKRAWBYTES, CLEARRAWBYTES, COPYRAWBYTES, CLEARIOBUFF, REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT"), new Understood("function", (py.str(_MANUAL) + ": functions, none of which changes an argument"), "OFFS, RELTOOL, POSEMULT, POSEINV, POSEVECT, DEFFRAME, DEFACCFRAME, CROBT, CJOINTT, CPOS, CTOOL, CWOBJ, CALCJOINTT, CALCROBT, ORIENTZYX, EULERZYX, DISTANCE, VECTMAGN, DOTPROD, CROSSPROD, NORIENT, MIRPOS, ROBOS, ABS, SQRT, SIN, COS, TAN, ACOS, ASIN, ATAN, ATAN2, ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, STRTOVAL, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE"), new Understood("option", (py.str(_MANUAL) + ": optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL"), "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT")];
+RAPID_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": program flow, waiting, errors, interrupts"), "IF, ELSEIF, ELSE, ENDIF, FOR, ENDFOR, WHILE, ENDWHILE, TEST, CASE, DEFAULT, ENDTEST, GOTO, RETURN, EXIT, EXITCYCLE, STOP, BREAK, RAISE, RETRY, TRYNEXT, RESETRETRYCOUNT, WAITTIME, WAITUNTIL, WAITDI, WAITDO, WAITGI, WAITGO, WAITAI, WAITAO, WAITROB, WAITSYNCTASK, CONNECT, IDELETE, IDISABLE, IENABLE, ISLEEP, IWATCH, ISIGNALDI, ISIGNALDO, ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE"), new Understood("instruction", (py.str(_MANUAL) + ": motion settings that keep target and tool"), "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, WZENABLE, WZDISABLE, WZFREE, ARCREFRESH"), new Understood("instruction", (py.str(_MANUAL) + ": inputs, outputs, operator, files, clocks, numbers"), "SETDO, SETGO, SETAO, SET, RESET, INVERTDO, PULSEDO, IOENABLE, IODISABLE, ALIASIO, TPWRITE, TPERASE, TPREADNUM, TPREADDNUM, TPREADFK, TPSHOW, UIMSGBOX, UIMSGWRITE, UISHOW, OPEN, CLOSE, WRITE, WRITEBIN, WRITEANYBIN, WRITESTRBIN, WRITERAWBYTES, READRAWBYTES, PACKRAWBYTES, UNPACKRAWBYTES, CLEARRAWBYTES, COPYRAWBYTES, CLEARIOBUFF, REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT"), new Understood("function", (py.str(_MANUAL) + ": functions, none of which changes an argument"), "OFFS, RELTOOL, POSEMULT, POSEINV, POSEVECT, DEFFRAME, DEFACCFRAME, CROBT, CJOINTT, CPOS, CTOOL, CWOBJ, CALCJOINTT, CALCROBT, ORIENTZYX, EULERZYX, DISTANCE, VECTMAGN, DOTPROD, CROSSPROD, NORIENT, MIRPOS, ROBOS, ABS, SQRT, SIN, COS, TAN, ACOS, ASIN, ATAN, ATAN2, ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE"), new Understood("filler", (py.str(_MANUAL) + ": StrToVal, which writes to its second argument"), "STRTOVAL"), new Understood("option", (py.str(_MANUAL) + ": optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL"), "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(RAPID_WORDS, "instruction");
 let RAPID_FUNCTIONS;
 RAPID_FUNCTIONS = understood_words(RAPID_WORDS, "function");
+let _FILLERS;
+_FILLERS = understood_words(RAPID_WORDS, "filler");
 let MOTION_OPTIONS;
 MOTION_OPTIONS = understood_words(RAPID_WORDS, "option");
 let SWITCHES;
-SWITCHES = new py.Dict([["PDISPON", "PDISP"], ["PDISPSET", "PDISP"], ["PDISPOFF", "PDISP"], ["EOFFSON", "EOFFS"], ["EOFFSSET", "EOFFS"], ["EOFFSOFF", "EOFFS"], ["CORRCON", "CORR"], ["CORRWRITE", "CORR"], ["CORRDISCON", "CORR"], ["CORRCLEAR", "CORR"], ["SINGAREA", "SINGAREA"], ["SOFTACT", "SOFT"], ["SOFTDEACT", "SOFT"], ["CSSACT", "CSS"], ["CSSOFFSETTUNE", "CSS"], ["CSSFORCEOFFSETACT", "CSS"], ["CSSDEACT", "CSS"], ["SYNCMOVEON", "SYNCMOVE"], ["SYNCMOVERESUME", "SYNCMOVE"], ["SYNCMOVEOFF", "SYNCMOVE"], ["SYNCMOVESUSPEND", "SYNCMOVE"], ["WAITWOBJ", "CONVEYOR"], ["DROPWOBJ", "CONVEYOR"], ["WAITSENSOR", "SENSOR"], ["SYNCTOSENSOR", "SENSOR"], ["DROPSENSOR", "SENSOR"], ["FCACT", "FORCE"], ["FCPRESSLSTART", "FORCE"], ["FCPRESSEND", "FORCE"], ["FCDEACT", "FORCE"], ["EGMACTMOVE", "EGM"], ["EGMRUNJOINT", "EGM"], ["EGMRUNPOSE", "EGM"], ["EGMSTOP", "EGM"], ["EGMRESET", "EGM"], ["CONFL", "CONFL"], ["CONFJ", "CONFJ"], ["GRIPLOAD", STATED_LOAD]]);
+SWITCHES = new py.Dict([["PDISPON", "PDISP"], ["PDISPSET", "PDISP"], ["PDISPOFF", "PDISP"], ["EOFFSON", "EOFFS"], ["EOFFSSET", "EOFFS"], ["EOFFSOFF", "EOFFS"], ["CORRCON", "CORR"], ["CORRWRITE", "CORR"], ["CORRDISCON", "CORR"], ["CORRCLEAR", "CORR"], ["SINGAREA", "SINGAREA"], ["SOFTACT", "SOFT"], ["SOFTDEACT", "SOFT"], ["CSSACT", "CSS"], ["CSSOFFSETTUNE", "CSS"], ["CSSFORCEOFFSETACT", "CSS"], ["CSSDEACT", "CSS"], ["SYNCMOVEON", "SYNCMOVE"], ["SYNCMOVERESUME", "SYNCMOVE"], ["SYNCMOVEOFF", "SYNCMOVE"], ["SYNCMOVESUSPEND", "SYNCMOVE"], ["WAITWOBJ", "CONVEYOR"], ["DROPWOBJ", "CONVEYOR"], ["SYNCWWOBJ", "CONVEYOR"], ["INDAMOVE", "INDEPENDENT"], ["INDCMOVE", "INDEPENDENT"], ["INDDMOVE", "INDEPENDENT"], ["INDRMOVE", "INDEPENDENT"], ["INDRESET", "INDEPENDENT"], ["SETLEADTHROUGH", "LEADTHROUGH"], ["WAITSENSOR", "SENSOR"], ["SYNCTOSENSOR", "SENSOR"], ["DROPSENSOR", "SENSOR"], ["FCACT", "FORCE"], ["FCPRESSLSTART", "FORCE"], ["FCPRESS1LSTART", "FORCE"], ["FCPRESSL", "FORCE"], ["FCPRESSC", "FORCE"], ["FCREFSTART", "FORCE"], ["FCREFSTOP", "FORCE"], ["FCPRESSEND", "FORCE"], ["FCDEACT", "FORCE"], ["EGMACTMOVE", "EGM"], ["EGMMOVEL", "EGM"], ["EGMMOVEC", "EGM"], ["EGMRUNJOINT", "EGM"], ["EGMRUNPOSE", "EGM"], ["EGMSTOP", "EGM"], ["EGMRESET", "EGM"], ["CONFL", "CONFL"], ["CONFJ", "CONFJ"], ["GRIPLOAD", STATED_LOAD]]);
 let DISPLACES;
 DISPLACES = py.sorted(py.sub(new Set([...py.iter(py.call(SWITCHES, "values"))]), new Set(["CONFL", "CONFJ", STATED_LOAD])));
 let JOINTS_TOO;
-JOINTS_TOO = ["CORR", "CSS", "EGM", "FORCE", "SENSOR", "SOFT"];
+JOINTS_TOO = ["CORR", "CSS", "EGM", "FORCE", "INDEPENDENT", "LEADTHROUGH", "SENSOR", "SOFT"];
 let _ENDS_IT;
-_ENDS_IT = ["PDISPOFF", "EOFFSOFF", "CORRCLEAR", "SOFTDEACT", "CSSDEACT", "SYNCMOVEOFF", "DROPWOBJ", "DROPSENSOR", "FCDEACT", "EGMRESET"];
+_ENDS_IT = ["PDISPOFF", "EOFFSOFF", "CORRCLEAR", "SOFTDEACT", "CSSDEACT", "SYNCMOVEOFF", "DROPWOBJ", "DROPSENSOR", "FCDEACT", "EGMRESET", "INDRESET"];
 let READING;
 READING = ["TPWRITE", "WRITE", "ERRWRITE", "ERRLOG", "UIMSGBOX", "SETSYSDATA", "MOVEEXTJ", "GRIPLOAD"];
 let BY_NAME;
 BY_NAME = ["SETDATAVAL", "SETALLDATAVAL"];
 function ends_displacement(statement) {
-let first;
+let first, has_off;
 first = word(py.at(statement.items, 0));
-return py.either(py.has(_ENDS_IT, first), () => py.both(py.same(first, "SINGAREA"), () => py.has(words_in(statement.items), "OFF")));
+has_off = py.has(["SINGAREA", "SETLEADTHROUGH"], first);
+return py.either(py.has(_ENDS_IT, first), () => py.both(has_off, () => py.has(words_in(statement.items), "OFF")));
 return null;
 }
 function code_of(source) {
@@ -2029,14 +2051,14 @@ let condition, k, motions, sides, statement;
 motions = (() => { const $out = []; for (const k of py.iter(py.range(1, py.len(items)))) { if (py.truth(py.either(py.has(MOTIONS, word(py.at(items, k))), () => py.either(py.has(SWITCHES, word(py.at(items, k))), () => py.has(BY_NAME, word(py.at(items, k))))))) $out.push(k); } return $out; })();
 k = (py.truth(motions) ? py.at(motions, -1) : 1);
 sides = split(items, ":=");
-if (py.truth(py.both(!py.truth(motions), () => py.same(py.len(sides), 2)))) {
+if (py.truth(py.both(!py.truth(motions), () => py.both(py.same(py.len(sides), 2), () => is_assignment(items))))) {
 k = py.sub(py.len(py.at(sides, 0)), 1);
 while (py.truth(py.both((k > 1), () => py.either(py.isinstance(py.at(items, k), [Brackets]), () => py.either(is_token(py.at(items, k), "SIGN", "."), () => is_token(py.at(items, py.sub(k, 1)), "SIGN", ".")))))) {
 k = py.sub(k, 1);
 }
 }
 condition = _part(whole, py.text(items).slice(undefined, 1));
-(yield [condition, new Step(ONCE)]);
+(yield [condition, new Step(ONCE, undefined, undefined, undefined, undefined, undefined, undefined, _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(py.text(items).slice(undefined, k)))) { $out.push(name); } return $out; })()))]);
 if ((k < py.len(items))) {
 statement = _part(whole, py.text(items).slice(k, undefined));
 (yield [statement, _step(statement, word(py.at(statement.items, 0)), false)]);
@@ -2050,27 +2072,45 @@ return new Statement(py.tuple(items), ...py.iter(place_of(items)), line);
 return null;
 }
 function _step(statement, opening, is_label) {
-let calls, first, is_known, items, names, own;
+let calls, first, is_own, items, names;
 items = statement.items;
 first = word(py.at(statement.items, 0));
 if (py.has(_BLOCKS, opening)) {
 names = (() => { const $out = []; for (const item of py.iter(items)) { if (py.truth(word(item))) $out.push(word(item)); } return $out; })();
-return new Step(opening, undefined, (py.has(_ROUTINES, opening) ? py.at(names, -1) : ""), py.has(_LOOPS, opening));
+return new Step(opening, undefined, (py.has(_ROUTINES, opening) ? py.at(names, -1) : ""), py.has(_LOOPS, opening), undefined, undefined, undefined, (py.has(_CONDITIONS, first) ? _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(name); } return $out; })()) : []));
 }
 if (py.has(_CLOSES, first)) {
 return new Step(undefined, py.at(_CLOSES, first));
 }
 if (py.truth(py.either(py.has(_JUMPS, first), () => is_label))) {
-return new Step(undefined, undefined, undefined, undefined, true);
+return new Step(undefined, undefined, undefined, undefined, true, undefined, undefined, _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(name); } return $out; })()));
 }
 if (py.same(first, "CONNECT")) {
 return new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, py.tuple(words_in(py.text(items).slice(1, undefined))));
 }
-own = (py.truth(py.both(first, () => !py.truth(py.any((() => { const $out = []; for (const item of py.iter(items)) { $out.push(is_token(item, "SIGN", ":=")); } return $out; })())))) ? first : "");
-names = [own, ...py.iter((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(py.call(name, "upper")); } return $out; })())];
-is_known = py.either(py.has(MOTIONS, first), () => py.has(_STORAGE, first));
-calls = py.tuple((() => { const $out = []; for (const name of py.iter(names)) { if (py.truth(py.both(name, () => py.both(!py.truth(py.both(is_known, () => py.same(name, first))), () => py.both(!py.has(_INSTRUCTIONS, name), () => py.both(!py.has(RAPID_FUNCTIONS, name), () => !py.has(SWITCHES, name))))))) $out.push(name); } return $out; })());
+is_own = !py.truth(py.either(is_assignment(items), () => py.either(py.has(MOTIONS, first), () => py.has(_STORAGE, first))));
+names = (() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { if (py.truth(py.either(is_own, () => !py.same(py.call(name, "upper"), first)))) $out.push(name); } return $out; })();
+calls = _routines([...py.iter((py.truth(is_own) ? [first] : [])), ...py.iter(names), ...py.iter(_called_by_text(items))]);
 return new Step(undefined, undefined, undefined, undefined, undefined, (py.has(SWITCHES, first) ? py.frozenset(new Set([py.at(SWITCHES, first)])) : py.frozenset()), undefined, calls);
+return null;
+}
+function _routines(names) {
+return py.tuple((() => { const $out = []; for (const name of py.iter(names)) { if (py.truth(py.both(name, () => py.both(!py.has(_INSTRUCTIONS, py.call(name, "upper")), () => py.both(!py.has(RAPID_FUNCTIONS, py.call(name, "upper")), () => py.both(!py.has(_FILLERS, py.call(name, "upper")), () => !py.has(SWITCHES, py.call(name, "upper")))))))) $out.push(py.call(name, "upper")); } return $out; })());
+return null;
+}
+function _called_by_text(items) {
+let texts;
+texts = py.text(split(items, "%")).slice(1, 2);
+if (py.truth(py.both(py.has(MOTIONS, word(py.at(items, 0))), () => py.call(word(py.at(items, 0)), "endswith", "SYNC")))) {
+py.call(texts, "append", py.at(split(items), -1));
+}
+return (() => { const $out = []; for (const text of py.iter(texts)) { $out.push((py.truth(py.both(py.same(py.len(text), 1), () => is_token(py.at(text, 0), "TEXT"))) ? py.call(py.call(py.str(py.at(text, 0)), "strip", "\""), "upper") : "%")); } return $out; })();
+return null;
+}
+function is_assignment(items) {
+let signs;
+signs = (() => { const $out = []; for (const item of py.iter(items)) { if (py.truth(is_token(item, "SIGN", ":=", "\\"))) $out.push(py.str(item)); } return $out; })();
+return py.same(py.text(signs).slice(undefined, 1), [":="]);
 return null;
 }
 function check_blocks(code) {
@@ -2093,11 +2133,11 @@ throw source.error((py.repr(found) + " within another routine; expected " + py.s
 }
 return null;
 }
-return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, check_blocks };
+return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, _CONDITIONS, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, _FILLERS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, _routines, _called_by_text, is_assignment, check_blocks };
 })();
 MODULES.fanuc_ls = (() => {
 const { Draft, joined } = MODULES.draft;
-const { COMPUTED, LISTING_WORDS, SWITCHED, effect_in_listing, effect_of_options, why_moved_by_options } = MODULES.fanuc_lines;
+const { COMPUTED, LISTING_WORDS, SWITCHED, effect_in_listing, effect_of_options, index_of, why_moved_by_options } = MODULES.fanuc_lines;
 const { ControllerLanguage } = MODULES.language;
 const { STATED_LOAD, Line, Listing, reasons_before, with_outside } = MODULES.line_flow;
 const { Frame, Load, Motion, Path, Point, Posture, Program, Skipped, Turn } = MODULES.program;
@@ -2299,10 +2339,9 @@ return new _Instruction(number, py.str(py.call(parts, "get", "KIND", "")), place
 return null;
 }
 function _place(text) {
-let _, first, index, kind, more, number;
+let _, index, kind, number;
 [kind, , index] = [...py.iter(py.call(text, "partition", "["))];
-[first, , more] = [...py.iter(py.call(py.call(index, "removesuffix", "]"), "partition", ":"))];
-number = py.call(py.at(py.call((py.truth(py.call(py.call(first, "strip"), "startswith", "GP")) ? more : first), "partition", ","), 0), "strip");
+number = index_of(py.call(index, "removesuffix", "]"));
 return (py.str(kind) + "[" + py.str((py.truth(py.call(number, "isdigit")) ? number : "*")) + "]");
 return null;
 }
@@ -2405,57 +2444,22 @@ return joined((() => { const $out = []; for (const draft of py.iter(drafts)) { $
 return null;
 }
 _positions(draft, i, source, parts) {
-let counts, expected, name, part, place, point, posture, rest, seen, tags, values;
-tags = new py.Dict([["TOOL", ""], ["USER", ""], ["POSTYPE", ""]]);
-posture = new Posture();
+let counts, expected, head, part, seen;
+head = new _Head();
 seen = 0;
 for (const $each of py.iter(parts)) {
 part = $each;
-if (py.same(part.data, "tag")) {
-[name, ...rest] = [...py.iter((() => { const $out = []; for (const child of py.iter(part.children)) { $out.push(py.str(child)); } return $out; })())];
-py.put(tags, py.call(name, "lstrip", "/"), (py.truth(rest) ? py.call(py.at(rest, 0), "strip") : ""));
-} else {
-if (py.same(part.data, "configuration")) {
-posture = _posture((() => { const $out = []; for (const token of py.iter(py.text(part.children).slice(1, undefined))) { $out.push(number_at(token)); } return $out; })());
-} else {
+head.take(part);
 if (py.same(part.data, "position")) {
 seen = py.add(seen, 1);
-[place, ...values] = [...py.iter(part.children)];
-name = _name(py.str(place));
-point = this._point(draft, i, name, place.line, (() => { const $out = []; for (const token of py.iter(values)) { $out.push(number_at(token)); } return $out; })(), tags, posture);
-if (py.truth(point)) {
-draft.take((py.truth(py.isinstance(point, ["str"])) ? new Skipped(name, i, place.line, point) : point));
+_note_position(draft, i, part, head);
 }
 }
-}
-}
-}
-counts = (() => { const $out = []; for (const text of py.iter(py.call(py.call(tags, "get", "NPOS", py.str(seen)), "split", ","))) { $out.push(py.call(text, "strip")); } return $out; })();
+counts = (() => { const $out = []; for (const text of py.iter(py.call(py.call(head.tags, "get", "NPOS", py.str(seen)), "split", ","))) { $out.push(py.call(text, "strip")); } return $out; })();
 expected = py.sum((() => { const $out = []; for (const text of py.iter(counts)) { if (py.truth(py.call(text, "isdigit"))) $out.push(py.int(text)); } return $out; })());
 if (!py.same(seen, expected)) {
 throw source.error((py.str(seen) + " position" + py.str((py.same(seen, 1) ? "" : "s")) + "; expected the " + py.str(expected) + " of ///NPOS"), 0);
 }
-return null;
-}
-_point(draft, i, name, line, values, tags, posture) {
-let base, kind, numbers;
-numbers = py.tuple((() => { const $out = []; for (const number of py.iter(values)) { if (((number) ?? null) !== (null)) $out.push(number); } return $out; })());
-kind = py.at(tags, "POSTYPE");
-if (py.truth(py.call(name, "startswith", ["BC", "EC", "BP", "EX"]))) {
-py.put(draft.at_rest, name, py.all((() => { const $out = []; for (const number of py.iter(numbers)) { $out.push(py.same(number.value, 0.0)); } return $out; })()));
-return "";
-}
-if (py.same(kind, "PULSE")) {
-return new Point(name, i, line, "joints", numbers);
-}
-if (py.truth(py.either(!py.has(["BASE", "ROBOT", "USER"], kind), () => !py.has([6, 7], py.len(numbers))))) {
-return ("positions of the type " + py.str(kind) + " are not supported");
-}
-if (py.truth(py.both(py.same(py.len(numbers), 7), () => py.at(numbers, 6).value))) {
-return "its elbow angle is not 0";
-}
-base = (py.same(kind, "USER") ? new Frame(py.either(py.at(tags, "USER"), () => "USER")) : new Frame(kind, np.eye(4)));
-return new Point(name, i, line, "pose", py.text(numbers).slice(undefined, 6), posture, new Frame(py.either(py.at(tags, "TOOL"), () => "TOOL")), base);
 return null;
 }
 _motions(draft, i, parts, displaced) {
@@ -2517,6 +2521,57 @@ if (py.truth(why)) {
 draft.write(name, why);
 }
 return name;
+return null;
+}
+class _Head {
+constructor(tags = new py.Dict([["TOOL", ""], ["USER", ""], ["POSTYPE", ""]]), posture = py.Posture()) {
+this.tags = tags;
+this.posture = posture;
+}
+take(part) {
+let name, rest;
+if (py.same(part.data, "tag")) {
+[name, ...rest] = [...py.iter((() => { const $out = []; for (const child of py.iter(part.children)) { $out.push(py.str(child)); } return $out; })())];
+py.put(this.tags, py.call(name, "lstrip", "/"), (py.truth(rest) ? py.call(py.at(rest, 0), "strip") : ""));
+} else {
+if (py.same(part.data, "configuration")) {
+this.posture = _posture((() => { const $out = []; for (const token of py.iter(py.text(part.children).slice(1, undefined))) { $out.push(number_at(token)); } return $out; })());
+}
+}
+return null;
+}
+point(i, place, numbers) {
+let base, kind, name, tool, user;
+name = _name(py.str(place));
+kind = py.at(this.tags, "POSTYPE");
+if (py.same(kind, "PULSE")) {
+return new Point(name, i, place.line, "joints", numbers);
+}
+if (py.truth(py.either(!py.has(["BASE", "ROBOT", "USER"], kind), () => !py.has([6, 7], py.len(numbers))))) {
+return ("positions of the type " + py.str(kind) + " are not supported");
+}
+if (py.truth(py.both(py.same(py.len(numbers), 7), () => py.at(numbers, 6).value))) {
+return "its elbow angle is not 0";
+}
+user = new Frame(py.either(py.at(this.tags, "USER"), () => "USER"));
+base = (py.same(kind, "USER") ? user : new Frame(kind, np.eye(4)));
+tool = new Frame(py.either(py.at(this.tags, "TOOL"), () => "TOOL"));
+return new Point(name, i, place.line, "pose", py.text(numbers).slice(undefined, 6), this.posture, tool, base);
+return null;
+}
+}
+function _note_position(draft, i, part, head) {
+let found, name, numbers, place, point, values;
+[place, ...values] = [...py.iter(part.children)];
+name = _name(py.str(place));
+found = (() => { const $out = []; for (const token of py.iter(values)) { $out.push(number_at(token)); } return $out; })();
+numbers = py.tuple((() => { const $out = []; for (const number of py.iter(found)) { if (((number) ?? null) !== (null)) $out.push(number); } return $out; })());
+if (py.truth(py.call(name, "startswith", ["BC", "EC", "BP", "EX"]))) {
+py.put(draft.at_rest, name, py.all((() => { const $out = []; for (const number of py.iter(numbers)) { $out.push(py.same(number.value, 0.0)); } return $out; })()));
+return null;
+}
+point = head.point(i, place, numbers);
+draft.take((py.truth(py.isinstance(point, ["str"])) ? new Skipped(name, i, place.line, point) : point));
 return null;
 }
 function _instructions(parts) {
@@ -2585,7 +2640,7 @@ turns = py.tuple((() => { const $out = []; for (const [k, j] of py.iter([[3, 3],
 return new Posture(!py.truth(py.at(flags, 2)), !py.truth(py.at(flags, 1)), py.at(flags, 0), turns);
 return null;
 }
-return { _GRAMMAR, _WORDS, _PATHS, _JUMPS, Jbi, _target, _instructions, _listing, _why_left, _note_changes, _name, _posture };
+return { _GRAMMAR, _WORDS, _PATHS, _JUMPS, Jbi, _target, _Head, _note_position, _instructions, _listing, _why_left, _note_changes, _name, _posture };
 })();
 MODULES.krl = (() => {
 const { Draft } = MODULES.draft;
@@ -2633,11 +2688,13 @@ _SPEEDS = ["#VEL_PTP", "#VEL_CP", "#ACC_PTP", "#ACC_CP", "#OUT_SYNC"];
 let _MANUAL;
 _MANUAL = "KUKA System Software 8, operating and programming instructions for system integrators";
 let _KRL_WORDS;
-_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRLEN, STRDECLLEN, STRCLEAR, STRADD, STRFIND, STRCOMP, STRCOPY, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
+_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, PATH, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, STRLEN, STRDECLLEN, STRFIND, STRCOMP, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("function", "KUKA System Software 8.3 and later: collision detection, as their inline forms call it", "USE_CM_PRO_VALUES, SET_CD_PARAMS"), new Understood("filler", "KUKA, CREAD/CWRITE for KSS 8: texts and channels, which write to their arguments", "CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRCLEAR, STRADD, STRCOPY"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $OUT_C, $COLLMON_TOL_PRO, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(_KRL_WORDS, "instruction");
 let _HARMLESS;
 _HARMLESS = understood_words(_KRL_WORDS, "function");
+let _FILLERS;
+_FILLERS = understood_words(_KRL_WORDS, "filler");
 let _VARIABLES;
 _VARIABLES = understood_words(_KRL_WORDS, "variable");
 let _TURNING;
@@ -2767,7 +2824,7 @@ this.language = language;
 this.data = data;
 }
 declare(k) {
-let first, is_part, items, name, part, sides, statement;
+let action, condition, first, is_part, items, name, part, reason, sides, statement;
 statement = py.at(this.statements, k);
 items = statement.items;
 while (py.truth(py.both(items, () => py.has(["GLOBAL", "DECL", "CONST"], word(py.at(items, 0)))))) {
@@ -2777,8 +2834,28 @@ first = (py.truth(items) ? word(py.at(items, 0)) : "");
 if (py.truth(py.either(!py.truth(items), () => py.either(py.has(_MOTIONS, first), () => py.either(py.has(_RELATIVE, first), () => py.has(_ROUTINES, first)))))) {
 return null;
 }
+if (py.same(first, "IMPORT")) {
+reason = ("line " + py.str(statement.line) + " shares it with another file");
+for (const $each of py.iter(py.sorted(this.words(py.text(items).slice(1, undefined))))) {
+name = $each;
+this.draft.write(name, reason);
+}
+return null;
+}
+action = _action(items);
+if (py.truth(action)) {
+condition = py.text(items).slice(undefined, -py.len(action));
+this.pass_arguments(statement.line, condition);
+this.draft.read(this.words(condition));
+items = action;
+} else {
+if (py.has(["ANIN", "DIGIN"], first)) {
+items = py.text(items).slice(2, undefined);
+} else {
 if (py.truth(py.both((py.len(items) > 1), () => py.both(first, () => word(py.at(items, 1)))))) {
 items = py.text(items).slice(1, undefined);
+}
+}
 }
 this.pass_arguments(statement.line, items);
 for (const $each of py.iter(split(items))) {
@@ -2796,14 +2873,15 @@ this._set(statement.line, name, is_part, py.at(sides, 1));
 return null;
 }
 _note_data(name, value) {
-let fields, group, is_new, mass, turning;
+let fields, group, is_mode, is_new, mass, turning;
 group = aggregate(value, "{");
 fields = py.either((((group) ?? null) !== (null) ? _fields(group) : null), () => new py.Dict([]));
 turning = py.call(fields, "get", "ORI_TYP", []);
 if (py.truth(py.both(turning, () => !py.has(_TURNING, text_of_items(turning))))) {
 py.call(this.data.constant, "add", name);
 }
-if (py.truth(py.both(py.same(name, "$IPO_MODE"), () => py.same(text_of_items(value), "#TCP")))) {
+is_mode = py.both(py.same(name, "$IPO_MODE"), () => ((call_of(value)) ?? null) === (null));
+if (py.truth(py.both(is_mode, () => !py.same(text_of_items(value), "#BASE")))) {
 this.data.tool_is_fixed();
 }
 if (py.truth(py.both(py.has(fields, "TOOL_NO"), () => py.has(fields, "BASE_NO")))) {
@@ -2867,15 +2945,12 @@ return new Point(name, this.file, line, "pose", found, posture);
 return null;
 }
 move(k) {
-let displaced, first, is_usual, items, lost, path, places, run, statement, tool, usual, why;
+let displaced, first, items, path, places, statement, tool, why;
 statement = py.at(this.statements, k);
 items = statement.items;
 first = word(py.at(items, 0));
-run = py.at(this.flow, k).run;
 if (py.has(_RELATIVE, first)) {
-this.draft.read(this.words(py.text(items).slice(1, undefined)));
-lost = this.skip(py.text(text_of_items(items)).slice(undefined, 40), statement.line, "a relative motion");
-py.call(this.draft.motions, "append", new Motion("joint", [lost], statement, this.file, undefined, undefined, undefined, run));
+this._move_relatively(k);
 return null;
 }
 if (py.truth(py.either(!py.has(_MOTIONS, first), () => py.either((py.len(items) < 2), () => is_token(py.at(items, 1), "SIGN", "="))))) {
@@ -2885,17 +2960,37 @@ places = _places(py.text(items).slice(1, undefined));
 if (!py.truth(places.parts)) {
 return null;
 }
-usual = py.at(_MOTIONS, first);
-is_usual = py.both(!py.truth(places.is_arc), () => py.same(py.len(places.parts), py.add(1, py.same(usual, "circle"))));
-path = (py.truth(is_usual) ? usual : "joint");
+path = places.path(py.at(_MOTIONS, first));
 tool = this._frame("$TOOL", k);
 displaced = this.displaced(k, [POSITIONS]);
-why = py.either(displaced, () => this._why_moved(k, !py.same(usual, "joint")));
-py.call(this.draft.motions, "append", new Motion(path, py.tuple((() => { const $out = []; for (const part of py.iter(places.parts)) { $out.push(this.target(k, part)); } return $out; })()), statement, this.file, tool, (py.truth(why) ? new Frame("$BASE", undefined, why) : this._frame("$BASE", k)), place_of(py.at(places.parts, -1)), run, py.both(py.same(path, "line"), () => !py.truth(this._is_in_spline(k))), py.has(_BY_POSTURE, first), py.either(this.load(k), () => this._load_of_tool(k, tool)), displaced));
+why = py.either(displaced, () => this._why_moved(k, !py.same(py.at(_MOTIONS, first), "joint")));
+py.call(this.draft.motions, "append", new Motion(path, py.tuple((() => { const $out = []; for (const part of py.iter(places.parts)) { $out.push(this.target(k, part)); } return $out; })()), statement, this.file, tool, (py.truth(why) ? new Frame("$BASE", undefined, why) : this._frame("$BASE", k)), place_of(py.at(places.parts, -1)), py.at(this.flow, k).run, py.both(py.same(path, "line"), () => !py.truth(this._splines(k))), py.has(_BY_POSTURE, first), py.either(this.load(k), () => this._load_of_tool(k, tool)), displaced));
 return null;
 }
-_is_in_spline(k) {
-return py.any((() => { const $out = []; for (const j of py.iter(py.at(this.flow, k).blocks)) { $out.push(py.call(py.at(this.steps, j).opens, "endswith", "SPLINE")); } return $out; })());
+_move_relatively(k) {
+let lost, name, run, statement;
+statement = py.at(this.statements, k);
+this.draft.read(this.words(py.text(statement.items).slice(1, undefined)));
+name = py.text(text_of_items(statement.items)).slice(undefined, 40);
+lost = this.skip(name, statement.line, "a relative motion");
+run = py.at(this.flow, k).run;
+py.call(this.draft.motions, "append", new Motion("joint", [lost], statement, this.file, undefined, undefined, undefined, run));
+return null;
+}
+_splines(k) {
+return (() => { const $out = []; for (const j of py.iter(py.at(this.flow, k).blocks)) { if (py.truth(py.call(py.at(this.steps, j).opens, "endswith", "SPLINE"))) $out.push(j); } return $out; })();
+return null;
+}
+_settings(k) {
+let found, items, j, start;
+found = [];
+for (const $each of py.iter([k, ...py.iter(this._splines(k))])) {
+j = $each;
+items = py.at(this.statements, j).items;
+start = py.next((() => { const $out = []; for (const [i, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "WITH")) $out.push(py.add(i, 1)); } return $out; })(), py.len(items));
+found = py.add(found, split(py.text(items).slice(start, undefined)));
+}
+return found;
 return null;
 }
 _load_of_tool(k, tool) {
@@ -2927,7 +3022,7 @@ _why_moved(k, is_line) {
 let is_part, is_turning, kinds, line, name, part, sides;
 line = py.at(this.statements, k).line;
 is_turning = false;
-for (const $each of py.iter(_settings(py.at(this.statements, k).items))) {
+for (const $each of py.iter(this._settings(k))) {
 part = $each;
 sides = split(part, "=");
 [name, is_part] = [...py.iter(element_name(py.at(sides, 0)))];
@@ -2951,7 +3046,7 @@ let found, hint, part, sides, why;
 if (py.truth(this.data.is_fixed)) {
 return new Frame(variable, undefined, "the tool is fixed in the cell ($IPO_MODE=#TCP)");
 }
-for (const $each of py.iter(_settings(py.at(this.statements, k).items))) {
+for (const $each of py.iter(this._settings(k))) {
 part = $each;
 sides = split(part, "=");
 if (py.truth(py.both(py.same(py.len(sides), 2), () => py.same(text_of_items(py.at(sides, 0)), variable)))) {
@@ -2971,7 +3066,7 @@ return new Frame(variable, undefined, (((found) ?? null) !== (null) ? why : ""))
 return null;
 }
 _frame_set_by(variable, found, k) {
-let call, index, name, setter, sides, source, what, why;
+let call, fields, group, index, setter, sides, source, value, what, why;
 setter = py.at(this.statements, found).items;
 sides = split(setter, "=");
 if (py.same(py.len(sides), 2)) {
@@ -2991,8 +3086,13 @@ if (!py.truth(py.isinstance(source, ["int"]))) {
 why = ("FDAT_ACT: " + py.str((((source) ?? null) !== (null) ? source : "it is set elsewhere")));
 return new Frame(variable, undefined, why);
 }
-name = text_of_items(py.at(split(py.at(this.statements, source).items, "="), 1));
-return _frame_of_data(variable, name, this.data);
+value = py.at(split(py.at(this.statements, source).items, "="), 1);
+group = aggregate(value, "{");
+fields = (((group) ?? null) !== (null) ? _fields(group) : null);
+if (py.truth(py.both(((fields) ?? null) !== (null), () => py.both(py.has(fields, "TOOL_NO"), () => py.has(fields, "BASE_NO"))))) {
+return _frame_of_pair(variable, _frame_data(fields));
+}
+return _frame_of_data(variable, text_of_items(value), this.data);
 return null;
 }
 _frame_of(variable, k, items) {
@@ -3019,6 +3119,12 @@ constructor(parts = null, is_arc = null) {
 this.parts = parts;
 this.is_arc = is_arc;
 }
+path(usual) {
+let is_usual;
+is_usual = py.both(!py.truth(this.is_arc), () => py.same(py.len(this.parts), py.add(1, py.same(usual, "circle"))));
+return (py.truth(is_usual) ? usual : "joint");
+return null;
+}
 }
 function _places(items) {
 let parts, places, stop;
@@ -3026,12 +3132,6 @@ stop = py.next((() => { const $out = []; for (const [j, item] of py.iter(py.enum
 parts = (() => { const $out = []; for (const part of py.iter(split(py.text(items).slice(undefined, stop)))) { if (py.truth(part)) $out.push(part); } return $out; })();
 places = (() => { const $out = []; for (const part of py.iter(parts)) { if (!py.same(word(py.at(part, 0)), "CA")) $out.push(part); } return $out; })();
 return new _Places(places, (py.len(places) < py.len(parts)));
-return null;
-}
-function _settings(items) {
-let start;
-start = py.next((() => { const $out = []; for (const [j, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "WITH")) $out.push(py.add(j, 1)); } return $out; })(), py.len(items));
-return split(py.text(items).slice(start, undefined));
 return null;
 }
 function _check_outside(code) {
@@ -3058,7 +3158,14 @@ found = py.call(data.frames, "get", name);
 if (((found) ?? null) === (null)) {
 return new Frame(variable, undefined, ("the frame data " + py.str(name) + " are not in these files, or not as numbers"));
 }
-return _frame_named((py.same(variable, "$TOOL") ? py.at(found, 0) : py.at(found, 1)));
+return _frame_of_pair(variable, found);
+return null;
+}
+function _frame_of_pair(variable, pair) {
+if (((pair) ?? null) === (null)) {
+return new Frame(variable, undefined, "the numbers of its tool and its base are not in numbers");
+}
+return _frame_named((py.same(variable, "$TOOL") ? py.at(pair, 0) : py.at(pair, 1)));
 return null;
 }
 function _frame_data(fields) {
@@ -3125,17 +3232,17 @@ return (py.truth(py.both(((call) ?? null) !== (null), () => py.both(py.same(py.c
 return null;
 }
 function _step(statement) {
-let calls, done, first, items, opens;
+let calls, first, items, names, opens;
 items = statement.items;
 first = word(py.at(items, 0));
 opens = (py.truth(py.both(py.same(first, "GLOBAL"), () => (py.len(items) > 1))) ? word(py.at(items, 1)) : first);
 if (py.has(_ROUTINES, opens)) {
 return new Step(opens, undefined, py.at((() => { const $out = []; for (const item of py.iter(items)) { if (py.truth(word(item))) $out.push(word(item)); } return $out; })(), -1));
 }
-calls = py.tuple((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { if (!py.has(_HARMLESS, py.call(name, "upper"))) $out.push(py.call(name, "upper")); } return $out; })());
-done = (() => { const $out = []; for (const [k, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "DO")) $out.push(k); } return $out; })();
-if (py.truth(done)) {
-return _started(py.text(items).slice(py.add(py.at(done, -1), 1), undefined), calls);
+names = (() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(py.call(name, "upper")); } return $out; })();
+calls = py.tuple((() => { const $out = []; for (const name of py.iter(names)) { if (py.truth(py.both(!py.has(_HARMLESS, name), () => !py.has(_FILLERS, name)))) $out.push(name); } return $out; })());
+if (py.truth(py.any((() => { const $out = []; for (const item of py.iter(items)) { $out.push(py.same(word(item), "DO")); } return $out; })()))) {
+return _started(_action(items), calls);
 }
 if (py.truth(py.either(py.has(_LOOPS, first), () => py.has(_BLOCKS, first)))) {
 return new Step(first, undefined, undefined, py.has(_LOOPS, first), undefined, undefined, undefined, calls);
@@ -3150,6 +3257,12 @@ if (py.same(first, "BAS")) {
 return new Step(undefined, undefined, undefined, undefined, undefined, _set_by_bas(items));
 }
 return (py.has(_MOTIONS, first) ? new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, calls) : _assigned(items, calls));
+return null;
+}
+function _action(items) {
+let done;
+done = (() => { const $out = []; for (const [k, item] of py.iter(py.enumerate(items))) { if (py.same(word(item), "DO")) $out.push(k); } return $out; })();
+return (py.truth(done) ? py.text(items).slice(py.add(py.at(done, -1), 1), undefined) : []);
 return null;
 }
 function _started(action, calls) {
@@ -3197,14 +3310,14 @@ is_known = py.either(py.has(_INSTRUCTIONS, first), () => py.either(py.has(_RELAT
 return (py.truth(py.either(is_known, () => !py.truth(first))) ? py.frozenset() : py.frozenset(new Set([POSITIONS])));
 return null;
 }
-return { _TOKENS, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _MOTIONS, _BY_POSTURE, _RELATIVE, _AFTER, _POSE, _JOINTS, _EXTERNAL, _NULL, _FRAMES, _BY_DATA, _SPEEDS, _MANUAL, _KRL_WORDS, _INSTRUCTIONS, _HARMLESS, _VARIABLES, _TURNING, _ORIENTATION, _ROBOT, _PLACES, _MOVES, _SETTABLE, Krl, _Data, _SourceReader, _Places, _places, _settings, _check_outside, _takes_values, _frame_named, _frame_of_data, _frame_data, _fields, _bits, _posture, _by_bas, _step, _started, _assigned, _set_by_bas, _set_by_assignment };
+return { _TOKENS, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _MOTIONS, _BY_POSTURE, _RELATIVE, _AFTER, _POSE, _JOINTS, _EXTERNAL, _NULL, _FRAMES, _BY_DATA, _SPEEDS, _MANUAL, _KRL_WORDS, _INSTRUCTIONS, _HARMLESS, _FILLERS, _VARIABLES, _TURNING, _ORIENTATION, _ROBOT, _PLACES, _MOVES, _SETTABLE, Krl, _Data, _SourceReader, _Places, _places, _check_outside, _takes_values, _frame_named, _frame_of_data, _frame_of_pair, _frame_data, _fields, _bits, _posture, _by_bas, _step, _action, _started, _assigned, _set_by_bas, _set_by_assignment };
 })();
 MODULES.rapid = (() => {
 const { Draft } = MODULES.draft;
 const { Code, Step, followed } = MODULES.flow;
 const { ControllerLanguage } = MODULES.language;
 const { Frame, Load, Motion, Point, Posture, Program, Skipped, Turn } = MODULES.program;
-const { BY_NAME, DISPLACES, GRAMMAR, JOINTS_TOO, MOTION_OPTIONS, MOTIONS, OF_OPTIONS, ONCE, RAPID_FUNCTIONS, RAPID_WORDS, READING, SWITCHES, check_blocks, code_of, ends_displacement } = MODULES.rapid_blocks;
+const { BY_NAME, DISPLACES, GRAMMAR, JOINTS_TOO, MOTION_OPTIONS, MOTIONS, OF_OPTIONS, ONCE, RAPID_FUNCTIONS, RAPID_WORDS, READING, SWITCHES, check_blocks, code_of, ends_displacement, is_assignment } = MODULES.rapid_blocks;
 const { EXTERNAL, Entries, Reader, formal_names } = MODULES.statement_reader;
 const { Brackets, Number, Statement, aggregate, calls_in, element_name, number_of, numbers_of, place_of, split, text_of_items, word, words_in } = MODULES.syntax;
 let _SEARCHES;
@@ -3363,7 +3476,7 @@ if (py.truth(storage)) {
 is_constant = py.same(word(py.at(items, py.at(storage, 0))), "CONST");
 this._declare(line, py.text(items).slice(py.add(py.at(storage, 0), 1), undefined), is_constant);
 } else {
-if (py.same(py.len(sides), 2)) {
+if (py.truth(py.both(py.same(py.len(sides), 2), () => is_assignment(items)))) {
 this.assign(line, ...py.iter(element_name(py.at(sides, 0))), py.at(sides, 1));
 } else {
 if (py.has(_SEARCHES, first)) {
@@ -3462,7 +3575,7 @@ this.draft.write(name, (py.truth(value) ? "a computed value" : "it is set while 
 return null;
 }
 _move(k) {
-let count, displaced, first, given, name, path, places, statement, targets, tool, tools;
+let count, displaced, first, given, path, places, statement, targets, tool, tools;
 statement = py.at(this.statements, k);
 first = word(py.at(statement.items, 0));
 path = py.at(MOTIONS, first);
@@ -3470,8 +3583,7 @@ given = _arguments(py.text(statement.items).slice(1, undefined));
 count = (py.same(path, "circle") ? 2 : 1);
 places = py.text(given.plain).slice(undefined, count);
 if ((py.len(places) < count)) {
-name = (py.str(first) + " of line " + py.str(statement.line));
-py.call(this.draft.skipped, "append", this.skip(name, statement.line, "not understood"));
+this.not_understood(first, statement.line);
 return null;
 }
 displaced = this._displaced(k, given.options);
@@ -3583,7 +3695,7 @@ let first, found, group, name, sides;
 first = word(py.at(statement.items, 0));
 found = py.set();
 sides = split(statement.items, ":=");
-if (py.truth(py.both(py.same(py.len(sides), 2), () => !py.has(MOTIONS, first)))) {
+if (py.truth(py.both(py.same(py.len(sides), 2), () => py.both(!py.has(MOTIONS, first), () => is_assignment(statement.items))))) {
 py.call(found, "add", py.at(element_name(py.at(sides, 0)), 0));
 } else {
 if (!py.truth(py.either(step.opens, () => py.either(step.closes, () => py.either(step.is_jump, () => py.has(MOTIONS, first)))))) {
@@ -3662,7 +3774,7 @@ _ENDLESS = ["servoj", "servoc", "servol", "speedj", "speedl"];
 let _MANUAL;
 _MANUAL = "Universal Robots, script manual (PolyScope 5)";
 let _SCRIPT_WORDS;
-_SCRIPT_WORDS = [new Understood("function", (py.str(_MANUAL) + ": module motion (ends of motions, kinematics; no motion of its own)"), "stopj, stopl, stops, get_conveyor_tick_count, set_conveyor_tick_count, conveyor_pulse_decode, encoder_enable_pulse_decode, encoder_enable_set_tick_count, encoder_get_tick_count, encoder_set_tick_count, encoder_unwind_delta_tick_count, position_deviation_warning, is_within_safety_limits, is_steady"), new Understood("function", (py.str(_MANUAL) + ": module internals"), "get_actual_joint_positions, get_actual_joint_positions_history, get_actual_joint_speeds, get_actual_tcp_pose, get_actual_tcp_speed, get_actual_tool_flange_pose, get_controller_temp, get_forward_kin, get_inverse_kin, get_inverse_kin_has_solution, get_joint_temp, get_joint_torques, get_steptime, get_target_joint_positions, get_target_joint_speeds, get_target_payload, get_target_payload_cog, get_target_payload_inertia, get_target_tcp_pose, get_target_tcp_speed, get_target_waypoint, get_tcp_force, get_tcp_offset, get_tool_accelerometer_reading, get_tool_current, popup, powerdown, sleep, str_at, str_cat, str_empty, str_find, str_len, str_sub, sync, textmsg, to_num, to_str, assert, time, set_payload, set_payload_cog, set_payload_mass, set_target_payload, set_gravity, set_flag, get_flag, halt, rtde_set_watchdog, request_boolean_from_primary_client, request_float_from_primary_client, request_integer_from_primary_client, request_string_from_primary_client"), new Understood("function", (py.str(_MANUAL) + ": module urmath"), "acos, asin, atan, atan2, binary_list_to_integer, ceil, cos, d2r, floor, get_list_length, length, integer_to_binary_list, interpolate_pose, inv, list_append, list_insert, list_remove, list_extend, list_clear, log, norm, normalize, point_dist, pose_add, pose_dist, pose_inv, pose_sub, pose_trans, pow, r2d, random, rotvec2rpy, rpy2rotvec, sin, size, sqrt, tan, transpose, wrench_trans, struct, True, False, and, or, not, xor, mod, if, elif, while, return, p, run, join, kill"), new Understood("function", (py.str(_MANUAL) + ": module interfaces"), "get_analog_in, get_analog_out, get_configurable_digital_in, get_configurable_digital_out, get_digital_in, get_digital_out, get_euromap_input, get_euromap_output, get_standard_analog_in, get_standard_analog_out, get_standard_digital_in, get_standard_digital_out, get_tool_analog_in, get_tool_digital_in, get_tool_digital_out, modbus_add_signal, modbus_delete_signal, modbus_get_signal_status, modbus_send_custom_command, modbus_set_output_register, modbus_set_output_signal, modbus_set_runstate_dependent_choice, modbus_set_signal_update_frequency, read_input_boolean_register, read_input_float_register, read_input_integer_register, read_output_boolean_register, read_output_float_register, read_output_integer_register, read_port_bit, read_port_register, set_analog_inputrange, set_analog_out, set_analog_outputdomain, set_configurable_digital_out, set_digital_out, set_euromap_output, set_euromap_runstate_dependent_choice, set_runstate_configurable_digital_output_to_value, set_runstate_standard_analog_output_to_value, set_runstate_standard_digital_output_to_value, set_runstate_tool_digital_output_to_value, set_standard_analog_input_domain, set_standard_analog_out, set_standard_digital_out, set_tool_analog_input_domain, set_tool_communication, set_tool_digital_out, set_tool_digital_output_mode, set_tool_output_mode, set_tool_voltage, socket_close, socket_get_var, socket_open, socket_read_ascii_float, socket_read_binary_integer, socket_read_byte_list, socket_read_line, socket_read_string, socket_send_byte, socket_send_int, socket_send_line, socket_send_string, socket_set_var, write_output_boolean_register, write_output_float_register, write_output_integer_register, write_port_bit, write_port_register, zero_ftsensor, set_input_actions_to_default, set_standard_digital_input_action, set_tool_digital_input_action, set_configurable_digital_input_action, set_gp_boolean_input_action, enter_critical, exit_critical, set_safety_mode_transition_hardness")];
+_SCRIPT_WORDS = [new Understood("function", (py.str(_MANUAL) + ": module motion (ends of motions, kinematics; no motion of its own)"), "stopj, stopl, stops, get_conveyor_tick_count, set_conveyor_tick_count, conveyor_pulse_decode, encoder_enable_pulse_decode, encoder_enable_set_tick_count, encoder_get_tick_count, encoder_set_tick_count, encoder_unwind_delta_tick_count, position_deviation_warning, is_within_safety_limits, is_steady"), new Understood("function", (py.str(_MANUAL) + ": module internals"), "get_actual_joint_positions, get_actual_joint_positions_history, get_actual_joint_speeds, get_actual_tcp_pose, get_actual_tcp_speed, get_actual_tool_flange_pose, get_controller_temp, get_forward_kin, get_inverse_kin, get_inverse_kin_has_solution, get_joint_temp, get_joint_torques, get_steptime, get_target_joint_positions, get_target_joint_speeds, get_target_payload, get_target_payload_cog, get_target_payload_inertia, get_target_tcp_pose, get_target_tcp_speed, get_target_waypoint, get_tcp_force, get_tcp_offset, get_tool_accelerometer_reading, get_tool_current, popup, powerdown, sleep, str_at, str_cat, str_empty, str_find, str_len, str_sub, sync, textmsg, to_num, to_str, assert, time, force, rpc_factory, get_target_tcp_pose_along_path, get_target_tcp_speed_along_path, set_payload, set_payload_cog, set_payload_mass, set_target_payload, set_gravity, set_flag, get_flag, halt, rtde_set_watchdog, request_boolean_from_primary_client, request_float_from_primary_client, request_integer_from_primary_client, request_string_from_primary_client"), new Understood("function", (py.str(_MANUAL) + ": module urmath"), "acos, asin, atan, atan2, binary_list_to_integer, ceil, cos, d2r, floor, get_list_length, length, integer_to_binary_list, interpolate_pose, inv, list_append, list_insert, list_remove, list_extend, list_clear, log, norm, normalize, point_dist, pose_add, pose_dist, pose_inv, pose_sub, pose_trans, pow, r2d, random, rotvec2rpy, rpy2rotvec, sin, size, sqrt, tan, transpose, wrench_trans, struct, True, False, and, or, not, xor, mod, if, elif, while, return, p, run, join, kill"), new Understood("function", (py.str(_MANUAL) + ": module interfaces"), "get_analog_in, get_analog_out, get_configurable_digital_in, get_configurable_digital_out, get_digital_in, get_digital_out, get_euromap_input, get_euromap_output, get_standard_analog_in, get_standard_analog_out, get_standard_digital_in, get_standard_digital_out, get_tool_analog_in, get_tool_digital_in, get_tool_digital_out, modbus_add_signal, modbus_delete_signal, modbus_get_signal_status, modbus_send_custom_command, modbus_set_output_register, modbus_set_output_signal, modbus_set_runstate_dependent_choice, modbus_set_signal_update_frequency, read_input_boolean_register, read_input_float_register, read_input_integer_register, read_output_boolean_register, read_output_float_register, read_output_integer_register, read_port_bit, read_port_register, set_analog_inputrange, set_analog_out, set_analog_outputdomain, set_configurable_digital_out, set_digital_out, set_euromap_output, set_euromap_runstate_dependent_choice, set_runstate_configurable_digital_output_to_value, set_runstate_standard_analog_output_to_value, set_runstate_standard_digital_output_to_value, set_runstate_tool_digital_output_to_value, set_standard_analog_input_domain, set_standard_analog_out, set_standard_digital_out, set_tool_analog_input_domain, set_tool_communication, set_tool_digital_out, set_tool_digital_output_mode, set_tool_output_mode, set_tool_voltage, socket_close, socket_get_var, socket_open, socket_read_ascii_float, socket_read_binary_integer, socket_read_byte_list, socket_read_line, socket_read_string, socket_send_byte, socket_send_int, socket_send_line, socket_send_string, socket_set_var, write_output_boolean_register, write_output_float_register, write_output_integer_register, write_port_bit, write_port_register, zero_ftsensor, set_input_actions_to_default, set_standard_digital_input_action, set_tool_digital_input_action, set_configurable_digital_input_action, set_gp_boolean_input_action, enter_critical, exit_critical, set_safety_mode_transition_hardness")];
 let _HARMLESS;
 _HARMLESS = understood_words(_SCRIPT_WORDS, "function");
 let _SWITCHES;
@@ -3808,7 +3920,7 @@ path = py.at(_MOTIONS, called);
 count = (py.same(path, "circle") ? 2 : 1);
 places = given.places(count);
 if ((py.len(places) < count)) {
-py.call(this.draft.skipped, "append", this.skip((py.str(called) + " of line " + py.str(statement.line)), statement.line, "not understood"));
+this.not_understood(called, statement.line);
 return null;
 }
 targets = py.tuple((() => { const $out = []; for (const part of py.iter(places)) { $out.push(this.target(k, part)); } return $out; })());
@@ -3898,12 +4010,26 @@ function _ends_displacement(statement) {
 return py.has(_ENDS_IT, py.str(py.at(statement.items, 0)));
 return null;
 }
+function* _called(items) {
+let is_call, item, k;
+for (const $each of py.iter(py.enumerate(items))) {
+[k, item] = $each;
+if (!py.truth(py.isinstance(item, [Brackets]))) {
+continue;
+}
+is_call = py.both(py.same(item.kind, "("), () => py.both((k > 0), () => is_token(py.at(items, py.sub(k, 1)), "WORD")));
+if (py.truth(py.both(is_call, () => !py.truth(py.both((k > 1), () => is_token(py.at(items, py.sub(k, 2)), "SIGN", ".")))))) {
+(yield py.str(py.at(items, py.sub(k, 1))));
+}
+(yield* py.iter(_called(item.items)));
+}
+}
 function _step(statement) {
 let calls, first, items, kind, name;
 items = statement.items;
 first = (py.truth(is_token(py.at(items, 0), "WORD")) ? py.str(py.at(items, 0)) : "");
 kind = py.call(_OPENS, "get", first, "");
-calls = py.tuple((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { if (py.truth(py.both(!py.has(_HARMLESS, name), () => py.both(!py.has(_SWITCHES, name), () => py.both(!py.has(_MOTIONS, name), () => !py.has(_ENDLESS, name)))))) $out.push(name); } return $out; })());
+calls = py.tuple((() => { const $out = []; for (const name of py.iter(_called(items))) { if (py.truth(py.both(!py.has(_HARMLESS, name), () => py.both(!py.has(_SWITCHES, name), () => py.both(!py.has(_MOTIONS, name), () => !py.has(_ENDLESS, name)))))) $out.push(name); } return $out; })());
 if (py.same(kind, "routine")) {
 name = py.next((() => { const $out = []; for (const item of py.iter(py.text(items).slice(1, undefined))) { if (py.truth(is_token(item, "WORD"))) $out.push(py.str(item)); } return $out; })(), first);
 return new Step(first, undefined, name, undefined, undefined, undefined, undefined, undefined, (py.same(first, "thread") ? [name] : []));
@@ -3920,5 +4046,5 @@ return new Step(undefined, undefined, undefined, undefined, true, undefined, und
 return new Step(undefined, undefined, undefined, undefined, undefined, (py.has(_SWITCHES, first) ? py.frozenset(new Set([py.at(_SWITCHES, first)])) : py.frozenset()), undefined, calls);
 return null;
 }
-return { _TOKENS, _WORDS, _MOTIONS, _ENDLESS, _MANUAL, _SCRIPT_WORDS, _HARMLESS, _SWITCHES, _ENDS_IT, _MODE, _OPENS, UrScript, _ScriptReader, _ScriptArguments, _arguments, _code, _ends_displacement, _step };
+return { _TOKENS, _WORDS, _MOTIONS, _ENDLESS, _MANUAL, _SCRIPT_WORDS, _HARMLESS, _SWITCHES, _ENDS_IT, _MODE, _OPENS, UrScript, _ScriptReader, _ScriptArguments, _arguments, _code, _ends_displacement, _called, _step };
 })();
