@@ -305,7 +305,7 @@ VALUES: Mapping[str, str] = {
     "valueExpandedMU": NUMBER.replace("[-+]?", "", 1),
     "coverageFactor": r"[1-9]\d*(\.\d*)?",
     "coverageProbability": r"0(\.\d*)?|1(\.0*)?",
-    "unit": r"(\\[a-z]+)+",
+    "unit": r"(\\[a-z]+(\{-?\d+\})?)+",
 }
 
 
@@ -375,15 +375,15 @@ def test_the_digital_certificate_keeps_the_rules_of_ptb(which: str, request: pyt
 
 
 def test_units_beyond_the_digital_system_stand_as_text() -> None:
-    """Pixels and the readings of an IMU are results, too."""
-    figures = [Figure(name="mean", value=0.25, unit=unit) for unit in ("px", "m/s^2", "rad/s")]
+    """Pixels are results, too; the readings of an IMU have units of it."""
+    figures = [Figure(name="mean", value=0.25, unit=unit) for unit in ("px", "m/s^2", "mrad/s")]
     group = FigureGroup(title="errors", figures=tuple(figures))
     bare = {"title": "t", "issue": ISSUE, "item": "i", "identity": Identity(), "files": {"a": "b"}, "versions": {}}
 
     xml = digital_certificate(Certificate(groups=(group,), **bare))
 
     assert list(faults(etree.fromstring(xml))) == []
-    assert b">0.25 px<" in xml and b">0.25 rad/s<" in xml
+    assert b">0.25 px<" in xml and rb">\metre\second\tothe{-2}<" in xml
 
 
 def test_what_is_not_stated_is_marked(of_model: Certificate) -> None:
