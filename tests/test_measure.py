@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import feature_cases as cases
@@ -13,6 +14,7 @@ from scipy.stats import chi2
 
 from pincal import BadInputError, schemas
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.calibration.statement import ModelStatement
 from pincal.cli import main
 from pincal.features.flange_sensor import FlangeSensor
 from pincal.features.measured_file import MeasuredFile
@@ -20,6 +22,8 @@ from pincal.features.measured_page import verdict_words
 from pincal.features.measured_part import MeasuredPart, measure_part
 from pincal.features.part import Part
 from pincal.features.readings import FeatureReadings
+from pincal.notes import doubts_of
+from pincal.validate.misfit import Verdict
 
 RADIUS = 0.01
 CENTRES = {"h1": (0.0, 0.0), "h2": (0.08, 0.0), "h3": (0.08, 0.06)}
@@ -232,6 +236,19 @@ def test_the_command_measures_a_part(
     np.testing.assert_allclose(float(row["value"]), found["features"][0]["values"]["diameter"]["value"])
     page = (tmp_path / "out" / "report.html").read_text()
     assert "does not conform" in page and "2021-17" in page and "<script" not in page
+
+
+def test_a_doubt_of_the_calibration_is_one_of_the_part(
+    camera: FittedRobot, rng: np.random.Generator, tmp_path: Path
+) -> None:
+    """It is said once, as a doubt, with the part measured nevertheless."""
+    said = ModelStatement(verdict=Verdict.NOT_ADEQUATE, doubts=("the target was touched",))
+    found = measured(replace(camera, statement=said), seen_panel(camera, rng), tmp_path).found
+    doubts = [note.text for note in doubts_of(found.warnings)]
+    assert doubts == ["the calibration of this model left a doubt: the target was touched"]
+    sound = ModelStatement(verdict=Verdict.ADEQUATE, rests_on="declared noise")
+    found = measured(replace(camera, statement=sound), seen_panel(camera, rng), tmp_path).found
+    assert not doubts_of(found.warnings)
 
 
 def test_the_structure_has_its_schema() -> None:

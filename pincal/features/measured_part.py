@@ -32,8 +32,9 @@ from pincal.features.readings import CONTACT, IMAGE, RANGE, FeatureReadings
 from pincal.features.triangulation import points_of_images
 from pincal.io.strict_json import write_json
 from pincal.measure.table import write_table
-from pincal.notes import Note, doubts_first
+from pincal.notes import Note, Severity, doubts_first
 from pincal.thresholds import Count
+from pincal.validate.misfit import Verdict
 
 # Names that a message lists.
 _LISTED: Count = 5
@@ -108,7 +109,7 @@ def measure_part(
         frame=frame,
         rule=rule or DecisionRule(),
     )
-    notes = [*_notes(mounted), *_lacking(part, features)]
+    notes = [*_said_by_calibration(robot), *_notes(mounted), *_lacking(part, features)]
     found = msgspec.structs.replace(result.file(), warnings=doubts_first(notes), id=robot.identity)
     return MeasuredPart(found, features, values)
 
@@ -152,11 +153,19 @@ def _passes(part: Part, points: LocatedPoints, declared: FlangeSensor) -> Iterat
             yield FittedPart.of(part, some, declared).evaluated()
 
 
+def _said_by_calibration(robot: FittedRobot) -> Iterator[Note]:
+    """Yield what a calibration states of its model; its doubt is one of what is measured."""
+    statement = robot.statement
+    if statement is None:
+        return
+    is_doubted = bool(statement.doubts) or statement.verdict is Verdict.NOT_ADEQUATE
+    for i, text in enumerate(statement.notes()):
+        severity = Severity.DOUBT if is_doubted and i == 0 else Severity.NOTE
+        yield Note(severity, text)
+
+
 def _notes(mounted: MountedSensor) -> Iterator[str]:
-    """Yield what the calibration says of itself, and what is not known of the sensor."""
-    statement = mounted.fitted.statement
-    if statement is not None:
-        yield from statement.notes()
+    """Yield what is not known of the sensor."""
     sigma, _ = mounted.noise
     if mounted.readings.kind != IMAGE and not np.any(sigma):
         of = "a contact" if mounted.readings.kind == CONTACT else "the sensor"
