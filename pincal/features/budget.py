@@ -61,7 +61,8 @@ class BudgetEntry:
         if self.distribution not in DISTRIBUTIONS:
             known = ", ".join(nearest_first([self.distribution], DISTRIBUTIONS))
             raise BadInputError(
-                f"source {self.source!r}: distribution {self.distribution!r}; expected one of {known}"
+                f"source {self.source!r}: distribution {self.distribution!r}; expected one of "
+                f"{known}"
             )
 
     @classmethod

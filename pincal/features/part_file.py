@@ -25,8 +25,8 @@
 
 ``tolerance`` is the largest deviation, or the least and the largest one, ``limits`` are the least
 and the largest value. A plain one is of what ``nominal`` is, coordinate by coordinate; in a table
-they are of the quantities that are named (:mod:`pincal.features.part_feature`), of which ``position`` is
-the diameter of a zone as in ISO 1101, and ``direction`` another name of ``tilt``.
+they are of the quantities that are named (:mod:`pincal.features.part_feature`), of which
+``position`` is the diameter of a zone as in ISO 1101, and ``direction`` another name of ``tilt``.
 """
 
 from __future__ import annotations
