@@ -25,8 +25,8 @@
 
 ``tolerance`` is the largest deviation, or the least and the largest one, ``limits`` are the least
 and the largest value. A plain one is of what ``nominal`` is, coordinate by coordinate; in a table
-they are of the quantities that are named (:mod:`pincal.features.part`), of which ``position`` is
-the diameter of a zone as in ISO 1101, and ``direction`` another name of ``tilt``.
+they are of the quantities that are named (:mod:`pincal.features.part_feature`), of which
+``position`` is the diameter of a zone as in ISO 1101, and ``direction`` another name of ``tilt``.
 """
 
 from __future__ import annotations
@@ -36,18 +36,17 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pincal.errors import BadInputError, counted, nearest_first
-from pincal.features.part import (
+from pincal.features.part_feature import (
     DATUM_KINDS,
     DERIVED_KINDS,
     ONE_SIDED,
     QUANTITIES,
     UNIT_OF,
-    Part,
     PartDatum,
     PartFeature,
     ToleranceLimits,
@@ -64,8 +63,15 @@ _DIMENSION = {"m": "length", "rad": "angle"}
 _DATUM_COUNT = {"3-2-1": 3}
 
 
-def read_part(path: str | os.PathLike[str]) -> Part:
-    """Read the file of a part, see :meth:`pincal.features.part.Part.from_toml`."""
+class PartContent(NamedTuple):
+    """What the file of a part says."""
+
+    features: Mapping[str, PartFeature]
+    datum: PartDatum
+
+
+def read_part(path: str | os.PathLike[str]) -> PartContent:
+    """Read the file of a part, see :class:`pincal.features.part.Part`."""
     path = Path(path)
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -78,7 +84,7 @@ def read_part(path: str | os.PathLike[str]) -> Part:
         if key not in _TOP:
             near = ", ".join(nearest_first([key], _TOP))
             raise BadInputError(f"{path}: unknown key {key!r}; expected one of {near}")
-    return _File(path, content).part()
+    return _File(path, content).content_of_part()
 
 
 class _File:
@@ -100,7 +106,7 @@ class _File:
             )
         return str(unit)
 
-    def part(self) -> Part:
+    def content_of_part(self) -> PartContent:
         """Return the part, with all names resolved."""
         features = {name: self._feature(name, table) for name, table in self._tables()}
         for name, point in self.points.items():
@@ -112,7 +118,7 @@ class _File:
             )
         for feature in features.values():
             self._check_links(feature, features)
-        return Part(features, self._datum(features))
+        return PartContent(features, self._datum(features))
 
     def _points(self) -> dict[str, PartFeature]:
         """Return the points of the table of points, by name."""

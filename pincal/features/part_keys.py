@@ -1,4 +1,4 @@
-"""Tables of a part's file with units in their keys: ``nominal_mm = 20`` or ``nominal = "20 mm"``."""
+"""Tables of a part's file with units in keys or values: ``size_mm = 20``, ``size = "2 cm"``."""
 
 from __future__ import annotations
 
