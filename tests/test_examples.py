@@ -118,6 +118,17 @@ def test_camera_in_the_hand_finds_the_papers_robot(tmp_path: Path) -> None:
         assert numbers(case, "covariance foretells")[0] == pytest.approx(1.0, abs=0.4)
 
 
+@pytest.mark.long
+def test_the_example_measures_what_is_true(tmp_path: Path) -> None:
+    """True diameters and distances are within U of the measured ones, but for one in twenty; U is some hundredths."""
+    text = run("body_in_white.py", "--out", "o", "--measure", folder=tmp_path)
+    rows = [line.split() for line in text.splitlines() if " diameter " in line or " distance " in line]
+
+    assert len(rows) == 5
+    assert all(0.01 < float(row[4]) < 0.1 for row in rows)
+    assert sum(abs(float(row[2]) - float(row[3])) > float(row[4]) for row in rows) <= 1
+
+
 @pytest.mark.parametrize(("words", "absent"), [([], "distributed"), (["--mpi"], "mpi4py")])
 def test_a_cluster_that_is_not_installed_is_named(words: list[str], absent: str, tmp_path: Path) -> None:
     """Before any work, with what to install, and without a traceback."""
