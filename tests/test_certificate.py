@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 from lxml import etree
+from test_catalogue import EFFECTS as ALL_EFFECTS
 from test_cli import run
-from test_export import calibrated_of
+from test_export import calibrated_of, drawn
 from test_identity import STATED
 
 from pincal import Robot
@@ -25,7 +26,7 @@ from pincal.certificate.certificate_page import certificate_page
 from pincal.certificate.dcc import DCC, DCC_VERSION, SI, digital_certificate
 from pincal.certificate.of_measured import certificate_of_measured
 from pincal.certificate.of_model import certificate_of_model, position_budget
-from pincal.certificate.statement import Certificate, Figure, Issue
+from pincal.certificate.statement import Certificate, Figure, FigureGroup, Issue
 from pincal.errors import BadInputError
 from pincal.identity import Identity
 from pincal.io.result_folder import output_folder
@@ -304,7 +305,7 @@ VALUES: Mapping[str, str] = {
     "valueExpandedMU": NUMBER.replace("[-+]?", "", 1),
     "coverageFactor": r"[1-9]\d*(\.\d*)?",
     "coverageProbability": r"0(\.\d*)?|1(\.0*)?",
-    "unit": r"(\\[a-z]+)+",
+    "unit": r"(\\[a-z]+(\{-?\d+\})?)+",
 }
 
 
@@ -373,6 +374,18 @@ def test_the_digital_certificate_keeps_the_rules_of_ptb(which: str, request: pyt
     assert found.is_valid, found.failed_assertions
 
 
+def test_units_beyond_the_digital_system_stand_as_text() -> None:
+    """Pixels are results, too; the readings of an IMU have units of it."""
+    figures = [Figure(name="mean", value=0.25, unit=unit) for unit in ("px", "m/s^2", "mrad/s")]
+    group = FigureGroup(title="errors", figures=tuple(figures))
+    bare = {"title": "t", "issue": ISSUE, "item": "i", "identity": Identity(), "files": {"a": "b"}, "versions": {}}
+
+    xml = digital_certificate(Certificate(groups=(group,), **bare))
+
+    assert list(faults(etree.fromstring(xml))) == []
+    assert b">0.25 px<" in xml and rb">\metre\second\tothe{-2}<" in xml
+
+
 def test_what_is_not_stated_is_marked(of_model: Certificate) -> None:
     """Instrument and certificate may be missing, but not unnoticed; traceability is no more than was stated."""
     bare = replace(of_model, identity=Identity())
@@ -382,6 +395,21 @@ def test_what_is_not_stated_is_marked(of_model: Certificate) -> None:
     assert set(bare.lacking) >= {"robot", "instrument", "certificate", "date"}
     assert of_model.lacking == ()
     assert "tracker 7512" in certificate_page(of_model)
+
+
+def test_a_model_whose_effects_need_more_of_a_pose_has_no_budget(tmp_path: Path, kuka: Robot) -> None:
+    """The sheet says why; the figures of the calibration stand, and the XML keeps its structure."""
+    settling = ALL_EFFECTS["settling"](kuka.joint_names)
+    found = drawn(settling, kuka)
+    found.save(tmp_path / "model.json")
+    result = RESULT | {"parameters": parameters_of(found)}
+    (tmp_path / "result.json").write_text(json.dumps(result))
+
+    certificate = certificate_of_model(tmp_path / "model.json", Identity(), ISSUE)
+
+    assert certificate.budget is None and certificate.facts["budget"].startswith("none: settling needs the column time")
+    assert certificate.groups[-1].figures[0].value == RESULT["uncertainty"]["here_mm"]
+    assert list(faults(etree.fromstring(digital_certificate(certificate)))) == []
 
 
 def test_a_model_without_its_result_is_refused(tmp_path: Path, known: FittedRobot) -> None:

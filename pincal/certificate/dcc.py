@@ -44,6 +44,8 @@ _UNITS = {
     "mrad": r"\milli\radian",
     "rad": r"\radian",
     "deg": r"\degree",
+    "m/s^2": r"\metre\second\tothe{-2}",
+    "mrad/s": r"\milli\radian\second\tothe{-1}",
     "kg": r"\kilogram",
     "deg C": r"\degreecelsius",
 }
