@@ -22,7 +22,7 @@ from pincal.measure.table import read_measurements
 from pincal.robot.mastering import resized
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Coupling
-from pincal.validate.cures import Case, Correction, from_hand
+from pincal.validate.cures import Case, Correction, from_hand, misreadings
 from pincal.validate.descriptions import DescriptionSearch
 from pincal.validate.linear_scan import LinearScan
 from pincal.validate.orientations import OrientationSearch
@@ -252,3 +252,32 @@ def test_rounded_joints_do_not_make_a_changed_robot() -> None:
     assert "multiples of 0.1 deg, as a pendant shows them" in rounded.warnings[0].text
     assert sent.is_judged and not sent.changed
     assert changed.is_judged and changed.changed
+
+
+W_FIRST = "--columns 'qx=qw,qy=qx,qz=qy,qw=qz'"
+INVERTED = "invert them, or leave the orientations out: --orientation none"
+
+
+def test_mixed_up_quaternions_come_with_what_cures_them() -> None:
+    """By an option where there is one; an exchange of positions needs another header."""
+    table = measurements_from_arrays(
+        ["a"], np.zeros((9, 1)), position=np.zeros((9, 3)), quaternion=np.tile([0, 0, 0, 1.0], (9, 1))
+    )
+    advice = {one.words: one.advice for one in misreadings(robot_of("ur5")[0], table)}
+    assert W_FIRST in advice["the quaternion appears to be written with w first"]
+    assert advice["the quaternion appears to be inverted"] == INVERTED
+    assert all("header" in of for words, of in advice.items() if "quaternion" not in words and "left-handed" not in words)
+
+
+@pytest.mark.long
+def test_wrong_orientations_are_told_by_their_angles() -> None:
+    """Positions fit: what remains is said of the orientations, with the option that reads them."""
+    robot, _ = robot_of("ur5")
+    machine = machine_of(robot, np.random.default_rng(1))
+    q = 0.9 * robot.random_configurations(40, np.random.default_rng(2))
+    position, rotation = poses_of(machine, q)
+    turned = Rotation.from_matrix(rotation).as_quat()[:, [3, 0, 1, 2]]
+    table = measurements_from_arrays(robot.joint_names, q, position=position, quaternion=turned)
+    with pytest.raises(BadInputError, match=r"orientations are off by \d+ mrad, with this corrected \d\.\d mrad") as error:
+        calibrate(robot, table, PLAIN)
+    assert W_FIRST in str(error.value)

@@ -667,7 +667,8 @@ class FittedRobot:
         That of conditions is not known of orientations, and 0. Where the calibration read none,
         what the model lacks is that of its drives alone.
         """
-        return self.uncertainty.turn_variances(conditions)
+        by_source = self.uncertainty.variances(conditions, turns=True)
+        return {name: variance[:, 3:] for name, variance in by_source.items()}
 
     @property
     def uncertainty(self) -> PredictionUncertainty:
