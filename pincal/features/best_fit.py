@@ -188,7 +188,8 @@ class _BestFit:
         if self.is_open(best):
             raise BadInputError(
                 f"datum best fit: {', '.join(feature.name for feature in self.features)} leave the "
-                "frame open; expected three points apart, or features that hold all shifts and turns"
+                "frame open; expected three points apart, or features that hold all shifts and "
+                "turns"
             )
         if not found:
             raise IdentificationError(

@@ -3,7 +3,8 @@ r"""Features through measured points, by generalised least squares with their fu
 With the signed distances g(x; theta) of the points, whose derivatives are N by the points and J by
 the parameters, the most probable errors of the points and the best parameters make
 
-.. math:: \min_{\delta, \theta} \delta^T C^{-1} \delta \quad\text{with}\quad g(x - \delta; \theta) = 0,
+.. math:: \min_{\delta, \theta} \delta^T C^{-1} \delta
+          \quad\text{with}\quad g(x - \delta; \theta) = 0,
 
 which is solved by Gauss and Helmert's linearisation at the adjusted points. With
 W = (N C N^T)^{-1}, errors of points move the parameters by

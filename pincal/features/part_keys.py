@@ -1,4 +1,4 @@
-"""Tables of a part's file with units in their keys: ``nominal_mm = 20`` or ``nominal = "20 mm"``."""
+"""Tables of a part's file with units in keys: ``nominal_mm = 20`` or ``nominal = "20 mm"``."""
 
 from __future__ import annotations
 
