@@ -104,6 +104,7 @@ def test_case_study_states_honest_uncertainties(kuka_output: str) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.first
 def test_camera_in_the_hand_finds_the_papers_robot(tmp_path: Path) -> None:
     """From twelve views of the paper's object: exact to rounding, and as uncertain as the covariance says."""
     text = run("kuka_camera.py", "--seeds", "1", "--draws", "12", folder=tmp_path)
@@ -265,6 +266,7 @@ def test_images_without_opencv_say_what_to_install(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.long
+@pytest.mark.first
 def test_real_robot_is_calibrated(shared_data: Path, tmp_path: Path) -> None:
     """On the measured UR10 geometry and then elasticity help; curves of the drives explain most of what remains."""
     text = run("ur10_tracker.py", str(shared_data / "ur10_tmac" / "series_B.csv"), folder=tmp_path)
@@ -332,6 +334,7 @@ def test_a_controller_gives_its_calibration_away(tmp_path: Path, decimals: int, 
 
 
 @pytest.mark.long
+@pytest.mark.first
 def test_readings_are_between_any_two_links(tmp_path: Path) -> None:
     """Hands that touch, a head, a track, a palletizer and a cell are right to little more than the noise, .080 mm."""
     text = run("any_two_links.py", folder=tmp_path)

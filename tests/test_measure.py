@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from pincal import BadInputError, schemas
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.statement import ModelStatement
+from pincal.calibration.model_statement import ModelStatement
 from pincal.cli import main
 from pincal.features.flange_sensor import FlangeSensor
 from pincal.features.measured_file import MeasuredFile

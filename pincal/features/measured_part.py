@@ -111,8 +111,12 @@ def measure_part(
         frame=frame,
         rule=rule or DecisionRule(),
     )
-    notes = [*_said_by_calibration(robot), *_notes(mounted), *_lacking(part, features)]
-    notes += passes.notes
+    notes: list[Note | str] = [
+        *_said_by_calibration(robot),
+        *_notes(mounted),
+        *_lacking(part, features),
+        *passes.notes,
+    ]
     found = msgspec.structs.replace(result.file(), warnings=doubts_first(notes), id=robot.identity)
     return MeasuredPart(found, features, values)
 
