@@ -24,6 +24,7 @@ from pincal.compensate.compensation import compensate_program
 from pincal.compensate.robot_frames import base_in_instrument, in_base_frame, program_poses
 from pincal.export import export_model
 from pincal.model.conditions import Conditions
+from pincal.parameters import estimate_of
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import compose, inverse
 from pincal.viewer import build_scene
@@ -125,6 +126,20 @@ def test_the_page_predicts_and_compensates_as_the_model_does(kuka: Robot, case: 
     # Beside a singularity joints that reach a pose to rounding may differ more than the poses.
     apart = np.abs(found.q - reached.q).max(axis=1)[both]
     assert np.quantile(apart, 0.9) < EXACT and np.median(apart) < 0.1 * EXACT
+
+
+@pytest.mark.long
+@ROOMS
+def test_the_page_gives_the_uncertainty_of_predictions(kuka: Robot, tmp_path: Path) -> None:
+    """In JavaScript as in Python; a model without any has none."""
+    bare = drawn(EFFECTS["gear_ratio"](kuka.joint_names), kuka, frame="after", equilibrium=True)
+    variances = np.diag(np.linspace(1.0, 2.0, len(bare.values)) * 1e-10)
+    uncertain = replace(bare, estimate=estimate_of(bare.model.parameters, bare.values, variances))
+    at = poses_of(uncertain, 20, np.random.default_rng(3))
+    code = f"const S = {states_of(at, kuka.own_joints)}; return S.map((s) => uncertainty(s));"
+    found = answered(export_model(uncertain, "page").text, code, tmp_path)
+    np.testing.assert_allclose(found, in_base_frame(uncertain).position_sigma(at), rtol=0.01)
+    assert "const uncertainty = null" in export_model(bare, "page").text
 
 
 # --- tables -------------------------------------------------------------------------------------------------------

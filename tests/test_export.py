@@ -22,7 +22,9 @@ from test_cli import run
 import pincal
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.covered import Covered
+from pincal.calibration.discrepancy import Discrepancy
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.compensate.robot_frames import in_base_frame
 from pincal.errors import BadInputError
 from pincal.export import FORMATS, Exported, Format, export_model, numpy_source
 from pincal.model.at_station import AtStation
@@ -42,7 +44,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 # What a formula may differ by [m, elements of the rotation matrix].
 EXACT = 1e-12
 # For a controller's cycle [s].
-FORWARD_TIME, COMPENSATION_TIME = 3e-6, 40e-6
+FORWARD_TIME, COMPENSATION_TIME, UNCERTAINTY_TIME = 3e-6, 40e-6, 60e-6
 
 DRIVER = """
 #define _POSIX_C_SOURCE 199309L
@@ -64,6 +66,15 @@ double compensate_all(int n, const double *wanted, int orientation, {name}_state
     return (now() - start) / n;
 }}
 """
+UNCERTAIN = """
+double uncertainty_all(int n, const {name}_state *states, double *sigma)
+{{
+    double start = now();
+    for (int i = 0; i < n; ++i)
+        {name}_uncertainty(states + i, sigma + 3 * i);
+    return (now() - start) / n;
+}}
+"""
 
 
 @dataclass(frozen=True)
@@ -73,11 +84,13 @@ class Compiled:
     library: ctypes.CDLL
 
     @classmethod
-    def of(cls, calibrated: FittedRobot, folder: Path) -> Compiled:
+    def of(cls, calibrated: FittedRobot, folder: Path, frame: str = "instrument") -> Compiled:
         """Export, compile without a warning, load."""
-        exported = export_model(calibrated, "c", folder)
+        exported = export_model(calibrated, "c", folder, frame=frame)
         name = next(file for file in exported.files if file.endswith(".c")).removesuffix(".c")
-        (folder / "driver.c").write_text(DRIVER.format(name=name))
+        has_uncertainty = f"{name}_uncertainty" in exported.text
+        driver = DRIVER + (UNCERTAIN if has_uncertainty else "")
+        (folder / "driver.c").write_text(driver.format(name=name))
         flags = ["-std=c99", "-O2", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fPIC", "-shared"]
         files = [folder / f"{name}.c", folder / "driver.c"]
         library = folder / f"{name}.so"
@@ -90,6 +103,12 @@ class Compiled:
         """Return poses, shape (N, 3, 4), and seconds a pose."""
         states, poses = states_of(at), np.empty((len(at), 3, 4))
         return poses, self.library.forward_all(len(at), address(states), address(poses))
+
+    def uncertainty(self, at: Conditions) -> tuple[np.ndarray, float]:
+        """Return standard uncertainties, shape (N, 3), and seconds a pose."""
+        states, sigma = states_of(at), np.empty((len(at), 3))
+        self.library.uncertainty_all.restype = ctypes.c_double
+        return sigma, self.library.uncertainty_all(len(at), address(states), address(sigma))
 
     def compensate(self, wanted: np.ndarray, at: Conditions, *, turn: bool = True) -> tuple[np.ndarray, np.ndarray, float]:
         """Return joint positions, shape (N, n), statuses, shape (N,), and seconds a pose."""
@@ -290,6 +309,29 @@ def test_c_is_exact_and_fast_enough_for_a_cycle(kuka: Robot, tmp_path: Path, rng
     table = subprocess.run(["nm", tmp_path / f"{kuka.name}.so"], capture_output=True, text=True, check=True).stdout
     called = [line.split()[-1].split("@")[0] for line in table.splitlines() if " U " in line]
     assert set(called) <= {"sin", "cos", "sincos", "sqrt", "atan2", "fmax", "fmin", "clock_gettime", "__stack_chk_fail"}
+
+
+@pytest.mark.parametrize("frame", ["instrument", "base"])
+def test_source_code_gives_the_uncertainty_of_predictions(
+    kuka: Robot, frame: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """C and NumPy state the u that the model states, of parameters, drives that err, and arrival, in both frames."""
+    bare = drawn(EFFECTS["transmission_error"](kuka.joint_names), kuka)
+    mixed = 1e-5 * rng.standard_normal((len(bare.values), len(bare.values)))
+    estimate = estimate_of(bare.model.parameters, bare.values, mixed @ mixed.T)
+    drives = rng.uniform(0.0, 1e-8, (kuka.n_joints, 1))
+    lacks = Discrepancy(lengths=np.array([0.2]), drives=drives, rest=1e-9, factor=1.2, coordinates=300)
+    uncertain = replace(bare, estimate=estimate, discrepancy=lacks)
+    at = poses_of(uncertain, 1000, rng)
+    placed = in_base_frame(uncertain) if frame == "base" else uncertain
+    expected = placed.position_sigma(at)
+    source = loaded(export_model(uncertain, "python", frame=frame).text)
+    np.testing.assert_allclose(source["uncertainty"](at.q, **columns_of(at)), expected, rtol=0.01)
+    compiled = Compiled.of(uncertain, tmp_path, frame)
+    sigma, seconds = compiled.uncertainty(at)
+    np.testing.assert_allclose(sigma, expected, rtol=0.01)
+    print(f"C: {1e6 * seconds:.2f} us a pose with {len(bare.values)} parameters")
+    assert seconds < UNCERTAINTY_TIME
 
 
 # --- frames, targets, refusals ------------------------------------------------------------------------------------

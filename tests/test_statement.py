@@ -8,8 +8,9 @@ import pytest
 
 from pincal import Options, Robot, load_model, measurements_from_arrays, run_calibration
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.statement import ModelStatement
+from pincal.calibration.model_statement import ModelStatement
 from pincal.cli import main
+from pincal.export import export_model
 from pincal.measure.table import write_table
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
@@ -72,3 +73,16 @@ def test_what_nothing_shows_is_said() -> None:
     assert any("rest on the residuals" in note for note in alone.notes())
     assert not list(ModelStatement(verdict=Verdict.ADEQUATE, rests_on="repeated poses").notes())
     assert "and 1 more" in next(ModelStatement(verdict=Verdict.NOT_ADEQUATE, doubts=("this", "that")).notes())
+
+
+@pytest.mark.parametrize("name", ["python", "c", "page"])
+def test_exports_state_what_the_calibration_did(rippled: Calibration, name: str, tmp_path: Path) -> None:
+    """Source code and the page say how good predictions are, and the doubt, once."""
+    statement = rippled.fit.statement
+    assert statement is not None
+    path = tmp_path / {"python": "arm.py", "c": "arm", "page": "arm.html"}[name]
+    export_model(rippled.fit, name, path)
+    texts = [part.read_text() for part in (path.glob("*") if path.is_dir() else [path])]
+    for text in texts:
+        assert f"{1e3 * 2.0 * statement.here:.4f} mm a coordinate at these poses" in text
+        assert text.count(next(statement.notes())[5:40]) >= 1

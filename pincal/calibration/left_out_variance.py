@@ -51,7 +51,7 @@ def left_out_variances(
 
 
 def _roots_without(fit: ModelFit, fold: np.ndarray) -> list[np.ndarray]:
-    """Return roots of the covariance of the free parameters without each fold, shape (F, r) each."""
+    """Return roots of the covariance of the free parameters without each fold, shape (F, r)."""
     variances, axes = np.linalg.eigh(fit.solution.known.covariance)
     some = variances > 0.0
     root = axes[:, some] * np.sqrt(variances[some])

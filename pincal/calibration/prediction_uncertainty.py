@@ -77,34 +77,33 @@ class PredictionUncertainty:
     covariance: np.ndarray
     discrepancy: Discrepancy | None
 
-    def variances(self, conditions: Conditions) -> dict[str, np.ndarray]:
-        """Return the variance of the target's position by each source, shape (N, 3) [m^2]."""
+    @property
+    def arrival(self) -> float:
+        """Variance of a coordinate of a position from one visit of a pose to another [m^2]; 0 if
+        unknown.
+        """
+        return self._arrival(0)
+
+    def variances(self, conditions: Conditions, *, turns: bool = False) -> dict[str, np.ndarray]:
+        """Return the variance of the target's position by each source, shape (N, 3) [m^2]; with
+        ``turns`` also that of its orientation, of a rotation vector in the instrument's axes, shape
+        (N, 6) [m^2, rad^2].
+
+        What conditions that are not recorded do to orientations is not known, and 0.
+        """
         lacking = unrecorded(self.station, conditions)
         conditions = of_its_day(self.station, conditions)
-        found = {name: np.zeros((len(conditions), 3)) for name in POSITION_SOURCES}
+        size = 6 if turns else 3
+        found = {name: np.zeros((len(conditions), size)) for name in POSITION_SOURCES}
         for rows in _pieces(len(conditions)):
-            J, levers = self._motion(conditions.select(rows), 3)
+            J, levers = self._motion(conditions.select(rows), size)
             found["parameters"][rows] = self._along(J)
             if self.discrepancy is not None:
-                blocks = self.discrepancy.variances(levers)
-                found["model"][rows] = np.einsum("naa->na", blocks)
-        found["arrival"] += self._arrival(0)
+                found["model"][rows] = _lacking(self.discrepancy, levers)
+        found["arrival"] += np.repeat([self._arrival(0), self._arrival(1)], 3)[:size]
         for effect in lacking:
-            found["conditions"] += varied_by(self.station, self.values, effect, conditions) ** 2
-        return found
-
-    def turn_variances(self, conditions: Conditions) -> dict[str, np.ndarray]:
-        """Return the variance of the target's orientation by each source, shape (N, 3) [rad^2], of
-        a rotation vector in the instrument's axes.
-        """
-        conditions = of_its_day(self.station, conditions)
-        found = {name: np.zeros((len(conditions), 3)) for name in POSITION_SOURCES}
-        for rows in _pieces(len(conditions)):
-            J, levers = self._motion(conditions.select(rows), 6)
-            found["parameters"][rows] = self._along(J[:, 3:])
-            if self.discrepancy is not None:
-                found["model"][rows] = self.discrepancy.turn_variances(levers[:, :, 3:])
-        found["arrival"] += self._arrival(1)
+            moved = varied_by(self.station, self.values, effect, conditions)
+            found["conditions"][:, :3] += moved**2
         return found
 
     def covariance_of(
@@ -168,7 +167,7 @@ class PredictionUncertainty:
         return float(of.between_stops[block] ** 2)
 
     def _along(self, J: np.ndarray) -> np.ndarray:
-        """Return the variances by the parameters through J, shape (N, 3, P), as shape (N, 3)."""
+        """Return the variances by the parameters through J, shape (N, m, P), as shape (N, m)."""
         return np.asarray(np.maximum(np.einsum("nip,nip->ni", J @ self.covariance, J), 0.0))
 
     def _motion_of(
@@ -193,6 +192,16 @@ class PredictionUncertainty:
         values = np.concatenate([self.values, np.zeros(model.n_parameters - n)])
         _, J = model.linearise(values, conditions, rows=rows)
         return J[:, :, :n], np.moveaxis(J[:, :, n:], 2, 0)
+
+
+def _lacking(discrepancy: Discrepancy, levers: np.ndarray) -> np.ndarray:
+    """Return the variances by what a model lacks, shape (N, 3) or (N, 6), for levers of its drives,
+    shape (n, N, 3) or (n, N, 6).
+    """
+    of_position = np.einsum("naa->na", discrepancy.variances(levers[:, :, :3]))
+    if levers.shape[2] == 3:
+        return np.asarray(of_position)
+    return np.hstack([of_position, discrepancy.turn_variances(levers[:, :, 3:])])
 
 
 def _pieces(n: int) -> Iterator[slice]:

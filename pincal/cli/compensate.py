@@ -160,14 +160,13 @@ def _uncertainties(
     calibrated: FittedRobot, conditions: Conditions, *, by_source: bool
 ) -> dict[str, np.ndarray]:
     """Return the columns of standard uncertainties of predicted poses [m, rad]."""
-    variances = calibrated.position_variances(conditions)
-    columns = _of_axes("sigma", "xyz", np.sqrt(sum(variances.values())))
-    if calibrated.model.has_tool_orientation:
-        axes = ("rx", "ry", "rz")
-        columns |= _of_axes("sigma", axes, calibrated.turn_sigma(conditions))
+    turns = calibrated.model.has_tool_orientation
+    axes = ("x", "y", "z", "rx", "ry", "rz") if turns else ("x", "y", "z")
+    variances = calibrated.uncertainty.variances(conditions, turns=turns)
+    columns = _of_axes("sigma", axes, np.sqrt(sum(variances.values())))
     if by_source:
         for source, variance in variances.items():
-            columns |= _of_axes(f"u_{source}", "xyz", np.sqrt(variance))
+            columns |= _of_axes(f"u_{source}", axes[:3], np.sqrt(variance[:, :3]))
     return columns
 
 

@@ -5,6 +5,7 @@ unbounded loops.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from string import Template
 from typing import ClassVar
 
 from pincal.calibration.fitted_robot import FittedRobot
@@ -17,11 +18,10 @@ from pincal.export.exported import (
     header,
     identifier,
     notes_on,
-    placed_in,
     template_of,
 )
-from pincal.export.formulas import Formulas, Language, formulas_of, written
-from pincal.export.numpy_source import numpy_source, refuse_wrong
+from pincal.export.formulas import Formulas, Language, WrittenPart, written
+from pincal.export.numpy_source import checked_formulas, numpy_source, refuse_wrong
 
 _C = Language(
     statement="    const double {} = {};",
@@ -55,14 +55,14 @@ class CSource(Format):
     meaning: ClassVar[str] = "C99 without dependencies, for a controller's cycle"
 
     def export(self, calibrated: FittedRobot) -> Exported:
-        formulas = formulas_of(placed_in(calibrated, self.frame))
+        formulas = checked_formulas(calibrated, self.frame)
         name = identifier(calibrated.model.chain.robot.name)
         files = {
             f"{name}.{kind}": _file(formulas, name, kind=kind, frame=self.frame).encode()
             for kind in "hc"
         }
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame=self.frame))
-        return Exported(files, notes_on(calibrated), worst)
+        return Exported(files, notes_on(calibrated, formulas), worst)
 
 
 def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:
@@ -85,12 +85,15 @@ def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:
         needs="".join(f", {name}" for name in formulas.inputs),
         curves=curves,
         evaluate=functions,
+        declared=Template(_DECLARED).substitute(name=name, frame=frame) if formulas.motions else "",
     )
 
 
 def _functions(formulas: Formulas, name: str) -> tuple[str, str]:
     """Return the functions that evaluate the formulas, and their tables."""
-    (lines, results), *parts, used = written(_C, formulas.moments, formulas.pose, formulas.columns)
+    found = written(_C, formulas)
+    lines, results = found.moments
+    parts = (found.pose, found.columns)
     functions = []
     taken = ""
     if formulas.moments:
@@ -109,14 +112,73 @@ def _functions(formulas: Formulas, name: str) -> tuple[str, str]:
     body = [*blocks[0], "    if (!columns)", "        return;", *blocks[1]]
     unused = [] if taken else ["    (void)moments;"]
     functions.append("\n".join([_EVALUATE.format(name=name, taken=taken), *unused, *body, "}", ""]))
+    if formulas.motions:
+        functions.append(_uncertainty(formulas, name, found.motions))
     tables = [
         f"static const double curve_{i}[{len(curve.pieces)}][4] = {{"
         + ", ".join("{" + ", ".join(map(repr, piece)) + "}" for piece in curve.pieces)
         + "};"
-        for i, curve in enumerate(used)
+        for i, curve in enumerate(found.curves)
     ]
     return "\n".join(functions), "\n".join([*tables, *([_CUBIC] if tables else [])])
 
+
+def _uncertainty(formulas: Formulas, name: str, motions: WrittenPart) -> str:
+    """Return the function of the uncertainty."""
+    lines, results = motions
+    spread = formulas.spread
+    numbers = ",\n".join(f"    {{{', '.join(row)}}}" for row in spread.rows())
+    return Template(_UNCERTAINTY).substitute(
+        name=name,
+        parameters=len(results) // 3,
+        errors=spread.root.shape[1],
+        root=numbers,
+        rest=f"{spread.rest:.9g}",
+        motions="\n".join(
+            [*lines, *(f"    motions[{i}] = {text};" for i, text in enumerate(results))]
+        ),
+    )
+
+
+_DECLARED = """
+/*
+ * The standard uncertainty of the target's position along the axes of the $frame frame [m]: of
+ * the calibration's parameters, of what the model lacks and of how the robot arrives.
+ */
+void ${name}_uncertainty(const ${name}_state *state, double sigma[3]);
+"""
+
+_UNCERTAINTY = """
+/* How the uncertain parameters and the drives err, by independent errors of unit variance. */
+static const double root[$parameters][$errors] = {
+$root};
+
+/* How each uncertain parameter and drive moves the target. */
+static void motions_of(
+    const ${name}_state *state, const double moments[MOMENTS], double motions[3 * $parameters])
+{
+    (void)state;
+    (void)moments;
+$motions
+}
+
+void ${name}_uncertainty(const ${name}_state *state, double sigma[3])
+{
+    double moments[MOMENTS] = {0.0}, pose[12], motions[3 * $parameters];
+    int a, p, r;
+    evaluate(state, moments, pose, 0);
+    motions_of(state, moments, motions);
+    for (a = 0; a < 3; ++a) {
+        double errors[$errors] = {0.0}, sum = $rest;
+        for (p = 0; p < $parameters; ++p)
+            for (r = 0; r < $errors; ++r)
+                errors[r] += motions[3 * p + a] * root[p][r];
+        for (r = 0; r < $errors; ++r)
+            sum += errors[r] * errors[r];
+        sigma[a] = sqrt(sum);
+    }
+}
+"""
 
 _EVALUATE = """/*
  * The pose, and unless columns is null how each joint moves and turns the target, row by row, six \

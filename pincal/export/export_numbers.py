@@ -36,6 +36,14 @@ class ExportNumbers:
         "motion of the tip that a format can't have, above which a note says so",
         "what the format resolves",
     )
+    uncertainty: float = number(
+        0.01,
+        "ratio",
+        "test_export.py::test_source_code_gives_the_uncertainty_of_predictions",
+        "by which the uncertainty by formulas may differ from that of the model, above which it is "
+        "not exported",
+        "of effects that bend an arm otherwise where their parameters differ",
+    )
     still: float = number(
         1e-12,
         "m, elements of the rotation matrix",

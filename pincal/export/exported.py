@@ -141,7 +141,8 @@ _WARM: tuple[Scale, Scale] = (5.0, 45.0)
 _LONG: Scale = 1e5
 
 NOTES = (
-    "standard deviations and the parameters of the sensor itself are in model.json only",
+    "standard deviations of parameters and the parameters of the sensor itself are in "
+    "model.json only",
     "the model is not validated outside the measured range: pincal predict and compensate "
     "report such poses",
 )
@@ -166,12 +167,15 @@ def placed_in(calibrated: FittedRobot, frame: str) -> FittedRobot:
     )
 
 
-def notes_on(calibrated: FittedRobot) -> tuple[str, ...]:
+def notes_on(calibrated: FittedRobot, formulas: Formulas) -> tuple[str, ...]:
     """Return what source code can't represent of a calibrated model."""
     read = ", ".join(effect.name for effect in calibrated.model.effects if effect.is_sighted)
-    return (
-        (*NOTES, f"{read}: an error of the instrument; it is in model.json only") if read else NOTES
-    )
+    notes = [*NOTES]
+    if read:
+        notes.append(f"{read}: an error of the instrument; it is in model.json only")
+    if formulas.spread.is_known and not formulas.motions:
+        notes.append("the uncertainty of predictions is by pincal predict only")
+    return tuple(notes)
 
 
 def filled(
@@ -217,9 +221,26 @@ def header(formulas: Formulas, *, frame: str) -> list[str]:
         f"Poses of the target in the {frame} frame, with every effect of the model:",
         f"{effects}.",
         "",
+        *_worth_lines(found),
         "Not included:",
         *(f"- {note}" for note in NOTES),
     ]
+
+
+def worth_of(calibrated: FittedRobot) -> list[str]:
+    """Return how good a model states its predictions to be, and its doubt, in sentences; none where
+    it does not.
+    """
+    statement = calibrated.statement
+    if statement is None:
+        return []
+    return [said for said in (statement.worth, *statement.notes()) if said]
+
+
+def _worth_lines(calibrated: FittedRobot) -> list[str]:
+    """Return the lines of a header on how good a model is."""
+    said = [f"- {as_comment(words)}" for words in worth_of(calibrated)]
+    return ["What the calibration states of it:", *said, ""] if said else []
 
 
 def machine_lines(calibrated: FittedRobot) -> tuple[str, ...]:

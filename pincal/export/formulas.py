@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.errors import BadInputError
@@ -28,6 +29,46 @@ from pincal.thresholds import Count
 
 
 @dataclass(frozen=True)
+class Spread:
+    """How uncertain a calibrated model is.
+
+    Attributes:
+        parameters: indices of its F uncertain parameters.
+        root: shape (F + n, r), displacements of these and of the n drives by r independent errors
+            of unit variance.
+        rest: variance of a coordinate beside these [m^2].
+    """
+
+    parameters: tuple[int, ...]
+    root: np.ndarray
+    rest: float
+
+    @property
+    def is_known(self) -> bool:
+        """Whether there is any."""
+        return bool(np.any(self.root)) or self.rest > 0.0
+
+    def rows(self) -> list[list[str]]:
+        """Return the rows of the root as numbers in any language."""
+        return [[f"{value:.9g}" for value in row] for row in self.root]
+
+    @classmethod
+    def of(cls, calibrated: FittedRobot) -> Spread:
+        """Return that of a calibrated model."""
+        uncertainty = calibrated.uncertainty
+        C = uncertainty.covariance
+        some = np.flatnonzero(np.diag(C) > 0.0)
+        variances, axes = np.linalg.eigh(C[np.ix_(some, some)])
+        kept = variances > 0.0
+        n = calibrated.model.chain.robot.n_joints
+        lacks = uncertainty.discrepancy
+        drives = np.zeros(n) if lacks is None else lacks.factor**2 * lacks.drives.sum(axis=1)
+        root = block_diag(axes[:, kept] * np.sqrt(variances[kept]), np.diag(np.sqrt(drives)))
+        rest = 0.0 if lacks is None else lacks.factor**2 * lacks.rest
+        return cls(tuple(map(int, some)), root, rest + uncertainty.arrival)
+
+
+@dataclass(frozen=True)
 class Formulas:
     """A calibrated model in formulas.
 
@@ -39,12 +80,17 @@ class Formulas:
             entries.
         columns: translation (3) and rotation (3) of the target by each of the m independent joints,
             row by row, 6 m entries.
+        motions: how the F uncertain parameters, and then the n drives, move the target, three
+            entries each.
+        spread: how uncertain these are.
     """
 
     calibrated: FittedRobot
     moments: tuple[Expression, ...]
     pose: tuple[Expression, ...]
     columns: tuple[Expression, ...]
+    motions: tuple[Expression, ...]
+    spread: Spread
 
     @property
     def joints(self) -> np.ndarray:
@@ -82,20 +128,70 @@ def formulas_of(calibrated: FittedRobot) -> Formulas:
     rigid = _coordinates(model, values, conditions=at, moments=None)
     moments: tuple[Expression, ...] = ()
     x = rigid
+    taken: np.ndarray | None = None
     if bends:
         known = symbols(*(f"moments[{i}]" for i in range(3 * n)))
         on_straight = walk.symbolic_moments(layout, rigid, at.payload[0], at.payload_centre)
-        taken = known if model.equilibrium else np.array(on_straight, object)
-        x = _coordinates(model, values, conditions=at, moments=taken[None])
+        taken = (known if model.equilibrium else np.array(on_straight, object))[None]
+        x = _coordinates(model, values, conditions=at, moments=taken)
         if model.equilibrium:
             moments = tuple(walk.symbolic_moments(layout, x, at.payload[0], at.payload_centre))
     tool = _by_target(chain.tool_rotations, at.target[0])
-    pose, columns = walk.tip_pose(layout, x, tool, [int(k) for k in chain.drives])
+    pose, by_coordinates = walk.tip_pose(layout, x, tool, list(range(len(x))))
+    columns = by_coordinates[:, chain.drives]
+    spread = Spread.of(calibrated)
+    motions = _motions(model, at, taken, by_coordinates[:3])
     columns = chain.robot.gathered(columns)
     own = chain.robot.own_joints
     if chain.robot.couplings:
         columns = columns @ chain.robot.combination[np.ix_(own, own)]
-    return Formulas(calibrated, moments, tuple(pose.ravel()), tuple(columns.ravel()))
+    uncertain = (*spread.parameters, *(model.n_parameters + np.arange(n)))
+    return Formulas(
+        calibrated,
+        moments,
+        tuple(pose.ravel()),
+        tuple(columns.ravel()),
+        tuple(entry for p in uncertain for entry in motions[p]),
+        spread,
+    )
+
+
+def _motions(
+    model: Model, conditions: Conditions, moments: np.ndarray | None, levers: np.ndarray
+) -> list[np.ndarray]:
+    """Return how each parameter, and then each drive, moves the target, shape (3,) each, for the
+    motions by the K coordinates, shape (3, K).
+
+    That a load bends an arm otherwise where a parameter differs is neglected.
+    """
+    found: list[np.ndarray] = []
+    for effect in model.effects:
+        of_effect = [np.zeros(3, object) for _ in effect.parameters(model.chain)]
+        for at, basis in _bases(effect, model.chain, conditions, moments).items():
+            parameter, k = divmod(at, model.chain.size)
+            of_effect[parameter] = of_effect[parameter] + np.array(
+                [multiply(entry, basis) for entry in levers[:, k]], object
+            )
+        found += of_effect
+    return [*found, *(levers[:, k] for k in model.chain.drives)]
+
+
+def _bases(
+    effect: Effect, chain: Chain, conditions: Conditions, moments: np.ndarray | None
+) -> dict[int, Any]:
+    """Return by how much one unit of parameter p of an effect changes coordinate k of K, as entry p
+    K + k.
+    """
+
+    def added() -> dict[int, Any]:
+        found: dict[int, Any] = {}
+        for term in effect.terms(chain, conditions, moments if effect.uses_moments else None):
+            at = term.parameter * chain.size + term.coordinate
+            basis = 1.0 if term.basis is None else scalar(np.asarray(term.basis)[0])
+            found[at] = found.get(at, 0.0) + basis
+        return found
+
+    return either_way(added)
 
 
 def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions:
@@ -284,19 +380,31 @@ WrittenPart = tuple[list[str], list[str]]
 """Statements, and an expression for each formula."""
 
 
-def written(
-    language: Language,
-    moments: Sequence[Expression],
-    pose: Sequence[Expression],
-    columns: Sequence[Expression],
-) -> tuple[WrittenPart, WrittenPart, WrittenPart, list[Cubic]]:
-    """Return moments, pose and columns in a language, and their curves; pose and columns share
-    subexpressions.
-    """
-    first = Writer.of(language, moments)
-    last = Writer.of(language, (*pose, *columns))
+@dataclass(frozen=True)
+class Written:
+    """The parts of a calibrated model in a language, and the curves on which they depend."""
+
+    moments: WrittenPart
+    pose: WrittenPart
+    columns: WrittenPart
+    motions: WrittenPart
+    curves: list[Cubic]
+
+
+def written(language: Language, formulas: Formulas) -> Written:
+    """Return a calibrated model in a language; pose and columns share subexpressions."""
+    first = Writer.of(language, formulas.moments)
+    middle = Writer.of(language, (*formulas.pose, *formulas.columns))
+    last = Writer.of(language, formulas.motions)
+    middle.curves = first.curves
     last.curves = first.curves
-    return first.statements(moments), last.statements(pose), last.statements(columns), last.curves
+    return Written(
+        first.statements(formulas.moments),
+        middle.statements(formulas.pose),
+        middle.statements(formulas.columns),
+        last.statements(formulas.motions),
+        first.curves,
+    )
 
 
 def _seen(node: Symbol) -> tuple[str, tuple[Any, ...]]:

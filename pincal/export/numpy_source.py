@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from operator import is_
 from typing import Any, ClassVar
@@ -29,6 +29,7 @@ from pincal.export.exported import (
 )
 from pincal.export.formulas import Formulas, Language, formulas_of, written
 from pincal.measure.heading import NUMBERED
+from pincal.model.conditions import Conditions
 from pincal.units import UNITS, size_of
 
 _ARGUMENTS = "q, payload, temperature, time, approach, target"
@@ -88,11 +89,26 @@ class NumpySource(Format):
     meaning: ClassVar[str] = "a Python file that needs only NumPy"
 
     def export(self, calibrated: FittedRobot) -> Exported:
-        formulas = formulas_of(placed_in(calibrated, self.frame))
+        formulas = checked_formulas(calibrated, self.frame)
         text = numpy_source(formulas, frame=self.frame)
-        return Exported(
-            {"": text.encode()}, notes_on(calibrated), refuse_wrong(formulas.calibrated, text=text)
-        )
+        worst = refuse_wrong(formulas.calibrated, text=text)
+        return Exported({"": text.encode()}, notes_on(calibrated, formulas), worst)
+
+
+def checked_formulas(calibrated: FittedRobot, frame: str) -> Formulas:
+    """Return the formulas of a calibrated model in a frame, without those of its uncertainty where
+    they differ from the model's.
+    """
+    formulas = formulas_of(placed_in(calibrated, frame))
+    if not formulas.spread.is_known:
+        return replace(formulas, motions=())
+    found = formulas.calibrated
+    at = checked_poses(found)
+    expected = found.position_sigma(at)
+    source = _loaded(numpy_source(formulas, frame=frame))["uncertainty"]
+    stated = source(*_arguments(found, at)[:1], **_arguments(found, at)[1])
+    agrees = np.abs(stated - expected).max() <= EXPORT.uncertainty * expected.mean()
+    return formulas if agrees else replace(formulas, motions=())
 
 
 def numpy_source(formulas: Formulas, *, frame: str) -> str:
@@ -100,7 +116,8 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
     found = formulas.calibrated
     chain = formulas.calibrated.model.chain
     functions, curves = _functions(formulas)
-    nominal = formulas_of(nominal_robot(found) if frame == "base" else nominal_in_instrument(found))
+    other = nominal_robot(found) if frame == "base" else nominal_in_instrument(found)
+    nominal = replace(formulas_of(other), motions=())
     functions += "\n\n\n" + _functions(nominal)[0].replace("def _evaluate(", "def _nominal(", 1)
     lines = header(formulas, frame=frame)
     return filled(
@@ -115,7 +132,23 @@ def numpy_source(formulas: Formulas, *, frame: str) -> str:
         needed=repr(tuple(name for name in formulas.inputs if name not in ("payload", "target"))),
         curves=curves,
         evaluate=functions,
+        uncertainty=_uncertainty(formulas, frame=frame),
         program=_program(formulas, frame=frame),
+    )
+
+
+def _uncertainty(formulas: Formulas, *, frame: str) -> str:
+    """Return the function of the uncertainty; "" where it is not exported."""
+    if not formulas.motions:
+        return ""
+    root = ",\n".join(f"    [{', '.join(row)}]" for row in formulas.spread.rows())
+    return filled(
+        template_of("uncertainty.py.in"),
+        formulas,
+        frame=frame,
+        numbers=str,
+        root=f"[\n{root},\n]",
+        rest=f"{formulas.spread.rest:.9g}",
     )
 
 
@@ -183,25 +216,33 @@ def refuse_wrong(calibrated: FittedRobot, *, text: str) -> float:
 
 
 def _error(calibrated: FittedRobot, text: str) -> float:
+    at = checked_poses(calibrated)
+    q, columns = _arguments(calibrated, at)
+    found = _loaded(text)["forward"](q, **columns)
+    return float(np.abs(found - calibrated.predict(at)).max())
+
+
+def _loaded(text: str) -> dict[str, Callable[..., np.ndarray]]:
+    """Return the functions of a file."""
     names: dict[str, Any] = {}
     exec(compile(text, "<export>", "exec"), names)
-    forward: Callable[..., np.ndarray] = names["forward"]
-    at = checked_poses(calibrated)
+    return names
+
+
+def _arguments(calibrated: FittedRobot, at: Conditions) -> tuple[np.ndarray, dict[str, Any]]:
+    """Return the joint positions of poses, and their other columns, as a file takes them."""
     robot = calibrated.model.chain.robot
     own = robot.own_joints
     columns = {name: getattr(at, name) for name in ("payload", "temperature", "time", "target")}
     assert at.approach is not None
     columns["approach"] = at.approach[:, own]
-    return float(
-        np.abs(forward(robot.as_reported(at.q)[:, own], **columns) - calibrated.predict(at)).max()
-    )
+    return robot.as_reported(at.q)[:, own], columns
 
 
 def _functions(formulas: Formulas) -> tuple[str, str]:
     """Return the functions that evaluate the formulas, and their tables."""
-    moments, pose, columns, used = written(
-        _NUMPY, formulas.moments, formulas.pose, formulas.columns
-    )
+    found = written(_NUMPY, formulas)
+    moments, pose, columns = found.moments, found.pose, found.columns
     functions = []
     taken = ""
     m = 3 * formulas.calibrated.model.chain.robot.n_joints
@@ -220,7 +261,12 @@ def _functions(formulas: Formulas) -> tuple[str, str]:
     functions.append(
         "\n".join([f"def _evaluate({_ARGUMENTS}):{taken}", *pose[0], *columns[0], returned])
     )
-    tables = [f"_CURVE_{i} = np.array({curve.pieces})" for i, curve in enumerate(used)]
+    if formulas.motions:
+        count = len(formulas.motions) // 3
+        lines, results = found.motions
+        returned = f"    return _stacked([{', '.join(results)}], ({count}, 3), len(q))"
+        functions.append("\n".join([f"\ndef _motions({_ARGUMENTS}):{taken}", *lines, returned]))
+    tables = [f"_CURVE_{i} = np.array({curve.pieces})" for i, curve in enumerate(found.curves)]
     return "\n\n".join(functions), "\n".join(tables)
 
 

@@ -84,19 +84,20 @@ def _step(layout: Layout, x: Sequence[Expression], k: int) -> Expression:
 def tip_pose(
     layout: Layout, x: Sequence[Expression], tool_rotation: np.ndarray, drives: Sequence[int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the target's pose in the instrument's frame, shape (3, 4), and its velocities by the
-    joints, shape (6, n).
+    """Return the target's pose in the instrument's frame, shape (3, 4), and its velocities by n
+    coordinates, shape (6, n).
 
-    ``x`` are the chain's K coordinates, ``drives`` those to which the joint positions are added,
-    and ``tool_rotation``, shape (3, 3), is the reference orientation of the target.
+    ``x`` are the chain's K coordinates, ``drives`` those of them by which it moves, such as those
+    to which the joint positions are added, and ``tool_rotation``, shape (3, 3), is the reference
+    orientation of the target.
     """
     S = len(layout.path.coordinate)
     frame = _Frame()
-    _walk(layout, x, frame, first=0, last=3)
+    seen = _walk(layout, x, frame, first=0, last=3)
     frame.apply(layout.base_rotation[0])
-    seen = _walk(layout, x, frame, first=3, last=S - 3)
+    seen |= _walk(layout, x, frame, first=3, last=S - 3)
     frame.apply(tool_rotation)
-    _walk(layout, x, frame, first=S - 3, last=S)
+    seen |= _walk(layout, x, frame, first=S - 3, last=S)
     columns = []
     for k in drives:
         if k not in seen:

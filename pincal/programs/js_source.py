@@ -5,7 +5,8 @@ offline.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from importlib.resources import files
 from typing import Any, ClassVar
@@ -25,9 +26,10 @@ from pincal.export.exported import (
     header,
     notes_on,
     placed_in,
+    worth_of,
 )
-from pincal.export.formulas import Formulas, Language, formulas_of, written
-from pincal.export.numpy_source import numpy_source, refuse_wrong
+from pincal.export.formulas import Formulas, Language, Written, formulas_of, written
+from pincal.export.numpy_source import checked_formulas, numpy_source, refuse_wrong
 from pincal.io.strict_json import in_script
 from pincal.measure.heading import NUMBERED
 from pincal.programs.arms import rigid_pose
@@ -98,7 +100,7 @@ class CorrectorPage(Format):
         import jinja2
 
         placed_in(calibrated, self.frame)
-        formulas = formulas_of(placed_in(calibrated, "base"))
+        formulas = checked_formulas(calibrated, "base")
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame="base"))
         templates = files("pincal.programs").joinpath("page")
         style, *scripts = (templates.joinpath(name).read_text("utf-8") for name in _PARTS)
@@ -106,17 +108,19 @@ class CorrectorPage(Format):
         page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(
             "corrector.html.j2"
         )
+        notes = notes_on(calibrated, formulas)
         html = page.render(
             title=calibrated.model.chain.robot.name,
             machine=calibrated.identity.machine,
             version=version("pincal"),
-            notes=notes_on(calibrated),
+            notes=notes,
+            worth=worth_of(calibrated),
             about=in_script(json.dumps(_about(calibrated, formulas, self.frame), allow_nan=False)),
             model=js_source(formulas),
             style=style,
             script="\n".join(scripts),
         )
-        return Exported({"": html.encode()}, notes_on(calibrated), worst)
+        return Exported({"": html.encode()}, notes, worst)
 
 
 def js_source(formulas: Formulas) -> str:
@@ -125,7 +129,7 @@ def js_source(formulas: Formulas) -> str:
     """
     found = formulas.calibrated
     robot = found.model.chain.robot
-    nominal = formulas_of(nominal_robot(found))
+    nominal = replace(formulas_of(nominal_robot(found)), motions=())
     template = files("pincal.programs").joinpath("page", "model.js.in").read_text("utf-8")
     return filled(
         template,
@@ -140,31 +144,60 @@ def js_source(formulas: Formulas) -> str:
         joints=in_script(json.dumps([robot.joint_names[i] for i in formulas.joints])),
         targets=in_script(json.dumps(found.model.chain.targets)),
         needs=", ".join(("q", *formulas.inputs)),
-        functions="\n\n".join((_function(formulas, "calibrated"), _function(nominal, "nominal"))),
+        functions="\n\n".join(
+            (
+                _function(formulas, "calibrated"),
+                _function(nominal, "nominal"),
+                _uncertainty(formulas),
+            )
+        ),
     )
 
 
 def _function(formulas: Formulas, name: str) -> str:
     """Return the function of a state that evaluates formulas, with its tables."""
-    moments, pose, columns, used = written(_JS, formulas.moments, formulas.pose, formulas.columns)
+    found = written(_JS, formulas)
+    results = (f"[{', '.join(results)}]" for _, results in (found.pose, found.columns))
+    body = (*found.pose[0], *found.columns[0], f"  return [{', '.join(results)}];")
+    return _enclosed(formulas, found, name, body)
+
+
+def _uncertainty(formulas: Formulas) -> str:
+    """Return the function of a state that gives the uncertainty of the target's position."""
+    if not formulas.motions:
+        return "const uncertainty = null;"
+    found = written(_JS, formulas)
+    lines, results = found.motions
+    spread = formulas.spread
+    rows = ", ".join(f"[{', '.join(row)}]" for row in spread.rows())
+    body = (
+        f"  const ROOT = [{rows}];",
+        *lines,
+        f"  const motions = [{', '.join(results)}];",
+        f"  return [0, 1, 2].map((a) => Math.sqrt(ROOT[0].reduce((sum, _, r) => sum + "
+        f"ROOT.reduce((along, row, p) => along + row[r] * motions[3 * p + a], 0) ** 2, "
+        f"{spread.rest:.9g})));",
+    )
+    return _enclosed(formulas, found, "uncertainty", body)
+
+
+def _enclosed(formulas: Formulas, found: Written, name: str, body: Sequence[str]) -> str:
+    """Return a function of a state with its body and what this depends on."""
     lines = [f"const {name} = (() => {{"]
-    if used:
-        lines += (
-            ["const CURVES = ["] + [f"  {json.dumps(curve.pieces)}," for curve in used] + ["];"]
-        )
+    if found.curves:
+        curves = [f"  {json.dumps(curve.pieces)}," for curve in found.curves]
+        lines += ["const CURVES = [", *curves, "];"]
     taken = []
     if formulas.moments:
         size = 3 * formulas.calibrated.model.chain.robot.n_joints
         lines += [
             "const taken = (state, moments) => {",
-            *moments[0],
-            f"  return [{', '.join(moments[1])}];",
+            *found.moments[0],
+            f"  return [{', '.join(found.moments[1])}];",
             "};",
         ]
         taken = [_TAKEN.format(n=size)]
-    results = (f"[{', '.join(found)}]" for _, found in (pose, columns))
-    body = (*taken, *pose[0], *columns[0], f"  return [{', '.join(results)}];", "};")
-    return "\n".join((*lines, "return (state) => {", *body, "})();"))
+    return "\n".join((*lines, "return (state) => {", *taken, *body, "};", "})();"))
 
 
 _TAKEN = """  let moments = new Array({n}).fill(0);

@@ -115,12 +115,18 @@ function save({ name, text }) {
 
 // --- the table of corrections
 
+// How uncertain the model is at corrected points, root mean square over them.
+function doubted(rows) {
+  if (!uncertainty) return "";
+  const mean = rows.reduce((sum, row) => sum + norm(uncertainty(row.state)) ** 2, 0) / rows.length;
+  return ` The model is uncertain by ${(1e3 * Math.sqrt(mean)).toFixed(3)} mm (rms) there.`;
+}
 function tell() {
   const rows = result.rows, ok = rows.filter((row) => row.status === "ok"), left = rows.filter((row) => row.status !== "ok");
   const most = (list, k) => Math.max(0, ...list.map((row) => row.before[k])), all = rows.length + (result.left?.length ?? 0) - (result.kind ? left.length : 0);
   const mean = ok.length ? ok.reduce((sum, row) => sum + row.before[0], 0) / ok.length : 0;
   $("summary").textContent = `${chosen.map((file) => file.name).join(", ")}: ${ok.length} of ${all} points corrected. ` + (ok.length
-    ? `Without correction this robot misses by ${(1e3 * mean).toFixed(3)} mm on average and ${(1e3 * most(ok, 0)).toFixed(3)} mm at most.` : "");
+    ? `Without correction this robot misses by ${(1e3 * mean).toFixed(3)} mm on average and ${(1e3 * most(ok, 0)).toFixed(3)} mm at most.${doubted(ok)}` : "");
   $("saves").replaceChildren(...result.files.map((one) => Object.assign(document.createElement("button"), { textContent: `Save ${one.name}`, disabled: !ok.length, onclick: () => save(one) })));
   const named = (list) => `${list.length > 1 ? `${list.length} lines` : "line"} ${list.length > 1 ? "(" : ""}` +
     `${list.slice(0, 20).join(", ")}${list.length > 20 ? ", ..." : ""}${list.length > 1 ? ")" : ""}`;
