@@ -33,6 +33,7 @@ _FILES = {
     "result": ("result.json", "Results of a calibration. Written by `calibrate` and `discover`."),
     "discovery": ("discovery.json", "Missing effects and their alternatives. Written by `discover`."),
     "diagnosis": ("diagnosis.json", "Whether the robot has changed, and what. Written by `diagnose`."),
+    "measured": ("measured.json", "What the robot measured of a part. Written by `measure`."),
     "information": (
         "INFORMATION.json",
         "The information of a fit's rows on a robot: written by `fit.information.save(PATH)`, summed by "

@@ -35,6 +35,13 @@ from pincal.errors import IdentificationError as IdentificationError
 from pincal.errors import PincalError as PincalError
 from pincal.errors import PincalWarning as PincalWarning
 from pincal.export import export_model as export_model
+from pincal.features.flange_sensor import FlangeSensor as FlangeSensor
+from pincal.features.measured_part import MeasuredPart as MeasuredPart
+from pincal.features.measured_part import measure_part as measure_part
+from pincal.features.mounted_sensor import Reservations as Reservations
+from pincal.features.part import Part as Part
+from pincal.features.readings import FeatureReadings as FeatureReadings
+from pincal.features.readings import read_readings as read_readings
 from pincal.fleet.machines import Machine as Machine
 from pincal.fleet.robot_type import RobotType as RobotType
 from pincal.fleet.robot_type import calibrate_of_type as calibrate_of_type

@@ -29,10 +29,11 @@ STANDARD_GRAVITY: Scale = 9.80665
 """Gravity that defines units of g [m/s^2]."""
 _DEG = math.pi / 180
 _LENGTHS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "um": 1e-6, "µm": 1e-6, "in": 0.0254}
+_TURN = {"rev": 2.0 * math.pi, "gon": math.pi / 200}
 _SIZES = {
     "length": _LENGTHS,
     "noise": {**_LENGTHS, "px": 1.0},
-    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": _DEG, "°": _DEG},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": _DEG, "°": _DEG} | _TURN,
     "mass": {"kg": 1.0, "g": 1e-3, "lb": 0.45359237},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
     "temperature": {"degC": 1.0, "°C": 1.0, "K": 1.0},

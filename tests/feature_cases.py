@@ -13,6 +13,7 @@ from pincal.measure.measurements import measurements_from_arrays
 from pincal.model.effects import BaseFrame, JointOffset, ToolFrame
 from pincal.parameters import estimate_of
 from pincal.sensors.lens import Lens
+from pincal.sensors.setup import Setup
 
 ROBOT = Robot.from_urdf("ur10")
 LENS = Lens(1500.0, 1480.0, 640.0, 512.0, k1=-0.05, p1=1e-3)
@@ -67,6 +68,16 @@ def towards(robot: FittedRobot, q: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
+def reaching(robot: FittedRobot, start: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return the joint positions near a start at which the target is at a place, shape (6,)."""
+    from scipy.optimize import least_squares
+
+    def miss(at: np.ndarray) -> np.ndarray:
+        return np.append(1e3 * (robot.predict(at[None])[0, :, 3] - place), 1e-6 * (at - start))
+
+    return np.asarray(least_squares(miss, start, xtol=1e-15, ftol=1e-15, gtol=1e-15).x)
+
+
 def table(q: np.ndarray, feature: list[str] | np.ndarray, **read: np.ndarray) -> FeatureReadings:
     """Return readings at poses; conditions such as ``point`` or ``stop`` go to the rows."""
     seen = {name: read.pop(name) for name in ("camera_point", "pixel", "distance", "pass_name") if name in read}
@@ -82,3 +93,14 @@ def mount_of(robot: FittedRobot) -> np.ndarray:
     turned = tip[:, :3].T @ target
     turned[:, 3] -= tip[:, :3].T @ tip[:, 3]
     return np.asarray(turned)
+
+
+def with_camera(robot: FittedRobot, seed: int = 5) -> FittedRobot:
+    """Return the robot with a calibrated camera, whose errors are correlated with those of the arm."""
+    own = Setup(lens=LENS, fit_lens=True).lens_parameters()
+    parameters = (*robot.model.parameters, *own)
+    sizes = np.concatenate([np.full(len(robot.values), 1e-5), np.full(4, 0.2), np.full(5, 1e-4)])
+    mixed = sizes[:, None] * np.random.default_rng(seed).normal(0.0, 0.2, (len(sizes), len(sizes)))
+    values = np.append(robot.values, np.zeros(len(own)))
+    station = replace(robot.station, parameter_names=tuple(p.name for p in parameters))
+    return replace(robot, stations=(station,), estimate=estimate_of(parameters, values, mixed @ mixed.T))

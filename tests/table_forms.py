@@ -35,6 +35,7 @@ from test_table_kinds import (
     headed,
     lines,
     read,
+    workbook,
 )
 
 from pincal.errors import MeasurementError
@@ -253,6 +254,81 @@ FORMS: dict[str, Kind] = {
 }  # fmt: skip
 
 
+def dotted(cell: str, between: str, point: str = ".") -> str:
+    """Return a number with separators between its thousands."""
+    return f"{float(cell):,.9f}".replace(".", "_").replace(",", between).replace("_", point)
+
+
+def with_cells(place: Callable[[str], str], separator: str = ";") -> Kind:
+    """Return a table in degrees and millimetres whose lengths are written in some way, with their decimal mark."""
+    names = [*(f"{name} [deg]" for name in JOINTS), "x [mm]", "y [mm]", "z [mm]"]
+    comma = "," in place("0.5")
+    angles = [[cell.replace(".", ",") if comma else cell for cell in row] for row in cells(DEG)]
+    rows = [[*q, *(f'"{place(cell)}"' for cell in p)] for q, p in zip(angles, cells(MM), strict=True)]
+    return Kind(file("log.csv", lines(names, rows, separator)))
+
+
+def lost(number: str, *, unit: str = "") -> Kind:
+    """Return a table with a number in place of two readings."""
+    rows = cells(Q, MM if unit else XYZ)
+    for k in (2, 7):
+        rows[k][6:] = [number] * 3
+    names = [*JOINTS, *(f"{axis}{unit}" for axis in "xyz")]
+    return Kind(file("log.csv", lines(names, rows)), note="a number in place of a reading", left=(2, 7))
+
+
+def text_in_cells(folder: Path) -> Path:
+    """Write a workbook whose numbers are text with decimal commas."""
+    return workbook({"Tabelle1": [[*JOINTS, *"xyz"], *([c.replace(".", ",") for c in row] for row in cells(Q, XYZ))]})(
+        folder
+    )
+
+
+def as_csv(folder: Path) -> Path:
+    """Write a workbook under the name of a text."""
+    made = workbook({"Sheet1": [[*JOINTS, *"xyz"], *np.column_stack([Q, XYZ]).tolist()]})(folder)
+    return made.rename(folder / "log.csv")
+
+
+PLAIN_LINES = lines([*JOINTS, *"xyz"], cells(Q, XYZ))
+UNITS_ROW = [["Grad"] * 6 + ["mm"] * 3]
+OF_GROUPS = ["Joints [deg]", *[""] * 5, "Position [mm]", "", ""]
+OF_URSCRIPT = [
+    [f'"[{", ".join(q)}]"', f'"p[{", ".join(p)}]"'] for q, p in zip(cells(Q), cells(XYZ, RVEC), strict=True)
+]  # fmt: skip
+FORMS |= {
+    "separated by |": Kind(file("log.csv", lines([*JOINTS, *"xyz"], cells(Q, XYZ), "|"))),
+    "a comma at the end of each row": Kind(file("log.csv", PLAIN_LINES.replace("\n", ",\n").replace(",\n", "\n", 1))),
+    "UTF-32": Kind(file("log.csv", PLAIN_LINES.encode("utf-32"))),
+    "a workbook called CSV": Kind(as_csv),
+    "text with decimal commas in a workbook": Kind(text_in_cells),
+    "German units in a row": Kind(file("log.csv", lines([*JOINTS, *"xyz"], UNITS_ROW + cells(DEG, MM)))),
+    "units above groups of columns": Kind(
+        file("log.csv", lines(OF_GROUPS, [[*(f"A{i}" for i in range(1, 7)), *"XYZ"], *cells(DEG, MM)])),
+        note="units from line 1",
+    ),
+    "turns": headed(" ".join(f"{name}[rev]" for name in JOINTS) + " x y z", Q / (2.0 * np.pi), XYZ),
+    "inches in words": headed(NAMES + "x[inch] y[inch] z[inch]", Q, XYZ / 0.0254),
+    "q[0] to q[5]": headed(" ".join(f"q[{i}]" for i in range(6)) + " x y z", Q, XYZ),
+    "exponents of Fortran": Kind(
+        file("log.csv", lines([*JOINTS, *"xyz"], [[f"{float(c):.12E}".replace("E", "D") for c in r] for r in cells(Q, XYZ)]))
+    ),
+    "a true minus sign": Kind(file("log.csv", PLAIN_LINES.replace("-", "\N{MINUS SIGN}"))),
+    "thousands 1,234.5": with_cells(lambda cell: dotted(cell, ","), ","),
+    "thousands 1.234,5": with_cells(lambda cell: dotted(cell, ".", ",")),
+    "thousands 1'234.5": with_cells(lambda cell: dotted(cell, "'")),
+    "thousands 1 234.5": with_cells(lambda cell: dotted(cell, "\N{NARROW NO-BREAK SPACE}")),
+    "-9999 where the beam was broken": lost("-9999"),
+    "-9999 mm": lost("-9999", unit=" [mm]"),
+    "0 0 0 for a lost target": lost("0"),
+    "65535 in all axes": lost("65535"),
+    "a pose of URScript in a cell": Kind(file("log.csv", lines(["joints", "pose"], OF_URSCRIPT)), is_pose=True),
+    "q0 to q3, the scalar first": headed(
+        NAMES + "x y z q0 q1 q2 q3", Q, XYZ, SCALAR_FIRST, is_pose=True, note="a quaternion w x y z"
+    ),
+}
+
+
 @dataclass(frozen=True)
 class Refused:
     """A form that is refused with the words that cure.
@@ -290,6 +366,8 @@ HEADER = ",".join((*JOINTS, *"xyz"))
 FROM_ZERO = {str(int(name) - 1): meaning for name, meaning in BY_NUMBER.items()}
 COUNTED = {str(i + 1): name for i, name in enumerate(("", *"xyz", *JOINTS)) if name}
 RENAMED = dict(zip(("basis", "schulter", "ellbogen", "hand1", "hand2", "hand3"), JOINTS, strict=True))
+BY_INDEX = {f"/joint_states/position[{i}]": name for i, name in enumerate(JOINTS)}
+QUAT, OF_QUAT = [f"quat_{i}" for i in range(4)], ["qw", "qx", "qy", "qz"]
 AS_MATRIX = {str(i + 1): name for i, name in enumerate((*JOINTS, *MATRIX_NAMES))}
 WITH_TURN = {str(i + 1): name for i, name in enumerate((*JOINTS, *"xyz", "qx", "qy", "qz", "qw"))}
 
@@ -321,6 +399,13 @@ REFUSED: dict[str, Refused] = {
     ),
     "a quaternion without names": Refused(
         npy(np.column_stack([TABLE, QUATERNIONS])), said(WITH_TURN) + "; if its scalar is first", options(WITH_TURN), True
+    ),
+    "quat_0 to quat_3": Refused(
+        file("log.csv", lines([*JOINTS, *"xyz", *QUAT], cells(Q, XYZ, SCALAR_FIRST))),
+        said(dict(zip(QUAT, OF_QUAT, strict=True))), options(dict(zip(QUAT, OF_QUAT, strict=True))), True,
+    ),
+    "position[0] to position[5], as of a message": Refused(
+        file("log.csv", lines([*BY_INDEX, *"xyz"], cells(Q, XYZ))), said(BY_INDEX), options(BY_INDEX)
     ),
     "joints by names of their own": Refused(
         file("log.csv", lines([*RENAMED, *"xyz"], cells(Q, XYZ))), said(RENAMED), options(RENAMED)

@@ -88,6 +88,7 @@ def test_the_recipe_of_an_effect(recipe: ModuleType, kuka: Robot) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.first
 def test_an_effect_in_a_file_of_its_own_passes_the_tests_of_the_house(tmp_path: Path) -> None:
     """The file of the page, added to a copy of the project as the page says, is as good as any other of the catalogue."""
     root = PACKAGE.parent

@@ -14,18 +14,19 @@ from typing import Any
 import numpy as np
 import pytest
 from lxml import etree
+from scipy import stats
+from test_catalogue import EFFECTS as ALL_EFFECTS
 from test_cli import run
-from test_export import calibrated_of
+from test_export import calibrated_of, drawn
 from test_identity import STATED
 
 from pincal import Robot
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.certificate.certificate_numbers import CERTIFICATE
 from pincal.certificate.certificate_page import certificate_page
 from pincal.certificate.dcc import DCC, DCC_VERSION, SI, digital_certificate
 from pincal.certificate.of_measured import certificate_of_measured
 from pincal.certificate.of_model import certificate_of_model, position_budget
-from pincal.certificate.statement import Certificate, Figure, Issue
+from pincal.certificate.statement import Certificate, Figure, FigureGroup, Issue
 from pincal.errors import BadInputError
 from pincal.identity import Identity
 from pincal.io.result_folder import output_folder
@@ -113,7 +114,13 @@ MEASURED: dict[str, Any] = {
         {"source": "sensor", "type": "B", "u": 0.01, "dof": None, "share": 0.2},
         {"source": "parameters", "type": "A", "u": 0.02, "dof": 48.0, "share": 0.8},
     ],
-    "datum": {"kind": "3-2-1", "features": ["plane", "edge"], "frame": "base", "rotation": [[1.0, 0.0, 0.0]]},
+    "datum": {
+        "kind": "3-2-1",
+        "features": ["plane", "edge"],
+        "frame": "base",
+        "position_mm": [0.0, 0.0, 0.0],
+        "rotation": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    },
     "provenance": {"pincal": "0.1.0", "inputs": {"part.toml": "cd" * 32}},
     "rule": "ISO 14253-1, guard band U",
     "id": {"robot": "2021-17", "note": {"part": "door 4"}},
@@ -229,7 +236,9 @@ def test_a_part_keeps_values_limits_and_decisions(of_part: Certificate) -> None:
     assert found["hole_1 (circle): diameter"] == (12.0345678, r"\milli\metre")
     assert found["hole_1 (circle): x"][0] == -1e-5
     assert "<si:valueExpandedMU>0.0423<" in xml and "<si:coverageFactor>2.013<" in xml
-    assert f"<si:coverageProbability>{CERTIFICATE.probability}<" in xml and CERTIFICATE.probability == 0.95
+    probabilities = re.findall(r"<si:coverageProbability>(.*?)<", xml)
+    covered = (2.0 * stats.t(48.2).cdf(2.013) - 1.0, 0.9545, 2.0 * stats.t(60.0).cdf(2.0) - 1.0)
+    assert [float(found) for found in probabilities] == pytest.approx(covered, abs=5e-5)
     assert found["hole_1 (circle): form"][0] == 0.031
     assert found["uncertainty budget: parameters, type A"][0] == 0.02
     assert re.findall(r"<dcc:conformity>(\w+)<", xml) == ["pass", "conditionalPass"]
@@ -304,7 +313,7 @@ VALUES: Mapping[str, str] = {
     "valueExpandedMU": NUMBER.replace("[-+]?", "", 1),
     "coverageFactor": r"[1-9]\d*(\.\d*)?",
     "coverageProbability": r"0(\.\d*)?|1(\.0*)?",
-    "unit": r"(\\[a-z]+)+",
+    "unit": r"(\\[a-z]+(\{-?\d+\})?)+",
 }
 
 
@@ -373,6 +382,18 @@ def test_the_digital_certificate_keeps_the_rules_of_ptb(which: str, request: pyt
     assert found.is_valid, found.failed_assertions
 
 
+def test_units_beyond_the_digital_system_stand_as_text() -> None:
+    """Pixels are results, too; the readings of an IMU have units of it."""
+    figures = [Figure(name="mean", value=0.25, unit=unit) for unit in ("px", "m/s^2", "mrad/s")]
+    group = FigureGroup(title="errors", figures=tuple(figures))
+    bare = {"title": "t", "issue": ISSUE, "item": "i", "identity": Identity(), "files": {"a": "b"}, "versions": {}}
+
+    xml = digital_certificate(Certificate(groups=(group,), **bare))
+
+    assert list(faults(etree.fromstring(xml))) == []
+    assert b">0.25 px<" in xml and rb">\metre\second\tothe{-2}<" in xml
+
+
 def test_what_is_not_stated_is_marked(of_model: Certificate) -> None:
     """Instrument and certificate may be missing, but not unnoticed; traceability is no more than was stated."""
     bare = replace(of_model, identity=Identity())
@@ -382,6 +403,21 @@ def test_what_is_not_stated_is_marked(of_model: Certificate) -> None:
     assert set(bare.lacking) >= {"robot", "instrument", "certificate", "date"}
     assert of_model.lacking == ()
     assert "tracker 7512" in certificate_page(of_model)
+
+
+def test_a_model_whose_effects_need_more_of_a_pose_has_no_budget(tmp_path: Path, kuka: Robot) -> None:
+    """The sheet says why; the figures of the calibration stand, and the XML keeps its structure."""
+    settling = ALL_EFFECTS["settling"](kuka.joint_names)
+    found = drawn(settling, kuka)
+    found.save(tmp_path / "model.json")
+    result = RESULT | {"parameters": parameters_of(found)}
+    (tmp_path / "result.json").write_text(json.dumps(result))
+
+    certificate = certificate_of_model(tmp_path / "model.json", Identity(), ISSUE)
+
+    assert certificate.budget is None and certificate.facts["budget"].startswith("none: settling needs the column time")
+    assert certificate.groups[-1].figures[0].value == RESULT["uncertainty"]["here_mm"]
+    assert list(faults(etree.fromstring(digital_certificate(certificate)))) == []
 
 
 def test_a_model_without_its_result_is_refused(tmp_path: Path, known: FittedRobot) -> None:

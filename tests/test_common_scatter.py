@@ -24,8 +24,9 @@ Arrival = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
 def seeds(count: int) -> list[Any]:
-    """Return seeds, the first of which is in every run of the tests and the others in long ones."""
-    return [pytest.param(seed, marks=pytest.mark.long if seed else ()) for seed in range(count)]
+    """Return seeds: the first is in every run of the tests, two more in long ones, the others where rates are counted."""
+    marks = [(), pytest.mark.long, [pytest.mark.long, pytest.mark.rates]]
+    return [pytest.param(seed, marks=marks[(seed > 0) + (seed > 2)]) for seed in range(count)]
 
 
 def alike(size: float) -> Arrival:
@@ -134,8 +135,17 @@ def test_repeated_poses_show_how_drives_stop(seed: int) -> None:
     assert found.findings.verdict is Verdict.ADEQUATE
 
 
-@pytest.mark.parametrize("sigma", [None, pytest.param(NOISE, marks=pytest.mark.long)])
-@pytest.mark.parametrize("seed", seeds(8))
+def of_each_kind() -> list[Any]:
+    """Return seeds with a noise that is declared or not: one of both in long runs, the other where rates are counted."""
+    found = []
+    for seed in range(8):
+        sigma, other = (NOISE, None) if seed // 2 % 2 else (None, NOISE)
+        found.append(pytest.param(seed, sigma, marks=pytest.mark.long if seed else ()))
+        found.append(pytest.param(seed, other, marks=[pytest.mark.long, pytest.mark.rates]))
+    return found
+
+
+@pytest.mark.parametrize(("seed", "sigma"), of_each_kind())
 def test_a_joint_that_scatters_more_than_the_others_is_named(seed: int, sigma: float | None) -> None:
     """One drive to 50 or 80 urad, the others exactly or to a fifth of it: it is named, with its size."""
     size, joint = (5e-5, 8e-5)[seed % 2], seed % 3

@@ -1,5 +1,6 @@
 """What a discovery reports: discovery.json, where it disagrees, how large effects must be, how the gap shrinks."""
 
+import io
 import json
 import re
 from dataclasses import replace
@@ -12,6 +13,7 @@ import pytest
 from discovery_cases import SIGMA, Case, draw_case
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 from scipy.special import fdtrc
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
@@ -19,6 +21,7 @@ from pincal.calibration.curve_coverage import outside_curves
 from pincal.calibration.fitted_robot import load_model
 from pincal.calibration.precheck import precheck
 from pincal.cli import main
+from pincal.discover.cli.search_screen import print_discovery
 from pincal.discover.decisions import Row, critical_gain, is_more_than_chance
 from pincal.discover.detectability import detectable_noncentrality, minimum_detectable, power_of
 from pincal.discover.discovery_file import Findings, FoundEffect, Gap, ScatteringJoint
@@ -349,6 +352,61 @@ def test_traces_show_noise_after_and_the_effect_before(found: Discovery) -> None
     assert np.mean(trace.after**2 * trace.weights) == pytest.approx(1.0, abs=0.4)
     mean = np.average(trace.before * np.sign(trace.fitted), weights=trace.weights)
     assert mean == pytest.approx(np.abs(trace.fitted).mean(), rel=0.3)
+
+
+def printed(found: Discovery, **entries: Any) -> str:
+    """Return what the screen shows of a discovery with other entries, line ends and all."""
+    out = io.StringIO()
+    findings = msgspec.structs.replace(found.findings, **entries)
+    print_discovery(replace(found, findings=findings), Console(file=out, width=100))
+    return out.getvalue()
+
+
+def entry_of(effect: str, joint: str, **more: Any) -> FoundEffect:
+    """Return an effect as a discovery names it."""
+    rest = {"p_value": 1e-9, "gap_before_mm": 0.2, "gap_after_mm": 0.1, "parameters": {}, "equivalent": (), "tell_apart": ""}
+    return FoundEffect(effect=effect, joint=joint, **{**rest, **more})
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        (
+            entry_of("gear_ripple", "joint_2", order=405.0, beside=(401.4,), origin="as often as a wheel's teeth"),
+            "as often as a wheel's teeth; one spectral line whose amplitude varies over the span of the joint, fitted as "
+            "harmonics of order 405 and 401.4",
+        ),
+        (
+            entry_of("backlash", "joint_3", tell_apart="approach [some] poses from both sides"),
+            "to distinguish backlash of joint_3 from its alternatives: approach [some] poses from both sides",
+        ),
+        (
+            entry_of("unnamed", "joint_1", depends_on="time", shape="wave", period=600.0),
+            "repeats every 600 s",
+        ),
+        (
+            entry_of("unnamed", "joint_1", depends_on="joint_2", shape="wave", period=0.25),
+            "repeats every 0.25 rad",
+        ),
+    ],
+    ids=["a spectral line", "alternatives", "a period of time", "a period of a joint"],
+)
+def test_the_screen_says_of_an_effect_what_no_table_holds(found: Discovery, entry: FoundEffect, words: str) -> None:
+    """Its spectral line, what tells it from its alternatives, and its period; of an effect without them no such line."""
+    shown = " ".join(printed(found, effects=(entry,)).split())
+    plain = " ".join(printed(found, effects=(entry_of(entry.effect, entry.joint or ""),)).split())
+
+    assert words in shown
+    assert not any(line in plain for line in ("spectral line", "to distinguish", "repeats every"))
+
+
+def test_the_screen_says_which_joint_scatters_and_that_nothing_was_found(found: Discovery) -> None:
+    """A joint with its size and what to record; without effects, that none is missing."""
+    scatter = ScatteringJoint(joint="joint_5", sigma_rad=2.5e-4, missing="the direction of approach")
+    shown = " ".join(printed(found, effects=(), scatter=(scatter,)).split())
+
+    assert "joint_5 scatters by 0.250 mrad; record the direction of approach" in shown
+    assert "These data show no missing effect." in shown
 
 
 def test_figures_are_drawn_from_results(found: Discovery) -> None:

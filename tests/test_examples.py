@@ -104,6 +104,7 @@ def test_case_study_states_honest_uncertainties(kuka_output: str) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.first
 def test_camera_in_the_hand_finds_the_papers_robot(tmp_path: Path) -> None:
     """From twelve views of the paper's object: exact to rounding, and as uncertain as the covariance says."""
     text = run("kuka_camera.py", "--seeds", "1", "--draws", "12", folder=tmp_path)
@@ -115,6 +116,17 @@ def test_camera_in_the_hand_finds_the_papers_robot(tmp_path: Path) -> None:
         assert numbers(case, "chi-square")[0] == pytest.approx(1.0, abs=0.05)
         # The error of a robot has a few degrees of freedom that matter: over 12 robots the ratio is known to a sixth.
         assert numbers(case, "covariance foretells")[0] == pytest.approx(1.0, abs=0.4)
+
+
+@pytest.mark.long
+def test_the_example_measures_what_is_true(tmp_path: Path) -> None:
+    """True diameters and distances are within U of the measured ones, but for one in twenty; U is some hundredths."""
+    text = run("body_in_white.py", "--out", "o", "--measure", folder=tmp_path)
+    rows = [line.split() for line in text.splitlines() if " diameter " in line or " distance " in line]
+
+    assert len(rows) == 5
+    assert all(0.01 < float(row[4]) < 0.1 for row in rows)
+    assert sum(abs(float(row[2]) - float(row[3])) > float(row[4]) for row in rows) <= 1
 
 
 @pytest.mark.parametrize(("words", "absent"), [([], "distributed"), (["--mpi"], "mpi4py")])
@@ -254,6 +266,7 @@ def test_images_without_opencv_say_what_to_install(tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.long
+@pytest.mark.first
 def test_real_robot_is_calibrated(shared_data: Path, tmp_path: Path) -> None:
     """On the measured UR10 geometry and then elasticity help; curves of the drives explain most of what remains."""
     text = run("ur10_tracker.py", str(shared_data / "ur10_tmac" / "series_B.csv"), folder=tmp_path)
@@ -321,6 +334,7 @@ def test_a_controller_gives_its_calibration_away(tmp_path: Path, decimals: int, 
 
 
 @pytest.mark.long
+@pytest.mark.first
 def test_readings_are_between_any_two_links(tmp_path: Path) -> None:
     """Hands that touch, a head, a track, a palletizer and a cell are right to little more than the noise, .080 mm."""
     text = run("any_two_links.py", folder=tmp_path)

@@ -19,6 +19,7 @@ from pincal.features.mounted_sensor import STATED, MountedSensor, Reservations
 from pincal.features.probe import contacts_of_centres
 from pincal.features.readings import FeatureReadings, read_readings
 from pincal.features.triangulation import points_of_images
+from pincal.sensors.lens import Lens
 
 STEP = 1e-6
 SPOTS = np.array([[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.04, 0.01]])
@@ -127,6 +128,29 @@ def test_images_intersect_in_their_points(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(found.covariance.sources["sensor"].matrix, expected, rtol=1e-4, atol=1e-14)
     assert found.readings.tolist() == [3, 3, 3]
     assert found.stops[0] == found.stops[2] == frozenset(range(3))
+
+
+def test_a_camera_that_was_calibrated_moves_with_the_arm(rng: np.random.Generator) -> None:
+    """Errors of its parameters and of the arm's are correlated, and their motions add as differences say."""
+    bare = cases.robot_with("camera_pixel", sigma=0.1)
+    robot = cases.with_camera(bare)
+    places, readings = images(bare, rng)
+    found = located(robot, readings)
+    np.testing.assert_allclose(found.place, places, atol=1e-9)
+    J = np.column_stack([by_parameters(bare, readings, FlangeSensor(lens=cases.LENS, pixel_noise=0.1))])
+    of_lens = []
+    for i in range(9):
+        ends = []
+        for side in (-1.0, 1.0):
+            values = cases.LENS.values
+            values[i] += side * (1e-3 if i < 4 else 1e-6)
+            lens = FlangeSensor(lens=Lens(*values), pixel_noise=0.1)
+            ends.append(located(bare, readings, lens).place.ravel())
+        of_lens.append((ends[1] - ends[0]) / (2e-3 if i < 4 else 2e-6))
+    whole = np.column_stack([J, np.transpose(of_lens)])
+    expected = whole @ robot.covariance @ whole.T
+    np.testing.assert_allclose(found.covariance.sources["parameters"].matrix, expected, rtol=1e-5, atol=1e-13)
+    assert found.evidence["sensor"].kind == "A"
 
 
 def test_images_that_cannot_tell_the_depth_are_refused(rng: np.random.Generator) -> None:

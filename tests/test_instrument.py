@@ -173,7 +173,7 @@ def test_what_stretches_coordinates_is_found_anew_on_another_day(kuka: Robot) ->
 @pytest.mark.long
 def test_stretched_coordinates_are_named(kuka: Robot) -> None:
     """Of a robot that is sound: by the instrument's name alone."""
-    table = seen(sim.InstrumentStretch(size=2e-4))
+    table = seen(sim.InstrumentStretch(size=2e-4), poses=120)
     steps = searched(calibrate(kuka, table, Options(effects=GEOMETRIC, sigma=NOISE)), {"": table}).steps
 
     assert [step.effect.name for step in steps] == ["instrument_stretch"]

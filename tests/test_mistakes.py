@@ -12,6 +12,7 @@ from placed_arms import measured, run
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 
+from pincal.calibration.agreed import notes_on
 from pincal.calibration.checked_fit import calibrate
 from pincal.diagnosis.robot_diagnosis import diagnose
 from pincal.errors import BadInputError
@@ -22,7 +23,7 @@ from pincal.measure.table import read_measurements
 from pincal.robot.mastering import resized
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Coupling
-from pincal.validate.cures import Case, Correction, from_hand
+from pincal.validate.cures import Case, Correction, from_hand, misreadings
 from pincal.validate.descriptions import DescriptionSearch
 from pincal.validate.linear_scan import LinearScan
 from pincal.validate.orientations import OrientationSearch
@@ -198,6 +199,22 @@ def test_a_scan_of_corrections_is_a_linear_fit_of_each() -> None:
         assert left == pytest.approx(np.sum(expected**2), rel=1e-6)
 
 
+def test_corrections_one_after_the_other_are_one() -> None:
+    """Of a joint that was turned a further zero counts the other way; lengths add up, and each joint is noted once."""
+    robot, _ = robot_of("kr125")
+    q = robot.random_configurations(5, np.random.default_rng(1))
+    first = Correction({"joint_2": 0.5, "joint_3": -0.25}, ("joint_2", "joint_4"), lengths={"joint_2.a": 0.02})
+    second = Correction({"joint_2": 0.1, "joint_5": 0.3}, ("joint_4",), lengths={"joint_2.a": 0.01})
+    both = first.then(second)
+    assert both is not None and both.turned == ("joint_2",)
+    assert both.shifts == pytest.approx({"joint_2": 0.4, "joint_3": -0.25, "joint_5": 0.3})
+    poses = [one.forward_kinematics(q) for one in (both.of(robot), second.of(first.of(robot)))]
+    np.testing.assert_allclose(*poses, rtol=0, atol=1e-9)
+    assert len(notes_on([first, second])) == 5
+    coupled = Correction(couplings=(Coupling("joint_3", "joint_2", 1.0),))
+    assert first.then(coupled) is None and len(notes_on([coupled, first, second])) == 6
+
+
 def test_what_a_camera_on_the_hand_sees_is_a_hypothesis() -> None:
     """Rows become those of the path from the hand to the base; where links are stated there is none."""
     case = draw(Task("sound", 1))
@@ -252,3 +269,32 @@ def test_rounded_joints_do_not_make_a_changed_robot() -> None:
     assert "multiples of 0.1 deg, as a pendant shows them" in rounded.warnings[0].text
     assert sent.is_judged and not sent.changed
     assert changed.is_judged and changed.changed
+
+
+W_FIRST = "--columns 'qx=qw,qy=qx,qz=qy,qw=qz'"
+INVERTED = "invert them, or leave the orientations out: --orientation none"
+
+
+def test_mixed_up_quaternions_come_with_what_cures_them() -> None:
+    """By an option where there is one; an exchange of positions needs another header."""
+    table = measurements_from_arrays(
+        ["a"], np.zeros((9, 1)), position=np.zeros((9, 3)), quaternion=np.tile([0, 0, 0, 1.0], (9, 1))
+    )
+    advice = {one.words: one.advice for one in misreadings(robot_of("ur5")[0], table)}
+    assert W_FIRST in advice["the quaternion appears to be written with w first"]
+    assert advice["the quaternion appears to be inverted"] == INVERTED
+    assert all("header" in of for words, of in advice.items() if "quaternion" not in words and "left-handed" not in words)
+
+
+@pytest.mark.long
+def test_wrong_orientations_are_told_by_their_angles() -> None:
+    """Positions fit: what remains is said of the orientations, with the option that reads them."""
+    robot, _ = robot_of("ur5")
+    machine = machine_of(robot, np.random.default_rng(1))
+    q = 0.9 * robot.random_configurations(40, np.random.default_rng(2))
+    position, rotation = poses_of(machine, q)
+    turned = Rotation.from_matrix(rotation).as_quat()[:, [3, 0, 1, 2]]
+    table = measurements_from_arrays(robot.joint_names, q, position=position, quaternion=turned)
+    with pytest.raises(BadInputError, match=r"orientations are off by \d+ mrad, with this corrected \d\.\d mrad") as error:
+        calibrate(robot, table, PLAIN)
+    assert W_FIRST in str(error.value)

@@ -206,13 +206,13 @@ def test_images_go_through_the_commands(
 ) -> None:
     """Beside an IMU and held tracker poses; another session validates the model."""
     folder, held = tmp_path / "monday", tmp_path / "eight.csv"
-    driven(folder, given=("--imu",))
+    driven(folder, seconds=30, given=("--imu",))
     assert run("simulate", URDF, "--poses", "8", "--elastic", "0", "--seed", "1", "--out", held, "--quiet") == 0
     known = ["--points", f"{folder}.points.csv", "--camera", f"{folder}.camera.json", "--model", "geometric", "--quiet"]
     assert run("calibrate", URDF, held, folder, *known, "--out", tmp_path / "out") == 0
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert [station["kind"] for station in result["stations"]] == ["position", "imu", "camera_pixel"]
-    driven(tmp_path / "tuesday", given=("--pose-seed", "5"))
+    driven(tmp_path / "tuesday", seconds=30, given=("--pose-seed", "5"))
     capsys.readouterr()
     assert run("calibrate", URDF, folder, *known, "--out", tmp_path / "own") == 0
     assert run("validate", tmp_path / "own" / "model.json", tmp_path / "tuesday", "--quiet") == Exit.DONE

@@ -207,7 +207,7 @@ def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", ["4", "5"])
+@pytest.mark.parametrize("seed", ["4", pytest.param("5", marks=pytest.mark.rates)])
 def test_a_noisy_imu_alone_leaves_a_sound_robot_nearer_to_itself(tmp_path: Path, seed: str) -> None:
     """Thirty times the usual noise, and a robot as its URDF has it: the prior gets as narrow as the readings show."""
     arguments = ["--path", "100s", "--imu", "--imu-noise", "30mg,0.3deg/s", "--log-rates", "80,100,50", "--errors", "0"]

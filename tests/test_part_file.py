@@ -15,7 +15,7 @@ points = "nominals.csv"
 [feature.top]
 kind = "plane"
 nominal = [0, 0, 10]
-direction = [0, 0, 2]
+normal = [0, 0, 2]
 tolerance_um = 300
 
 [feature.hole_1]
@@ -44,7 +44,8 @@ limits_mm = [79.8, 80.3]
 [feature.corner]
 kind = "angle"
 of = ["top", "hole_1"]
-nominal_deg = 90
+unit = "deg"
+nominal = 90
 tolerance_mrad = 1
 
 [datum]
@@ -97,6 +98,13 @@ REFUSED = {
     "key": (POINT + "nominal_mn = [1, 2, 3]", "nominal_mm"),
     "key of another kind": (POINT + "diameter_mm = 3", "unknown key 'diameter_mm'"),
     "no unit": (POINT + "nominal = [1, 2, 3]", "a unit: nominal_mm = ..."),
+    "no unit of an angle": (
+        "unit = 'mm'\n[feature.a]\nkind = 'plane'\n[feature.b]\nkind = 'plane'\n"
+        "[feature.w]\nkind = 'angle'\nof = ['a', 'b']\nnominal = 90",
+        "nominal_deg = ..., or angle_unit = 'deg' at the top",
+    ),
+    "unit of a feature": (POINT + "unit = 'furlong'\nnominal = [1, 2, 3]", "unit = 'furlong'; expected one of m"),
+    "two directions": ("[feature.a]\nkind = 'plane'\nnormal = [0, 0, 1]\naxis = [0, 1, 0]", "one nominal direction"),
     "two units": (POINT + "nominal_mm = ['1 mm', 2, 3]", "as the key has mm"),
     "twice": (POINT + "nominal_mm = [1, 2, 3]\nnominal_m = [1, 2, 3]", "twice"),
     "position twice": (POINT + "nominal_mm = [1, 2, 3]\nposition_mm = [1, 2, 3]", "one nominal position"),

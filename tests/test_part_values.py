@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from pincal.errors import BadInputError
 from pincal.features import feature_fit
 from pincal.features.feature_set import FeatureSet
-from pincal.features.part import Part, PartDatum, PartFeature, ToleranceLimits
+from pincal.features.part import Part
+from pincal.features.part_feature import PartDatum, PartFeature, ToleranceLimits
 from pincal.features.part_values import PartValues, evaluate_part
 
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()

@@ -144,11 +144,13 @@ def test_figures_are_met_or_missed() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.first
 def test_a_study_of_plans_runs_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every command says what is counted of it, and a second run asks nothing again."""
     monkeypatch.setattr(rows_study, "version", lambda: "v1")
-    tasks = [Task(kind, 1, verb=verb) for kind in ("once", "passes2_shift", "dwell3") for verb in PLANS[kind].verbs]
-    tasks += [Task("markers14", 1, verb="calibrate"), Task("once", 1, verb="calibrate", arrival=0.0)]
+    tasks = [Task("once", 1, verb=verb) for verb in PLANS["once"].verbs]
+    tasks += [Task(kind, 1, verb="calibrate") for kind in ("passes2_shift", "dwell3", "markers14")]
+    tasks += [Task("once", 1, verb="calibrate", arrival=0.0)]
     path = tmp_path / "plans.jsonl"
     found = study(tasks, path, workers=1)
     monkeypatch.setattr(rows_study, "said_of", lambda task: pytest.fail(f"asked again: {task}"))

@@ -100,3 +100,13 @@ def test_a_load_of_another_routine_is_not_known() -> None:
     found = corrector(language).payloads(program)
 
     assert all(isinstance(found[key], str) for key, point in program.points.items() if point.kind == "joints")
+
+
+@pytest.mark.parametrize("mass", ["-5", "1e5", "1e300", "1e308"])
+def test_a_load_that_no_robot_carries_leaves_its_points(mass: str) -> None:
+    """The point before it is corrected."""
+    text = f"{TCP}movej({Q})\nset_payload({mass}, [0,0,0.1])\nmovej({Q})\n"
+    changes, left = corrector("URScript").changes(read("URScript", text))
+
+    assert [change.point.line for change in changes.values()] == [2]
+    assert [one.reason for one in left] == [f"line 3: a load of {float(mass):g} kg; expected 0 to 10000 kg"]

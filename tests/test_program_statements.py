@@ -181,6 +181,7 @@ DISPLACED = {
             "$NULLFRAME.X=5",
             "$IPO_MODE=#TCP",
             "$IPO_MODE=X",
+            "MY_MOVE X",
             "$ET1_TA1KR={X 1}",
             "$TECH.CLASS=1",
             "$CORR={X 1}",
@@ -265,6 +266,10 @@ DISPLACED = {
             "EGMRunPose e,EGM_STOP_HOLD\\x;",
             "EGMRunJoint e,EGM_STOP_HOLD;",
             "SyncMoveOn s,t\\TimeOut:=1;",
+            "DitherAct X,1;",
+            "IndCnvInit c,d;",
+            "PrxSetPosOffset x,5;",
+            "CSSDeactMoveL a,v1,gun;",
             "SyncToSensor s\\On;",
             "WaitSensor s;",
             "DropWObj w;\nWaitWObj w;",
@@ -759,6 +764,8 @@ KEPT = {
             "ConfL\\Off;\nConfJ\\Off;",
             "ConfJ\\On;",
             "SpeedRefresh 50;",
+            "PDispOff;\nActEventBuffer;\nSpeedLimAxis X,1,5;\nCamReqImage c;",
+            "TriggLIOs a,v1\\TriggData1:=t,z1,gun;",
             "MotionSup\\On\\TuneValue:=200;",
             "GripLoad load0;",
             "GripLoad l1;",
@@ -891,6 +898,7 @@ KEPT = {
             "# Werkzeug: set_tcp(x)",
             "if (True): # immer\n sleep(1)\nend",
             "end_force_mode()",
+            "force_mode_set_damping(0.1)",
             "stop_conveyor_tracking()",
             "x = struct(a=1)",
             "x = size(a)",
@@ -973,7 +981,36 @@ CALLED = {
 }
 
 
-@pytest.mark.parametrize("table", [DISPLACED, CALLED])
+def up(body: str, more: str = "", before: str = "up;\n") -> tuple[str, str]:
+    """Return a module that calls a routine between its motions."""
+    return abb(before, more=f"PROC up()\n{body}ENDPROC\n{more}")
+
+
+# A routine that displaces points: a second one of these is left, unless it surely ends that itself.
+UPPER = "PROC upper()\nPDispSet f;\nENDPROC\n"
+OPEN = {
+    "left in the middle": up("PDispSet f;\nIF x RETURN;\nPDispOff;\n"),
+    "left in the middle of a block": up("PDispSet f;\nIF x THEN\nRETURN;\nENDIF\nPDispOff;\n"),
+    "displaced at its end": up("PDispOff;\nPDispSet f;\n"),
+    "ended on one path": up("PDispSet f;\nIF x THEN\nPDispOff;\nENDIF\n"),
+    "another one is displaced": up("PDispSet f;\nSoftAct 1,20;\nPDispOff;\n"),
+    "calls one that is not ended": up("PDispOff;\nupper;\n", UPPER),
+    "an error may leave it": up("PDispSet f;\nx:=1/y;\nPDispOff;\nERROR\nRETURN;\n"),
+    "a function of URScript": ur(
+        "def f():\n force_mode(a,b,c,2,d)\n if x:\n  return 1\n end\n end_force_mode()\nend\nf()\n"
+    ),
+    "a thread of URScript": ur("thread f():\n force_mode(a,b,c,2,d)\n end_force_mode()\nend\nrun f()\n"),
+}
+ENDED = {
+    "in the same routine": up("PDispSet f;\nMoveL c,v1,fine,gun;\nPDispOff;\n"),
+    "in a loop": up("PDispSet f;\nPDispOff;\n", before="WHILE x DO\nup;\nENDWHILE\n"),
+    "in one that it calls": up("upper;\n", "PROC upper()\nSoftAct 1,20;\nSoftDeact;\nENDPROC\n"),
+    "behind one that it calls": up("PDispSet f;\nupper;\nPDispOff;\n", UPPER),
+    "a function of URScript": ur("def f():\n force_mode(a,b,c,2,d)\n end_force_mode()\n return 1\nend\nx = f()\n"),
+}
+
+
+@pytest.mark.parametrize("table", [DISPLACED, CALLED, OPEN])
 def test_what_displaces_a_point_leaves_it(table: dict[str, tuple[str, str]]) -> None:
     """And says why."""
     wrong = {}
@@ -985,12 +1022,21 @@ def test_what_displaces_a_point_leaves_it(table: dict[str, tuple[str, str]]) -> 
     assert not wrong
 
 
-def test_what_displaces_nothing_leaves_the_correction() -> None:
+@pytest.mark.parametrize("table", [KEPT, ENDED])
+def test_what_displaces_nothing_leaves_the_correction(table: dict[str, tuple[str, str]]) -> None:
     """Of both points."""
     wrong = {}
-    for name, (language, text) in KEPT.items():
+    for name, (language, text) in table.items():
         found, said = corrected(language, text)
         if not {FIRST[language], SECOND[language]} <= found:
             wrong[name] = said
 
     assert not wrong
+
+
+@pytest.mark.parametrize("body", ["IF x RETURN;", "IF x THEN\nExitCycle;\nENDIF"])
+def test_a_program_that_is_left_displaced_starts_again_so(body: str) -> None:
+    """Its first point is left, too."""
+    found, said = corrected(*abb(f"PDispSet f;\n{body}\nPDispOff;\n"))
+
+    assert "A" not in found and "another routine does so" in " ".join(said)

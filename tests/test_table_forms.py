@@ -28,13 +28,14 @@ from table_forms import (
     places,
     saved,
 )
-from test_table_kinds import JOINTS, KINDS, MATRICES, TURNED, XYZ, K, Kind, Q, headed, read
+from test_table_kinds import DEG, JOINTS, KINDS, MATRICES, MM, TURNED, XYZ, K, Kind, Q, cells, file, headed, lines, read
 
 from pincal.compensate.returned_table import write_returned
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.flat_matrices import order_of_matrix, quaternions_of
 from pincal.measure.nameless import has_numbers_for_names, with_poses_in_rows
 from pincal.measure.nested_labels import vector_labels
+from pincal.measure.placeholders import placeholders
 from pincal.measure.reader import links_of_rows, read_table
 from pincal.measure.reading_numbers import LAYOUT
 from pincal.measure.table import read_measurements
@@ -281,3 +282,39 @@ def test_columns_are_named_in_the_table_and_in_the_log(tmp_path: Path) -> None:
         said = r"in the order of the arm: --columns 'a=joint_a1,b=joint_a2,.*,f=joint_a6'"
         with pytest.raises(MeasurementError, match=said):
             read_measurements(tmp_path / "tracker.csv", JOINTS, joints=log)
+
+
+def test_numbers_in_place_of_readings_by_hand() -> None:
+    """In all axes: any beyond twice all others, 0 and -1 in less than half of the rows; beside eight other rows or more."""
+    rng = np.random.default_rng(3)
+    fewest = LAYOUT.fewest_readings
+    place = rng.uniform(-0.7, 0.7, (2 * fewest, 3))
+    largest = np.abs(place).max()
+
+    def found(number: float, count: int = 1, others: int = 2 * fewest) -> bool:
+        told = placeholders(np.vstack([place[:others], np.full((count, 3), number)]))
+        assert not told[:others].any() and len({*told[others:].tolist()}) == 1
+        return bool(told[-1])
+
+    for number in (-9999.0, 99999.99, 65535.0, 0.0, -1.0):
+        assert found(number) and found(number, others=fewest) and not found(number, others=fewest - 1)
+    for factor, is_one in ((0.9 * LAYOUT.beyond, False), (1.1 * LAYOUT.beyond, True)):
+        assert found(factor * largest) == is_one
+    half = int(2 * fewest * LAYOUT.seldom / (1.0 - LAYOUT.seldom))
+    assert found(0.0, half - 1) and not found(0.0, half) and found(-9999.0, half)
+    # A distance of 0 is one; nines are not.
+    distance = np.abs(place[:, :1])
+    assert placeholders(np.vstack([distance, [[0.0], [-9999.0], [7.5]]]))[-3:].tolist() == [False, True, False]
+
+
+def test_what_may_be_thousands_or_decimals_is_refused(tmp_path: Path) -> None:
+    """1,234 alone is either; the words say how to write it. So is a row of units of which some are unknown."""
+    rows = [[*row[:8], f'"1,{k + 100}"'] for k, row in enumerate(cells(Q, XYZ))]
+    with pytest.raises(MeasurementError, match=r'"1,100"; .*without separators between thousands'):
+        read(Kind(file("log.csv", lines([*JOINTS, *"xyz"], rows))), tmp_path)
+    rows = [[f"{cell} deg" for cell in row] for row in cells(DEG, MM)]
+    with pytest.raises(MeasurementError, match=r"their unit in the name, x \[mm\]"):
+        read(Kind(file("log.csv", lines([*JOINTS, *"xyz"], rows))), tmp_path)
+    rows = [["furlong"] * 6 + ["mm"] * 3, *cells(DEG, MM)]
+    with pytest.raises(MeasurementError, match="the row of units has 'furlong', which is not a unit"):
+        read(Kind(file("log.csv", lines([*JOINTS, *"xyz"], rows))), tmp_path)

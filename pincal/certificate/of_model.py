@@ -12,8 +12,8 @@ import numpy as np
 from msgspec import UNSET
 
 from pincal.calibration.fitted_robot import FittedRobot, load_model
+from pincal.calibration.model_statement import COVERAGE_FACTOR
 from pincal.calibration.result import ResultFile
-from pincal.calibration.statement import COVERAGE_FACTOR
 from pincal.certificate.statement import (
     NOT_STATED,
     Budget,
@@ -87,7 +87,7 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
     _require_result_of(fitted, result, result_path)
     found = _search_of(path)
     robot = fitted.robot_model()
-    budget = position_budget(robot)
+    budget, lacking = _budget_of(robot)
     notes = [note for note in result.warnings if isinstance(note, Note)]
     notes += () if found is None else found.warnings
     verdicts = [result.verdict] if found is None else [result.verdict, found.verdict]
@@ -100,11 +100,11 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
         item=robot.model.chain.robot.name,
         identity=stated.over(fitted.identity),
         ranges=tuple(_ranges(robot)),
-        facts=_facts(fitted, result) | _searched(found),
+        facts=_facts(fitted, result) | _searched(found) | lacking,
         verdict=worst(verdicts).value,
         doubts=tuple(dict.fromkeys(doubt.text for doubt in doubts_of(notes))),
         groups=tuple(_groups(result, budget)),
-        budget=budget if budget.lines else None,
+        budget=budget,
         files=files | (dict(inputs) if isinstance(inputs, Mapping) else {}),
         versions={
             "calibrated with pincal": str(fitted.provenance.get("pincal", NOT_STATED)),
@@ -137,9 +137,23 @@ def _searched(found: Findings | None) -> dict[str, str]:
     return {"search": f"{effects} found; {found.unexplained_mm:.4f} mm unexplained"}
 
 
+def _budget_of(robot: FittedRobot) -> tuple[Budget | None, dict[str, str]]:
+    """Return the budget, or None and the fact why there is none: what an effect needs of each pose,
+    such as the time since its last move, random poses have not.
+    """
+    try:
+        found = position_budget(robot)
+    except BadInputError as error:
+        return None, {"budget": f"none: {error}"}
+    return (found, {}) if found.lines else (None, {"budget": "none: no uncertainty is known"})
+
+
 def position_budget(robot: FittedRobot) -> Budget:
     """Return the standard uncertainty of one coordinate of predicted positions by its sources, root
     mean squares over poses within the range of the calibration [mm].
+
+    Raises:
+        BadInputError: if an effect needs of each pose what is not kept with the model.
     """
     variances = robot.position_variances(_covered_poses(robot))
     squares = {source: float(np.mean(found)) for source, found in variances.items()}
@@ -230,7 +244,7 @@ def _validation(result: ResultFile) -> str:
     return _WAYS[result.validation.way] + folds
 
 
-def _groups(result: ResultFile, budget: Budget) -> Iterator[FigureGroup]:
+def _groups(result: ResultFile, budget: Budget | None) -> Iterator[FigureGroup]:
     """Yield the figures."""
     part = "test" if "test" in result.error["calibrated"] else "train"
     rows = result.rows["test" if part == "test" else "train"]
@@ -242,19 +256,24 @@ def _groups(result: ResultFile, budget: Budget) -> Iterator[FigureGroup]:
         is_stated = model == "calibrated" and part == "test"
         intervals = {} if result.intervals is UNSET or not is_stated else result.intervals
         figures = tuple(_statistics(result.error[model][part], intervals))
-        # Readings of an IMU, say, have no errors in these units.
         if figures:
             yield FigureGroup(title=title, figures=figures, remark=f"{rows} rows, {seen}")
-    k = COVERAGE_FACTOR
-    combined = math.sqrt(sum(line.standard**2 for line in budget.lines))
-    expanded = Figure(
-        name=f"U (k = {k:g}) over the measured ranges", value=k * combined, unit=budget.unit
-    )
-    yield FigureGroup(
-        title="Uncertainty of predicted positions",
-        figures=(*_stated(result), expanded, *_elsewhere(result)),
-        remark="U: of one coordinate, root mean square, without noise of new readings",
-    )
+    figures = (*_stated(result), *_combined(budget), *_elsewhere(result))
+    if figures:
+        yield FigureGroup(
+            title="Uncertainty of predicted positions",
+            figures=figures,
+            remark="U: of one coordinate, root mean square, without noise of new readings",
+        )
+
+
+def _combined(budget: Budget | None) -> Iterator[Figure]:
+    """Yield the uncertainty that a budget adds up to."""
+    if budget is not None:
+        k = COVERAGE_FACTOR
+        combined = math.sqrt(sum(line.standard**2 for line in budget.lines))
+        name = f"U (k = {k:g}) over the measured ranges"
+        yield Figure(name=name, value=k * combined, unit=budget.unit)
 
 
 def _stated(result: ResultFile) -> Iterator[Figure]:
@@ -272,7 +291,7 @@ def _statistics(
     error: Mapping[str, float], intervals: Mapping[str, tuple[float | None, float | None]]
 ) -> Iterator[Figure]:
     """Yield the statistics of errors, with their intervals where these are known."""
-    for unit in ("mm", "mrad", "px"):
+    for unit in dict.fromkeys(statistic.split("_", 1)[1] for statistic in error):
         for key, name in _STATISTICS.items():
             statistic = f"{key}_{unit}"
             if statistic in error:

@@ -17,10 +17,11 @@ from itertools import product
 import numpy as np
 
 from pincal.errors import BadInputError, IdentificationError
-from pincal.features.feature_kinds import DIRECTION, POSITION, across
+from pincal.features.feature_kinds import OF_DIRECTION, OF_POSITION, across
 from pincal.features.feature_set import FeatureSet
 from pincal.features.fit_numbers import FIT
-from pincal.features.part import Part, PartFeature
+from pincal.features.part import Part
+from pincal.features.part_feature import PartFeature
 from pincal.features.part_frame import PartFrame, differentiate
 from pincal.robot.se3 import nearest_rotation
 from pincal.thresholds import Count, Scale
@@ -94,8 +95,8 @@ def _held(feature: PartFeature, seen: np.ndarray) -> np.ndarray:
     has, shape (3,) [m].
     """
     assert feature.position is not None
-    off = seen[POSITION] - feature.position
-    along = seen[DIRECTION] * (seen[DIRECTION] @ off)
+    off = seen[OF_POSITION] - feature.position
+    along = seen[OF_DIRECTION] * (seen[OF_DIRECTION] @ off)
     if feature.kind in _AXIS:
         return np.asarray(off - along)
     if feature.kind == "plane":
@@ -128,12 +129,14 @@ class _BestFit:
     def _deviation(self, feature: PartFeature, seen: np.ndarray) -> np.ndarray:
         """Return the deviations of one feature's numbers in the part's frame [m]."""
         assert feature.position is not None
-        off = seen[POSITION] - feature.position
+        off = seen[OF_POSITION] - feature.position
         if feature.kind in _PLACED:
             return np.asarray(off)
         assert feature.direction is not None
         E = across(feature.direction)
-        direction = seen[DIRECTION] * (1.0 if seen[DIRECTION] @ feature.direction > 0.0 else -1.0)
+        direction = seen[OF_DIRECTION] * (
+            1.0 if seen[OF_DIRECTION] @ feature.direction > 0.0 else -1.0
+        )
         turned = self.lever * (direction @ E)
         cosine = max(float(direction @ feature.direction), FIT.flat)
         if feature.kind == "plane":
@@ -169,7 +172,7 @@ class _BestFit:
         """Return whether some motion of the frame changes no deviation."""
         # Turns about the middle of the features, by lengths at their extent: sizes are alike.
         scale = np.repeat([1.0 / self.lever, 1.0], 3)
-        middle = self.numbers.reshape(-1, 7)[:, POSITION].mean(axis=0) - frame.origin
+        middle = self.numbers.reshape(-1, 7)[:, OF_POSITION].mean(axis=0) - frame.origin
         about = np.eye(6)
         about[3:, :3] = np.cross(np.eye(3), -middle).T
         sizes = np.linalg.svd((self.by_motion(frame) @ about) * scale, compute_uv=False)
@@ -188,7 +191,7 @@ class _BestFit:
         if self.is_open(best):
             raise BadInputError(
                 f"datum best fit: {', '.join(feature.name for feature in self.features)} leave the "
-                "frame open; expected three points apart, or features that hold all shifts and turns"
+                "frame open; expected three points apart, or features that hold every motion"
             )
         if not found:
             raise IdentificationError(
@@ -220,15 +223,15 @@ class _BestFit:
         there = []
         for i, sign in zip(turned, signs, strict=True):
             nominal.append(self.features[i].direction)
-            there.append(sign * numbers[i, DIRECTION])
+            there.append(sign * numbers[i, OF_DIRECTION])
         placed = [i for i, of in enumerate(self.features) if of.kind in _PLACED]
         if placed:
             places = np.array([self.features[i].position for i in placed])
             nominal.extend((places - places.mean(axis=0)) / self.lever)
-            measured = numbers[placed][:, POSITION]
+            measured = numbers[placed][:, OF_POSITION]
             there.extend((measured - measured.mean(axis=0)) / self.lever)
         R = nearest_rotation(np.array(there).T @ np.array(nominal))
-        frame = PartFrame(R, numbers[:, POSITION].mean(axis=0), np.zeros((6, 0)))
+        frame = PartFrame(R, numbers[:, OF_POSITION].mean(axis=0), np.zeros((6, 0)))
         by_shift = self.by_motion(frame)[:, 3:]
         off = self.deviations(frame, self.numbers)
         shift = np.linalg.lstsq(by_shift, -off, rcond=None)[0]

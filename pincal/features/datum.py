@@ -22,10 +22,11 @@ import numpy as np
 
 from pincal.errors import BadInputError
 from pincal.features.best_fit import best_fit_frame, misfit_of
-from pincal.features.feature_kinds import DIRECTION, POSITION
+from pincal.features.feature_kinds import OF_DIRECTION, OF_POSITION
 from pincal.features.feature_set import FeatureSet
 from pincal.features.fit_numbers import FIT
-from pincal.features.part import Part, PartFeature
+from pincal.features.part import Part
+from pincal.features.part_feature import PartFeature
 from pincal.features.part_frame import PartFrame, differentiate
 
 _AXIS = ("line", "cylinder")
@@ -68,7 +69,7 @@ class _Triple:
     def frame(self, numbers: np.ndarray) -> PartFrame:
         """Return the frame of three features' numbers, shape (21,)."""
         plane, line, point = numbers.reshape(3, 7)
-        z = self.signs[0] * plane[DIRECTION] / np.linalg.norm(plane[DIRECTION])
+        z = self.signs[0] * plane[OF_DIRECTION] / np.linalg.norm(plane[OF_DIRECTION])
         x = self._along(plane, line, point)
         x = x - z * (z @ x)
         size = float(np.linalg.norm(x))
@@ -81,7 +82,7 @@ class _Triple:
         y = np.cross(z, x)
         rows = np.array([z, self._across(line, y), self._last(point, x)])
         places = (plane, line, point)
-        sides = [row @ of[POSITION] for row, of in zip(rows, places, strict=True)]
+        sides = [row @ of[OF_POSITION] for row, of in zip(rows, places, strict=True)]
         if abs(np.linalg.det(rows)) < FIT.flat:
             raise BadInputError(
                 f"datum 3-2-1: {self.names[2]!r} leaves the shift along {self.names[1]!r} open; "
@@ -93,19 +94,19 @@ class _Triple:
     def _along(self, plane: np.ndarray, line: np.ndarray, point: np.ndarray) -> np.ndarray:
         """Return the direction of the x axis before it is made level, of about unit length."""
         if self.kinds[1] in _AXIS:
-            return line[DIRECTION]
+            return line[OF_DIRECTION]
         if self.kinds[1] == "plane":
-            return np.cross(line[DIRECTION], plane[DIRECTION])
-        between = line[POSITION] - point[POSITION]
+            return np.cross(line[OF_DIRECTION], plane[OF_DIRECTION])
+        between = line[OF_POSITION] - point[OF_POSITION]
         return np.asarray(between / max(float(np.linalg.norm(between)), np.finfo(float).tiny))
 
     def _across(self, line: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Return the direction in which the second feature holds the frame."""
-        return line[DIRECTION] if self.kinds[1] == "plane" else y
+        return line[OF_DIRECTION] if self.kinds[1] == "plane" else y
 
     def _last(self, point: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the direction in which the third feature holds the frame."""
-        return point[DIRECTION] if self.kinds[2] == "plane" else x
+        return point[OF_DIRECTION] if self.kinds[2] == "plane" else x
 
 
 def _three_two_one(part: Part, measured: FeatureSet) -> PartFrame:

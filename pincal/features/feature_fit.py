@@ -3,7 +3,8 @@ r"""Features through measured points, by generalised least squares with their fu
 With the signed distances g(x; theta) of the points, whose derivatives are N by the points and J by
 the parameters, the most probable errors of the points and the best parameters make
 
-.. math:: \min_{\delta, \theta} \delta^T C^{-1} \delta \quad\text{with}\quad g(x - \delta; \theta) = 0,
+.. math:: \min_{\delta, \theta} \delta^T C^{-1} \delta
+    \quad\text{with}\quad g(x - \delta; \theta) = 0,
 
 which is solved by Gauss and Helmert's linearisation at the adjusted points. With
 W = (N C N^T)^{-1}, errors of points move the parameters by
@@ -26,13 +27,13 @@ import numpy as np
 
 from pincal.errors import BadInputError, IdentificationError, counted, nearest_first
 from pincal.features.feature_kinds import (
-    DIRECTION,
     FITTED_KINDS,
     NUMBERS,
-    POSITION,
+    OF_DIRECTION,
+    OF_POSITION,
     Equations,
     FeatureKind,
-    moved,
+    stepped,
 )
 from pincal.features.fit_numbers import FIT
 from pincal.thresholds import Count, Scale
@@ -97,12 +98,12 @@ class FittedFeature:
     @property
     def position(self) -> np.ndarray:
         """The position, shape (3,) [m]."""
-        return self.numbers[POSITION]
+        return self.numbers[OF_POSITION]
 
     @property
     def direction(self) -> np.ndarray:
         """The unit direction of line or axis, or the normal, shape (3,); its sign is arbitrary."""
-        return self.numbers[DIRECTION]
+        return self.numbers[OF_DIRECTION]
 
     @property
     def radius(self) -> float:
@@ -239,7 +240,7 @@ class _Adjustment:
     def _scaled(self, numbers: np.ndarray) -> np.ndarray:
         """Return the free directions, in which a step of 1 m moves points by about that."""
         basis = self.kind.free(numbers)
-        basis[DIRECTION] /= self.size
+        basis[OF_DIRECTION] /= self.size
         return basis
 
     def _descend(self, numbers: np.ndarray) -> np.ndarray:
@@ -254,7 +255,7 @@ class _Adjustment:
             slope = J.T @ equations.values.ravel()
             damped = H + damping * np.diag(np.diag(H) + _EXACT)
             step = -np.linalg.solve(damped, slope)
-            tried = moved(numbers, basis @ step)
+            tried = stepped(numbers, basis @ step)
             there = self._equations(tried)
             cost_there = float(np.sum(there.values**2))
             if cost_there <= cost:
@@ -279,7 +280,7 @@ class _Adjustment:
         for _ in range(_STEPS):
             weighted = _Weighted(self, numbers, adjusted, form_sigma)
             step, errors = weighted.step()
-            numbers = moved(numbers, weighted.basis @ step)
+            numbers = stepped(numbers, weighted.basis @ step)
             adjusted = self.points - errors
             if np.linalg.norm(step) < _CONVERGED * self.size:
                 break
@@ -296,13 +297,13 @@ class _Adjustment:
         may be shifted along itself.
         """
         found = numbers.copy()
-        offset = self.points.mean(axis=0) - numbers[POSITION]
-        direction = numbers[DIRECTION]
+        offset = self.points.mean(axis=0) - numbers[OF_POSITION]
+        direction = numbers[OF_DIRECTION]
         along = direction * (direction @ offset)
         if self.kind.name in ("line", "cylinder"):
-            found[POSITION] += along
+            found[OF_POSITION] += along
         elif self.kind.name == "plane":
-            found[POSITION] += offset - along
+            found[OF_POSITION] += offset - along
         return found
 
 
@@ -467,6 +468,6 @@ def _open(found: FittedFeature) -> Iterator[tuple[str, float]]:
     """Yield the standard uncertainties of direction [rad] and radius, relative to the radius."""
     variances = np.diag(found.covariance)
     if "i" in found.names:
-        yield "direction", float(np.sqrt(variances[DIRECTION].max()))
+        yield "direction", float(np.sqrt(variances[OF_DIRECTION].max()))
     if "radius" in found.names:
         yield "radius relative to its size", found.sigma("radius") / max(found.radius, _EXACT)

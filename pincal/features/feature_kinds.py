@@ -20,9 +20,9 @@ from pincal.thresholds import Count, Scale
 NUMBERS = ("x", "y", "z", "i", "j", "k", "radius")
 """Names of the seven numbers of a feature: position [m], unit direction, radius [m]."""
 
-POSITION = slice(0, 3)
-DIRECTION = slice(3, 6)
-RADIUS = slice(6, 7)
+OF_POSITION = slice(0, 3)
+OF_DIRECTION = slice(3, 6)
+OF_RADIUS = slice(6, 7)
 
 # Directions of a hemisphere from which the axis of a cylinder is searched.
 _DIRECTIONS: Count = 60
@@ -92,12 +92,12 @@ class FeatureKind(ABC):
         return float(np.ptp(deviations[:, 0]))
 
 
-def moved(numbers: np.ndarray, step: np.ndarray) -> np.ndarray:
+def stepped(numbers: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Return a feature's numbers after a step of the seven, with a direction of unit length."""
     found = np.asarray(numbers + step)
-    size = np.linalg.norm(found[DIRECTION])
+    size = np.linalg.norm(found[OF_DIRECTION])
     if size > 0.0:
-        found[DIRECTION] /= size
+        found[OF_DIRECTION] /= size
     return found
 
 
@@ -120,7 +120,7 @@ class _Point(FeatureKind):
     def equations(self, numbers: np.ndarray, points: np.ndarray) -> Equations:
         n = len(points)
         return Equations(
-            values=points - numbers[POSITION],
+            values=points - numbers[OF_POSITION],
             by_point=np.tile(np.eye(3), (n, 1, 1)),
             by_direction=np.zeros((n, 3, 3)),
             by_radius=np.zeros(3),
@@ -130,7 +130,7 @@ class _Point(FeatureKind):
         yield _numbers(points.mean(axis=0))
 
     def free(self, numbers: np.ndarray) -> np.ndarray:
-        return np.eye(7)[:, POSITION]
+        return np.eye(7)[:, OF_POSITION]
 
     def form_error(self, deviations: np.ndarray) -> float:
         return 0.0
@@ -145,9 +145,9 @@ class _Line(FeatureKind):
     has = ("x", "y", "z", "i", "j", "k")
 
     def equations(self, numbers: np.ndarray, points: np.ndarray) -> Equations:
-        E = across(numbers[DIRECTION])
-        y = points - numbers[POSITION]
-        along = y @ numbers[DIRECTION]
+        E = across(numbers[OF_DIRECTION])
+        y = points - numbers[OF_POSITION]
+        along = y @ numbers[OF_DIRECTION]
         return Equations(
             values=y @ E,
             by_point=np.tile(E.T, (len(points), 1, 1)),
@@ -159,7 +159,7 @@ class _Line(FeatureKind):
         yield _numbers(points.mean(axis=0), _principal(points)[0])
 
     def free(self, numbers: np.ndarray) -> np.ndarray:
-        E = across(numbers[DIRECTION])
+        E = across(numbers[OF_DIRECTION])
         return _blocks(E, E)
 
     def form_error(self, deviations: np.ndarray) -> float:
@@ -177,10 +177,10 @@ class _Plane(FeatureKind):
 
     def equations(self, numbers: np.ndarray, points: np.ndarray) -> Equations:
         n = len(points)
-        y = points - numbers[POSITION]
+        y = points - numbers[OF_POSITION]
         return Equations(
-            values=(y @ numbers[DIRECTION])[:, None],
-            by_point=np.tile(numbers[DIRECTION], (n, 1, 1)),
+            values=(y @ numbers[OF_DIRECTION])[:, None],
+            by_point=np.tile(numbers[OF_DIRECTION], (n, 1, 1)),
             by_direction=y[:, None, :],
             by_radius=np.zeros(1),
         )
@@ -189,7 +189,7 @@ class _Plane(FeatureKind):
         yield _numbers(points.mean(axis=0), _principal(points)[2])
 
     def free(self, numbers: np.ndarray) -> np.ndarray:
-        normal = numbers[DIRECTION]
+        normal = numbers[OF_DIRECTION]
         return _blocks(normal[:, None], across(normal))
 
 
@@ -201,8 +201,8 @@ class _Circle(FeatureKind):
     extent = 2
 
     def equations(self, numbers: np.ndarray, points: np.ndarray) -> Equations:
-        normal = numbers[DIRECTION]
-        y = points - numbers[POSITION]
+        normal = numbers[OF_DIRECTION]
+        y = points - numbers[OF_POSITION]
         height = y @ normal
         size, outwards = _from_centre(y - height[:, None] * normal)
         by_point = np.stack([outwards, np.broadcast_to(normal, y.shape)], axis=1)
@@ -219,7 +219,7 @@ class _Circle(FeatureKind):
         yield _numbers(centre, axes[2], radius)
 
     def free(self, numbers: np.ndarray) -> np.ndarray:
-        return _blocks(np.eye(3), across(numbers[DIRECTION]), is_round=True)
+        return _blocks(np.eye(3), across(numbers[OF_DIRECTION]), is_round=True)
 
 
 class _Sphere(FeatureKind):
@@ -231,7 +231,7 @@ class _Sphere(FeatureKind):
     has = ("x", "y", "z", "radius")
 
     def equations(self, numbers: np.ndarray, points: np.ndarray) -> Equations:
-        size, outwards = _from_centre(points - numbers[POSITION])
+        size, outwards = _from_centre(points - numbers[OF_POSITION])
         return Equations(
             values=(size - numbers[6])[:, None],
             by_point=outwards[:, None, :],
@@ -255,8 +255,8 @@ class _Cylinder(FeatureKind):
     extent = 3
 
     def equations(self, numbers: np.ndarray, points: np.ndarray) -> Equations:
-        axis = numbers[DIRECTION]
-        y = points - numbers[POSITION]
+        axis = numbers[OF_DIRECTION]
+        y = points - numbers[OF_POSITION]
         along = y @ axis
         size, outwards = _from_centre(y - along[:, None] * axis)
         return Equations(
@@ -273,7 +273,7 @@ class _Cylinder(FeatureKind):
         yield from (found[i] for i in np.argsort(misfits)[:_REFINED])
 
     def free(self, numbers: np.ndarray) -> np.ndarray:
-        E = across(numbers[DIRECTION])
+        E = across(numbers[OF_DIRECTION])
         return _blocks(E, E, is_round=True)
 
     @staticmethod
@@ -295,10 +295,10 @@ def _blocks(position: np.ndarray, direction: np.ndarray, *, is_round: bool = Fal
     n_position = position.shape[1]
     n_direction = direction.shape[1]
     found = np.zeros((7, n_position + n_direction + int(is_round)))
-    found[POSITION, :n_position] = position
-    found[DIRECTION, n_position : n_position + n_direction] = direction
+    found[OF_POSITION, :n_position] = position
+    found[OF_DIRECTION, n_position : n_position + n_direction] = direction
     if is_round:
-        found[RADIUS, -1] = 1.0
+        found[OF_RADIUS, -1] = 1.0
     return found
 
 

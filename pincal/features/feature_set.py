@@ -128,7 +128,7 @@ def _thrice(rows: np.ndarray) -> np.ndarray:
     return np.asarray((3 * rows[:, None] + np.arange(3)).ravel())
 
 
-def with_blocks(covariance: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+def plus_own_errors(covariance: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     """Return a covariance of points, shape (3N, 3N), plus what each point has of its own, shape
     (N, 3, 3).
     """

@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,14 @@ class FlangeSensor:
     pixel_noise: float | None = None
     radius: float = 0.0
     radius_sigma: float = 0.0
+
+    def with_noise(self, size: float, unit: str) -> FlangeSensor:
+        """Return the sensor with another noise: of a coordinate of a point [m] or, with the unit
+        "px", of an image.
+        """
+        if unit == "px":
+            return replace(self, pixel_noise=size)
+        return replace(self, noise=np.full(3, size))
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> FlangeSensor:

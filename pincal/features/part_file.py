@@ -2,14 +2,14 @@
 
 .. code-block:: toml
 
-    unit = "mm"                          # of lengths that name none
+    unit = "mm"                          # of lengths that name none; a feature may have its own
     angle_unit = "deg"                   # of angles
     points = "nominals.csv"              # columns name, x, y, z and perhaps tolerance, with units
 
     [feature.hole_1]
     kind = "circle"
     nominal_mm = [120.0, 40.0, 0.0]      # its position; of a distance or an angle its value
-    direction = [0, 0, 1]
+    direction = [0, 0, 1]                # or normal, or axis
     diameter_mm = 12.0
     tolerance = { x_mm = 0.3, y_mm = 0.3, diameter_mm = [-0.05, 0.10] }
 
@@ -25,8 +25,8 @@
 
 ``tolerance`` is the largest deviation, or the least and the largest one, ``limits`` are the least
 and the largest value. A plain one is of what ``nominal`` is, coordinate by coordinate; in a table
-they are of the quantities that are named (:mod:`pincal.features.part`), of which ``position`` is
-the diameter of a zone as in ISO 1101, and ``direction`` another name of ``tilt``.
+they are of the quantities that are named (:mod:`pincal.features.part_feature`), of which
+``position`` is the diameter of a zone as in ISO 1101, and ``direction`` another name of ``tilt``.
 """
 
 from __future__ import annotations
@@ -36,18 +36,17 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pincal.errors import BadInputError, counted, nearest_first
-from pincal.features.part import (
+from pincal.features.part_feature import (
     DATUM_KINDS,
     DERIVED_KINDS,
     ONE_SIDED,
     QUANTITIES,
     UNIT_OF,
-    Part,
     PartDatum,
     PartFeature,
     ToleranceLimits,
@@ -61,11 +60,19 @@ _NO_DIRECTION: Scale = 1e-9
 _LISTED: Count = 8
 _TOP = ("unit", "angle_unit", "points", "name", "feature", "datum")
 _DIMENSION = {"m": "length", "rad": "angle"}
-_DATUM_COUNT = {"3-2-1": 3}
+# Names of a direction: that of a line or an axis, and that of a plane's normal.
+_DIRECTIONS = ("direction", "normal", "axis")
 
 
-def read_part(path: str | os.PathLike[str]) -> Part:
-    """Read the file of a part, see :meth:`pincal.features.part.Part.from_toml`."""
+class PartContent(NamedTuple):
+    """What the file of a part says."""
+
+    features: Mapping[str, PartFeature]
+    datum: PartDatum
+
+
+def read_part(path: str | os.PathLike[str]) -> PartContent:
+    """Read the file of a part, see :class:`pincal.features.part.Part`."""
     path = Path(path)
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -78,7 +85,7 @@ def read_part(path: str | os.PathLike[str]) -> Part:
         if key not in _TOP:
             near = ", ".join(nearest_first([key], _TOP))
             raise BadInputError(f"{path}: unknown key {key!r}; expected one of {near}")
-    return _File(path, content).part()
+    return _File(path, content).content_of_part()
 
 
 class _File:
@@ -88,19 +95,29 @@ class _File:
         self.path = path
         self.content = content
         self.units = DefaultUnits(
-            length=self._unit("unit", "length"), angle=self._unit("angle_unit", "angle")
+            length=self._unit(content, "unit", "length", str(path)),
+            angle=self._unit(content, "angle_unit", "angle", str(path)),
         )
         self.points = self._points()
 
-    def _unit(self, key: str, dimension: str) -> str:
-        unit = self.content.get(key, "")
-        if unit and unit not in UNITS_OF[dimension]:
+    def _unit(self, entries: Mapping[str, Any], key: str, dimension: str, where: str) -> str:
+        """Return the unit of a dimension that a table names, empty without one."""
+        unit = entries.get(key, "")
+        if unit != "" and unit not in UNITS_OF[dimension]:
             raise BadInputError(
-                f"{self.path}: {key} = {unit!r}; expected one of {', '.join(UNITS_OF[dimension])}"
+                f"{where}: {key} = {unit!r}; expected one of {', '.join(UNITS_OF[dimension])}"
             )
         return str(unit)
 
-    def part(self) -> Part:
+    def _units_of(self, entries: Mapping[str, Any], where: str) -> DefaultUnits:
+        """Return the units of a feature: its own, of a length or an angle, or those of the file."""
+        unit = entries.get("unit", "")
+        if unit in UNITS_OF["angle"]:
+            return replace(self.units, angle=str(unit))
+        own = self._unit(entries, "unit", "length", where)
+        return replace(self.units, length=own) if own else self.units
+
+    def content_of_part(self) -> PartContent:
         """Return the part, with all names resolved."""
         features = {name: self._feature(name, table) for name, table in self._tables()}
         for name, point in self.points.items():
@@ -112,7 +129,7 @@ class _File:
             )
         for feature in features.values():
             self._check_links(feature, features)
-        return Part(features, self._datum(features))
+        return PartContent(features, self._datum(features))
 
     def _points(self) -> dict[str, PartFeature]:
         """Return the points of the table of points, by name."""
@@ -149,10 +166,11 @@ class _File:
 
     def _feature(self, name: str, entries: Mapping[str, Any]) -> PartFeature:
         where = f"{self.path}, [feature.{name}]"
-        kind = KeyedTable(where, {"kind": entries.get("kind")}, self.units, {"kind": ""}).text(
+        units = self._units_of(entries, where)
+        kind = KeyedTable(where, {"kind": entries.get("kind")}, units, {"kind": ""}).text(
             "kind", QUANTITIES
         )
-        table = KeyedTable(where, entries, self.units, _known_keys(kind))
+        table = KeyedTable(where, entries, units, _known_keys(kind))
         point = self.points.get(name)
         if point is not None and kind in (*DERIVED_KINDS, "plane"):
             raise BadInputError(
@@ -233,12 +251,12 @@ def _check_datum(datum: PartDatum, features: Mapping[str, PartFeature], where: s
 def _known_keys(kind: str) -> dict[str, str]:
     """Return the keys of a feature, with the dimensions of their values."""
     main = "angle" if kind == "angle" else "length"
-    found = {"kind": "", "nominal": main, "tolerance": main, "limits": main}
+    found = {"kind": "", "unit": "", "nominal": main, "tolerance": main, "limits": main}
     if kind in DERIVED_KINDS:
         return {**found, "of": ""}
     found["position"] = "length"
     if "tilt" in QUANTITIES[kind]:
-        found["direction"] = "number"
+        found |= dict.fromkeys(_DIRECTIONS, "number")
     if "diameter" in QUANTITIES[kind]:
         found |= dict.fromkeys(
             ("diameter", "radius", "diameter_tolerance", "diameter_limits"), "length"
@@ -252,7 +270,7 @@ def _with_nominal(feature: PartFeature, table: KeyedTable) -> PartFeature:
         known = {
             name: dimension
             for name, dimension in _known_keys(feature.kind).items()
-            if name in ("position", "direction", "diameter", "radius")
+            if name in ("position", *_DIRECTIONS, "diameter", "radius")
         }
         if feature.is_derived:
             known = {feature.kind: table.known["nominal"]}
@@ -283,8 +301,12 @@ def _with_values(feature: PartFeature, table: KeyedTable) -> PartFeature:
     nominal = dict(feature.nominal)
     if "position" in table:
         feature = _placed(feature, table, "position")
-    if "direction" in table:
-        feature = replace(feature, direction=_unit_vector(table))
+    for name in _DIRECTIONS:
+        if name not in table:
+            continue
+        if feature.direction is not None:
+            raise table.error(name, "one nominal direction")
+        feature = replace(feature, direction=_unit_vector(table, name))
     if feature.is_derived and feature.kind in table:
         nominal[feature.kind] = table.number(feature.kind)
     for name, factor in (("diameter", 1.0), ("radius", 2.0)):
@@ -297,11 +319,11 @@ def _with_values(feature: PartFeature, table: KeyedTable) -> PartFeature:
     return replace(feature, nominal=nominal)
 
 
-def _unit_vector(table: KeyedTable) -> np.ndarray:
-    found = table.numbers("direction", (3,))
+def _unit_vector(table: KeyedTable, name: str) -> np.ndarray:
+    found = table.numbers(name, (3,))
     size = float(np.linalg.norm(found))
     if size < _NO_DIRECTION:
-        raise table.error("direction", "three numbers that are not all 0")
+        raise table.error(name, "three numbers that are not all 0")
     return np.asarray(found / size)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pincal.features.feature_kinds import DIRECTION, POSITION
+from pincal.features.feature_kinds import OF_DIRECTION, OF_POSITION
 from pincal.robot.se3 import exponentials
 from pincal.thresholds import Scale
 
@@ -60,7 +60,7 @@ class PartFrame:
     def see(self, numbers: np.ndarray) -> np.ndarray:
         """Return the seven numbers of a feature in the part's frame, shape (7,)."""
         found = numbers.copy()
-        found[POSITION] = self.rotation.T @ (numbers[POSITION] - self.origin)
-        size = max(float(np.linalg.norm(numbers[DIRECTION])), np.finfo(float).tiny)
-        found[DIRECTION] = self.rotation.T @ numbers[DIRECTION] / size
+        found[OF_POSITION] = self.rotation.T @ (numbers[OF_POSITION] - self.origin)
+        size = max(float(np.linalg.norm(numbers[OF_DIRECTION])), np.finfo(float).tiny)
+        found[OF_DIRECTION] = self.rotation.T @ numbers[OF_DIRECTION] / size
         return found

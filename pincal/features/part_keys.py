@@ -1,4 +1,4 @@
-"""Tables of a part's file with units in their keys: ``nominal_mm = 20`` or ``nominal = "20 mm"``."""
+"""Tables of a part's file with units in keys or values: ``size_mm = 20``, ``size = "2 cm"``."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ UNITS_OF = {
 }
 """Units of a part's file by dimension; the SI unit is the first."""
 
+# The unit that messages suggest.
+_USUAL = {"length": "mm", "angle": "deg"}
 # Keys that a message lists.
 _LISTED: Count = 12
 
@@ -136,8 +138,9 @@ class KeyedTable:
             )
         unit = unit or self.units.of(dimension)
         if known and not unit:
-            key = f"{name}_{known[1]}"
-            raise self.error(name, f"a unit: {key} = ..., or unit = '{known[1]}' at the top")
+            usual = _USUAL[dimension]
+            top = "unit" if dimension == "length" else "angle_unit"
+            raise self.error(name, f"a unit: {name}_{usual} = ..., or {top} = '{usual}' at the top")
         size = float(value) * SIZES.get(unit, 1.0)
         if not abs(size) <= LARGEST:
             raise self.error(name, "finite numbers of plausible size")

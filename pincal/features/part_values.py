@@ -16,10 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.features.datum import frame_of
-from pincal.features.feature_kinds import DIRECTION, POSITION, RADIUS, across
-from pincal.features.feature_set import FeatureSet, with_blocks
+from pincal.features.feature_kinds import OF_DIRECTION, OF_POSITION, OF_RADIUS, across
+from pincal.features.feature_set import FeatureSet, plus_own_errors
 from pincal.features.fit_numbers import FIT
-from pincal.features.part import QUANTITIES, Part, PartFeature, ToleranceLimits
+from pincal.features.part import Part
+from pincal.features.part_feature import QUANTITIES, PartFeature, ToleranceLimits
 from pincal.features.part_frame import PartFrame, differentiate
 from pincal.thresholds import Scale
 
@@ -39,7 +40,7 @@ class PartValue:
 
     Attributes:
         feature: its name.
-        quantity: of ``pincal.features.part.QUANTITIES``, or i, j, k of a direction.
+        quantity: of ``pincal.features.part_feature.QUANTITIES``, or i, j, k of a direction.
         value: in SI units.
         nominal: None if there is none.
         limits: None without a tolerance.
@@ -78,7 +79,7 @@ class PartValues:
         """Return the covariance of the values, shape (Q, Q), by that of the points, shape
         (3N, 3N) [m^2], and by deviations of the features from their form.
         """
-        total = with_blocks(covariance, self.features.form_blocks)
+        total = plus_own_errors(covariance, self.features.form_blocks)
         return np.asarray(self.sensitivity @ total @ self.sensitivity.T)
 
     def index(self, feature: str, quantity: str) -> int:
@@ -100,7 +101,7 @@ def evaluate_part(part: Part, measured: FeatureSet, covariance: np.ndarray) -> P
         IdentificationError: if the fit of the datum does not converge.
     """
     by_points = measured.sensitivity
-    total = with_blocks(covariance, measured.form_blocks)
+    total = plus_own_errors(covariance, measured.form_blocks)
     frame = frame_of(part, measured, by_points @ total @ by_points.T)
     values = []
     rows = []
@@ -205,7 +206,7 @@ class _Single:
     @classmethod
     def of(cls, feature: PartFeature, seen: np.ndarray) -> _Single:
         """Return the quantities of a feature with these numbers in the part's frame."""
-        direction = seen[DIRECTION]
+        direction = seen[OF_DIRECTION]
         main = direction[np.argmax(np.abs(direction))]
         along = direction * (1.0 if main >= 0.0 else -1.0)
         nominal = along if feature.direction is None else feature.direction
@@ -225,10 +226,10 @@ class _Single:
     def _place(self, seen: np.ndarray) -> np.ndarray:
         """Return the position; of a line or an axis the point nearest to the nominal position."""
         if self.kind not in _AXIS or not self.is_placed:
-            return np.asarray(seen[POSITION])
-        direction = seen[DIRECTION]
-        off = self.position - seen[POSITION]
-        return np.asarray(seen[POSITION] + direction * (direction @ off))
+            return np.asarray(seen[OF_POSITION])
+        direction = seen[OF_DIRECTION]
+        off = self.position - seen[OF_POSITION]
+        return np.asarray(seen[OF_POSITION] + direction * (direction @ off))
 
     def _beside(self, seen: np.ndarray) -> np.ndarray:
         """Return the deviation of the position: of what has an axis, across the nominal one."""
@@ -243,16 +244,16 @@ class _Single:
 
     def along(self, axis: int) -> _Quantity:
         """Return the function that gives i, j or k."""
-        return lambda seen: float(self.sign * seen[0, DIRECTION][axis])
+        return lambda seen: float(self.sign * seen[0, OF_DIRECTION][axis])
 
     def diameter(self, seen: np.ndarray) -> float:
         """Return the diameter [m]."""
-        return float(2.0 * seen[0, RADIUS][0])
+        return float(2.0 * seen[0, OF_RADIUS][0])
 
     def offset(self, seen: np.ndarray) -> float:
         """Return the distance of a plane from the nominal position along the nominal normal [m]."""
-        direction = seen[0, DIRECTION]
-        off = direction @ (seen[0, POSITION] - self.position)
+        direction = seen[0, OF_DIRECTION]
+        off = direction @ (seen[0, OF_POSITION] - self.position)
         cosine = direction @ self.direction
         least = FIT.flat * self.sign
         return float(off / (cosine if abs(cosine) > FIT.flat else least))
@@ -263,7 +264,7 @@ class _Single:
 
     def tilt(self, seen: np.ndarray) -> float:
         """Return the angle to the nominal direction [rad]."""
-        direction = self.sign * seen[0, DIRECTION]
+        direction = self.sign * seen[0, OF_DIRECTION]
         return float(np.arctan2(self.turned @ direction, self.direction @ direction))
 
 
@@ -298,8 +299,8 @@ class _Pair:
     def of(cls, part: Part, feature: PartFeature, measured: FeatureSet, frame: PartFrame) -> _Pair:
         """Return the pair of a derived feature."""
         first, second = (frame.see(measured.fits[name].numbers) for name in feature.of)
-        a = first[DIRECTION]
-        b = second[DIRECTION]
+        a = first[OF_DIRECTION]
+        b = second[OF_DIRECTION]
         sine = float(np.linalg.norm(np.cross(a, b)))
         kinds = (part.features[feature.of[0]].kind, part.features[feature.of[1]].kind)
         sign = 1.0 if a @ b >= 0.0 else -1.0
@@ -320,7 +321,7 @@ class _Pair:
 
     def angle(self, seen: np.ndarray) -> float:
         """Return the angle between the features [rad]."""
-        first, second = seen[:, DIRECTION]
+        first, second = seen[:, OF_DIRECTION]
         second = self.sign * second
         turn = float(np.arctan2(self.normal @ np.cross(first, second), first @ second))
         return np.pi / 2.0 - turn if self._has_one_plane else turn
@@ -328,11 +329,13 @@ class _Pair:
     def distance(self, seen: np.ndarray) -> float:
         """Return the distance of the features [m]."""
         first, second = seen
-        off = second[POSITION] - first[POSITION]
+        off = second[OF_POSITION] - first[OF_POSITION]
         if "plane" in self.kinds:
             plane = first if self.kinds[0] == "plane" else second
-            return abs(float(plane[DIRECTION] @ off))
-        axes = [of[DIRECTION] for of, kind in zip(seen, self.kinds, strict=True) if kind in _AXIS]
+            return abs(float(plane[OF_DIRECTION] @ off))
+        axes = [
+            of[OF_DIRECTION] for of, kind in zip(seen, self.kinds, strict=True) if kind in _AXIS
+        ]
         if len(axes) == 2 and not self.is_parallel:
             normal = np.cross(axes[0], axes[1])
             return abs(float(normal @ off)) / float(np.linalg.norm(normal))

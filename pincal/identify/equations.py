@@ -169,7 +169,7 @@ class Linearised:
         each.
         """
         found = np.zeros(len(self.values), int)
-        if len(self.problem.stations) > 1 and not np.any(self.free & self.problem.is_shared):
+        if not np.any(self.free & self.problem.is_shared):
             for i, places in enumerate(self.problem.places):
                 found[places[~self.problem.is_shared[places]]] = i
         return found

@@ -106,9 +106,13 @@ def _lines(path: Path, named: str | None, joints: Collection[str]) -> tuple[str,
     try:
         with zipfile.ZipFile(path) as parts:
             check_unpacked(path, sum(part.file_size for part in parts.infolist()))
-        with contextlib.closing(
-            openpyxl.load_workbook(path, read_only=True, data_only=True)
-        ) as book:
+        # A file, as openpyxl refuses a workbook by another ending.
+        with (
+            path.open("rb") as file,
+            contextlib.closing(
+                openpyxl.load_workbook(file, read_only=True, data_only=True)
+            ) as book,
+        ):
             sheets = sorted(book.worksheets, key=lambda sheet: bool(sheet.sheet_state != "visible"))
             if named is None:
                 return _of_joints(sheets, path, joints)

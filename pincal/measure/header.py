@@ -31,6 +31,7 @@ from pincal.measure.labels import (
 )
 from pincal.measure.matrix_columns import with_matrix
 from pincal.measure.nameless import check_named, is_counter, unit_of_joints
+from pincal.measure.numbered_quaternion import with_quaternion
 from pincal.measure.orientation import (
     CONVENTIONS,
     MATRIX,
@@ -130,6 +131,8 @@ def _labels(sheet: Sheet, schema: Schema, quantities: dict[str, str]) -> list[La
         labels = _timed(labels, sheet, quantities)
         if any(part.is_unit for part in schema.fields):
             labels = with_matrix(labels, sheet, quantities, source=sheet.path.name)
+            if not options.orientation:
+                labels = with_quaternion(labels, sheet, quantities, source=sheet.path.name)
     if options.orientation == NO_ORIENTATION:
         labels = _unturned(labels, taken=schema.joint_names)
     return _with_vectors(labels, sheet, quantities, schema)

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from pincal.errors import MeasurementError
 from pincal.measure.reading_numbers import LAYOUT
 from pincal.units import SIZES, plain_numbers
 
@@ -26,6 +27,8 @@ _WRITTEN = {
     "mm": ("millimeter", "millimeters", "millimetre", "millimetres"),
 }
 _WRITTEN |= {
+    "in": ("inch", "inches"),
+    "rev": ("revs", "revolution", "revolutions", "turn", "turns"),
     "m": ("meter", "meters", "metre", "metres"),
     "rad": ("radian", "radians"),
     "g": (),
@@ -49,6 +52,8 @@ _WRITTEN |= {
 _SPELLED = {word: unit for unit, words in _WRITTEN.items() for word in (unit, *words)} | {
     "deg": "deg"
 }
+# Spelled with a capital it is a degree in German; in small letters it may be a gon.
+_AS_WRITTEN = {"Grad": "°"}
 # Cells of a row of units below columns without a unit, or with a unit that no known column has.
 _NO_UNITS = (
     "",
@@ -99,7 +104,9 @@ def normal_unit(text: str) -> str:
         ('°', 'mm', 'kg')
     """
     plain = unicodedata.normalize("NFC", text.strip()).replace("μ", "µ")
-    return plain if plain in SIZES else _SPELLED.get(plain.casefold(), plain)
+    if plain in SIZES:
+        return plain
+    return _AS_WRITTEN.get(plain, _SPELLED.get(plain.casefold(), plain))
 
 
 @dataclass(frozen=True)
@@ -169,9 +176,17 @@ def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) ->
         return None
     header = max(candidates, key=lambda i: (_known(rows[i], joints), -i))
     units = next((i for i in range(header + 1, body) if with_units[i]), None)
-    labels = _distinct([cell.strip() for cell in rows[header]], rows[header - 1] if header else ())
+    above = rows[header - 1] if header else ()
+    labels = _distinct([cell.strip() for cell in rows[header]], above)
     if units is not None:
         labels = _with_units(labels, rows[units])
+    else:
+        for row in rows[header + 1 : body]:
+            _refuse_half_units(row)
+        groups = _group_units(above)
+        if groups:
+            labels = _with_units(labels, groups)
+            units = header - 1
     return TableHead(header, body, tuple(labels), units)
 
 
@@ -183,6 +198,37 @@ def _with_units(labels: list[str], row: Sequence[str]) -> list[str]:
         f"{name} [{unit}]" if unit in SIZES and name and not re.search(r"[\[(]", name) else name
         for name, unit in zip(labels, map(normal_unit, below), strict=False)
     ]
+
+
+def _group_units(row: Sequence[str]) -> list[str]:
+    """Return the unit of each cell of a row of groups above the names, each of which may be over
+    several columns: ``Joints [deg]``, two blanks, ``Position [mm]``; none where it states no units.
+    """
+    cells = [cell.strip() for cell in row]
+    if sum(map(bool, cells)) < 2:
+        return []
+    found = list[str]()
+    for cell in cells:
+        stated = re.search(r"[\[(]([^\])]*)[\])]$", cell)
+        unit = normal_unit(stated[1]) if stated else ""
+        found.append((unit if unit in SIZES else "") if cell else found[-1] if found else "")
+    return found if any(found) else []
+
+
+def _refuse_half_units(row: Sequence[str]) -> None:
+    """Refuse a row below the names of which most cells are units, others unknown ones.
+
+    Raises:
+        MeasurementError: for such a row.
+    """
+    cells = [cell.strip().strip("[]()") for cell in row]
+    filled = [cell for cell in cells if cell.casefold() not in _NO_UNITS]
+    unknown = [cell for cell in filled if normal_unit(cell) not in SIZES]
+    if unknown and len(filled) - len(unknown) >= 2:
+        raise MeasurementError(
+            f"the row of units has {unknown[0]!r}, which is not a unit; expected one such as deg, "
+            "rad, mm or m below each name, or in it: x [mm]"
+        )
 
 
 def is_unit_row(row: Sequence[str], usual: int) -> bool:

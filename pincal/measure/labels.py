@@ -64,6 +64,9 @@ _OTHER_SPELLINGS = (
     r"(.*?)\s+(\S*)",
     r"(.*?)\s*/\s*(\S*)",
 )
+# What begins a unit in brackets, which a number in brackets, as of ``q[0]``, is not.
+_INDEX = re.compile(r"\[\s*\d+\s*\]")
+_UNIT = re.compile(r"\[(?!\s*\d+\s*\])")
 # Units that are ordinary words as well.
 _WORDS = ("in",)
 
@@ -89,8 +92,13 @@ class Label:
 
 
 def name_of(label: str) -> str:
-    """Return a label without its unit in brackets."""
-    return label.split("[")[0].strip()
+    """Return a label without its unit in brackets.
+
+    Example:
+        >>> name_of("q[0] [deg]"), name_of("x[mm]")
+        ('q[0]', 'x')
+    """
+    return _UNIT.split(label, maxsplit=1)[0].strip()
 
 
 def renamed(
@@ -165,7 +173,7 @@ def _bare(text: str) -> str:
 
 def unit_in(text: str) -> str:
     """Return the unit of a label in brackets or parentheses; empty without one."""
-    match = re.fullmatch(r"[^\[(]*[\[(]([^\])]*)[\])]\s*", text)
+    match = re.fullmatch(r"[^\[(]*[\[(]([^\])]*)[\])]\s*", _INDEX.sub("", text))
     return match[1].strip() if match else ""
 
 
@@ -187,7 +195,7 @@ def spelled(label: Label, quantities: Mapping[str, str]) -> tuple[str, str] | No
         return text.strip() if text.strip() in quantities else same[0] if len(same) == 1 else None
 
     if (plain := known(label.name)) is not None:
-        return plain, label.meant[len(label.meant.split("[")[0]) :]
+        return plain, label.meant[len(_UNIT.split(label.meant, maxsplit=1)[0]) :]
     for place, pattern in enumerate(_OTHER_SPELLINGS):
         match = re.fullmatch(pattern, label.meant)
         name = known(match[1]) if match else None
@@ -464,9 +472,7 @@ def numbered_families(
     """
     families = dict[tuple[str, ...], dict[int, tuple[Label, str]]]()
     for label in labels:
-        for base, unit in splits(
-            re.sub(r"\[(\d+)\]", r"_\1", label.meant) if is_stream else label.meant
-        ):
+        for base, unit in splits(re.sub(r"\[(\d+)\]", r"_\1", label.meant)):
             if found := _amid_words(base) if is_stream else _after_name(base):
                 words, number = found
                 families.setdefault(words, {}).setdefault(number, (label, unit))

@@ -13,7 +13,8 @@ from pincal.errors import MeasurementError, warn
 from pincal.measure.nested_labels import vector_labels
 from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn
 
-_LIST = re.compile(r"\s*(?:np\.)?(?:array)?\(?[\[(].*[\])]\s*")
+# As programs print lists; p[...] is a pose of URScript, a position and a rotation vector.
+_LIST = re.compile(r"\s*(?:np\.)?(?:array|p)?\(?[\[(].*[\])]\s*")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|nan", re.I)
 
 

@@ -155,7 +155,13 @@ def cells_of(
     path = sheet.path
     with typed_errors(path):
         header = understood(sheet, schema)
-        values, rows = read_cells(sheet, header.columns, readings=header.readings, flag=header.flag)
+        values, rows = read_cells(
+            sheet,
+            header.columns,
+            readings=header.readings,
+            flag=header.flag,
+            is_measured=not schema.may_lack_joints and not schema.is_stream,
+        )
     if NANOSECONDS in values:
         values["time"] = values["time"] + values.pop(NANOSECONDS)
     if header.orientation is not None:

@@ -32,6 +32,7 @@ _LISTS = _HERE + "test_numbers_of_short_lists_are_columns"
 _MATRIX = "test_table_forms.py::test_numbers_are_a_matrix_if_they_form_one"
 _KEYED = "test_table_forms.py::test_keys_are_of_poses_or_of_columns"
 _ALONG = "test_table_forms.py::test_poses_stand_where_the_numbers_show_it"
+_PLACEHOLDERS = "test_table_forms.py::test_numbers_in_place_of_readings_by_hand"
 _CUT = "test_joined.py::test_a_log_is_cut_where_the_arm_moves"
 _SURE_JUMP = "test_motion_numbers.py::test_a_jump_of_a_clock_is_six_standard_deviations"
 _JUMP = "test_motion.py::test_a_jump_of_a_clock_is_found_to_the_row"
@@ -129,6 +130,14 @@ class LayoutNumbers:
         "by which position or quaternion of a moving frame change, and the position of one "
             "that moves freely in two directions",
         "above the noise of a broadcast frame that stands still")
+    beyond: float = number(2.0, "ratio", _PLACEHOLDERS,
+        "of a number in all components to all other readings, above which it is none", "chosen")
+    fewest_readings: int = number(8, "rows", _PLACEHOLDERS,
+        "with other readings, from which on these tell what is none",
+        "fewer rows calibrate no arm")
+    seldom: float = number(0.5, "ratio", _PLACEHOLDERS,
+        "of rows with 0 0 0 or -1 -1 -1 to all, below which these are no readings",
+        "an instrument that lost its target most of the time is another problem")
     unpacked: int = number(50, "ratio", _SMALL,
         "of unpacked to packed size, above which a file is refused",
         "measured numbers compress to a fifth in Excel, one number in all cells to an eighth; "

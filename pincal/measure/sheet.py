@@ -4,6 +4,7 @@ opens files as sheets.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,6 +14,8 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from pincal.errors import MeasurementError, few, warn
+from pincal.measure.numerals import numerals_read
+from pincal.measure.placeholders import placeholders
 from pincal.measure.reading_numbers import LAYOUT
 from pincal.thresholds import Count
 from pincal.units import expected_number, in_si, is_possible, plain_numbers
@@ -167,6 +170,7 @@ def read_cells(
     *,
     readings: Collection[str] = (),
     flag: SheetColumn | None = None,
+    is_measured: bool = False,
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the values by column, names or numbers in SI units, and the line of each row.
 
@@ -177,6 +181,8 @@ def read_cells(
             `PincalWarning`.
         flag: a column that states whether the reading of a row is valid: rows with an invalid one
             are left out likewise.
+        is_measured: whether an instrument wrote the readings, perhaps with a number such as -9999
+            where it had none; such rows are left out likewise.
 
     Raises:
         MeasurementError: for a table without rows, or an invalid cell.
@@ -189,9 +195,11 @@ def read_cells(
         )
     for column in asked:
         _check_lengths(frame[column.name], rows, column, source=sheet.path.name)
-    frame, rows = _with_readings(
-        frame, rows, [column for column in columns if column.name in readings], flag, sheet
-    )
+    measured = [column for column in columns if column.name in readings]
+    lost = _lost(frame, measured, flag)
+    if is_measured:
+        lost |= _replaced(frame, measured, decimal_comma=sheet.decimal_comma)
+    frame, rows = _with_readings(frame, rows, lost, measured, sheet)
     cells = {
         column.name: _clean(frame[column.name], column, decimal_comma=sheet.decimal_comma)
         for column in columns
@@ -218,12 +226,13 @@ _NAMED: Count = 5
 def _with_readings(
     frame: pl.DataFrame,
     rows: np.ndarray,
+    lost: Mapping[str, np.ndarray],
     readings: Sequence[SheetColumn],
-    flag: SheetColumn | None,
     sheet: Sheet,
 ) -> tuple[pl.DataFrame, np.ndarray]:
-    """Return the rows with valid readings, at least one; warn of the others."""
-    lost = _lost(frame, readings, flag)
+    """Return the rows with valid readings, at least one; warn of those that are ``lost``, by the
+    reason.
+    """
     gone = np.zeros(len(rows), bool)
     for reason, which in lost.items():
         if (which & ~gone).any():
@@ -264,6 +273,19 @@ def _lost(
     return lost
 
 
+def _replaced(
+    frame: pl.DataFrame, readings: Sequence[SheetColumn], *, decimal_comma: bool
+) -> dict[str, np.ndarray]:
+    """Return which rows have a number in place of a reading, shape (N,), by the reason in words."""
+    lengths = [column for column in readings if column.quantity == "length"]
+    if not lengths:
+        return {}
+    cells = (_clean(frame[of.name], of, decimal_comma=decimal_comma) for of in lengths)
+    values = np.column_stack([each.to_numpy() for each in cells])
+    reason = "have a number in place of a reading, such as -9999 or 0 0 0,"
+    return {reason: placeholders(values)}
+
+
 def _check_lengths(
     series: pl.Series, rows: np.ndarray, column: SheetColumn, *, source: str
 ) -> None:
@@ -294,13 +316,13 @@ def _clean(series: pl.Series, column: SheetColumn, *, decimal_comma: bool) -> pl
     text = series.cast(pl.String).str.strip_chars()
     if column.is_name:
         return text.replace([""], [None])
-    if decimal_comma:
+    if column.quantity == "time" and decimal_comma:
         text = text.str.replace(",", ".", literal=True)
     if column.quantity == "time" and text.str.contains(_CLOCK).all():
         return _seconds(_DAY + "T" + text.str.zfill(8))
     if column.quantity == "time" and text.str.contains(_DATE).all():
         return _seconds(text)
-    return text.cast(pl.Float64, strict=False)
+    return numerals_read(text, decimal_comma=decimal_comma)
 
 
 def _seconds(text: pl.Series) -> pl.Series:
@@ -350,9 +372,18 @@ def _check_cells(
         )
         raise MeasurementError(
             f'{source}, line {rows[row]}, column "{column.label}": {found}; expected '
-            f"{_expected(column)}; cells affected: {total}; correct them, delete their rows, or "
-            f"leave the column out (--ignore '{column.label}')"
+            f"{_expected(column)}; cells affected: {total}; {_cure(str(value))}, "
+            f"delete their rows, or leave the column out (--ignore '{column.label}')"
         )
+
+
+def _cure(cell: str) -> str:
+    """Return what to do about a cell that holds no number alone."""
+    if re.search(r"\d\s*[°a-zA-Z]", cell):
+        return "write numbers alone, angles in decimals, and their unit in the name, x [mm]"
+    if re.fullmatch(r"[-+]?\d{1,3}([,.]\d{3})+", cell.strip()):
+        return "write numbers without separators between thousands, and with a decimal point"
+    return "correct them"
 
 
 def _expected(column: SheetColumn) -> str:

@@ -34,6 +34,7 @@ _CHUNK_BYTES: Count = 1 << 22
 # Rows that show what columns hold.
 _FIRST_ROWS: Count = 50
 _BLANKS = re.compile(rb"[ \t]+")
+_SEPARATORS = ("\t", ";", "|", ",")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +84,9 @@ def open_text(path: Path, joints: Collection[str] = ()) -> Sheet:
     with path.open("rb") as file:
         head = file.read(_HEAD_BYTES)
     content = None
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+    if head.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):
+        head = content = path.read_bytes().decode("utf-32").encode()
+    elif head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         head = content = path.read_bytes().decode("utf-16").encode()
     elif b"\0" in head or head.startswith(b"PAR1"):
         raise MeasurementError(
@@ -112,7 +115,7 @@ def _heading(head: bytes, joints: Collection[str]) -> tuple[TableHead, list[int]
             start = 0 if line.startswith(b"#") else len(texts)
             numbers[start:] = [number]
             texts[start:] = [line.decode("utf-8", "replace")]
-    for separator in ("\t", ";", ",", " "):
+    for separator in (*_SEPARATORS, " "):
         try:
             rows = (
                 [t.split() for t in texts]
@@ -192,7 +195,7 @@ def _separator(header: str) -> str:
         numbers = header.split(mark)
         if len(numbers) > 1 and "," in header and all(map(is_number, numbers)):
             return mark or " "
-    usual = max(",;\t", key=header.count)
+    usual = max(reversed(_SEPARATORS), key=header.count)
     return " " if usual not in header and len(header.split()) > 1 else usual
 
 
@@ -304,7 +307,7 @@ def _read_lines(
         lines = _utf8(file.read(), sheet.path).splitlines()
     below = range(sheet.header_line + 1, len(lines) + 1)
     rows = np.array([i for i in below if _has_cells(lines[i - 1])], int)
-    kept = [lines[row - 1] for row in rows]
+    kept = _without_last(sheet, [lines[row - 1] for row in rows])
     if not kept:
         names = (column.name for column in columns)
         return pl.DataFrame(schema=dict.fromkeys(names, pl.String)), rows
@@ -327,6 +330,14 @@ def _read_lines(
             f"{sheet.path.name}: {len(rows)} lines, but {frame.height} rows: {reason}"
         )
     return frame, rows
+
+
+def _without_last(sheet: TextSheet, lines: list[bytes]) -> list[bytes]:
+    """Return lines without the separator at their ends, if all have one that the header lacks."""
+    mark = sheet.separator.encode()
+    count = len(sheet.labels)
+    has_more = all(line.endswith(mark) and line.count(mark) == count for line in lines)
+    return [line.removesuffix(mark) for line in lines] if has_more else lines
 
 
 def _check_lines(sheet: TextSheet, kept: list[bytes], rows: np.ndarray) -> None:

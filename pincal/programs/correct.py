@@ -196,6 +196,11 @@ class Corrector:
                     f"line {load.line}: its load is not in numbers, and the program has several: "
                     "correct it as a program of its own (--payload)"
                 )
+            if load.mass is not None and not 0.0 <= load.mass <= PROGRAM_NUMBERS.heaviest:
+                return (
+                    f"line {load.line}: a load of {load.mass:g} kg; expected 0 to "
+                    f"{PROGRAM_NUMBERS.heaviest:g} kg"
+                )
             masses.add(self.cell.payload if load.mass is None else load.mass)
         return next(iter(masses)) if len(masses) == 1 else "motions reach it with different loads"
 

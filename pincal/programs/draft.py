@@ -15,7 +15,7 @@ import numpy as np
 from pincal.errors import ProgramError
 from pincal.programs.line_flow import ANY, STATED_LOAD, Line
 from pincal.programs.program import FrameKind, Motion, Point, PointKey, Program, Skipped
-from pincal.programs.syntax import Source
+from pincal.programs.syntax import Source, Statement
 from pincal.thresholds import Count
 
 # Uses of points by motions; each target of a computed index uses all points of its array.
@@ -293,7 +293,10 @@ class _Uses:
             for point in points:
                 self._use(point, motion)
             stops.append(points[0].key if len(points) == 1 else None)
-        self.program.motions.append((motion, tuple(stops)))
+        # Without its items, which are most of what is read and of no use from here on.
+        at = motion.statement
+        place = Statement((), at.start, at.end, at.line)
+        self.program.motions.append((replace(motion, statement=place), tuple(stops)))
 
     def _points_of(self, target: str | Point | Skipped) -> list[Point]:
         """Return the points that a target means."""

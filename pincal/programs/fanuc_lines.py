@@ -172,7 +172,7 @@ def _sets(flat: str, text: str, number: int) -> Iterator[tuple[str, str]]:
     phrase = first_phrase(tokens, _PHRASES)
     target = left[0] if left else ""
     if "=" in flat and target in _FRAMES:
-        index = index_of(text.upper().partition(f"{target}[")[2].partition("]")[0])
+        index = number_in_brackets(text.upper().partition(f"{target}[")[2].partition("]")[0])
         name = f"{_FRAMES[target]} {index if index.isdigit() else ANY}"
         yield name, f"line {number} sets it while the program runs"
     elif "=" in flat and phrase not in _INSTRUCTIONS:
@@ -189,12 +189,12 @@ def _sets(flat: str, text: str, number: int) -> Iterator[tuple[str, str]]:
         yield POSITIONS, f"line {number}: {not_understood(text)}"
 
 
-def index_of(text: str) -> str:
+def number_in_brackets(text: str) -> str:
     """Return the number in brackets, without its comment and the group before it.
 
     Example:
-        >>> index_of("3:table"), index_of("GP1:3"), index_of("R[1"), index_of(" 2,5")
-        ('3', '3', 'R[1', '2')
+        >>> [number_in_brackets(text) for text in ("3:table", "GP1:3", "R[1", " 2,5")]
+        ['3', '3', 'R[1', '2']
     """
     first, _, more = text.partition(":")
     return (more if first.strip().startswith("GP") else first).partition(",")[0].strip()

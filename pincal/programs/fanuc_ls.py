@@ -18,7 +18,7 @@ from pincal.programs.fanuc_lines import (
     SWITCHED,
     effect_in_listing,
     effect_of_options,
-    index_of,
+    number_in_brackets,
     why_moved_by_options,
 )
 from pincal.programs.language import LANGUAGES, ControllerLanguage
@@ -280,7 +280,7 @@ def _place(text: str) -> str:
     position, is P[*].
     """
     kind, _, index = text.partition("[")
-    number = index_of(index.removesuffix("]"))
+    number = number_in_brackets(index.removesuffix("]"))
     return f"{kind}[{number if number.isdigit() else '*'}]"
 
 

@@ -8,10 +8,10 @@ corrected with a tool that may not be its own.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pincal.programs.syntax import Source, Statement
+from pincal.programs.syntax import Source, Statement, word
 from pincal.thresholds import Count
 
 # Blocks within blocks.
@@ -94,30 +94,76 @@ class Code:
         return self.steps[opening].routine if opening >= 0 else ""
 
 
-def followed(files: Sequence[Code], *, outside: frozenset[str] = frozenset()) -> list[Code]:
+def followed(
+    files: Sequence[Code],
+    *,
+    outside: frozenset[str] = frozenset(),
+    ends: Callable[[Statement], bool] | None = None,
+) -> list[Code]:
     """Return files with what is known before each of their statements.
 
     Args:
         files: the files, their statements, and the effects of these.
         outside: variables that a routine in none of the files may set.
+        ends: whether a statement ends what it switches: a routine that surely ends it before it
+            ends itself is one that does not switch it.
 
     Raises:
         ProgramError: if a block is not closed, or closed without being open.
     """
     blocks = [_blocks(code) for code in files]
-    effects = _effects([(code.steps, around) for code, around in zip(files, blocks, strict=True)])
-    at_any_time: dict[str, int | str] = {}
+    paired = [(code.steps, around) for code, around in zip(files, blocks, strict=True)]
+    effects = _effects(paired, {})
+    at_any_time = _at_any_time(files, effects, outside)
+
+    def walked(effects: Mapping[str, frozenset[str]]) -> list[Code]:
+        found = []
+        for code, around in zip(files, blocks, strict=True):
+            walk = _Walk(code.statements, code.steps, around, effects, outside, at_any_time)
+            found.append(Code(code.source, code.statements, code.steps, walk.through()))
+        return found
+
+    found = walked(effects)
+    ended = _ended(found, ends) if ends is not None else {}
+    return walked(_effects(paired, ended)) if any(ended.values()) else found
+
+
+def _at_any_time(
+    files: Sequence[Code], effects: Mapping[str, frozenset[str]], outside: frozenset[str]
+) -> dict[str, int | str]:
+    """Return what interrupts and threads may set, with the reason."""
+    found: dict[str, int | str] = {}
     for code in files:
         for statement, step in zip(code.statements, code.steps, strict=True):
             for name in step.starts:
                 why = f"{name}, which line {statement.line} starts, may set it at any time"
                 if name not in effects:
                     why = f"line {statement.line} starts {name}, which {OUTSIDE}"
-                at_any_time |= dict.fromkeys(effects.get(name, outside), why)
-    found = []
-    for code, around in zip(files, blocks, strict=True):
-        walk = _Walk(code.statements, code.steps, around, effects, outside, at_any_time)
-        found.append(Code(code.source, code.statements, code.steps, walk.through()))
+                found |= dict.fromkeys(effects.get(name, outside), why)
+    return found
+
+
+def leaves(statement: Statement) -> bool:
+    """Return whether a statement leaves its routine, or the whole program, before its end."""
+    return word(statement.items[0]) in ("RETURN", "EXITCYCLE")
+
+
+def _ended(files: Sequence[Code], ends: Callable[[Statement], bool]) -> dict[str, set[str]]:
+    """Return, by the name of a routine, what it has surely ended when it ends."""
+    found = dict[str, set[str]]()
+    for code in files:
+        for k, step in enumerate(code.steps):
+            is_end = bool(step.closes) and bool(code.steps[code.flow[k].blocks[-1]].routine)
+            if not (is_end or leaves(code.statements[k])):
+                continue
+            states = code.flow[k].setters.items()
+            clean = {
+                name
+                for name, state in states
+                if isinstance(state, int) and ends(code.statements[state])
+            }
+            routine = code.routine(k)
+            found[routine] = {name for name in clean if name in found.get(routine, clean)}
     return found
 
 
@@ -223,8 +269,11 @@ def _routine(steps: Sequence[Step], blocks: tuple[int, ...]) -> int:
 
 def _effects(
     files: Sequence[tuple[Sequence[Step], Sequence[tuple[int, ...]]]],
+    ended: Mapping[str, set[str]],
 ) -> dict[str, frozenset[str]]:
-    """Return the variables that each routine may set, directly or by its calls, by its name."""
+    """Return the variables that each routine may set, directly or by its calls, by its name; not
+    those that it has ended when it ends.
+    """
     own = dict[str, set[str]]()
     calls = dict[str, set[str]]()
     for steps, blocks in files:
@@ -234,6 +283,7 @@ def _effects(
                 name = steps[i].routine
                 own[name] = own.get(name, set()) | step.sets | step.clears
                 calls[name] = calls.get(name, set()) | set(step.calls)
+    own = {name: found - ended.get(name, set()) for name, found in own.items()}
     callers = dict[str, list[str]]()
     for name, called in calls.items():
         for other in called:
@@ -243,7 +293,7 @@ def _effects(
         changed = ahead.pop()
         for name in callers.get(changed, []):
             size = len(own[name])
-            own[name] |= own[changed]
+            own[name] |= own[changed] - ended.get(name, set())
             if len(own[name]) > size:
                 ahead.append(name)
     return {name: frozenset(found) for name, found in own.items()}

@@ -52,6 +52,7 @@ _EOT: "\x04"
 """
 _WORDS = "a job: /JOB, //POS with positions, //INST with motions, END"
 _PATHS: dict[str, Path] = {"MOVL": "line", "MOVJ": "joint", "MOVS": "joint", "MOVC": "joint"}
+_ANY_POSTURE = Posture()
 
 
 _JUMPS = (
@@ -211,7 +212,7 @@ class _Head:
     """
 
     tags: dict[str, str] = field(default_factory=lambda: {"TOOL": "", "USER": "", "POSTYPE": ""})
-    posture: Posture = field(default_factory=Posture)
+    posture: Posture = _ANY_POSTURE
 
     def take(self, part: Any) -> None:
         """Take a tag or a configuration."""

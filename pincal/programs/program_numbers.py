@@ -29,6 +29,13 @@ class ProgramNumbers:
         "no pose",
         "chosen: no robot's track is longer",
     )
+    heaviest: float = number(
+        1e4,
+        "kg",
+        "test_program_loads.py::test_a_load_that_no_robot_carries_leaves_its_points",
+        "of a load that a program states, above which its points are left, as for a negative one",
+        "chosen: several times what the strongest robots carry",
+    )
     most_turned: float = number(
         1e5,
         "deg and rad",

@@ -79,7 +79,12 @@ class Rapid(ControllerLanguage):
         draft.constants.update(["TOOL0", "WOBJ0"])
         files = [code_of(source) for source in sources]
         switched = frozenset(name for code in files for step in code.steps for name in step.sets)
-        files = followed(files, outside=switched & set(DISPLACES))
+        # An error may leave a routine anywhere for the handler of another one.
+        has_handlers = any(
+            word(statement.items[0]) == "ERROR" for code in files for statement in code.statements
+        )
+        ends = None if has_handlers else ends_displacement
+        files = followed(files, outside=switched & set(DISPLACES), ends=ends)
         for code in files:
             check_blocks(code)
         harmless = RAPID_FUNCTIONS | set(READING) | _that_keep_parameters(files)

@@ -53,6 +53,7 @@ _HEADS = {"IF": "THEN", "ELSEIF": "THEN", "FOR": "DO", "WHILE": "DO", "CASE": ":
 _JUMPS = ("ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD")
 _ALONE = (*_CLOSES, "ELSE", "ERROR", "UNDO", "BACKWARD")
 _CONDITIONS = ("IF", "TEST", *_LOOPS)
+_LEAVING = ("RETURN", "EXITCYCLE", "EXIT", "GOTO", "RAISE", "RETRY", "TRYNEXT", "STOP", "BREAK")
 ONCE = "IF without THEN"
 _STORAGE = ("CONST", "PERS", "VAR", "LOCAL", "TASK", "ALIAS")
 _PLAIN = {"MOVEL": "line", "MOVEJ": "joint", "MOVEC": "circle", "MOVEABSJ": "joint"}
@@ -67,6 +68,7 @@ OF_OPTIONS = {
     f"{name}{kind}{more}": {"L": "line", "J": "joint", "C": "circle"}[kind]
     for name, kinds, ends in (
         ("TRIGG", "LJC", ("",)),
+        ("TRIGG", "LJ", ("IOS",)),
         ("ARC", "LC", ("", "START", "END", "1", "2")),
         ("SPOT", "LJ", ("",)),
         ("CAP", "LC", ("",)),
@@ -89,7 +91,10 @@ RAPID_WORDS = (
         "ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, "
         "ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, "
         "STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, "
-        "TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE",
+        "TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE, ACTEVENTBUFFER, "
+        "DEACTEVENTBUFFER, CHECKPROGREF, GETTRAPDATA, IRMQMESSAGE, IVARVALUE, PATHRECSTART, "
+        "PATHRECSTOP, PATHLENGTHSTART, PATHLENGTHSTOP, PATHLENGTHRESET, RAISETOUSER, SKIPWARN, "
+        "STARTMOVERETRY, TRIGGDATACOPY, TRIGGDATARESET, WAITTESTANDSET",
     ),
     Understood(
         "instruction",
@@ -97,7 +102,8 @@ RAPID_WORDS = (
         "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, "
         "CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, "
         "WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, "
-        "WZENABLE, WZDISABLE, WZFREE, ARCREFRESH",
+        "WZENABLE, WZDISABLE, WZFREE, ARCREFRESH, CORNERPATHWARNING, MOTIONPROCESSMODESET, "
+        "SPEEDLIMAXIS, SPEEDLIMCHECKPOINT",
     ),
     Understood(
         "instruction",
@@ -109,7 +115,10 @@ RAPID_WORDS = (
         "REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, "
         "SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, "
         "BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, "
-        "SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT",
+        "SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT, CAMFLUSH, "
+        "CAMGETRESULT, CAMLOADJOB, CAMREQIMAGE, CAMSETPROGRAMMODE, CAMSETRUNMODE, CLOSEDIR, "
+        "IOBUSSTART, IOBUSSTATE, OPENDIR, RMQSENDMESSAGE, SOCKETRECEIVEFROM, SOCKETSENDTO, "
+        "TESTSIGNDEFINE, TESTSIGNRESET, UIMSGWRITEABORT",
     ),
     Understood(
         "function",
@@ -134,7 +143,7 @@ RAPID_WORDS = (
         f"{_MANUAL}: optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL",
         "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, "
         "SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, "
-        "OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT",
+        "OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT, TRIGGDATA1, TRIGGDATA2, TRIGGDATA3",
     ),
 )
 _INSTRUCTIONS = understood_words(RAPID_WORDS, "instruction")
@@ -157,7 +166,9 @@ SWITCHES = {
     "SINGAREA": "SINGAREA",
     "SOFTACT": "SOFT",
     "SOFTDEACT": "SOFT",
+    "DITHERACT": "SOFT",
     "CSSACT": "CSS",
+    "CSSDEACTMOVEL": "CSS",
     "CSSOFFSETTUNE": "CSS",
     "CSSFORCEOFFSETACT": "CSS",
     "CSSDEACT": "CSS",
@@ -168,6 +179,15 @@ SWITCHES = {
     "WAITWOBJ": "CONVEYOR",
     "DROPWOBJ": "CONVEYOR",
     "SYNCWWOBJ": "CONVEYOR",
+    "CNVGENINSTR": "CONVEYOR",
+    "CNVSYNC": "CONVEYOR",
+    "INDCNVINIT": "CONVEYOR",
+    "INDCNVENABLE": "CONVEYOR",
+    "INDCNVADDOBJECT": "CONVEYOR",
+    "PRXSETPOSOFFSET": "SENSOR",
+    "PRXACTIVRECORD": "SENSOR",
+    "PRXACTIVANDSTORERECORD": "SENSOR",
+    "PRXUSEFILERECORD": "SENSOR",
     "INDAMOVE": "INDEPENDENT",
     "INDCMOVE": "INDEPENDENT",
     "INDDMOVE": "INDEPENDENT",
@@ -305,11 +325,8 @@ def _distance(items: Sequence[Any], k: int, words: Sequence[str]) -> int:
 
 def _once(whole: Statement, items: Sequence[Any]) -> Iterator[tuple[Statement, Step]]:
     """Yield a condition and its only statement: a motion, an assignment, or all that follows."""
-    motions = [
-        k
-        for k in range(1, len(items))
-        if word(items[k]) in MOTIONS or word(items[k]) in SWITCHES or word(items[k]) in BY_NAME
-    ]
+    own = (MOTIONS, SWITCHES, BY_NAME, _LEAVING)
+    motions = [k for k in range(1, len(items)) if any(word(items[k]) in words for words in own)]
     k = motions[-1] if motions else 1
     sides = split(items, ":=")
     if not motions and len(sides) == 2 and is_assignment(items):

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 from pincal.programs.draft import Draft
-from pincal.programs.flow import Code, InForce, Step
+from pincal.programs.flow import Code, InForce, Step, leaves
 from pincal.programs.line_flow import STATED_LOAD
 from pincal.programs.program import Frame, Load, Point, Skipped
 from pincal.programs.syntax import (
@@ -219,7 +219,7 @@ class _Starts:
         called: all routines that are called.
         heirs: the routines that are called before anything of the kind has happened, by the
             routine that calls them.
-        is_clean: whether positions are displaced no more where a routine ends.
+        is_clean: whether positions are displaced no more wherever a routine is left.
     """
 
     kind: str
@@ -242,8 +242,9 @@ class _Starts:
                 self.found.add(name)
             elif state is None:
                 self.heirs.setdefault(routine, []).append(name)
-        if step.closes and code.steps[code.flow[k].blocks[-1]].routine:
-            self.is_clean[routine] = is_clean
+        is_end = bool(step.closes) and bool(code.steps[code.flow[k].blocks[-1]].routine)
+        if is_end or leaves(code.statements[k]):
+            self.is_clean[routine] = is_clean and self.is_clean.get(routine, True)
 
     def displaced(self, *, lasts: bool) -> frozenset[str]:
         """Return the routines that may start displaced.

@@ -50,7 +50,8 @@ _SCRIPT_WORDS = (
     Understood(
         "function",
         f"{_MANUAL}: module motion (ends of motions, kinematics; no motion of its own)",
-        "stopj, stopl, stops, get_conveyor_tick_count, set_conveyor_tick_count, "
+        "stopj, stopl, stops, force_mode_set_damping, force_mode_set_gain_scaling, "
+        "get_freedrive_status, get_conveyor_tick_count, set_conveyor_tick_count, "
         "conveyor_pulse_decode, encoder_enable_pulse_decode, encoder_enable_set_tick_count, "
         "encoder_get_tick_count, encoder_set_tick_count, encoder_unwind_delta_tick_count, "
         "position_deviation_warning, "
@@ -173,7 +174,8 @@ class UrScript(ControllerLanguage):
 
     def read(self, sources: Sequence[Source]) -> Program:
         draft = Draft(sources)
-        files = followed([_code(source) for source in sources], outside=frozenset({POSITIONS}))
+        files = [_code(source) for source in sources]
+        files = followed(files, outside=frozenset({POSITIONS}), ends=_ends_displacement)
         switched = {name for code in files for step in code.steps for name in step.sets}
         displaced = sorted({POSITIONS, *switched} - {"tcp", STATED_LOAD})
         entries = Entries(files, _ends_displacement)

@@ -145,6 +145,8 @@ _TRIES = 16
 # margin of the image.
 _FILL = (0.45, 0.85)
 _BORDER = 0.04
+# Farthest distance relative to the least one where the object is small.
+_FARTHER = 1.5
 # Rounds of random goals for all views of a field, and to test whether there are any.
 _PATIENCE = 60
 _GLANCES = 3
@@ -239,6 +241,8 @@ class EyeInHand(SensorSetup):
             everything.
         in_metres: Whether it measures points in its own frame [m], like a stereo camera, and not
             their image [px].
+        least_distance: From which poses look at the object [m]; nearer ones would fill the image
+            with a small one.
     """
 
     target: CalibrationObject
@@ -246,6 +250,7 @@ class EyeInHand(SensorSetup):
     camera_pose: np.ndarray
     lens: Lens | None = None
     in_metres: bool = False
+    least_distance: float = 0.0
 
     def __post_init__(self) -> None:
         if self.lens is None and not self.in_metres:
@@ -300,7 +305,10 @@ class EyeInHand(SensorSetup):
             camera_pose=self.camera_pose,
             look_at=self.object_pose[:3, :3] @ centre + self.object_pose[:3, 3],
             facing=self.object_pose[:3, :3] @ normal,
-            distance=(radius / (half * _FILL[1]), radius / (half * _FILL[0])),
+            distance=(
+                max(radius / (half * _FILL[1]), self.least_distance),
+                max(radius / (half * _FILL[0]), _FARTHER * self.least_distance),
+            ),
             accept=is_whole,
         )
 

@@ -12,7 +12,7 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.simulate import contact
 from pincal.simulate.arm import Arm
-from pincal.simulate.camera import OBJECTS, EyeInHand
+from pincal.simulate.camera import OBJECTS, CalibrationObject, EyeInHand
 from pincal.simulate.instrument import KINDS, CellCamera, Instrument, OnHand
 from pincal.simulate.lens import draw_lens
 from pincal.simulate.machine import TrueMachine
@@ -41,6 +41,8 @@ class SetupOptions:
             origin.
         ball_bar: Length of a bar between anchor and tool point [m]; None without one.
         object: Calibration object of a camera, a key of :data:`pincal.simulate.camera.OBJECTS`.
+        target: What the camera looks at instead of such an object.
+        least_distance: From which it looks at it [m].
         lens: Given intrinsics of the camera, see :attr:`pincal.simulate.lens.Lens.intrinsics`.
         min_height: Height of the floor in the base frame [m]; None for no floor.
         on_hand: Whether the instrument is on the hand, and what it measures beside the robot.
@@ -56,6 +58,8 @@ class SetupOptions:
     anchors: int = 0
     ball_bar: float | None = None
     object: str = "paper"
+    target: CalibrationObject | None = None
+    least_distance: float = 0.0
     lens: dict[str, float] = field(default_factory=dict)
     min_height: float | None = 0.0
     on_hand: bool = False
@@ -131,11 +135,12 @@ def _eye_in_hand(
     if options.tool is not None:
         camera[:3, 3] = options.tool
     setup = EyeInHand(
-        target=OBJECTS[options.object](),
+        target=options.target or OBJECTS[options.object](),
         camera_pose=camera,
         lens=draw_lens(rng, **options.lens),
         in_metres=kind == "camera_point",
         sigma=options.sigma,
+        least_distance=options.least_distance,
     )
 
     def is_seen(pose: np.ndarray) -> bool:
@@ -204,6 +209,8 @@ class Stream(IntEnum):
     """
 
     ERRORS, ELASTICITY, MASSES, EFFECTS, LAYOUT, POSES, CONDITIONS, NOISE, WEIGHTS = range(9)
+    PART = 9
+    READINGS = 10
 
     def generator(self, seed: int) -> np.random.Generator:
         """Return the random generator of this part for the seed of the whole

@@ -20,8 +20,8 @@ from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import JointOffset, LinkGeometry
 from pincal.robot.robot import Robot
-from pincal.validate.cures import Case, Correction, Mistake, shift_words
-from pincal.validate.orientations import NONE, OrientationSearch
+from pincal.validate.cures import NONE, Case, Correction, Mistake, shift_words
+from pincal.validate.orientations import OrientationSearch
 from pincal.validate.rough_fit import roughly_placed, typical_residuals
 from pincal.validate.trials import Cure, PlausibleResiduals, Residuals, Trials
 
@@ -211,8 +211,20 @@ class _Suspect:
         words = f"{mistake.words}, or {rivals[0].words}" if rivals else mistake.words
         advice = "; ".join(dict.fromkeys([mistake.advice, *(one.advice for one in rivals[:1])]))
         raise MeasurementError(
-            f"{self.trials.case.table.source}: {words}: {self.found}, "
-            f"with this corrected {found.best.left[0] * 1e3:.1f} mm; {advice}"
+            f"{self.trials.case.table.source}: {words}: {self._corrected(found.best)}; {advice}"
+        )
+
+    def _corrected(self, cure: Cure) -> str:
+        """Return what remains without and with a cure, in words: of orientations where these show
+        that something is wrong.
+        """
+        limits = self.trials.limits
+        before, after = self.error, cure.left
+        if before[1] / limits.orientation <= before[0] / limits.position:
+            return f"{self.found}, with this corrected {after[0] * 1e3:.1f} mm"
+        return (
+            f"with only base and tool fitted, orientations are off by {before[1] * 1e3:.0f} mrad, "
+            f"with this corrected {after[1] * 1e3:.1f} mrad"
         )
 
     def refuse_orientations(self, by_positions: _Suspect) -> None:

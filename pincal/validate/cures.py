@@ -24,11 +24,18 @@ from pincal.robot.mastering import free_joints, remastered, resized
 from pincal.robot.robot import Robot
 from pincal.robot.tree import Coupling
 from pincal.robot.urdf_file import find_file
+from pincal.sensors.fields import Field
 from pincal.thresholds import Count, Scale
 
 # Frames that are closer than this [m, rad] belong to the same robot.
 _SAME: Scale = 1e-5
 HEADER = "correct the header of the table and run again"
+NONE = "or leave the orientations out: --orientation none"
+W_FIRST = (
+    "say what its columns hold: --columns 'qx=qw,qy=qx,qz=qy,qw=qz', or --orientation wxyz if it "
+    "is a list"
+)
+INVERT = f"invert them, {NONE}"
 _TABLE = "correct the table and run again"
 _FRAME = "give positions and orientations in a right-handed frame and run again"
 _RECORD = "map the other columns to the joints (--columns) and run again"
@@ -84,6 +91,21 @@ class Correction:
         if self.shifts or self.turned:
             robot = remastered(robot, shifts=self.shifts, turned=self.turned)
         return robot.with_couplings(*self.couplings) if self.couplings else robot
+
+    def then(self, other: Correction) -> Correction | None:
+        """Return this correction and, of the robot so corrected, another one as a single one; None
+        if the other one is of couplings, whose reports are of the positions in between.
+        """
+        if other.couplings:
+            return None
+        shifts = dict(self.shifts)
+        for name, shift in other.shifts.items():
+            shifts[name] = shifts.get(name, 0.0) + (-shift if name in self.turned else shift)
+        turned = sorted({*self.turned} ^ {*other.turned})
+        lengths = dict(self.lengths)
+        for name, more in other.lengths.items():
+            lengths[name] = lengths.get(name, 0.0) + more
+        return replace(self, shifts=shifts, turned=tuple(turned), lengths=lengths)
 
     def of_urdf(self, robot: Robot, reported: np.ndarray) -> np.ndarray:
         """Return the positions that joints have by the uncorrected description, for reported ones,
@@ -242,12 +264,19 @@ def misreadings(robot: Robot, table: Measurements) -> Iterator[Mistake]:
     fields = () if table.sensor is None else table.sensor.fields
     for of in fields:
         for words, undo in of.mistakes:
-            yield Mistake(words, _of_readings({of.name: undo}))
+            yield Mistake(words, _of_readings({of.name: undo}), _advice_on(of, words))
     mirrors = {of.name: of.mirror for of in fields if of.mirror is not None}
     # For a single field that is one of its own mistakes.
     if len(mirrors) > 1:
         words = "the frame of the readings appears to be left-handed"
         yield Mistake(words, _of_readings(mirrors), _FRAME)
+
+
+def _advice_on(field: Field, words: str) -> str:
+    """Return what cures a mix-up of the columns of a field."""
+    if not field.is_unit:
+        return HEADER
+    return f"{W_FIRST}, {NONE}" if "w first" in words and "inverted" not in words else INVERT
 
 
 def _of_readings(

@@ -24,13 +24,13 @@ from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_matrices
 from pincal.sensors.pose import PoseSensor
 from pincal.thresholds import Count, Scale
+from pincal.validate.cures import INVERT, NONE, W_FIRST
 from pincal.validate.rough_fit import within_a_turn
 from pincal.validate.trials import Remainder
 
 # Rows by which readings of the columns are tried, and the unknowns of base and target.
 _ROWS: Count = 60
 _UNKNOWNS: Count = 6
-NONE = "or leave the orientations out: --orientation none"
 _Quaternions = np.ndarray
 
 
@@ -272,12 +272,12 @@ def _of_quaternions(*, inverted: bool) -> Iterator[Hypothesis[_Quaternions]]:
         yield Hypothesis(
             "the orientations appear to be inverted: those of the instrument in the target's frame",
             _conjugate,
-            f"invert them, {NONE}",
+            INVERT,
         )
     yield Hypothesis(
         f"the quaternion appears to be written with w first{' and inverted' if inverted else ''}",
         lambda q: _conjugate(_w_last(q)) if inverted else _w_last(q),
-        f"give it as --orientation wxyz, {NONE}",
+        f"{W_FIRST}, {NONE}",
     )
     yield Hypothesis(
         f"the quaternion appears to be written with w last{' and inverted' if inverted else ''}",

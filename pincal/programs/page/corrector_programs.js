@@ -281,6 +281,8 @@ class ProgramCorrector {
     const texts = new Set(program.loads.values().flat().filter((load) => load).map((load) => load.text));
     const unknown = loads.find((load) => load && load.mass === null);
     if (unknown && texts.size > 1) return `line ${unknown.line}: its load is not in numbers, and the program has several`;
+    const wrong = loads.find((load) => load && load.mass !== null && !(load.mass >= 0 && load.mass <= 1e4));
+    if (wrong) return `line ${wrong.line}: a load of ${wrong.mass} kg; expected 0 to 10000 kg`;
     const masses = new Set(loads.map((load) => load?.mass ?? free));
     return masses.size === 1 ? [...masses][0] : "motions reach it with different loads";
   }

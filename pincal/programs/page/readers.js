@@ -262,7 +262,7 @@ return null;
 return { Understood, _PAIRS, understood_words, without_brackets, tokens_of, first_phrase, not_understood };
 })();
 MODULES.flow = (() => {
-const { Statement } = MODULES.syntax;
+const { Statement, word } = MODULES.syntax;
 let _DEEPEST;
 _DEEPEST = 100;
 let OUTSIDE;
@@ -306,11 +306,31 @@ return ((opening >= 0) ? py.at(this.steps, opening).routine : "");
 return null;
 }
 }
-function followed(files, outside = py.frozenset()) {
-let around, at_any_time, blocks, code, effects, found, name, statement, step, walk, why;
+function followed(files, outside = py.frozenset(), ends = null) {
+let around, at_any_time, blocks, code, effects, ended, found, paired, walk;
 blocks = (() => { const $out = []; for (const code of py.iter(files)) { $out.push(_blocks(code)); } return $out; })();
-effects = _effects((() => { const $out = []; for (const [code, around] of py.iter(py.zip(files, blocks))) { $out.push([code.steps, around]); } return $out; })());
-at_any_time = new py.Dict([]);
+paired = (() => { const $out = []; for (const [code, around] of py.iter(py.zip(files, blocks))) { $out.push([code.steps, around]); } return $out; })();
+effects = _effects(paired, new py.Dict([]));
+at_any_time = _at_any_time(files, effects, outside);
+function walked(effects) {
+let around, code, found, walk;
+found = [];
+for (const $each of py.iter(py.zip(files, blocks))) {
+[code, around] = $each;
+walk = new _Walk(code.statements, code.steps, around, effects, outside, at_any_time);
+py.call(found, "append", new Code(code.source, code.statements, code.steps, walk.through()));
+}
+return found;
+return null;
+}
+found = walked(effects);
+ended = (((ends) ?? null) !== (null) ? _ended(found, ends) : new py.Dict([]));
+return (py.truth(py.any(py.call(ended, "values"))) ? walked(_effects(paired, ended)) : found);
+return null;
+}
+function _at_any_time(files, effects, outside) {
+let code, found, name, statement, step, why;
+found = new py.Dict([]);
 for (const $each of py.iter(files)) {
 code = $each;
 for (const $each of py.iter(py.zip(code.statements, code.steps))) {
@@ -321,15 +341,33 @@ why = (py.str(name) + ", which line " + py.str(statement.line) + " starts, may s
 if (!py.has(effects, name)) {
 why = ("line " + py.str(statement.line) + " starts " + py.str(name) + ", which " + py.str(OUTSIDE));
 }
-at_any_time = py.or(at_any_time, py.fromkeys(py.call(effects, "get", name, outside), why));
+found = py.or(found, py.fromkeys(py.call(effects, "get", name, outside), why));
 }
 }
 }
-found = [];
-for (const $each of py.iter(py.zip(files, blocks))) {
-[code, around] = $each;
-walk = new _Walk(code.statements, code.steps, around, effects, outside, at_any_time);
-py.call(found, "append", new Code(code.source, code.statements, code.steps, walk.through()));
+return found;
+return null;
+}
+function leaves(statement) {
+return py.has(["RETURN", "EXITCYCLE"], word(py.at(statement.items, 0)));
+return null;
+}
+function _ended(files, ends) {
+let clean, code, found, is_end, k, routine, states, step;
+found = py.dict();
+for (const $each of py.iter(files)) {
+code = $each;
+for (const $each of py.iter(py.enumerate(code.steps))) {
+[k, step] = $each;
+is_end = py.both(py.bool(step.closes), () => py.bool(py.at(code.steps, py.at(py.at(code.flow, k).blocks, -1)).routine));
+if (!py.truth(py.either(is_end, () => leaves(py.at(code.statements, k))))) {
+continue;
+}
+states = py.call(py.at(code.flow, k).setters, "items");
+clean = new Set((() => { const $out = []; for (const [name, state] of py.iter(states)) { if (py.truth(py.both(py.isinstance(state, ["int"]), () => ends(py.at(code.statements, state))))) $out.push(name); } return $out; })());
+routine = code.routine(k);
+py.put(found, routine, new Set((() => { const $out = []; for (const name of py.iter(clean)) { if (py.has(py.call(found, "get", routine, clean), name)) $out.push(name); } return $out; })()));
+}
 }
 return found;
 return null;
@@ -433,7 +471,7 @@ function _routine(steps, blocks) {
 return py.next((() => { const $out = []; for (const i of py.iter(py.reversed(blocks))) { if (py.truth(py.at(steps, i).routine)) $out.push(i); } return $out; })(), -1);
 return null;
 }
-function _effects(files) {
+function _effects(files, ended) {
 let ahead, blocks, called, callers, calls, changed, i, k, name, other, own, size, step, steps;
 own = py.dict();
 calls = py.dict();
@@ -449,6 +487,7 @@ py.put(calls, name, py.or(py.call(calls, "get", name, py.set()), py.set(step.cal
 }
 }
 }
+own = new py.Dict((() => { const $out = []; for (const [name, found] of py.iter(py.call(own, "items"))) { $out.push([name, py.sub(found, py.call(ended, "get", name, py.set()))]); } return $out; })());
 callers = py.dict();
 for (const $each of py.iter(py.call(calls, "items"))) {
 [name, called] = $each;
@@ -463,7 +502,7 @@ changed = py.call(ahead, "pop");
 for (const $each of py.iter(py.call(callers, "get", changed, []))) {
 name = $each;
 size = py.len(py.at(own, name));
-py.put(own, name, py.or(py.at(own, name), py.at(own, changed)));
+py.put(own, name, py.or(py.at(own, name), py.sub(py.at(own, changed), py.call(ended, "get", name, py.set()))));
 if ((py.len(py.at(own, name)) > size)) {
 py.call(ahead, "append", name);
 }
@@ -514,7 +553,7 @@ throw code.source.error((py.repr(word) + " within " + py.str(opens) + " of line 
 }
 return null;
 }
-return { _DEEPEST, OUTSIDE, Step, InForce, Code, followed, _Walk, _routine, _effects, _blocks, _check_closing };
+return { _DEEPEST, OUTSIDE, Step, InForce, Code, followed, _at_any_time, leaves, _ended, _Walk, _routine, _effects, _blocks, _check_closing };
 })();
 MODULES.line_flow = (() => {
 const { OUTSIDE } = MODULES.flow;
@@ -930,6 +969,7 @@ return { Turn, Posture, Frame, Point, Skipped, Load, Motion, Program, Edit, coun
 MODULES.draft = (() => {
 const { ANY, STATED_LOAD, Line } = MODULES.line_flow;
 const { FrameKind, Motion, Point, PointKey, Program, Skipped } = MODULES.program;
+const { Statement } = MODULES.syntax;
 let MOST_USES;
 MOST_USES = 1000000;
 let EVERY;
@@ -1179,7 +1219,7 @@ this.loads = loads;
 this.work = work;
 }
 follow(motion) {
-let point, points, stops, target;
+let at, place, point, points, stops, target;
 stops = [];
 for (const $each of py.iter(motion.targets)) {
 target = $each;
@@ -1193,7 +1233,9 @@ this._use(point, motion);
 }
 py.call(stops, "append", (py.same(py.len(points), 1) ? py.at(points, 0).key : null));
 }
-py.call(this.program.motions, "append", [motion, py.tuple(stops)]);
+at = motion.statement;
+place = new Statement([], at.start, at.end, at.line);
+py.call(this.program.motions, "append", [py.replace(motion, { statement: place }), py.tuple(stops)]);
 return null;
 }
 _points_of(target) {
@@ -1312,7 +1354,7 @@ return { MOST_USES, EVERY, Draft, _Uses, joined, _stem, _any };
 })();
 MODULES.statement_reader = (() => {
 const { Draft } = MODULES.draft;
-const { Code, InForce, Step } = MODULES.flow;
+const { Code, InForce, Step, leaves } = MODULES.flow;
 const { STATED_LOAD } = MODULES.line_flow;
 const { Frame, Load, Point, Skipped } = MODULES.program;
 const { Brackets, Statement, calls_in, element_name, split, text_of_items, words_in } = MODULES.syntax;
@@ -1509,7 +1551,7 @@ this.heirs = heirs;
 this.is_clean = is_clean;
 }
 look_at(code, k) {
-let is_clean, name, routine, state, step;
+let is_clean, is_end, name, routine, state, step;
 step = py.at(code.steps, k);
 state = py.call(py.at(code.flow, k).setters, "get", this.kind);
 is_clean = py.either(((state) ?? null) === (null), () => py.both(py.isinstance(state, ["int"]), () => this.ends(py.at(code.statements, state))));
@@ -1526,8 +1568,9 @@ py.call(py.call(this.heirs, "setdefault", routine, []), "append", name);
 }
 }
 }
-if (py.truth(py.both(step.closes, () => py.at(code.steps, py.at(py.at(code.flow, k).blocks, -1)).routine))) {
-py.put(this.is_clean, routine, is_clean);
+is_end = py.both(py.bool(step.closes), () => py.bool(py.at(code.steps, py.at(py.at(code.flow, k).blocks, -1)).routine));
+if (py.truth(py.either(is_end, () => leaves(py.at(code.statements, k))))) {
+py.put(this.is_clean, routine, py.both(is_clean, () => py.call(this.is_clean, "get", routine, true)));
 }
 return null;
 }
@@ -1742,7 +1785,7 @@ left = tokens_of(py.at(py.call(flat, "partition", "="), 0));
 phrase = first_phrase(tokens, _PHRASES);
 target = (py.truth(left) ? py.at(left, 0) : "");
 if (py.truth(py.both(py.has(flat, "="), () => py.has(_FRAMES, target)))) {
-index = index_of(py.at(py.call(py.at(py.call(py.call(text, "upper"), "partition", (py.str(target) + "[")), 2), "partition", "]"), 0));
+index = number_in_brackets(py.at(py.call(py.at(py.call(py.call(text, "upper"), "partition", (py.str(target) + "[")), 2), "partition", "]"), 0));
 name = (py.str(py.at(_FRAMES, target)) + " " + py.str((py.truth(py.call(index, "isdigit")) ? index : ANY)));
 (yield [name, ("line " + py.str(number) + " sets it while the program runs")]);
 } else {
@@ -1770,7 +1813,7 @@ if (!py.has(_INSTRUCTIONS, phrase)) {
 }
 }
 }
-function index_of(text) {
+function number_in_brackets(text) {
 let _, first, more;
 [first, , more] = [...py.iter(py.call(text, "partition", ":"))];
 return py.call(py.at(py.call((py.truth(py.call(py.call(first, "strip"), "startswith", "GP")) ? more : first), "partition", ","), 0), "strip");
@@ -1808,7 +1851,7 @@ py.call(found, "append", (py.truth(py.either(!py.truth(name), () => py.has(py.at
 return py.tuple(found);
 return null;
 }
-return { _MANUAL, _ARC, _SPOT, _GERMAN, LISTING_WORDS, _INSTRUCTIONS, _VARIABLES, _OPTIONS, COMPUTED, _MOVED, _BEGINS, _ENDS, SWITCHED, _PHRASES, _FRAMES, _CONDITIONS, _BLOCKS, why_moved_by_options, effect_of_options, effect_in_listing, _sets, index_of, _label, _jumps, _indices, _calls };
+return { _MANUAL, _ARC, _SPOT, _GERMAN, LISTING_WORDS, _INSTRUCTIONS, _VARIABLES, _OPTIONS, COMPUTED, _MOVED, _BEGINS, _ENDS, SWITCHED, _PHRASES, _FRAMES, _CONDITIONS, _BLOCKS, why_moved_by_options, effect_of_options, effect_in_listing, _sets, number_in_brackets, _label, _jumps, _indices, _calls };
 })();
 MODULES.jbi_lines = (() => {
 const { ANY, POSITIONS, BlockPart, Line } = MODULES.line_flow;
@@ -1927,6 +1970,8 @@ let _ALONE;
 _ALONE = [...py.iter(_CLOSES), "ELSE", "ERROR", "UNDO", "BACKWARD"];
 let _CONDITIONS;
 _CONDITIONS = ["IF", "TEST", ...py.iter(_LOOPS)];
+let _LEAVING;
+_LEAVING = ["RETURN", "EXITCYCLE", "EXIT", "GOTO", "RAISE", "RETRY", "TRYNEXT", "STOP", "BREAK"];
 let ONCE;
 ONCE = "IF without THEN";
 let _STORAGE;
@@ -1935,13 +1980,13 @@ let _PLAIN;
 _PLAIN = new py.Dict([["MOVEL", "line"], ["MOVEJ", "joint"], ["MOVEC", "circle"], ["MOVEABSJ", "joint"]]);
 _PLAIN = py.or(_PLAIN, new py.Dict((() => { const $out = []; for (const [name, path] of py.iter(py.call(_PLAIN, "items"))) { for (const more of py.iter(["DO", "AO", "GO", "SYNC"])) { if (!py.same(name, "MOVEABSJ")) $out.push([(py.str(name) + py.str(more)), path]); } } return $out; })()));
 let OF_OPTIONS;
-OF_OPTIONS = new py.Dict((() => { const $out = []; for (const [name, kinds, ends] of py.iter([["TRIGG", "LJC", [""]], ["ARC", "LC", ["", "START", "END", "1", "2"]], ["SPOT", "LJ", [""]], ["CAP", "LC", [""]], ["DISP", "LC", [""]], ["PAINT", "LC", [""]]])) { for (const kind of py.iter(kinds)) { for (const more of py.iter(ends)) { $out.push([(py.str(name) + py.str(kind) + py.str(more)), py.at(new py.Dict([["L", "line"], ["J", "joint"], ["C", "circle"]]), kind)]); } } } return $out; })());
+OF_OPTIONS = new py.Dict((() => { const $out = []; for (const [name, kinds, ends] of py.iter([["TRIGG", "LJC", [""]], ["TRIGG", "LJ", ["IOS"]], ["ARC", "LC", ["", "START", "END", "1", "2"]], ["SPOT", "LJ", [""]], ["CAP", "LC", [""]], ["DISP", "LC", [""]], ["PAINT", "LC", [""]]])) { for (const kind of py.iter(kinds)) { for (const more of py.iter(ends)) { $out.push([(py.str(name) + py.str(kind) + py.str(more)), py.at(new py.Dict([["L", "line"], ["J", "joint"], ["C", "circle"]]), kind)]); } } } return $out; })());
 let MOTIONS;
 MOTIONS = new py.Dict([...py.iter(py.call(_PLAIN, 'items')), ...py.iter(py.call(OF_OPTIONS, 'items'))]);
 let _MANUAL;
 _MANUAL = "ABB, technical reference manual: RAPID instructions, functions and data types";
 let RAPID_WORDS;
-RAPID_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": program flow, waiting, errors, interrupts"), "IF, ELSEIF, ELSE, ENDIF, FOR, ENDFOR, WHILE, ENDWHILE, TEST, CASE, DEFAULT, ENDTEST, GOTO, RETURN, EXIT, EXITCYCLE, STOP, BREAK, RAISE, RETRY, TRYNEXT, RESETRETRYCOUNT, WAITTIME, WAITUNTIL, WAITDI, WAITDO, WAITGI, WAITGO, WAITAI, WAITAO, WAITROB, WAITSYNCTASK, CONNECT, IDELETE, IDISABLE, IENABLE, ISLEEP, IWATCH, ISIGNALDI, ISIGNALDO, ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE"), new Understood("instruction", (py.str(_MANUAL) + ": motion settings that keep target and tool"), "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, WZENABLE, WZDISABLE, WZFREE, ARCREFRESH"), new Understood("instruction", (py.str(_MANUAL) + ": inputs, outputs, operator, files, clocks, numbers"), "SETDO, SETGO, SETAO, SET, RESET, INVERTDO, PULSEDO, IOENABLE, IODISABLE, ALIASIO, TPWRITE, TPERASE, TPREADNUM, TPREADDNUM, TPREADFK, TPSHOW, UIMSGBOX, UIMSGWRITE, UISHOW, OPEN, CLOSE, WRITE, WRITEBIN, WRITEANYBIN, WRITESTRBIN, WRITERAWBYTES, READRAWBYTES, PACKRAWBYTES, UNPACKRAWBYTES, CLEARRAWBYTES, COPYRAWBYTES, CLEARIOBUFF, REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT"), new Understood("function", (py.str(_MANUAL) + ": functions, none of which changes an argument"), "OFFS, RELTOOL, POSEMULT, POSEINV, POSEVECT, DEFFRAME, DEFACCFRAME, CROBT, CJOINTT, CPOS, CTOOL, CWOBJ, CALCJOINTT, CALCROBT, ORIENTZYX, EULERZYX, DISTANCE, VECTMAGN, DOTPROD, CROSSPROD, NORIENT, MIRPOS, ROBOS, ABS, SQRT, SIN, COS, TAN, ACOS, ASIN, ATAN, ATAN2, ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE"), new Understood("filler", (py.str(_MANUAL) + ": StrToVal, which writes to its second argument"), "STRTOVAL"), new Understood("option", (py.str(_MANUAL) + ": optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL"), "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT")];
+RAPID_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": program flow, waiting, errors, interrupts"), "IF, ELSEIF, ELSE, ENDIF, FOR, ENDFOR, WHILE, ENDWHILE, TEST, CASE, DEFAULT, ENDTEST, GOTO, RETURN, EXIT, EXITCYCLE, STOP, BREAK, RAISE, RETRY, TRYNEXT, RESETRETRYCOUNT, WAITTIME, WAITUNTIL, WAITDI, WAITDO, WAITGI, WAITGO, WAITAI, WAITAO, WAITROB, WAITSYNCTASK, CONNECT, IDELETE, IDISABLE, IENABLE, ISLEEP, IWATCH, ISIGNALDI, ISIGNALDO, ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE, ACTEVENTBUFFER, DEACTEVENTBUFFER, CHECKPROGREF, GETTRAPDATA, IRMQMESSAGE, IVARVALUE, PATHRECSTART, PATHRECSTOP, PATHLENGTHSTART, PATHLENGTHSTOP, PATHLENGTHRESET, RAISETOUSER, SKIPWARN, STARTMOVERETRY, TRIGGDATACOPY, TRIGGDATARESET, WAITTESTANDSET"), new Understood("instruction", (py.str(_MANUAL) + ": motion settings that keep target and tool"), "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, WZENABLE, WZDISABLE, WZFREE, ARCREFRESH, CORNERPATHWARNING, MOTIONPROCESSMODESET, SPEEDLIMAXIS, SPEEDLIMCHECKPOINT"), new Understood("instruction", (py.str(_MANUAL) + ": inputs, outputs, operator, files, clocks, numbers"), "SETDO, SETGO, SETAO, SET, RESET, INVERTDO, PULSEDO, IOENABLE, IODISABLE, ALIASIO, TPWRITE, TPERASE, TPREADNUM, TPREADDNUM, TPREADFK, TPSHOW, UIMSGBOX, UIMSGWRITE, UISHOW, OPEN, CLOSE, WRITE, WRITEBIN, WRITEANYBIN, WRITESTRBIN, WRITERAWBYTES, READRAWBYTES, PACKRAWBYTES, UNPACKRAWBYTES, CLEARRAWBYTES, COPYRAWBYTES, CLEARIOBUFF, REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT, CAMFLUSH, CAMGETRESULT, CAMLOADJOB, CAMREQIMAGE, CAMSETPROGRAMMODE, CAMSETRUNMODE, CLOSEDIR, IOBUSSTART, IOBUSSTATE, OPENDIR, RMQSENDMESSAGE, SOCKETRECEIVEFROM, SOCKETSENDTO, TESTSIGNDEFINE, TESTSIGNRESET, UIMSGWRITEABORT"), new Understood("function", (py.str(_MANUAL) + ": functions, none of which changes an argument"), "OFFS, RELTOOL, POSEMULT, POSEINV, POSEVECT, DEFFRAME, DEFACCFRAME, CROBT, CJOINTT, CPOS, CTOOL, CWOBJ, CALCJOINTT, CALCROBT, ORIENTZYX, EULERZYX, DISTANCE, VECTMAGN, DOTPROD, CROSSPROD, NORIENT, MIRPOS, ROBOS, ABS, SQRT, SIN, COS, TAN, ACOS, ASIN, ATAN, ATAN2, ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE"), new Understood("filler", (py.str(_MANUAL) + ": StrToVal, which writes to its second argument"), "STRTOVAL"), new Understood("option", (py.str(_MANUAL) + ": optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL"), "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT, TRIGGDATA1, TRIGGDATA2, TRIGGDATA3")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(RAPID_WORDS, "instruction");
 let RAPID_FUNCTIONS;
@@ -1951,7 +1996,7 @@ _FILLERS = understood_words(RAPID_WORDS, "filler");
 let MOTION_OPTIONS;
 MOTION_OPTIONS = understood_words(RAPID_WORDS, "option");
 let SWITCHES;
-SWITCHES = new py.Dict([["PDISPON", "PDISP"], ["PDISPSET", "PDISP"], ["PDISPOFF", "PDISP"], ["EOFFSON", "EOFFS"], ["EOFFSSET", "EOFFS"], ["EOFFSOFF", "EOFFS"], ["CORRCON", "CORR"], ["CORRWRITE", "CORR"], ["CORRDISCON", "CORR"], ["CORRCLEAR", "CORR"], ["SINGAREA", "SINGAREA"], ["SOFTACT", "SOFT"], ["SOFTDEACT", "SOFT"], ["CSSACT", "CSS"], ["CSSOFFSETTUNE", "CSS"], ["CSSFORCEOFFSETACT", "CSS"], ["CSSDEACT", "CSS"], ["SYNCMOVEON", "SYNCMOVE"], ["SYNCMOVERESUME", "SYNCMOVE"], ["SYNCMOVEOFF", "SYNCMOVE"], ["SYNCMOVESUSPEND", "SYNCMOVE"], ["WAITWOBJ", "CONVEYOR"], ["DROPWOBJ", "CONVEYOR"], ["SYNCWWOBJ", "CONVEYOR"], ["INDAMOVE", "INDEPENDENT"], ["INDCMOVE", "INDEPENDENT"], ["INDDMOVE", "INDEPENDENT"], ["INDRMOVE", "INDEPENDENT"], ["INDRESET", "INDEPENDENT"], ["SETLEADTHROUGH", "LEADTHROUGH"], ["WAITSENSOR", "SENSOR"], ["SYNCTOSENSOR", "SENSOR"], ["DROPSENSOR", "SENSOR"], ["FCACT", "FORCE"], ["FCPRESSLSTART", "FORCE"], ["FCPRESS1LSTART", "FORCE"], ["FCPRESSL", "FORCE"], ["FCPRESSC", "FORCE"], ["FCREFSTART", "FORCE"], ["FCREFSTOP", "FORCE"], ["FCPRESSEND", "FORCE"], ["FCDEACT", "FORCE"], ["EGMACTMOVE", "EGM"], ["EGMMOVEL", "EGM"], ["EGMMOVEC", "EGM"], ["EGMRUNJOINT", "EGM"], ["EGMRUNPOSE", "EGM"], ["EGMSTOP", "EGM"], ["EGMRESET", "EGM"], ["CONFL", "CONFL"], ["CONFJ", "CONFJ"], ["GRIPLOAD", STATED_LOAD]]);
+SWITCHES = new py.Dict([["PDISPON", "PDISP"], ["PDISPSET", "PDISP"], ["PDISPOFF", "PDISP"], ["EOFFSON", "EOFFS"], ["EOFFSSET", "EOFFS"], ["EOFFSOFF", "EOFFS"], ["CORRCON", "CORR"], ["CORRWRITE", "CORR"], ["CORRDISCON", "CORR"], ["CORRCLEAR", "CORR"], ["SINGAREA", "SINGAREA"], ["SOFTACT", "SOFT"], ["SOFTDEACT", "SOFT"], ["DITHERACT", "SOFT"], ["CSSACT", "CSS"], ["CSSDEACTMOVEL", "CSS"], ["CSSOFFSETTUNE", "CSS"], ["CSSFORCEOFFSETACT", "CSS"], ["CSSDEACT", "CSS"], ["SYNCMOVEON", "SYNCMOVE"], ["SYNCMOVERESUME", "SYNCMOVE"], ["SYNCMOVEOFF", "SYNCMOVE"], ["SYNCMOVESUSPEND", "SYNCMOVE"], ["WAITWOBJ", "CONVEYOR"], ["DROPWOBJ", "CONVEYOR"], ["SYNCWWOBJ", "CONVEYOR"], ["CNVGENINSTR", "CONVEYOR"], ["CNVSYNC", "CONVEYOR"], ["INDCNVINIT", "CONVEYOR"], ["INDCNVENABLE", "CONVEYOR"], ["INDCNVADDOBJECT", "CONVEYOR"], ["PRXSETPOSOFFSET", "SENSOR"], ["PRXACTIVRECORD", "SENSOR"], ["PRXACTIVANDSTORERECORD", "SENSOR"], ["PRXUSEFILERECORD", "SENSOR"], ["INDAMOVE", "INDEPENDENT"], ["INDCMOVE", "INDEPENDENT"], ["INDDMOVE", "INDEPENDENT"], ["INDRMOVE", "INDEPENDENT"], ["INDRESET", "INDEPENDENT"], ["SETLEADTHROUGH", "LEADTHROUGH"], ["WAITSENSOR", "SENSOR"], ["SYNCTOSENSOR", "SENSOR"], ["DROPSENSOR", "SENSOR"], ["FCACT", "FORCE"], ["FCPRESSLSTART", "FORCE"], ["FCPRESS1LSTART", "FORCE"], ["FCPRESSL", "FORCE"], ["FCPRESSC", "FORCE"], ["FCREFSTART", "FORCE"], ["FCREFSTOP", "FORCE"], ["FCPRESSEND", "FORCE"], ["FCDEACT", "FORCE"], ["EGMACTMOVE", "EGM"], ["EGMMOVEL", "EGM"], ["EGMMOVEC", "EGM"], ["EGMRUNJOINT", "EGM"], ["EGMRUNPOSE", "EGM"], ["EGMSTOP", "EGM"], ["EGMRESET", "EGM"], ["CONFL", "CONFL"], ["CONFJ", "CONFJ"], ["GRIPLOAD", STATED_LOAD]]);
 let DISPLACES;
 DISPLACES = py.sorted(py.sub(new Set([...py.iter(py.call(SWITCHES, "values"))]), new Set(["CONFL", "CONFJ", STATED_LOAD])));
 let JOINTS_TOO;
@@ -2047,8 +2092,9 @@ return -1;
 return null;
 }
 function* _once(whole, items) {
-let condition, k, motions, sides, statement;
-motions = (() => { const $out = []; for (const k of py.iter(py.range(1, py.len(items)))) { if (py.truth(py.either(py.has(MOTIONS, word(py.at(items, k))), () => py.either(py.has(SWITCHES, word(py.at(items, k))), () => py.has(BY_NAME, word(py.at(items, k))))))) $out.push(k); } return $out; })();
+let condition, k, motions, own, sides, statement;
+own = [MOTIONS, SWITCHES, BY_NAME, _LEAVING];
+motions = (() => { const $out = []; for (const k of py.iter(py.range(1, py.len(items)))) { if (py.truth(py.any((() => { const $out = []; for (const words of py.iter(own)) { $out.push(py.has(words, word(py.at(items, k)))); } return $out; })()))) $out.push(k); } return $out; })();
 k = (py.truth(motions) ? py.at(motions, -1) : 1);
 sides = split(items, ":=");
 if (py.truth(py.both(!py.truth(motions), () => py.both(py.same(py.len(sides), 2), () => is_assignment(items))))) {
@@ -2133,11 +2179,11 @@ throw source.error((py.repr(found) + " within another routine; expected " + py.s
 }
 return null;
 }
-return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, _CONDITIONS, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, _FILLERS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, _routines, _called_by_text, is_assignment, check_blocks };
+return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, _CONDITIONS, _LEAVING, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, _FILLERS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, _routines, _called_by_text, is_assignment, check_blocks };
 })();
 MODULES.fanuc_ls = (() => {
 const { Draft, joined } = MODULES.draft;
-const { COMPUTED, LISTING_WORDS, SWITCHED, effect_in_listing, effect_of_options, index_of, why_moved_by_options } = MODULES.fanuc_lines;
+const { COMPUTED, LISTING_WORDS, SWITCHED, effect_in_listing, effect_of_options, number_in_brackets, why_moved_by_options } = MODULES.fanuc_lines;
 const { ControllerLanguage } = MODULES.language;
 const { STATED_LOAD, Line, Listing, reasons_before, with_outside } = MODULES.line_flow;
 const { Frame, Load, Motion, Path, Point, Posture, Program, Skipped, Turn } = MODULES.program;
@@ -2341,7 +2387,7 @@ return null;
 function _place(text) {
 let _, index, kind, number;
 [kind, , index] = [...py.iter(py.call(text, "partition", "["))];
-number = index_of(py.call(index, "removesuffix", "]"));
+number = number_in_brackets(py.call(index, "removesuffix", "]"));
 return (py.str(kind) + "[" + py.str((py.truth(py.call(number, "isdigit")) ? number : "*")) + "]");
 return null;
 }
@@ -2382,6 +2428,8 @@ let _WORDS;
 _WORDS = "a job: /JOB, //POS with positions, //INST with motions, END";
 let _PATHS;
 _PATHS = new py.Dict([["MOVL", "line"], ["MOVJ", "joint"], ["MOVS", "joint"], ["MOVC", "joint"]]);
+let _ANY_POSTURE;
+_ANY_POSTURE = new Posture();
 let _JUMPS;
 _JUMPS = ["*", "JUMP", "CALL", "IF", "ELSE", "ENDIF", "FOR", "NEXT", "WHILE", "ENDWHILE", "RET", "PSTART"];
 class Jbi extends ControllerLanguage {
@@ -2524,7 +2572,7 @@ return name;
 return null;
 }
 class _Head {
-constructor(tags = new py.Dict([["TOOL", ""], ["USER", ""], ["POSTYPE", ""]]), posture = py.Posture()) {
+constructor(tags = new py.Dict([["TOOL", ""], ["USER", ""], ["POSTYPE", ""]]), posture = _ANY_POSTURE) {
 this.tags = tags;
 this.posture = posture;
 }
@@ -2640,7 +2688,7 @@ turns = py.tuple((() => { const $out = []; for (const [k, j] of py.iter([[3, 3],
 return new Posture(!py.truth(py.at(flags, 2)), !py.truth(py.at(flags, 1)), py.at(flags, 0), turns);
 return null;
 }
-return { _GRAMMAR, _WORDS, _PATHS, _JUMPS, Jbi, _target, _Head, _note_position, _instructions, _listing, _why_left, _note_changes, _name, _posture };
+return { _GRAMMAR, _WORDS, _PATHS, _ANY_POSTURE, _JUMPS, Jbi, _target, _Head, _note_position, _instructions, _listing, _why_left, _note_changes, _name, _posture };
 })();
 MODULES.krl = (() => {
 const { Draft } = MODULES.draft;
@@ -3334,14 +3382,16 @@ let _NONE;
 _NONE = 8900000000.0;
 class Rapid extends ControllerLanguage {
 read(sources) {
-let code, draft, entries, files, harmless, i, k, reader, switched;
+let code, draft, ends, entries, files, harmless, has_handlers, i, k, reader, switched;
 draft = new Draft(sources);
 draft.frame("TOOL0", np.eye(4), ["tool"]);
 draft.frame("WOBJ0", np.eye(4), ["base"]);
 py.call(draft.constants, "update", ["TOOL0", "WOBJ0"]);
 files = (() => { const $out = []; for (const source of py.iter(sources)) { $out.push(code_of(source)); } return $out; })();
 switched = py.frozenset((() => { const $out = []; for (const code of py.iter(files)) { for (const step of py.iter(code.steps)) { for (const name of py.iter(step.sets)) { $out.push(name); } } } return $out; })());
-files = followed(files, py.and(switched, py.set(DISPLACES)));
+has_handlers = py.any((() => { const $out = []; for (const code of py.iter(files)) { for (const statement of py.iter(code.statements)) { $out.push(py.same(word(py.at(statement.items, 0)), "ERROR")); } } return $out; })());
+ends = (py.truth(has_handlers) ? null : ends_displacement);
+files = followed(files, py.and(switched, py.set(DISPLACES)), ends);
 for (const $each of py.iter(files)) {
 code = $each;
 check_blocks(code);
@@ -3774,7 +3824,7 @@ _ENDLESS = ["servoj", "servoc", "servol", "speedj", "speedl"];
 let _MANUAL;
 _MANUAL = "Universal Robots, script manual (PolyScope 5)";
 let _SCRIPT_WORDS;
-_SCRIPT_WORDS = [new Understood("function", (py.str(_MANUAL) + ": module motion (ends of motions, kinematics; no motion of its own)"), "stopj, stopl, stops, get_conveyor_tick_count, set_conveyor_tick_count, conveyor_pulse_decode, encoder_enable_pulse_decode, encoder_enable_set_tick_count, encoder_get_tick_count, encoder_set_tick_count, encoder_unwind_delta_tick_count, position_deviation_warning, is_within_safety_limits, is_steady"), new Understood("function", (py.str(_MANUAL) + ": module internals"), "get_actual_joint_positions, get_actual_joint_positions_history, get_actual_joint_speeds, get_actual_tcp_pose, get_actual_tcp_speed, get_actual_tool_flange_pose, get_controller_temp, get_forward_kin, get_inverse_kin, get_inverse_kin_has_solution, get_joint_temp, get_joint_torques, get_steptime, get_target_joint_positions, get_target_joint_speeds, get_target_payload, get_target_payload_cog, get_target_payload_inertia, get_target_tcp_pose, get_target_tcp_speed, get_target_waypoint, get_tcp_force, get_tcp_offset, get_tool_accelerometer_reading, get_tool_current, popup, powerdown, sleep, str_at, str_cat, str_empty, str_find, str_len, str_sub, sync, textmsg, to_num, to_str, assert, time, force, rpc_factory, get_target_tcp_pose_along_path, get_target_tcp_speed_along_path, set_payload, set_payload_cog, set_payload_mass, set_target_payload, set_gravity, set_flag, get_flag, halt, rtde_set_watchdog, request_boolean_from_primary_client, request_float_from_primary_client, request_integer_from_primary_client, request_string_from_primary_client"), new Understood("function", (py.str(_MANUAL) + ": module urmath"), "acos, asin, atan, atan2, binary_list_to_integer, ceil, cos, d2r, floor, get_list_length, length, integer_to_binary_list, interpolate_pose, inv, list_append, list_insert, list_remove, list_extend, list_clear, log, norm, normalize, point_dist, pose_add, pose_dist, pose_inv, pose_sub, pose_trans, pow, r2d, random, rotvec2rpy, rpy2rotvec, sin, size, sqrt, tan, transpose, wrench_trans, struct, True, False, and, or, not, xor, mod, if, elif, while, return, p, run, join, kill"), new Understood("function", (py.str(_MANUAL) + ": module interfaces"), "get_analog_in, get_analog_out, get_configurable_digital_in, get_configurable_digital_out, get_digital_in, get_digital_out, get_euromap_input, get_euromap_output, get_standard_analog_in, get_standard_analog_out, get_standard_digital_in, get_standard_digital_out, get_tool_analog_in, get_tool_digital_in, get_tool_digital_out, modbus_add_signal, modbus_delete_signal, modbus_get_signal_status, modbus_send_custom_command, modbus_set_output_register, modbus_set_output_signal, modbus_set_runstate_dependent_choice, modbus_set_signal_update_frequency, read_input_boolean_register, read_input_float_register, read_input_integer_register, read_output_boolean_register, read_output_float_register, read_output_integer_register, read_port_bit, read_port_register, set_analog_inputrange, set_analog_out, set_analog_outputdomain, set_configurable_digital_out, set_digital_out, set_euromap_output, set_euromap_runstate_dependent_choice, set_runstate_configurable_digital_output_to_value, set_runstate_standard_analog_output_to_value, set_runstate_standard_digital_output_to_value, set_runstate_tool_digital_output_to_value, set_standard_analog_input_domain, set_standard_analog_out, set_standard_digital_out, set_tool_analog_input_domain, set_tool_communication, set_tool_digital_out, set_tool_digital_output_mode, set_tool_output_mode, set_tool_voltage, socket_close, socket_get_var, socket_open, socket_read_ascii_float, socket_read_binary_integer, socket_read_byte_list, socket_read_line, socket_read_string, socket_send_byte, socket_send_int, socket_send_line, socket_send_string, socket_set_var, write_output_boolean_register, write_output_float_register, write_output_integer_register, write_port_bit, write_port_register, zero_ftsensor, set_input_actions_to_default, set_standard_digital_input_action, set_tool_digital_input_action, set_configurable_digital_input_action, set_gp_boolean_input_action, enter_critical, exit_critical, set_safety_mode_transition_hardness")];
+_SCRIPT_WORDS = [new Understood("function", (py.str(_MANUAL) + ": module motion (ends of motions, kinematics; no motion of its own)"), "stopj, stopl, stops, force_mode_set_damping, force_mode_set_gain_scaling, get_freedrive_status, get_conveyor_tick_count, set_conveyor_tick_count, conveyor_pulse_decode, encoder_enable_pulse_decode, encoder_enable_set_tick_count, encoder_get_tick_count, encoder_set_tick_count, encoder_unwind_delta_tick_count, position_deviation_warning, is_within_safety_limits, is_steady"), new Understood("function", (py.str(_MANUAL) + ": module internals"), "get_actual_joint_positions, get_actual_joint_positions_history, get_actual_joint_speeds, get_actual_tcp_pose, get_actual_tcp_speed, get_actual_tool_flange_pose, get_controller_temp, get_forward_kin, get_inverse_kin, get_inverse_kin_has_solution, get_joint_temp, get_joint_torques, get_steptime, get_target_joint_positions, get_target_joint_speeds, get_target_payload, get_target_payload_cog, get_target_payload_inertia, get_target_tcp_pose, get_target_tcp_speed, get_target_waypoint, get_tcp_force, get_tcp_offset, get_tool_accelerometer_reading, get_tool_current, popup, powerdown, sleep, str_at, str_cat, str_empty, str_find, str_len, str_sub, sync, textmsg, to_num, to_str, assert, time, force, rpc_factory, get_target_tcp_pose_along_path, get_target_tcp_speed_along_path, set_payload, set_payload_cog, set_payload_mass, set_target_payload, set_gravity, set_flag, get_flag, halt, rtde_set_watchdog, request_boolean_from_primary_client, request_float_from_primary_client, request_integer_from_primary_client, request_string_from_primary_client"), new Understood("function", (py.str(_MANUAL) + ": module urmath"), "acos, asin, atan, atan2, binary_list_to_integer, ceil, cos, d2r, floor, get_list_length, length, integer_to_binary_list, interpolate_pose, inv, list_append, list_insert, list_remove, list_extend, list_clear, log, norm, normalize, point_dist, pose_add, pose_dist, pose_inv, pose_sub, pose_trans, pow, r2d, random, rotvec2rpy, rpy2rotvec, sin, size, sqrt, tan, transpose, wrench_trans, struct, True, False, and, or, not, xor, mod, if, elif, while, return, p, run, join, kill"), new Understood("function", (py.str(_MANUAL) + ": module interfaces"), "get_analog_in, get_analog_out, get_configurable_digital_in, get_configurable_digital_out, get_digital_in, get_digital_out, get_euromap_input, get_euromap_output, get_standard_analog_in, get_standard_analog_out, get_standard_digital_in, get_standard_digital_out, get_tool_analog_in, get_tool_digital_in, get_tool_digital_out, modbus_add_signal, modbus_delete_signal, modbus_get_signal_status, modbus_send_custom_command, modbus_set_output_register, modbus_set_output_signal, modbus_set_runstate_dependent_choice, modbus_set_signal_update_frequency, read_input_boolean_register, read_input_float_register, read_input_integer_register, read_output_boolean_register, read_output_float_register, read_output_integer_register, read_port_bit, read_port_register, set_analog_inputrange, set_analog_out, set_analog_outputdomain, set_configurable_digital_out, set_digital_out, set_euromap_output, set_euromap_runstate_dependent_choice, set_runstate_configurable_digital_output_to_value, set_runstate_standard_analog_output_to_value, set_runstate_standard_digital_output_to_value, set_runstate_tool_digital_output_to_value, set_standard_analog_input_domain, set_standard_analog_out, set_standard_digital_out, set_tool_analog_input_domain, set_tool_communication, set_tool_digital_out, set_tool_digital_output_mode, set_tool_output_mode, set_tool_voltage, socket_close, socket_get_var, socket_open, socket_read_ascii_float, socket_read_binary_integer, socket_read_byte_list, socket_read_line, socket_read_string, socket_send_byte, socket_send_int, socket_send_line, socket_send_string, socket_set_var, write_output_boolean_register, write_output_float_register, write_output_integer_register, write_port_bit, write_port_register, zero_ftsensor, set_input_actions_to_default, set_standard_digital_input_action, set_tool_digital_input_action, set_configurable_digital_input_action, set_gp_boolean_input_action, enter_critical, exit_critical, set_safety_mode_transition_hardness")];
 let _HARMLESS;
 _HARMLESS = understood_words(_SCRIPT_WORDS, "function");
 let _SWITCHES;
@@ -3789,7 +3839,8 @@ class UrScript extends ControllerLanguage {
 read(sources) {
 let code, displaced, draft, entries, files, harmless, i, k, reader, switched;
 draft = new Draft(sources);
-files = followed((() => { const $out = []; for (const source of py.iter(sources)) { $out.push(_code(source)); } return $out; })(), py.frozenset(new Set([POSITIONS])));
+files = (() => { const $out = []; for (const source of py.iter(sources)) { $out.push(_code(source)); } return $out; })();
+files = followed(files, py.frozenset(new Set([POSITIONS])), _ends_displacement);
 switched = new Set((() => { const $out = []; for (const code of py.iter(files)) { for (const step of py.iter(code.steps)) { for (const name of py.iter(step.sets)) { $out.push(name); } } } return $out; })());
 displaced = py.sorted(py.sub(new Set([POSITIONS, ...py.iter(switched)]), new Set(["tcp", STATED_LOAD])));
 entries = new Entries(files, _ends_displacement);

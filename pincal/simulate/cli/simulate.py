@@ -16,6 +16,7 @@ from pincal.cli.arguments import verb
 from pincal.cli.outputs import print_json, provenance, write_all, write_plain
 from pincal.errors import BadInputError, Exit, OutputError, nearest_first
 from pincal.robot.cell import read_cell, robot_files
+from pincal.simulate.cli.part_options import looking_at, truth_of
 from pincal.simulate.cli.simulate_options import (
     MachineArguments,
     SensorArguments,
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from pincal.simulate.request import SetupOptions
     from pincal.simulate.session import MovingSession
     from pincal.simulate.setup import Campaign, SensorSetup
+    from pincal.simulate.true_part import TrueFeature
 
 _Files = dict[str, tuple[Path | None, Callable[[Path], None]]]
 # Number of poses of a path at which the sizes of effects are evaluated for the truth.
@@ -50,6 +52,8 @@ Other sensors:
   pincal simulate robot.urdf --sockets 6 --poses 240 --points-out sockets.csv --out contacts.csv
   pincal simulate robot.urdf --anchors 3 --poses 200 --points-out anchors.csv --out wires.csv
   pincal simulate robot.urdf --ball-bar 300mm --anchors 2 --poses 200 --out bar.csv
+A part, for pincal measure:
+  pincal simulate robot.urdf --features part.toml --cycles 2 --out readings.csv --truth part.json
 In motion:
   pincal simulate robot.urdf --path 300s --imu --out monday   \
 # joints.csv and imu.csv, each on its own clock
@@ -86,28 +90,22 @@ def simulate(arguments: SimulateArguments) -> Exit:
     """Simulate the measurement of a machine with chosen errors and hidden effects."""
     from pincal.cli.progress import end_progress, log_step
     from pincal.measure.table import write_table
-    from pincal.simulate.request import Stream
 
     arguments.check()
     robot = _robot(arguments)
-    if arguments.motion.path is not None and _is_from_hand(robot):
-        raise click.UsageError(
-            f"--path: readings from {robot.path.start} to {robot.tip}, which no joint moves, are "
-            "simulated at rest; give --poses N"
-        )
+    _check_path(robot, arguments)
     machine = _machine(robot, arguments)
     if arguments.motion.path is not None:
         return _drive(robot, machine, arguments)
     log_step("planning poses")
-    campaign = _campaign(robot, machine, arguments)
+    features = _true_features(arguments)
+    campaign = _campaign(robot, machine, arguments, features)
     log_step("measuring them")
-    table = campaign.measure(machine, Stream.NOISE.generator(arguments.pose_seed))
-    table = {name: table[name] for name in (robot.joint_names[i] for i in robot.own_joints)} | table
-    start = robot.path.start
+    table = _measured(robot, machine, campaign, arguments, features)
     rows = len(table[machine.names[0]])
-    if start != robot.base or robot.links:
-        table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
     found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
+    if features:
+        found |= truth_of(features, found)
     out: _Files = {"--out": (arguments.out, lambda path: write_table(path, table))}
     truth = found | _made_by(robot, arguments)
     write_all(out | _further_files(arguments, campaign.setup, truth))
@@ -117,6 +115,41 @@ def simulate(arguments: SimulateArguments) -> Exit:
     else:
         click.echo(_summary(arguments, found, setup=campaign.setup, rows=rows))
     return Exit.DONE
+
+
+def _measured(
+    robot: Robot,
+    machine: TrueMachine,
+    campaign: Campaign,
+    arguments: SimulateArguments,
+    features: tuple[TrueFeature, ...],
+) -> dict[str, np.ndarray]:
+    """Return the columns of the table: the robot's own joints first, then what was read."""
+    from pincal.simulate.request import Stream
+    from pincal.simulate.true_part import readings_of_features
+
+    # The same seed gives a calibration and readings of a part, whose noise is not the same.
+    noise = Stream.READINGS if features else Stream.NOISE
+    table = campaign.measure(machine, noise.generator(arguments.pose_seed))
+    if features:
+        first_pass = campaign.q[: len(campaign.q) // arguments.campaign.cycles, 0]
+        named = [feature.name for feature in features]
+        table = readings_of_features(table, machine.names[0], first_pass, named)
+    table = {name: table[name] for name in (robot.joint_names[i] for i in robot.own_joints)} | table
+    start = robot.path.start
+    rows = len(table[machine.names[0]])
+    if start != robot.base or robot.links:
+        table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
+    return table
+
+
+def _check_path(robot: Robot, arguments: SimulateArguments) -> None:
+    """Refuse a path for readings that are simulated at rest."""
+    if arguments.motion.path is not None and _is_from_hand(robot):
+        raise click.UsageError(
+            f"--path: readings from {robot.path.start} to {robot.tip}, which no joint moves, are "
+            "simulated at rest; give --poses N"
+        )
 
 
 def _robot(arguments: SimulateArguments) -> Robot:
@@ -376,15 +409,44 @@ def _in_one_order(robot: Robot) -> tuple[str, ...]:
     return tuple(name for _, name in sorted(zip(depth, robot.joint_names, strict=True)))
 
 
-def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> Campaign:
-    from pincal.simulate.request import Repetition, Stream, draw_setup, poses_of_table, repeat_poses
+def _true_features(arguments: SimulateArguments) -> tuple[TrueFeature, ...]:
+    """Return the true features of the part that is measured, none without one."""
+    from pincal.simulate.request import Stream
+
+    if arguments.part.features is None:
+        return ()
+    return arguments.part.drawn(Stream.PART.generator(arguments.pose_seed))
+
+
+def _setup(
+    robot: Robot,
+    machine: TrueMachine,
+    arguments: SimulateArguments,
+    features: tuple[TrueFeature, ...],
+) -> SensorSetup:
+    """Return the sensor, and what it looks at."""
+    from pincal.simulate.request import Stream, draw_setup
+    from pincal.simulate.true_part import object_of_features
+
+    options = _setup_options(robot, arguments)
+    if features:
+        options = looking_at(options, object_of_features(features))
+    rng = Stream.LAYOUT.generator(arguments.setup_seed)
+    return draw_setup(arguments.kind, machine.nominal, rng=rng, options=options)
+
+
+def _campaign(
+    robot: Robot,
+    machine: TrueMachine,
+    arguments: SimulateArguments,
+    features: tuple[TrueFeature, ...],
+) -> Campaign:
+    from pincal.simulate.request import Repetition, Stream, poses_of_table, repeat_poses
     from pincal.simulate.setup import Campaign
 
     given = arguments.campaign
     conditions: dict[str, np.ndarray] = {}
-    rng = Stream.LAYOUT.generator(arguments.setup_seed)
-    options = _setup_options(robot, arguments)
-    setup = draw_setup(arguments.kind, machine.nominal, rng=rng, options=options)
+    setup = _setup(robot, machine, arguments, features)
     if given.at is not None:
         from pincal.cli.inputs import load_table
 
@@ -395,9 +457,8 @@ def _campaign(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) 
     else:
         rng = Stream.POSES.generator(arguments.pose_seed)
         try:
-            q = setup.plan(
-                machine.nominal, arguments.n_poses or 1, rng=rng, min_height=arguments.floor
-            )
+            count = (arguments.n_poses or 1) * max(len(features), 1)
+            q = setup.plan(machine.nominal, count, rng=rng, min_height=arguments.floor)
         except BadInputError as error:
             raise BadInputError(
                 f"{error}; a lower --floor, or --no-floor, gives the arm more room, "
@@ -447,7 +508,10 @@ def _hidden_lines(truth: dict[str, Any]) -> Iterator[str]:
 
 
 def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
-    """Return the command that discovers the effects from the table."""
+    """Return the command that discovers the effects from the table, or measures the part."""
+    if arguments.part.features is not None:
+        part = f"--features {arguments.part.features}"
+        return f"pincal measure results/model.json {arguments.out} {part} --out measured"
     machine = arguments.machine
     given = arguments.sensor
     words = [f"{_of_arm('discover', arguments)} --out results"]

@@ -30,6 +30,7 @@ from pincal.cli.quantities import ANGLES, LENGTH, NoiseType, QuantityType, masse
 from pincal.errors import BadInputError, MeasurementError, OutputError
 from pincal.measure.table_schema import TABLE_ENDINGS
 from pincal.robot.cell import Beside
+from pincal.simulate.cli.part_options import VIEWS, PartArguments
 from pincal.simulate.cli.path_options import MotionArguments
 from pincal.thresholds import Count, Scale
 from pincal.units import plain_numbers
@@ -296,6 +297,7 @@ class SimulateArguments:
     campaign: CampaignArguments = group("Poses and conditions")
     sensor: SensorArguments = group("Sensor")
     motion: MotionArguments = group("Motion")
+    part: PartArguments = group("Part")
     machine: MachineArguments = group("Machine")
     general: GeneralOptions = group("General")
 
@@ -320,11 +322,14 @@ class SimulateArguments:
         implied = (
             kind for name, kind in _IMPLIED.items() if getattr(self.sensor, name) is not None
         )
-        return self.sensor.sensor or next(implied, "position")
+        default = "position" if self.part.features is None else "camera_point"
+        return self.sensor.sensor or next(implied, default)
 
     @property
     def n_poses(self) -> int | None:
-        """Number of poses; None if they are those of a table."""
+        """Number of poses, with a part of each feature; None if they are those of a table."""
+        if self.part.features is not None:
+            return self.campaign.poses or VIEWS
         if self.campaign.poses is None and self.campaign.at is None and self.kind in _CAMERAS:
             return None if self.sensor.object == "grid" else _PAPER_POSES
         return self.campaign.poses
@@ -340,6 +345,15 @@ class SimulateArguments:
         given = self.sensor
         kind = self.kind
         self._check_motion()
+        self.part.check(
+            kind,
+            {
+                "--at": self.campaign.at,
+                "--path": self.motion.path,
+                "--object": given.object,
+                "--points-out": given.points_out,
+            },
+        )
         for name in sorted(name for name in _GOES_WITH if getattr(given, name) is not None):
             if kind not in _GOES_WITH[name]:
                 flag = f"--{name.replace('_', '-')}"

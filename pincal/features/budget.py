@@ -1,0 +1,169 @@
+r"""Budgets of uncertainty as in the GUM (JCGM 100:2008).
+
+Standard uncertainties of independent sources add in squares. The degrees of freedom of the sum
+follow from Welch and Satterthwaite's formula (G.2b), and the coverage factor from Student's t:
+
+.. math:: u^2 = \sum_i u_i^2, \quad \nu = u^4 \Big/ \sum_i \frac{u_i^4}{\nu_i},
+    \quad U = k u, \quad k = t_{(1 + p) / 2}(\nu) .
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from pincal.errors import BadInputError, nearest_first
+from pincal.features.decision_numbers import DECISION
+
+# Standard deviation of a distribution of half-width 1 (JCGM 100, 4.3.7 to 4.3.9; JCGM 101, 6.4).
+_OF_HALF_WIDTH: Mapping[str, float] = {
+    "rectangular": 1.0 / math.sqrt(3.0),
+    "triangular": 1.0 / math.sqrt(6.0),
+    "arcsine": 1.0 / math.sqrt(2.0),
+}
+DISTRIBUTIONS = ("normal", "t", *_OF_HALF_WIDTH)
+"""Distributions that an entry of a budget may state."""
+
+
+@dataclass(frozen=True)
+class BudgetEntry:
+    """A source of uncertainty.
+
+    Attributes:
+        source: its name.
+        type: "A", by statistics, or "B", by other means.
+        u: its contribution, a standard uncertainty in the unit of the value.
+        dof: degrees of freedom; infinite where u is taken as known.
+        distribution: of ``DISTRIBUTIONS``.
+    """
+
+    source: str
+    type: Literal["A", "B"]
+    u: float
+    dof: float = math.inf
+    distribution: str = "normal"
+
+    def __post_init__(self) -> None:
+        """Refuse what is no uncertainty."""
+        if not 0.0 <= self.u < math.inf:
+            raise BadInputError(
+                f"source {self.source!r}: standard uncertainty {self.u}; expected a finite number, "
+                "0 or more"
+            )
+        if not self.dof > 0.0:
+            raise BadInputError(
+                f"source {self.source!r}: {self.dof} degrees of freedom; expected more than 0"
+            )
+        if self.type not in ("A", "B"):
+            raise BadInputError(f"source {self.source!r}: type {self.type!r}; expected A or B")
+        if self.distribution not in DISTRIBUTIONS:
+            known = ", ".join(nearest_first([self.distribution], DISTRIBUTIONS))
+            raise BadInputError(
+                f"source {self.source!r}: distribution {self.distribution!r}; expected one of "
+                f"{known}"
+            )
+
+    @classmethod
+    def of_limits(
+        cls,
+        source: str,
+        half_width: float,
+        distribution: str = "rectangular",
+        dof: float = math.inf,
+    ) -> BudgetEntry:
+        """Return the type B entry of a quantity that is within limits.
+
+        Args:
+            source: its name.
+            half_width: of the interval, times the sensitivity of the value.
+            distribution: "rectangular", "triangular" or "arcsine".
+            dof: of the half-width, JCGM 100, G.4.2.
+
+        Raises:
+            BadInputError: for another distribution, or a half-width that is none.
+
+        Example:
+            >>> round(BudgetEntry.of_limits("resolution", 0.5).u, 4)
+            0.2887
+        """
+        if distribution not in _OF_HALF_WIDTH:
+            known = ", ".join(nearest_first([distribution], _OF_HALF_WIDTH))
+            raise BadInputError(
+                f"source {source!r}: distribution {distribution!r} within limits; expected one of "
+                f"{known}"
+            )
+        u = half_width * _OF_HALF_WIDTH[distribution]
+        return cls(source, "B", u, dof, distribution)
+
+
+@dataclass(frozen=True)
+class UncertaintyBudget:
+    """The uncertainty of one value by its independent sources.
+
+    Attributes:
+        entries: of the sources.
+        coverage: probability that the expanded uncertainty covers.
+
+    Example:
+        >>> two = (BudgetEntry("repeatability", "A", 3.0, dof=4), BudgetEntry("scale", "B", 4.0))
+        >>> budget = UncertaintyBudget(two)
+        >>> budget.u, round(budget.dof, 2), round(budget.k, 3), round(budget.U, 2)
+        (5.0, 30.86, 2.084, 10.42)
+    """
+
+    entries: tuple[BudgetEntry, ...]
+    coverage: float = DECISION.coverage
+
+    @property
+    def u(self) -> float:
+        """The combined standard uncertainty."""
+        return math.hypot(*(entry.u for entry in self.entries))
+
+    @property
+    def dof(self) -> float:
+        """The effective degrees of freedom, infinite if all sources are known."""
+        if self.u == 0.0:
+            return math.inf
+        # Relative to u, as fourth powers of micrometres in metres leave the range of floats.
+        total = sum((entry.u / self.u) ** 4 / entry.dof for entry in self.entries)
+        return 1.0 / total if total > 0.0 else math.inf
+
+    @property
+    def k(self) -> float:
+        """The coverage factor."""
+        return coverage_factor(self.dof, self.coverage)
+
+    @property
+    def U(self) -> float:
+        """The expanded uncertainty."""
+        return self.k * self.u
+
+    def share(self, entry: BudgetEntry) -> float:
+        """Return the share of an entry in the variance, 0 to 1."""
+        return (entry.u / self.u) ** 2 if self.u > 0.0 else 0.0
+
+
+def coverage_factor(dof: float, coverage: float = DECISION.coverage) -> float:
+    """Return the factor of a standard uncertainty that gives an interval of a probability.
+
+    Args:
+        dof: degrees of freedom, which need not be a whole number.
+        coverage: the probability, 0 to 1.
+
+    Raises:
+        BadInputError: for a probability or degrees of freedom that are none.
+
+    Example:
+        >>> round(coverage_factor(10, 0.95), 2), round(coverage_factor(float("inf")), 2)
+        (2.23, 2.0)
+    """
+    from scipy.special import ndtri, stdtrit
+
+    if not 0.0 < coverage < 1.0:
+        raise BadInputError(f"coverage probability {coverage}; expected more than 0, less than 1")
+    if not dof > 0.0:
+        raise BadInputError(f"{dof} degrees of freedom; expected more than 0")
+    p = (1.0 + coverage) / 2.0
+    return float(ndtri(p) if math.isinf(dof) else stdtrit(dof, p))

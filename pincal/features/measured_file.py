@@ -1,0 +1,193 @@
+"""The structure behind ``measured.json``, the table, the report and the terminal: what a robot
+measured of a part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from pincal.features.decision import ConformityVerdict, overall_verdict
+from pincal.identity import Identity
+from pincal.notes import Note
+
+
+class ValueEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A quantity of a feature, all of it in its unit.
+
+    Attributes:
+        value: in the datum.
+        unit: "mm", "mrad", "deg" or "" for a component of a direction.
+        u: standard uncertainty.
+        U: expanded uncertainty.
+        k: coverage factor, for the coverage that the rule states.
+        dof: effective degrees of freedom; null for infinite ones.
+        nominal: as the part's file says.
+        deviation: value minus nominal.
+        limits: least and largest permissible value; null for none.
+        decision: by the rule, where there are limits.
+        risk: probability that the decision is wrong.
+        by_source: standard uncertainty by each source.
+    """
+
+    value: float
+    unit: str
+    u: float
+    U: float
+    k: float
+    dof: float | None
+    nominal: float | None = None
+    deviation: float | None = None
+    limits: tuple[float | None, float | None] | None = None
+    decision: ConformityVerdict | None = None
+    risk: float | None = None
+    by_source: dict[str, float] = {}
+
+
+class RepeatEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A quantity of a feature over several passes.
+
+    Attributes:
+        quantity: its name.
+        unit: of what follows.
+        passes: number of passes.
+        s: standard deviation of one pass.
+        s_interval: 95 % interval of it.
+        cg: capability of the repetition, against the tolerance (type 1); null without limits.
+        cgk: the same with the bias from the nominal; null without a nominal.
+    """
+
+    quantity: str
+    unit: str
+    passes: int
+    s: float
+    s_interval: tuple[float, float]
+    cg: float | None = None
+    cgk: float | None = None
+
+
+class FeatureEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A feature that was measured.
+
+    Attributes:
+        name: as in the part's file.
+        kind: "point", "line", "plane", "circle", "sphere", "cylinder", "distance" or "angle".
+        values: its quantities by name.
+        form_mm: peak-to-valley deviation of its points from the fitted feature [mm].
+        readings: number of readings.
+        stops: number of stops of the robot.
+        repeatability: over passes, where there were several.
+    """
+
+    name: str
+    kind: str
+    values: dict[str, ValueEntry]
+    form_mm: float | None = None
+    readings: int
+    stops: int
+    repeatability: tuple[RepeatEntry, ...] = ()
+
+
+class SourceEntry(msgspec.Struct, frozen=True, kw_only=True):
+    """A source of the uncertainty, over all lengths of all features, root mean square.
+
+    Attributes:
+        source: its name.
+        type: "A" by statistics, "B" by other means.
+        u: standard uncertainty [mm].
+        dof: degrees of freedom; null for infinite ones.
+        share: of the variance.
+    """
+
+    source: str
+    type: Literal["A", "B"]
+    u: float
+    dof: float | None
+    share: float
+
+
+class QuantityCovariance(msgspec.Struct, frozen=True):
+    """The covariance of all quantities.
+
+    Attributes:
+        names: ``FEATURE.QUANTITY``.
+        matrix: in the units of the quantities.
+    """
+
+    names: tuple[str, ...]
+    matrix: tuple[tuple[float, ...], ...]
+
+
+class DatumEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """The frame of all values.
+
+    Attributes:
+        kind: "calibrated", "best fit" or "3-2-1".
+        features: that define it.
+        frame: in which it was found: of the calibration's "instrument" or the robot's "base".
+        position_mm: where its origin is in that frame [mm].
+        rotation: the axes of the datum in that frame, as columns.
+        residual_mm: root mean square deviation of the features that it was fitted to [mm].
+    """
+
+    kind: str
+    features: tuple[str, ...]
+    frame: str
+    position_mm: tuple[float, float, float]
+    rotation: tuple[tuple[float, float, float], ...]
+    residual_mm: float | None = None
+
+
+class MeasuredFile(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """What was measured of a part.
+
+    Attributes:
+        features: in the order of the part's file.
+        covariance: of all their quantities.
+        budget: sources of uncertainty, the largest first.
+        datum: the frame of all values.
+        rule: by which it was decided.
+        warnings: doubts, those of the calibrated model among them, and notes.
+        id: what is stated of robot, instrument and circumstances.
+        provenance: version of pincal, time, input files with their SHA-256, command.
+    """
+
+    features: tuple[FeatureEntry, ...]
+    covariance: QuantityCovariance
+    budget: tuple[SourceEntry, ...]
+    datum: DatumEntry
+    rule: str
+    warnings: tuple[Note, ...] = ()
+    id: Identity | None = None
+    provenance: dict[str, Any] = {}
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The result in JSON types."""
+        found: dict[str, Any] = msgspec.to_builtins(self)
+        return found
+
+    @property
+    def verdict(self) -> ConformityVerdict | None:
+        """The verdict on the part by those on all its quantities; None without tolerances."""
+        found = [value.decision for _, _, value in self.decided() if value.decision is not None]
+        return overall_verdict(tuple(found)) if found else None
+
+    def decided(self) -> Iterator[tuple[FeatureEntry, str, ValueEntry]]:
+        """Yield each quantity with limits, with its feature and name."""
+        for feature in self.features:
+            for name, value in feature.values.items():
+                if value.decision is not None:
+                    yield feature, name, value
+
+    def count(self, decision: ConformityVerdict) -> int:
+        """Return the number of quantities with this decision."""
+        return sum(value.decision == decision for _, _, value in self.decided())
+
+
+def finite(number: float) -> float | None:
+    """Return a number as files have it: null for an infinite one."""
+    return float(number) if np.isfinite(number) else None

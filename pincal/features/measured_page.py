@@ -1,0 +1,316 @@
+"""The page of a measured part, and its summary for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from pincal.errors import counted, few
+from pincal.features.measured_file import FeatureEntry, MeasuredFile, ValueEntry
+from pincal.features.part_feature import DERIVED_KINDS, QUANTITIES
+from pincal.report.blocks import (
+    PageBlock,
+    Section,
+    arranged,
+    bullets,
+    code,
+    doubts,
+    facts,
+    heading,
+    paragraph,
+    plain_notes,
+    rich,
+)
+from pincal.report.html import render
+from pincal.result_table import Cell, Column, Kind, RowTone, Table
+from pincal.thresholds import Count
+from pincal.units import fixed, show_percent
+
+# Names that a sentence lists.
+_NAMED: Count = 4
+# Rows of a table on the terminal.
+_ROWS: Count = 20
+# Decimal places by unit.
+_PLACES = {"mm": 4, "mrad": 3, "deg": 4, "": 6}
+_TONES: dict[str, RowTone] = {"conforms": "good", "does not conform": "bad", "undecided": "care"}
+_SOURCES = {
+    "parameters": "parameters of the calibration",
+    "model": "what the calibrated model lacks",
+    "arrival": "repeatability of the arm, from stop to stop",
+    "conditions": "temperature or time that the rows lack",
+    "sensor": "noise of the sensor",
+    "mount": "declared mount of the sensor",
+    "probe": "radius of the probe's ball",
+    "scale": "scale of the instrument of the calibration",
+    "drift": "drift since the calibration",
+    "form": "deviations of the surface from its form",
+}
+_FAILED = "does not conform"
+_URGENCY = (_FAILED, "undecided", "conforms", "")
+
+
+def verdict_words(found: MeasuredFile) -> str:
+    """Return the result in a sentence."""
+    wrong = [f"{of.name} {name}" for of, name, v in found.decided() if v.decision == _FAILED]
+    open_ones = found.count("undecided")
+    decided = sum(1 for _ in found.decided())
+    if not decided:
+        return f"{counted(len(found.features), 'feature')} measured; no tolerances were given."
+    if wrong:
+        more = f"; {open_ones} undecided" if open_ones else ""
+        return (
+            f"The part does not conform: {len(wrong)} of {counted(decided, 'value')} "
+            f"({few(wrong, _NAMED)}){more}."
+        )
+    if open_ones:
+        return (
+            f"Undecided: {open_ones} of {counted(decided, 'value')} lie too near to a limit for "
+            "their uncertainty; the others conform."
+        )
+    return f"The part conforms: all of {counted(decided, 'value')}."
+
+
+_COLUMNS = (
+    Column("feature", kind=Kind.NAME),
+    Column("quantity", kind=Kind.LABEL),
+    Column("nominal", kind=Kind.NUMBER),
+    Column("value", kind=Kind.NUMBER),
+    Column("deviation", kind=Kind.NUMBER),
+    Column("U", kind=Kind.NUMBER),
+    Column("unit", kind=Kind.LABEL),
+    Column("limits", kind=Kind.LABEL),
+    Column("decision", kind=Kind.STATUS),
+)
+# What a terminal has room for.
+_SHORT = ("feature", "quantity", "value", "deviation", "U", "unit", "limits", "decision")
+
+
+def value_table(found: MeasuredFile) -> Table:
+    """Return the quantities of all features; directions are in the file alone."""
+    chosen = [
+        (feature, name, value)
+        for feature in found.features
+        for name, value in feature.values.items()
+        if name in QUANTITIES[feature.kind]
+    ]
+    return _values(chosen, _COLUMNS, (found.rule,))
+
+
+def short_table(found: MeasuredFile) -> Table:
+    """Return the quantities that a terminal has room for: those with a tolerance, or what is told
+    of each kind if there is none; of many, those that do not conform and undecided ones first.
+    """
+    chosen = [
+        (feature, name, value)
+        for feature in found.features
+        for name, value in feature.values.items()
+        if _is_told(found, feature, name, value)
+    ]
+    notes = [found.rule]
+    if len(chosen) > _ROWS:
+        notes.append(f"and {len(chosen) - _ROWS} more in report.html")
+        chosen = sorted(chosen, key=lambda one: _URGENCY.index(one[2].decision or ""))[:_ROWS]
+    columns = tuple(column for column in _COLUMNS if column.name in _SHORT)
+    return _values(chosen, columns, notes)
+
+
+def _values(
+    chosen: Sequence[tuple[FeatureEntry, str, ValueEntry]],
+    columns: tuple[Column, ...],
+    notes: Sequence[str],
+) -> Table:
+    rows = []
+    for feature, name, value in chosen:
+        cells = _cells(feature, name, value)
+        rows.append(tuple(cells[column.name] for column in columns))
+    tones = tuple(_TONES.get(value.decision or "", "") for _, _, value in chosen)
+    return Table("Features", columns, tuple(rows), tuple(notes), tones)
+
+
+def _is_told(found: MeasuredFile, feature: FeatureEntry, name: str, value: ValueEntry) -> bool:
+    """Return whether a quantity stands on the terminal."""
+    if any(True for _ in found.decided()):
+        return value.decision is not None
+    return name in QUANTITIES[feature.kind]
+
+
+def _cells(feature: FeatureEntry, name: str, value: ValueEntry) -> dict[str, Cell]:
+    """Return the cells of a quantity by their columns."""
+    show = fixed(_PLACES.get(value.unit, 6))
+    limits = "" if value.limits is None else " to ".join(map(_plain, value.limits))
+    return {
+        "feature": feature.name,
+        "quantity": name,
+        "nominal": show(value.nominal),
+        "value": show(value.value),
+        "deviation": show(value.deviation),
+        "U": show(value.U),
+        "unit": value.unit,
+        "limits": limits,
+        "decision": value.decision or "",
+    }
+
+
+def _plain(limit: float | None) -> str:
+    return "-" if limit is None else f"{limit:.10g}"
+
+
+def budget_table(found: MeasuredFile) -> Table:
+    """Return the sources of uncertainty."""
+    columns = (
+        Column("source"),
+        Column("type", kind=Kind.LABEL),
+        Column("u", "mm", Kind.NUMBER, fixed(4)),
+        Column("degrees of freedom", kind=Kind.NUMBER, show=_degrees),
+        Column("share", kind=Kind.NUMBER, show=show_percent),
+    )
+    rows = tuple(
+        (_SOURCES.get(of.source, of.source), of.type, of.u, of.dof, of.share) for of in found.budget
+    )
+    notes = (
+        "Root mean square over all lengths of all features; measured.json has the sources of each "
+        "quantity. Type A: by statistics of observations; B: by other means (JCGM 100).",
+    )
+    return Table("Where the uncertainty comes from", columns, rows, notes)
+
+
+def _degrees(dof: float | None) -> str:
+    return "infinite" if dof is None else f"{dof:.0f}"
+
+
+def repeat_table(found: MeasuredFile) -> Table | None:
+    """Return how well the quantities were repeated; None for a single pass."""
+    columns = (
+        Column("feature", kind=Kind.NAME),
+        Column("quantity", kind=Kind.LABEL),
+        Column("passes", kind=Kind.NUMBER),
+        Column("s of a pass", kind=Kind.NUMBER, show=fixed(4)),
+        Column("95 % interval", kind=Kind.LABEL),
+        Column("unit", kind=Kind.LABEL),
+        Column("Cg", kind=Kind.NUMBER, show=fixed(2)),
+        Column("Cgk", kind=Kind.NUMBER, show=fixed(2)),
+    )
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (
+            feature.name,
+            of.quantity,
+            of.passes,
+            of.s,
+            f"{of.s_interval[0]:.4f} to {of.s_interval[1]:.4f}",
+            of.unit,
+            of.cg,
+            of.cgk,
+        )
+        for feature in found.features
+        for of in feature.repeatability
+        if of.quantity in QUANTITIES[feature.kind]
+    )
+    notes = (
+        "Cg and Cgk of type 1 need two limits and ten passes; Cgk takes the nominal for the true "
+        "value, as of a calibrated artefact.",
+    )
+    return Table("Repeatability", columns, rows, notes) if rows else None
+
+
+def closing_lines(found: MeasuredFile) -> Iterator[str]:
+    """Yield what the terminal says below the table."""
+    largest = found.budget[0] if found.budget else None
+    if largest is not None:
+        name = _SOURCES.get(largest.source, largest.source)
+        yield f"most of the uncertainty: {name} ({100 * largest.share:.0f} % of the variance)"
+    yield verdict_words(found)
+
+
+def measured_page(found: MeasuredFile, *, robot: str, version: str) -> str:
+    """Return ``report.html`` of a measured part.
+
+    Args:
+        found: what was measured.
+        robot: name of the robot.
+        version: of pincal.
+    """
+    readings = sum(feature.readings for feature in found.features)
+    repeats = repeat_table(found)
+    made: tuple[Section | None, ...] = (
+        _answer(found),
+        Section("features", "Features", (value_table(found),), label="Features"),
+        _form(found),
+        Section("budget", "Uncertainty", (budget_table(found),), label="Uncertainty"),
+        Section("repeat", "Repeatability", (repeats,), label="Repeatability") if repeats else None,
+        _basis(found),
+    )
+    return render(
+        f"A part measured by {robot}",
+        f"{counted(len(found.features), 'feature')}, {counted(readings, 'reading')}",
+        [section for section in made if section is not None],
+        version=version,
+    )
+
+
+def _answer(found: MeasuredFile) -> Section:
+    tag = found.verdict or "no tolerances"
+    tone = _TONES.get(tag, "mute")
+    answer = rich('<span class="tag {}">{}</span> {}', tone, tag, verdict_words(found))
+    left = arranged(
+        "plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings)
+    )
+    right = arranged("plain", heading("What to do next"), bullets(_next_steps(found)))
+    return Section(
+        "answer", "Does the part conform?", (arranged("split", left, right),), style="panel"
+    )
+
+
+def _next_steps(found: MeasuredFile) -> Iterator[str]:
+    if found.count("undecided") and found.budget:
+        source = found.budget[0].source
+        cure = {
+            "sensor": "measure more points of these features, or use a better sensor",
+            "arrival": "measure these features in more stops, or in several passes",
+            "mount": "calibrate with the sensor itself, which identifies its mount",
+            "scale": "use an instrument with a better certificate",
+        }.get(source, "calibrate again with more poses near the part (pincal design)")
+        yield f"To decide the undecided ones: {cure}."
+    if found.count("does not conform"):
+        yield "Look at the deviations below; with another datum they may be the part's placement."
+    yield rich(
+        "Sign: {} writes the certificate of this folder.", code("pincal certificate DIR --out DIR")
+    )
+
+
+def _form(found: MeasuredFile) -> Section | None:
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (of.name, of.kind, of.form_mm, of.readings, of.stops)
+        for of in found.features
+        if of.kind not in DERIVED_KINDS
+    )
+    columns = (
+        Column("feature", kind=Kind.NAME),
+        Column("kind", kind=Kind.LABEL),
+        Column("form", "mm", Kind.NUMBER, fixed(4)),
+        Column("readings", kind=Kind.NUMBER),
+        Column("stops", kind=Kind.NUMBER),
+    )
+    notes = (
+        "Form: peak-to-valley deviation of the points from the fitted feature; it contains the "
+        "errors of the points.",
+    )
+    table = Table("Form and readings", columns, rows, notes)
+    return Section("form", "Form", (table,), label="Form")
+
+
+def _basis(found: MeasuredFile) -> Section:
+    datum = found.datum
+    of = f" of {', '.join(datum.features)}" if datum.features else ""
+    items = [
+        ("datum", f"{datum.kind}{of}, in the frame of the {datum.frame}"),
+        ("decision rule", found.rule),
+    ]
+    if datum.residual_mm is not None:
+        items.append(("fit of the datum", f"{datum.residual_mm:.4f} mm rms"))
+    if found.id is not None:
+        items += [(words, str(value)) for _, words, value in found.id.entries()]
+    blocks: list[PageBlock] = [facts(items)]
+    inputs = found.provenance.get("inputs", {})
+    if inputs:
+        listed = ((name, mark[:16]) for name, mark in inputs.items())
+        blocks += [heading("Input files, with the start of their SHA-256"), facts(listed)]
+    return Section("basis", "What this rests on", tuple(blocks), label="Basis")
