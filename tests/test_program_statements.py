@@ -181,6 +181,7 @@ DISPLACED = {
             "$NULLFRAME.X=5",
             "$IPO_MODE=#TCP",
             "$IPO_MODE=X",
+            "MY_MOVE X",
             "$ET1_TA1KR={X 1}",
             "$TECH.CLASS=1",
             "$CORR={X 1}",

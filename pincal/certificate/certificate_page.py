@@ -88,7 +88,7 @@ def _cells(figure: Figure, has_uncertainties: bool, has_limits: bool) -> Iterato
 def _uncertainty(figure: Figure) -> str:
     """Return expanded uncertainty or interval in words; empty without either."""
     if figure.expanded is not None:
-        return f"{figure.expanded:.4f} (k = {figure.coverage:.3g})"
+        return f"{figure.expanded.value:.4f} (k = {figure.expanded.factor:.3g})"
     lower, upper = figure.interval or (None, None)
     if lower is None:
         return ""

@@ -16,7 +16,6 @@ from typing import Any
 
 from lxml import etree
 
-from pincal.certificate.certificate_numbers import CERTIFICATE
 from pincal.certificate.statement import (
     NOT_STATED,
     Budget,
@@ -288,13 +287,13 @@ def _group(to: _Writer, group: FigureGroup) -> None:
 def _figure(to: _Writer, of: Figure) -> None:
     """Add a figure with its uncertainty, and where it has limits whether it conforms."""
     made = to.quantity(of.name, of.value, of.unit, kind="basic_measuredValue")
-    if of.expanded is not None and of.coverage is not None and of.unit in _UNITS:
+    if of.expanded is not None and of.unit in _UNITS:
         real = made.element.find(f"{{{SI}}}real")
         univariate = etree.SubElement(real, f"{{{SI}}}measurementUncertaintyUnivariate")
         expanded = _Writer(etree.SubElement(univariate, f"{{{SI}}}expandedMU"))
-        expanded.number("valueExpandedMU", of.expanded)
-        expanded.number("coverageFactor", of.coverage)
-        expanded.number("coverageProbability", CERTIFICATE.probability)
+        expanded.number("valueExpandedMU", of.expanded.value)
+        expanded.number("coverageFactor", of.expanded.factor)
+        expanded.number("coverageProbability", of.expanded.probability)
     if of.interval is not None and of.unit in _UNITS:
         ends = {"least": of.interval[0], "largest": of.interval[1]}
         stated = {

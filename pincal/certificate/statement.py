@@ -14,7 +14,20 @@ from pincal.identity import Identity
 NOT_STATED = "not stated"
 """Stands where the user has stated nothing: a certificate leaves no gap unmarked."""
 
-ConformityWord = Literal["conforms", "does not conform", "undecided"]
+
+@dataclass(frozen=True)
+class StatedUncertainty:
+    """An expanded uncertainty.
+
+    Attributes:
+        value: U, in the unit of its figure.
+        factor: coverage factor k.
+        probability: that U covers, 0 to 1.
+    """
+
+    value: float
+    factor: float
+    probability: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,8 +38,7 @@ class Figure:
         name: what it is, in words.
         value: the number, as it stands in the file that it was taken from.
         unit: its unit: "mm", "mrad", "deg" and so on; empty for a plain number.
-        expanded: expanded uncertainty, in the unit.
-        coverage: coverage factor k of that.
+        expanded: its expanded uncertainty.
         interval: ends of the interval of 95 %, in the unit; None for an end that is not known.
         nominal: what it should be, in the unit.
         limits: least and largest permissible value, in the unit; infinite for none.
@@ -39,16 +51,16 @@ class Figure:
     name: str
     value: float
     unit: str
-    expanded: float | None = None
-    coverage: float | None = None
+    expanded: StatedUncertainty | None = None
     interval: tuple[float | None, float | None] | None = None
     nominal: float | None = None
     limits: tuple[float, float] | None = None
-    decision: ConformityWord | None = None
+    decision: Literal["conforms", "does not conform", "undecided"] | None = None
 
     def __post_init__(self) -> None:
         ends = self.interval or ()
-        for value in (self.value, self.expanded, self.coverage, self.nominal, *ends):
+        stated = () if self.expanded is None else (self.expanded.value, self.expanded.factor)
+        for value in (self.value, self.nominal, *stated, *ends):
             if value is not None and not math.isfinite(value):
                 raise BadInputError(
                     f"{self.name}: {value}; a certificate states finite numbers only: repeat the "

@@ -93,11 +93,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
 
     arguments.check()
     robot = _robot(arguments)
-    if arguments.motion.path is not None and _is_from_hand(robot):
-        raise click.UsageError(
-            f"--path: readings from {robot.path.start} to {robot.tip}, which no joint moves, are "
-            "simulated at rest; give --poses N"
-        )
+    _check_path(robot, arguments)
     machine = _machine(robot, arguments)
     if arguments.motion.path is not None:
         return _drive(robot, machine, arguments)
@@ -144,6 +140,15 @@ def _measured(
     if start != robot.base or robot.links:
         table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
     return table
+
+
+def _check_path(robot: Robot, arguments: SimulateArguments) -> None:
+    """Refuse a path for readings that are simulated at rest."""
+    if arguments.motion.path is not None and _is_from_hand(robot):
+        raise click.UsageError(
+            f"--path: readings from {robot.path.start} to {robot.tip}, which no joint moves, are "
+            "simulated at rest; give --poses N"
+        )
 
 
 def _robot(arguments: SimulateArguments) -> Robot:
