@@ -14,7 +14,7 @@ from msgspec import UNSET
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.result import ResultFile
 from pincal.calibration.statement import COVERAGE_FACTOR
-from pincal.certificate.statement import (
+from pincal.certificate.contents import (
     NOT_STATED,
     Budget,
     BudgetLine,
@@ -197,7 +197,8 @@ def _ranges(robot: FittedRobot) -> Iterator[Range]:
     arm = robot.model.chain.robot
     covered = robot.covered
     for name, unit, (lower, upper) in zip(arm.joint_names, arm.joint_units, covered.q, strict=True):
-        factor, shown = (180.0 / math.pi, "deg") if unit == "rad" else (1e3, "mm")
+        factor = 180.0 / math.pi if unit == "rad" else 1e3
+        shown = "deg" if unit == "rad" else "mm"
         yield Range(name=name, lower=lower * factor, upper=upper * factor, unit=shown)
     yield Range(
         name="payload",
