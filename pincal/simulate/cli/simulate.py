@@ -103,9 +103,8 @@ def simulate(arguments: SimulateArguments) -> Exit:
     log_step("measuring them")
     table = _measured(robot, machine, campaign, arguments, features)
     rows = len(table[machine.names[0]])
-    found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
-    if features:
-        found |= truth_of(features, found)
+    seen = campaign.truth(machine, tip=robot.tip)
+    found = _origin(robot, machine, arguments) | seen | truth_of(features, seen)
     out: _Files = {"--out": (arguments.out, lambda path: write_table(path, table))}
     truth = found | _made_by(robot, arguments)
     write_all(out | _further_files(arguments, campaign.setup, truth))
