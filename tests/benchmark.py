@@ -38,6 +38,8 @@ from fleet_cases import Family
 import pincal
 from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, FittedRobot, Measurements, Model, Options, Robot, read_measurements
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.covered import Covered
+from pincal.calibration.discrepancy import Discrepancy
 from pincal.compensate.ik_problem import Bounds, IkProblem
 from pincal.compensate.solve_ik import solve_ik
 from pincal.discover.run import Discovery, run_discovery
@@ -48,6 +50,7 @@ from pincal.identify.calibrate import Tables, fit_tables
 from pincal.identify.noise import Loss
 from pincal.model.chain import MOMENT_FRAMES
 from pincal.model.effects import BearingElasticity, JointElasticity
+from pincal.parameters import estimate_of
 from pincal.robot.urdf_file import arm_text
 from pincal.simulate import TrueMachine, paper_positions, plan_poses
 from pincal.simulate.paper_machine import PAYLOAD_COM, PAYLOAD_MASS
@@ -115,6 +118,29 @@ def compare_with_pinocchio() -> Iterator[Line]:
     yield line("Pinocchio in a loop, a pose", float(np.median(theirs)), None, "{:.2f} us")
     yield line("prediction and Jacobian, a pose", float(np.median(ours)), None, "{:.2f} us")
     yield line("ratio (medians)", float(np.median(ours) / np.median(theirs)), 0.25, "{:.3f}")
+
+
+def time_uncertainty() -> Iterator[Line]:
+    """Time the uncertainty of positions with what the model lacks, beside that of the parameters alone, in turns."""
+    model = Model(Chain.of(ROBOT), (*ELASTIC, *GEOMETRIC))
+    covariance = np.diag([(1e-3 * p.size) ** 2 for p in model.parameters])
+    covered = Covered(np.tile([-3.0, 3.0], (ROBOT.n_joints, 1)), np.zeros(2))
+    alone = FittedRobot.given(model, estimate_of(model.parameters, np.zeros(len(covariance)), covariance), covered)
+    lengths = np.array([0.05, 0.2, 0.8])
+    drives = np.full((ROBOT.n_joints, 3), 1e-9)
+    lacks = Discrepancy(lengths=lengths, drives=drives, rest=1e-10, factor=1.0, coordinates=300)
+    whole = replace(alone, discrepancy=lacks)
+    at = Conditions.at(ROBOT.random_configurations(POSES, np.random.default_rng(0)), payload=PAYLOAD_MASS)
+    taken = {name: np.empty(ROUNDS) for name in ("parameters", "all")}
+    for robot in (alone, whole):
+        robot.predict(at, return_sigma=True)
+    for k in range(ROUNDS):
+        taken["parameters"][k] = seconds(partial(alone.predict, at, return_sigma=True), 1)[0]
+        taken["all"][k] = seconds(partial(whole.predict, at, return_sigma=True), 1)[0]
+    before, after = (float(np.median(taken[name])) for name in ("parameters", "all"))
+    yield line("poses with u of the parameters alone", 1e3 * before, None, "{:.0f} ms")
+    yield line("poses with u of all sources", 1e3 * after, None, "{:.0f} ms")
+    yield line("ratio (medians)", after / before, 1.5, "{:.2f}")
 
 
 def table_of(n: int, *, with_elasticity: bool, noise: float = NOISE) -> Measurements:
@@ -487,6 +513,7 @@ def _cold(*arguments: str) -> float:
 # Parts that take minutes, and for a million rows 2 GB, are timed where they are named.
 QUICK: dict[str, Callable[[], Iterator[Line]]] = {
     "linearise": compare_with_pinocchio,
+    "uncertainty": time_uncertainty,
     "calibrate": time_calibration,
     "tree": time_tree,
     "stations": time_stations,

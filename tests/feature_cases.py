@@ -68,6 +68,16 @@ def towards(robot: FittedRobot, q: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.array(found)
 
 
+def reaching(robot: FittedRobot, start: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return the joint positions near a start at which the target is at a place, shape (6,)."""
+    from scipy.optimize import least_squares
+
+    def miss(at: np.ndarray) -> np.ndarray:
+        return np.append(1e3 * (robot.predict(at[None])[0, :, 3] - place), 1e-6 * (at - start))
+
+    return np.asarray(least_squares(miss, start, xtol=1e-15, ftol=1e-15, gtol=1e-15).x)
+
+
 def table(q: np.ndarray, feature: list[str] | np.ndarray, **read: np.ndarray) -> FeatureReadings:
     """Return readings at poses; conditions such as ``point`` or ``stop`` go to the rows."""
     seen = {name: read.pop(name) for name in ("camera_point", "pixel", "distance", "pass_name") if name in read}

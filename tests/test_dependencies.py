@@ -34,6 +34,7 @@ COMMANDS = (
     ("predict calibrated/model.json new.csv --out predicted.csv", "predicted.csv"),
     ("compensate calibrated/model.json rows.csv --out corrected.csv", "corrected.csv"),
     ("compensate calibrated/model.json a.src --out b.src", "b.src"),
+    ("certificate calibrated/model.json --out certificate", "certificate/dcc.xml"),
     ("diagnose calibrated/model.json new.csv --out diagnosis", "diagnosis/diagnosis.json"),
     ("update calibrated/model.json new.csv --out updated", "updated/model.json"),
     ("export calibrated/model.json --mjcf out.xml --c out --python out.py --page out.html", "out.html"),

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from pincal import BadInputError, schemas
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.statement import ModelStatement
+from pincal.calibration.model_statement import ModelStatement
 from pincal.cli import main
 from pincal.features.flange_sensor import FlangeSensor
 from pincal.features.measured_file import MeasuredFile
@@ -178,6 +178,17 @@ def test_passes_give_the_repeatability(camera: FittedRobot, rng: np.random.Gener
     assert found.features[0].readings == 8 * 12
 
 
+def test_a_pass_that_was_cut_off_counts_in_the_whole_alone(
+    camera: FittedRobot, rng: np.random.Generator, tmp_path: Path
+) -> None:
+    """Its readings are used, it is no repetition of its own, and a note says why."""
+    readings = seen_panel(camera, rng, noise=5e-5, passes=3).select(np.arange(60))
+    found = measured(camera, readings, tmp_path).found
+    assert [of.readings for of in found.features[:3]] == [24, 20, 16]
+    assert found.features[0].repeatability[0].passes == 2
+    assert any("pass 3 is no repetition of its own" in note.text for note in found.warnings)
+
+
 @pytest.mark.parametrize(
     ("names", "words"),
     [(["h1", "h9"], r"line 3: feature 'h9' is not in the part's file.*h1"), (["h1", "pitch"], "not measured itself")],
@@ -203,6 +214,38 @@ def test_too_few_readings_and_nameless_images_are_refused(
     sensor = FlangeSensor(lens=cases.LENS, pixel_noise=0.1)
     with pytest.raises(BadInputError, match="images of 'h1', a circle, without a column point"):
         measure_part(camera, images, Part.from_toml(part_in(tmp_path)), sensor=sensor)
+
+
+@pytest.mark.parametrize(
+    ("declared", "words"),
+    [
+        (FlangeSensor(pixel_noise=0.1), "declared in pixels, but it reads no images"),
+        (FlangeSensor(radius=1e-3), "a probe with a ball is declared"),
+    ],
+)
+def test_what_is_declared_of_another_sensor_is_refused(
+    camera: FittedRobot, rng: np.random.Generator, tmp_path: Path, declared: FlangeSensor, words: str
+) -> None:
+    """Noise in pixels of a 3D sensor, or its ball, would be ignored or wrong."""
+    with pytest.raises(BadInputError, match=words):
+        measure_part(camera, seen_panel(camera, rng), Part.from_toml(part_in(tmp_path)), sensor=declared)
+
+
+def test_a_probe_measures_a_bore(rng: np.random.Generator, tmp_path: Path) -> None:
+    """Contacts of a calibrated ball with a bore: the diameter is that of the bore, and unknown noise is noted."""
+    robot = cases.robot_with("position")
+    q = cases.poses_near(rng, 1)
+    pose = robot.predict(q)[0]
+    part = tmp_path / "part.toml"
+    part.write_text('[feature.bore]\nkind = "circle"\ndiameter_mm = 20\nlimits = { diameter_mm = [19.9, 20.1] }\n')
+    angle = 2.0 * np.pi * np.arange(6) / 6
+    rim = pose[:, 3] + 0.009 * (np.cos(angle)[:, None] * pose[:, 0] + np.sin(angle)[:, None] * pose[:, 1])
+    held = np.array([cases.reaching(robot, q[0], place) for place in rim])
+    readings = cases.table(held, ["bore"] * 6)
+    found = measure_part(robot, readings, Part.from_toml(part), sensor=FlangeSensor(radius=1e-3)).found
+    diameter = found.features[0].values["diameter"]
+    assert abs(diameter.value - 20.0) < 1e-4 and diameter.decision == "conforms"
+    assert any("no noise of a contact is declared" in note.text for note in found.warnings)
 
 
 def write_readings(path: Path, readings: FeatureReadings) -> None:

@@ -12,6 +12,7 @@ from placed_arms import measured, run
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 
+from pincal.calibration.agreed import correction_notes
 from pincal.calibration.checked_fit import calibrate
 from pincal.diagnosis.robot_diagnosis import diagnose
 from pincal.errors import BadInputError
@@ -196,6 +197,22 @@ def test_a_scan_of_corrections_is_a_linear_fit_of_each() -> None:
         columns = np.column_stack([frames[:, :3].reshape(-1, 12), np.ones(len(q))])
         expected = position - columns @ np.linalg.lstsq(columns, position, rcond=1e-9)[0]
         assert left == pytest.approx(np.sum(expected**2), rel=1e-6)
+
+
+def test_corrections_one_after_the_other_are_one() -> None:
+    """Of a joint that was turned a further zero counts the other way; lengths add up, and each joint is noted once."""
+    robot, _ = robot_of("kr125")
+    q = robot.random_configurations(5, np.random.default_rng(1))
+    first = Correction({"joint_2": 0.5, "joint_3": -0.25}, ("joint_2", "joint_4"), lengths={"joint_2.a": 0.02})
+    second = Correction({"joint_2": 0.1, "joint_5": 0.3}, ("joint_4",), lengths={"joint_2.a": 0.01})
+    both = first.then(second)
+    assert both is not None and both.turned == ("joint_2",)
+    assert both.shifts == pytest.approx({"joint_2": 0.4, "joint_3": -0.25, "joint_5": 0.3})
+    poses = [one.forward_kinematics(q) for one in (both.of(robot), second.of(first.of(robot)))]
+    np.testing.assert_allclose(*poses, rtol=0, atol=1e-9)
+    assert len(correction_notes([first, second])) == 5
+    coupled = Correction(couplings=(Coupling("joint_3", "joint_2", 1.0),))
+    assert first.then(coupled) is None and len(correction_notes([coupled, first, second])) == 6
 
 
 def test_what_a_camera_on_the_hand_sees_is_a_hypothesis() -> None:

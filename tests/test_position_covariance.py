@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as changed
 from scipy.spatial.transform import Rotation
 
 from pincal import BadInputError, Chain, Model, Robot
@@ -122,6 +123,21 @@ def test_linear_functions_need_no_matrix_of_all_positions(ur10: FittedRobot, rng
     assert dict(found.contributions(A)).keys() == {"parameters", "model", "sensor"}
     np.testing.assert_allclose(found.select(np.array([1, 7])).matrix[:3, 3:], found.matrix[3:6, 21:24], rtol=1e-12)
     np.testing.assert_allclose(found.blocks[4], found.matrix[12:15, 12:15], rtol=1e-9)
+
+
+def test_near_readings_differ_by_less_than_independent_ones(ur10: FittedRobot, rng: np.random.Generator) -> None:
+    """Where errors are of drives, differences of readings 20 mm apart have less than 0.6 of the u of independent ones."""
+    smooth = changed(ur10.discrepancy, drives=np.tile([0.0, 3e-9], (6, 1)), rest=0.0)
+    robot = replace(ur10, discrepancy=smooth)
+    q = np.repeat(rng.uniform(-1.5, 1.5, (30, 6)), 2, axis=0)
+    q[1::2] += 0.01 * rng.standard_normal((30, 6))
+    places = robot.predict(q)[:, :, 3]
+    q[1::2] = q[::2] + (q[1::2] - q[::2]) * (0.02 / np.linalg.norm(places[1::2] - places[::2], axis=1))[:, None]
+    found = robot.covariance_of(q)
+    A = np.kron(np.eye(30), np.hstack([-np.eye(3), np.eye(3)]))
+    together = np.sqrt(np.diag(found.through(A)))
+    alone = np.sqrt(np.diag(SharedErrors.of_each(found.blocks).through(A)))
+    assert np.mean(together) < 0.6 * np.mean(alone)
 
 
 def test_uncertain_points_turn_with_the_tip(ur10: FittedRobot, rng: np.random.Generator) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from pincal import Options, Robot, load_model, measurements_from_arrays, run_calibration
 from pincal.calibration.calibration import Calibration
-from pincal.calibration.statement import ModelStatement
+from pincal.calibration.model_statement import ModelStatement
 from pincal.cli import main
 from pincal.export import export_model
 from pincal.measure.table import write_table

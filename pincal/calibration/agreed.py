@@ -5,7 +5,7 @@ for Python.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
@@ -67,16 +67,27 @@ def fit_agreed(
     rows = admitted if trained is None else trained
     fit = fit_tables(robot, rows, options, executor=executor)
     check_clocks(tuple(admitted.values()), fit)
-    corrected = list[str]()
+    corrected = list[Correction]()
     # The description may be wrong in more than one way.
-    found = _checked(robot, admitted, fit, corrected)
-    while found is not None and len(corrected) < _CORRECTIONS:
+    found = _checked(robot, admitted, fit, ())
+    while found is not None and sum(len(one.notes) for one in corrected) < _CORRECTIONS:
         robot = found.of(robot)
-        corrected += found.notes
+        corrected.append(found)
         log.info("repeating, as %s", "; ".join(found.notes))
         fit = fit_tables(robot, rows, options, executor=executor)
-        found = _checked(robot, admitted, fit, corrected)
-    return AgreedFit(robot, fit, (*corrected, *unknown_zeros(fit)))
+        found = _checked(robot, admitted, fit, correction_notes(corrected))
+    return AgreedFit(robot, fit, (*correction_notes(corrected), *unknown_zeros(fit)))
+
+
+def correction_notes(corrections: Iterable[Correction]) -> list[str]:
+    """Return the notes on corrections, each of the robot as corrected before: one on each joint and
+    length, whose parts add up.
+    """
+    whole = list[Correction]()
+    for one in corrections:
+        both = whole[-1].then(one) if whole else None
+        whole[-1:] = [both] if both is not None else [*whole[-1:], one]
+    return [note for one in whole for note in one.notes]
 
 
 def _checked(

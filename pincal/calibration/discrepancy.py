@@ -40,7 +40,7 @@ from pincal.identify.folds import left_out_residuals
 from pincal.identify.motion_fields import displacements_by_drives
 from pincal.identify.split import joint_regions
 from pincal.identify.station import Station
-from pincal.io.arrays import ArrayShape, Numbers, Record
+from pincal.io.arrays import ArrayShape, Matrix, Numbers, Record
 from pincal.io.strict_json import Fault
 from pincal.measure.poses import SCATTER, same_joints
 from pincal.model.motions import with_moving_drives
@@ -83,7 +83,7 @@ class Discrepancy(Record, frozen=True, kw_only=True):
     """
 
     lengths: Annotated[Numbers, ArrayShape("lengths")]
-    drives: Annotated[Numbers, ArrayShape("joints", "lengths")]
+    drives: Annotated[Matrix, ArrayShape("joints", "lengths")]
     rest: float
     factor: float
     coordinates: int
@@ -312,7 +312,10 @@ def _factor(residuals: np.ndarray, lacking: np.ndarray, known: np.ndarray) -> fl
     high = _LARGEST
     while high - low > _CLOSE * high:
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if covers(middle) else (middle, high)
+        if covers(middle):
+            high = middle
+        else:
+            low = middle
     return high
 
 

@@ -23,6 +23,7 @@ from pincal.calibration.fitted_station import FittedStation
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.likelihood import log_likelihood, noise_in_words, score
 from pincal.calibration.model_file import ModelFile, write_model_file
+from pincal.calibration.model_statement import ModelStatement
 from pincal.calibration.position_covariance import PositionCovariance
 from pincal.calibration.prediction_uncertainty import PointOnTip, PredictionUncertainty
 from pincal.calibration.repeatability import Repeatability
@@ -32,7 +33,6 @@ from pincal.calibration.result_tables import (
     parameter_table,
     residual_table,
 )
-from pincal.calibration.statement import ModelStatement
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify import split

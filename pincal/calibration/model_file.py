@@ -18,8 +18,8 @@ from pincal.calibration.discrepancy import Discrepancy
 from pincal.calibration.fit_evidence import Evidence
 from pincal.calibration.fitted_station import FittedStation
 from pincal.calibration.information import RobotInformation
+from pincal.calibration.model_statement import ModelStatement
 from pincal.calibration.repeatability import Repeatability
-from pincal.calibration.statement import ModelStatement
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import OutputError
 from pincal.identify.station import are_fingerprints

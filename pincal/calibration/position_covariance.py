@@ -84,10 +84,11 @@ class SharedErrors:
         derivatives A, shape (p, 3N).
         """
         by_all = A @ self.common.reshape(3 * len(self), -1)
-        of_each = np.einsum("pna,nam->npm", A.reshape(len(A), -1, 3), self.grouped)
+        of_each = A.reshape(len(A), -1, 3).swapaxes(0, 1) @ self.grouped
         by_group = np.zeros((int(self.group.max(initial=-1)) + 1, *of_each.shape[1:]))
         np.add.at(by_group, self.group, of_each)
-        return np.asarray(by_all @ by_all.T + np.einsum("gpm,gqm->pq", by_group, by_group))
+        flat = by_group.swapaxes(0, 1).reshape(len(A), -1)
+        return np.asarray(by_all @ by_all.T + flat @ flat.T)
 
     def select(self, rows: np.ndarray) -> SharedErrors:
         """Return those of some positions (mask or indices)."""

@@ -10,8 +10,8 @@ from msgspec import UNSET
 from pincal.calibration.discrepancy import discrepancy_in
 from pincal.calibration.elsewhere import elsewhere_of, placed_station, random_conditions
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.calibration.model_statement import COVERAGE_FACTOR, ModelStatement, RestsOn
 from pincal.calibration.result import Result
-from pincal.calibration.statement import COVERAGE_FACTOR, ModelStatement, RestsOn
 from pincal.identify.fit import ModelFit
 from pincal.model.conditions import Conditions
 from pincal.thresholds import Count

@@ -12,8 +12,8 @@ import numpy as np
 from msgspec import UNSET
 
 from pincal.calibration.fitted_robot import FittedRobot, load_model
+from pincal.calibration.model_statement import COVERAGE_FACTOR
 from pincal.calibration.result import ResultFile
-from pincal.calibration.statement import COVERAGE_FACTOR
 from pincal.certificate.contents import (
     NOT_STATED,
     Budget,

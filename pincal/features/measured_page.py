@@ -306,10 +306,9 @@ def _basis(found: MeasuredFile) -> Section:
     ]
     if datum.residual_mm is not None:
         items.append(("fit of the datum", f"{datum.residual_mm:.4f} mm rms"))
-    blocks: list[PageBlock] = [facts(items)]
     if found.id is not None:
-        entries = [(words, str(value)) for _, words, value in found.id.entries()]
-        blocks.append(facts(entries))
+        items += [(words, str(value)) for _, words, value in found.id.entries()]
+    blocks: list[PageBlock] = [facts(items)]
     inputs = found.provenance.get("inputs", {})
     if inputs:
         listed = ((name, mark[:16]) for name, mark in inputs.items())

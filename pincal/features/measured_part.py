@@ -98,18 +98,25 @@ def measure_part(
     """
     declared = sensor or FlangeSensor()
     _check_names(readings, part)
+    _check_sensor(readings, declared)
     mounted = MountedSensor.of(robot, readings, declared, frame, reservations)
     points = located_points(mounted)
     features = FittedPart.of(part, points, declared)
     values = features.evaluated()
+    passes = _Passes.of(part, points, declared)
     result = PartResult(
         features=features,
         values=values,
-        passes=tuple(_passes(part, points, declared)),
+        passes=passes.values,
         frame=frame,
         rule=rule or DecisionRule(),
     )
-    notes = [*_said_by_calibration(robot), *_notes(mounted), *_lacking(part, features)]
+    notes: list[Note | str] = [
+        *_said_by_calibration(robot),
+        *_notes(mounted),
+        *_lacking(part, features),
+        *passes.notes,
+    ]
     found = msgspec.structs.replace(result.file(), warnings=doubts_first(notes), id=robot.identity)
     return MeasuredPart(found, features, values)
 
@@ -144,13 +151,47 @@ def _check_names(readings: FeatureReadings, part: Part) -> None:
             )
 
 
-def _passes(part: Part, points: LocatedPoints, declared: FlangeSensor) -> Iterator[PartValues]:
-    """Yield the quantities of each pass, if there are several."""
-    numbers = np.unique(points.passes)
-    if len(numbers) > 1:
-        for number in numbers:
+def _check_sensor(readings: FeatureReadings, declared: FlangeSensor) -> None:
+    """Refuse what is declared of another kind of sensor than that of the readings."""
+    source = readings.rows.source
+    is_image = readings.kind == IMAGE
+    if is_image and declared.noise is not None:
+        raise BadInputError(
+            f"{source}: the noise of the sensor is declared as a length, but it reads images; "
+            "expected pixels, such as 0.1px"
+        )
+    if not is_image and declared.pixel_noise is not None:
+        raise BadInputError(
+            f"{source}: the noise of the sensor is declared in pixels, but it reads no images; "
+            "expected a length, such as 0.05mm"
+        )
+    if declared.radius and readings.kind != CONTACT:
+        raise BadInputError(
+            f"{source}: a probe with a ball is declared, but the sensor reads {readings.kind}; "
+            "expected contacts, rows of joints and feature alone"
+        )
+
+
+@dataclass(frozen=True)
+class _Passes:
+    """The quantities of each pass, and notes on passes that can't stand alone."""
+
+    values: tuple[PartValues, ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, part: Part, points: LocatedPoints, declared: FlangeSensor) -> _Passes:
+        """Return those of points; nothing for a single pass."""
+        values = list[PartValues]()
+        notes = list[str]()
+        numbers = np.unique(points.passes)
+        for number in numbers if len(numbers) > 1 else ():
             some = points.select(points.passes == number)
-            yield FittedPart.of(part, some, declared).evaluated()
+            try:
+                values.append(FittedPart.of(part, some, declared).evaluated())
+            except BadInputError as error:
+                notes.append(f"pass {number + 1} is no repetition of its own: {error}")
+        return cls(tuple(values), tuple(notes))
 
 
 def _said_by_calibration(robot: FittedRobot) -> Iterator[Note]:

@@ -126,6 +126,8 @@ def _named(mounted: MountedSensor, rows: np.ndarray) -> str:
     point = readings.point[rows[0]]
     lines = few(readings.rows.rows[rows], _LISTED)
     of_point = f", point {point!r}" if point else ""
+    if readings.pass_name is not None:
+        of_point += f", pass {readings.pass_name[rows[0]]!r}"
     return f"{readings.rows.source}, line {lines}: feature {readings.feature[rows[0]]!r}{of_point}"
 
 

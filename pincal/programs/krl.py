@@ -90,8 +90,9 @@ _KRL_WORDS = (
         "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, "
         "ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, "
         "DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, "
-        "POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, "
-        "DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, "
+        "POS, E3POS, E6POS, AXIS, E3AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, "
+        "ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, "
+        "ENDSPLINE, TIME_BLOCK, "
         "CONST_VEL, STOP, CONFIRM, CCLOSE",
     ),
     Understood(
@@ -142,8 +143,6 @@ _TURNING = ("#VAR", "#JOINT")
 _ORIENTATION = "$ORI_TYPE"
 _ROBOT = "$ROBROOT"
 _PLACES = ("$ROBROOT", "$ERSYSROOT", "$WORLD", "$ERSYS")
-# Motions of external axes, behind which the robot may stand elsewhere.
-_MOVES = ("ASYPTP", "MASYPTP", "ASYCONT")
 _SETTABLE = ("$TOOL", "$BASE", "FDAT_ACT", "$ORI_TYPE", "LDAT_ACT", "$LOAD")
 
 
@@ -709,12 +708,7 @@ def _set_by_assignment(items: Sequence[Any], name: str) -> frozenset[str]:
         if not stem.startswith("$") or stem in _VARIABLES:
             return frozenset()
         return frozenset({_ROBOT if stem in _PLACES else POSITIONS})
-    is_declaration = (
-        len(items) > 1
-        and bool(word(items[1]))
-        and first not in _MOVES
-        and not any(isinstance(item, Brackets) and item.kind == "{" for item in items)
-    )
+    # A declaration begins with DECL, or with a type of the controller's own.
     is_call = len(items) > 1 and isinstance(items[1], Brackets) and items[1].kind == "("
-    is_known = first in _INSTRUCTIONS or first in _RELATIVE or is_declaration or is_call
+    is_known = first in _INSTRUCTIONS or first in _RELATIVE or is_call
     return frozenset() if is_known or not first else frozenset({POSITIONS})

@@ -92,6 +92,21 @@ class Correction:
             robot = remastered(robot, shifts=self.shifts, turned=self.turned)
         return robot.with_couplings(*self.couplings) if self.couplings else robot
 
+    def then(self, other: Correction) -> Correction | None:
+        """Return this correction and, of the robot so corrected, another one as a single one; None
+        if the other one is of couplings, whose reports are of the positions in between.
+        """
+        if other.couplings:
+            return None
+        shifts = dict(self.shifts)
+        for name, shift in other.shifts.items():
+            shifts[name] = shifts.get(name, 0.0) + (-shift if name in self.turned else shift)
+        turned = sorted({*self.turned} ^ {*other.turned})
+        lengths = dict(self.lengths)
+        for name, more in other.lengths.items():
+            lengths[name] = lengths.get(name, 0.0) + more
+        return replace(self, shifts=shifts, turned=tuple(turned), lengths=lengths)
+
     def of_urdf(self, robot: Robot, reported: np.ndarray) -> np.ndarray:
         """Return the positions that joints have by the uncorrected description, for reported ones,
         shape (N, n) each.

@@ -143,7 +143,11 @@ def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
     )
     inputs = (arguments.model, arguments.readings, arguments.features, arguments.sensor)
     origin = provenance([path for path in inputs if path is not None])
-    measured = measured.completed(origin, (*said, *absent, *beyond))
+    # Single rows are for the terminal; what they amount to belongs to the result.
+    lines = [note for note in beyond if note.startswith("line ")]
+    echo_notes(lines, quiet=arguments.general.quiet)
+    whole = [note for note in beyond if note not in lines]
+    measured = measured.completed(origin, (*said, *absent, *whole))
     measured.write(folder)
     page = measured_page(measured.found, robot=robot.name, version=origin["pincal"])
     (folder / "report.html").write_text(page, encoding="utf-8")
