@@ -12,7 +12,7 @@ from placed_arms import measured, run
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 
-from pincal.calibration.agreed import notes_on
+from pincal.calibration.agreed import correction_notes
 from pincal.calibration.checked_fit import calibrate
 from pincal.diagnosis.robot_diagnosis import diagnose
 from pincal.errors import BadInputError
@@ -210,9 +210,9 @@ def test_corrections_one_after_the_other_are_one() -> None:
     assert both.shifts == pytest.approx({"joint_2": 0.4, "joint_3": -0.25, "joint_5": 0.3})
     poses = [one.forward_kinematics(q) for one in (both.of(robot), second.of(first.of(robot)))]
     np.testing.assert_allclose(*poses, rtol=0, atol=1e-9)
-    assert len(notes_on([first, second])) == 5
+    assert len(correction_notes([first, second])) == 5
     coupled = Correction(couplings=(Coupling("joint_3", "joint_2", 1.0),))
-    assert first.then(coupled) is None and len(notes_on([coupled, first, second])) == 6
+    assert first.then(coupled) is None and len(correction_notes([coupled, first, second])) == 6
 
 
 def test_what_a_camera_on_the_hand_sees_is_a_hypothesis() -> None:

@@ -32,8 +32,8 @@ diameter_tolerance = 0.1
 
 [feature.ball]
 kind = "sphere"
-nominal = 30
-tolerance = 0.02
+nominal_um = { x = 1, y = "2 mm", z_m = 3, diameter = 30000 }
+tolerance_um = { diameter = 20 }
 
 [feature.pitch]
 kind = "distance"
@@ -78,6 +78,7 @@ def test_values_are_in_si_units(tmp_path: Path) -> None:
     assert limits["diameter"] == pytest.approx((0.01195, 0.0121))
     assert of["hole_2"].nominal == {"diameter": pytest.approx(0.01)}
     assert of["hole_2"].position == pytest.approx([0.2, 0.04, 0.0])
+    assert of["ball"].position == pytest.approx([1e-6, 2e-3, 3.0])
     assert of["ball"].limits["diameter"].lower == pytest.approx(0.02998)
     assert of["pitch"].nominal_of("distance") == pytest.approx(0.08)
     assert of["pitch"].limits["distance"].upper == pytest.approx(0.0803)
@@ -104,6 +105,8 @@ REFUSED = {
         "nominal_deg = ..., or angle_unit = 'deg' at the top",
     ),
     "unit of a feature": (POINT + "unit = 'furlong'\nnominal = [1, 2, 3]", "unit = 'furlong'; expected one of m"),
+    "two of three": (POINT + "nominal_mm = {x = 1, y = 2}", "no z; expected x, y and z"),
+    "place twice": (POINT + "position_mm = [1, 2, 3]\nnominal_mm = {x = 1, y = 2, z = 3}", "one nominal position"),
     "two directions": ("[feature.a]\nkind = 'plane'\nnormal = [0, 0, 1]\naxis = [0, 1, 0]", "one nominal direction"),
     "two units": (POINT + "nominal_mm = ['1 mm', 2, 3]", "as the key has mm"),
     "twice": (POINT + "nominal_mm = [1, 2, 3]\nnominal_m = [1, 2, 3]", "twice"),

@@ -5,7 +5,6 @@ import multiprocessing
 import os
 import re
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ import pytest
 
 from pincal.atomic import drafted
 from pincal.calibration.earlier_files import read_model
+from pincal.cli import main
 from pincal.errors import ModelFileError, OutputError
 from pincal.io import result_folder
 from pincal.io.result_folder import RESULTS, output_folder
@@ -241,25 +241,37 @@ def test_a_killed_calibration_leaves_old_results_or_new_ones(tmp_path: Path, kil
         write_table(tmp_path / f"{name}.csv", read | dict(zip(robot.joint_names, q.T, strict=True)))
 
     def command(table: str) -> list[str]:
-        table = str(tmp_path / f"{table}.csv")
-        return [sys.executable, "-m", "pincal", "calibrate", str(kuka_urdf_path()), table, "--out", str(out), "--quiet"]
+        return ["calibrate", str(kuka_urdf_path()), str(tmp_path / f"{table}.csv"), "--out", str(out), "--quiet"]
+
+    def started(table: str) -> multiprocessing.process.BaseProcess:
+        process = context.Process(target=main, args=(command(table),))
+        process.start()
+        return process
 
     def rows() -> set[tuple[str, int]]:
         inputs = json.loads((out / "model.json").read_text())["provenance"]["inputs"]
         counts = json.loads((out / "result.json").read_text())["rows"]
         return {(name, counts["train"]) for name in inputs if name.endswith(".csv")}
 
-    subprocess.run(command("old"), check=True, stdout=subprocess.DEVNULL)
+    with pytest.raises(SystemExit) as ended:
+        main(command("old"))
+    assert not ended.value.code
+    # Processes that begin with all imported that the command took here.
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(sorted(name for name in sys.modules if re.match(r"pincal\.(?!__main__)", name)))
+    started("old").join()
     begun = time.perf_counter()
-    subprocess.run(command("old"), check=True, stdout=subprocess.DEVNULL)
+    whole_run = started("old")
+    whole_run.join()
     whole = time.perf_counter() - begun
+    assert whole_run.exitcode == 0
     for k in range(kills):
         table = ("new", "old")[k % 2]
         # Most of the kills fall into the last fifth, where the files are written.
         after = whole * (rng.uniform(0.1, 1.05) if k % 4 == 0 else rng.uniform(0.8, 1.05))
-        process = subprocess.Popen(command(table), stdout=subprocess.DEVNULL)
+        process = started(table)
         time.sleep(after)
         process.kill()
-        process.wait()
+        process.join()
         assert rows() in ({("old.csv", 120)}, {("new.csv", 130)})
         read_model(out / "model.json")

@@ -75,6 +75,23 @@ def test_a_pose_reads_the_feature_that_it_is_for() -> None:
     assert found["point"].tolist()[:3] == ["1", "1", "2"]
 
 
+def test_images_of_a_point_are_two_or_none() -> None:
+    """One alone does not tell where the point is."""
+    table = {
+        "j": np.array([0.1, 0.1, 0.2, 0.1, 0.2, 0.2]),
+        "point": np.array(["a/1", "a/2", "a/1", "a/1", "a/2", "a/1"]),
+        "u": np.arange(6.0),
+    }
+    found = readings_of_features(table, "j", np.array([0.1, 0.2]), ["a"])
+
+    assert found["u"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    alone = {name: column[:2] for name, column in table.items()}
+    with pytest.raises(BadInputError, match="from 2 poses"):
+        readings_of_features(alone, "j", np.array([0.1, 0.2]), ["a"])
+    fewer = {name: column[:3] for name, column in table.items()}
+    assert readings_of_features(fewer, "j", np.array([0.1, 0.2]), ["a"])["u"].tolist() == [0.0, 2.0]
+
+
 def test_readings_of_an_exact_machine_are_the_part(tmp_path: Path) -> None:
     """Without errors and noise, points through the robot's own kinematics are those of the true features."""
     part = tmp_path / "part.toml"

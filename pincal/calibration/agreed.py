@@ -75,11 +75,11 @@ def fit_agreed(
         corrected.append(found)
         log.info("repeating, as %s", "; ".join(found.notes))
         fit = fit_tables(robot, rows, options, executor=executor)
-        found = _checked(robot, admitted, fit, notes_on(corrected))
-    return AgreedFit(robot, fit, (*notes_on(corrected), *unknown_zeros(fit)))
+        found = _checked(robot, admitted, fit, correction_notes(corrected))
+    return AgreedFit(robot, fit, (*correction_notes(corrected), *unknown_zeros(fit)))
 
 
-def notes_on(corrections: Iterable[Correction]) -> list[str]:
+def correction_notes(corrections: Iterable[Correction]) -> list[str]:
     """Return the notes on corrections, each of the robot as corrected before: one on each joint and
     length, whose parts add up.
     """

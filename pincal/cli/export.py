@@ -25,6 +25,7 @@ from pincal.satellites import lacking
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.export import Exported, Format
 
 _EXAMPLES = """
@@ -102,16 +103,12 @@ class ExportArguments:
 @verb(ExportArguments, examples=_EXAMPLES, exits=(Exit.CHANGED,))
 def export(arguments: ExportArguments) -> Exit:
     """Write the calibrated robot in other formats."""
-    from pincal.calibration.fitted_robot import load_model
-    from pincal.cli.inputs import find_place
     from pincal.export import FORMATS, export_model
 
     registered = FORMATS.registered()
     places = _places(arguments, registered)
-    if all(registered[name].of_robot for name in places) and not arguments.place.placement:
-        calibrated = load_model(arguments.model).robot_model()
-    else:
-        calibrated = find_place(arguments.model, arguments.place, arguments.table.options).model
+    is_of_robot = all(registered[name].of_robot for name in places)
+    calibrated = _model(arguments, is_of_robot=is_of_robot)
     unchecked = tuple(arguments.identity.of_model(calibrated.identity, arguments.model))
     said = [] if calibrated.statement is None else list(calibrated.statement.notes())
     contents: dict[str, Any] = {}
@@ -133,6 +130,18 @@ def export(arguments: ExportArguments) -> Exit:
         click.echo("\n".join(dict.fromkeys(lines)))
     echo_notes(unchecked, quiet=arguments.general.quiet)
     return Exit.DONE
+
+
+def _model(arguments: ExportArguments, *, is_of_robot: bool) -> FittedRobot:
+    """Return the model at the station or the placement chosen, which formats of the robot alone do
+    without.
+    """
+    from pincal.calibration.fitted_robot import load_model
+    from pincal.cli.inputs import find_place
+
+    if is_of_robot and not arguments.place.placement:
+        return load_model(arguments.model).robot_model()
+    return find_place(arguments.model, arguments.place, arguments.table.options).model
 
 
 def _places(

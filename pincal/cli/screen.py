@@ -78,18 +78,19 @@ def print_brief(
     _line(
         out,
         "verdict",
-        f"{verdict.judgement}. {verdict.reason.rstrip('.')}{worth_words(calibration)}",
+        f"{verdict.judgement}. {verdict.reason}{worth_words(calibration, verdict.reason)}",
     )
     _line(out, "next", next_steps(calibration, search)[0])
     print_first_notes([*result.warnings, *notes], out)
     _line(out, "more", more)
 
 
-def worth_words(calibration: Calibration) -> str:
+def worth_words(calibration: Calibration, reason: str) -> str:
     """Return how good predictions are, to stand behind the reason of a verdict; "" if unknown."""
     statement = calibration.fit.statement
     worth = "" if statement is None else statement.worth
-    return f". {worth[0].upper()}{worth[1:]}" if worth else ""
+    end = "" if reason.endswith(".") else "."
+    return f"{end} {worth[0].upper()}{worth[1:]}" if worth else ""
 
 
 def print_elsewhere(result: Result, out: Console) -> None:

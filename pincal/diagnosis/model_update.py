@@ -9,8 +9,10 @@ import numpy as np
 
 from pincal.calibration.fit_evidence import KeptEvidence
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.calibration.fitted_station import FittedStation
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.placing import Placed
+from pincal.calibration.repeatability import Repeatability
 from pincal.diagnosis.robot_diagnosis import (
     FALSE_ALARM,
     changes_since,
@@ -207,12 +209,7 @@ def _taken_in(
     fit = fit_tables(model.model.chain.robot, rows, _as_fitted(model, noise, earlier))
     found = FittedRobot.of(fit, model.provenance)
     new = RobotInformation.of(fit)
-    station = replace(
-        found.station,
-        covered=model.covered.over(found.covered),
-        rows=together(model.rows, found.rows),
-        repeatability=placed.noise.repeatability,
-    )
+    station = _with_earlier_rows(found, model, repeatability=placed.noise.repeatability)
     if factor > 1.0:
         # Predictions of single rows have the noise of single rows.
         is_declared = model.is_noise_declared or declared.sigma is not None
@@ -224,6 +221,18 @@ def _taken_in(
         discrepancy=model.discrepancy,
         identity=model.identity,
         statement=model.statement,
+    )
+
+
+def _with_earlier_rows(
+    found: FittedRobot, model: FittedRobot, *, repeatability: Repeatability | None
+) -> FittedStation:
+    """Return the station of new rows, with the earlier rows and their range."""
+    return replace(
+        found.station,
+        covered=model.covered.over(found.covered),
+        rows=together(model.rows, found.rows),
+        repeatability=repeatability,
     )
 
 

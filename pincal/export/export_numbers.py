@@ -37,12 +37,12 @@ class ExportNumbers:
         "what the format resolves",
     )
     uncertainty: float = number(
-        0.01,
+        0.05,
         "ratio",
         "test_export.py::test_source_code_gives_the_uncertainty_of_predictions",
         "by which the uncertainty by formulas may differ from that of the model, above which it is "
         "not exported",
-        "of effects that bend an arm otherwise where their parameters differ",
+        "a load bends an arm otherwise where parameters differ, and u itself is known no better",
     )
     still: float = number(
         1e-12,

@@ -272,9 +272,10 @@ def _with_nominal(feature: PartFeature, table: KeyedTable) -> PartFeature:
             for name, dimension in _known_keys(feature.kind).items()
             if name in ("position", *_DIRECTIONS, "diameter", "radius")
         }
+        known |= dict.fromkeys("xyz", "length")
         if feature.is_derived:
             known = {feature.kind: table.known["nominal"]}
-        inner = KeyedTable(f"{table.where}.nominal", table.raw("nominal"), table.units, known)
+        inner = table.inner("nominal", known)
         return _with_values(_with_values(feature, inner), table)
     if "nominal" in table:
         is_scalar = not isinstance(table.raw("nominal"), list)
@@ -289,11 +290,15 @@ def _with_nominal(feature: PartFeature, table: KeyedTable) -> PartFeature:
     return _with_values(feature, table)
 
 
-def _placed(feature: PartFeature, table: KeyedTable, key: str) -> PartFeature:
-    """Return a feature at the nominal position of a key."""
-    if feature.position is not None:
-        raise table.error(key, "one nominal position, here or in the table of points")
-    return replace(feature, position=table.numbers(key, (3,)))
+def _placed(feature: PartFeature, table: KeyedTable, *keys: str) -> PartFeature:
+    """Return a feature at the nominal position of a key, or of one for each coordinate."""
+    for key in keys:
+        if feature.position is not None:
+            raise table.error(key, "one nominal position, here or in the table of points")
+        if key not in table:
+            raise table.error(key, "x, y and z of the nominal position")
+    counts = (3 // len(keys),)
+    return replace(feature, position=np.concatenate([table.numbers(key, counts) for key in keys]))
 
 
 def _with_values(feature: PartFeature, table: KeyedTable) -> PartFeature:
@@ -301,6 +306,8 @@ def _with_values(feature: PartFeature, table: KeyedTable) -> PartFeature:
     nominal = dict(feature.nominal)
     if "position" in table:
         feature = _placed(feature, table, "position")
+    if any(axis in table for axis in "xyz"):
+        feature = _placed(feature, table, *"xyz")
     for name in _DIRECTIONS:
         if name not in table:
             continue
@@ -357,7 +364,7 @@ def _entries(
     known = {each: _DIMENSION[UNIT_OF[each]] for each in quantities}
     if "tilt" in known:
         known["direction"] = "angle"
-    inner = KeyedTable(f"{table.where}.{name}", table.raw(name), table.units, known)
+    inner = table.inner(name, known)
     for key in known:
         if key in inner:
             yield "tilt" if key == "direction" else key, inner, key

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -79,6 +79,17 @@ class KeyedTable:
 
     def __contains__(self, name: str) -> bool:
         return name in self._units_of_keys
+
+    def inner(self, name: str, known: Mapping[str, str]) -> KeyedTable:
+        """Return the table that a value is, whose values have the unit of its key unless they name
+        another one.
+        """
+        _, unit, _ = self._units_of_keys[name]
+        units = self.units
+        if unit:
+            is_angle = unit in UNITS_OF["angle"]
+            units = replace(units, angle=unit) if is_angle else replace(units, length=unit)
+        return KeyedTable(f"{self.where}.{name}", self.raw(name), units, known)
 
     def error(self, name: str, expected: str) -> BadInputError:
         """Return the error that a value is another one than expected."""

@@ -14,6 +14,8 @@ from dataclasses import dataclass, field
 from pincal.programs.syntax import Source, Statement, word
 from pincal.thresholds import Count
 
+# Rounds in which it is found which blocks leave a variable switched.
+_ROUNDS: Count = 8
 # Blocks within blocks.
 _DEEPEST: Count = 100
 OUTSIDE = "is not in these files and may set it"
@@ -31,6 +33,7 @@ class Step:
             other blocks.
         is_loop: whether the block is repeated.
         is_jump: whether it may be reached from elsewhere: a label, or another branch of its block.
+        is_label: whether that is from anywhere in its routine: a label, or what handles errors.
         sets: variables that it sets.
         clears: variables that it may set.
         calls: names of routines that it calls.
@@ -42,6 +45,7 @@ class Step:
     routine: str = ""
     is_loop: bool = False
     is_jump: bool = False
+    is_label: bool = False
     sets: frozenset[str] = frozenset()
     clears: frozenset[str] = frozenset()
     calls: tuple[str, ...] = ()
@@ -119,12 +123,14 @@ def followed(
     def walked(effects: Mapping[str, frozenset[str]]) -> list[Code]:
         found = []
         for code, around in zip(files, blocks, strict=True):
-            walk = _Walk(code.statements, code.steps, around, effects, outside, at_any_time)
+            jumps = any(step.is_label for step in code.steps)
+            known = (effects, outside, at_any_time)
+            walk = _Walk(code.statements, code.steps, around, *known, None if jumps else ends)
             found.append(Code(code.source, code.statements, code.steps, walk.through()))
         return found
 
     found = walked(effects)
-    ended = _ended(found, ends) if ends is not None else {}
+    ended = _ended(found, ends, effects) if ends is not None else {}
     return walked(_effects(paired, ended)) if any(ended.values()) else found
 
 
@@ -148,7 +154,11 @@ def leaves(statement: Statement) -> bool:
     return word(statement.items[0]) in ("RETURN", "EXITCYCLE")
 
 
-def _ended(files: Sequence[Code], ends: Callable[[Statement], bool]) -> dict[str, set[str]]:
+def _ended(
+    files: Sequence[Code],
+    ends: Callable[[Statement], bool],
+    effects: Mapping[str, frozenset[str]],
+) -> dict[str, set[str]]:
     """Return, by the name of a routine, what it has surely ended when it ends."""
     found = dict[str, set[str]]()
     for code in files:
@@ -156,13 +166,13 @@ def _ended(files: Sequence[Code], ends: Callable[[Statement], bool]) -> dict[str
             is_end = bool(step.closes) and bool(code.steps[code.flow[k].blocks[-1]].routine)
             if not (is_end or leaves(code.statements[k])):
                 continue
-            states = code.flow[k].setters.items()
-            clean = {
-                name
-                for name, state in states
-                if isinstance(state, int) and ends(code.statements[state])
-            }
             routine = code.routine(k)
+            clean = set[str]()
+            for name in effects.get(routine, ()):
+                state = code.flow[k].setters.get(name)
+                # As it was when the routine began, or ended.
+                if state is None or (isinstance(state, int) and ends(code.statements[state])):
+                    clean.add(name)
             found[routine] = {name for name in clean if name in found.get(routine, clean)}
     return found
 
@@ -178,6 +188,11 @@ class _Walk:
         effects: the variables that each routine may set.
         outside: those that a routine in none of the files may set.
         at_any_time: what interrupts and threads may set, with the reason.
+        ends: whether a statement ends what it switches; None if that is not to be followed through
+            blocks.
+        unbalanced: blocks and variables that may be switched where the block is left. Others are
+            as they were before the block, if nothing was switched there.
+        entered: what is known at the beginning of each block.
         state: what is known of the variables.
         saved: what was known before each routine that is open.
         run: number of the run.
@@ -189,6 +204,9 @@ class _Walk:
     effects: Mapping[str, frozenset[str]]
     outside: frozenset[str]
     at_any_time: Mapping[str, int | str]
+    ends: Callable[[Statement], bool] | None
+    unbalanced: dict[tuple[int, str], bool] = field(default_factory=dict)
+    entered: dict[int, dict[str, int | str]] = field(default_factory=dict)
     state: dict[str, int | str] = field(default_factory=dict)
     saved: list[dict[str, int | str]] = field(default_factory=list)
     run: int = 0
@@ -196,7 +214,21 @@ class _Walk:
     def through(self) -> list[InForce]:
         """Return what is known before each statement."""
         inside = self._set_inside()
+        for _ in range(_ROUNDS):
+            count = len(self.unbalanced)
+            known = self._once_through(inside)
+            if len(self.unbalanced) == count:
+                return known
+        self.ends = None
+        return self._once_through(inside)
+
+    def _once_through(self, inside: Mapping[int, set[str]]) -> list[InForce]:
+        """Return what is known before each statement if no other block is unbalanced; note those
+        that are.
+        """
         known: list[InForce] = []
+        self.state = {}
+        self.run = 0
         for i, step in enumerate(self.steps):
             if step.routine:
                 self.saved.append(self.state)
@@ -207,6 +239,9 @@ class _Walk:
             setters = {**self.state, **self.at_any_time} if self.at_any_time else self.state
             known.append(InForce(setters, self.blocks[i], self.run, routine))
             self._execute(i)
+            # A condition is evaluated on the way to all branches behind it.
+            if step.opens or (step.is_jump and step.calls and self.blocks[i]):
+                self.entered[i if step.opens else self.blocks[i][-1]] = self.state
             if self._ends_routine(i):
                 self.state = self.saved.pop()
         return known
@@ -234,13 +269,42 @@ class _Walk:
         if (step.closes and not self._ends_routine(i)) or step.is_jump:
             block = self.blocks[i][-1] if self.blocks[i] else i
             line = self.statements[block].line
-            self._forget(
-                inside.get(block, set()),
-                f"it is set on some paths only through the block of line {line}",
-            )
+            names = inside.get(block, set())
+            self._check_balance(block, names)
+            same = {name for name in names if self._is_balanced(block, name)}
+            reason = f"it is set on some paths only through the block of line {line}"
+            self._forget(names - same, reason)
+            if same:
+                before = self.entered[block].items()
+                kept = {name: found for name, found in self.state.items() if name not in same}
+                self.state = kept | {name: found for name, found in before if name in same}
         if step.is_loop:
             line = self.statements[i].line
-            self._forget(inside[i], f"it is set within the loop of line {line}")
+            self.entered[i] = self.state
+            changed = {name for name in inside[i] if not self._is_balanced(i, name)}
+            self._forget(changed, f"it is set within the loop of line {line}")
+        if word(self.statements[i].items[0]) in ("BREAK", "CONTINUE"):
+            for block in self.blocks[i]:
+                self._check_balance(block, inside[block])
+
+    def _check_balance(self, block: int, names: Collection[str]) -> None:
+        """Note the variables that may be switched where a block is left."""
+        for name in names:
+            if not self._is_off(self.state, name):
+                self.unbalanced[block, name] = True
+
+    def _is_balanced(self, block: int, name: str) -> bool:
+        """Return whether a variable is switched neither before a block nor where it is left."""
+        if self.ends is None or self.steps[block].routine or (block, name) in self.unbalanced:
+            return False
+        return self._is_off(self.entered.get(block, {}), name)
+
+    def _is_off(self, state: Mapping[str, int | str], name: str) -> bool:
+        """Return whether nothing has switched a variable, or something has ended that."""
+        found = state.get(name)
+        if not isinstance(found, int):
+            return found is None
+        return self.ends is not None and self.ends(self.statements[found])
 
     def _execute(self, i: int) -> None:
         """Note what a statement sets, itself or by what it calls."""

@@ -54,6 +54,7 @@ _JUMPS = ("ELSE", "ELSEIF", "CASE", "DEFAULT", "ERROR", "UNDO", "BACKWARD")
 _ALONE = (*_CLOSES, "ELSE", "ERROR", "UNDO", "BACKWARD")
 _CONDITIONS = ("IF", "TEST", *_LOOPS)
 _LEAVING = ("RETURN", "EXITCYCLE", "EXIT", "GOTO", "RAISE", "RETRY", "TRYNEXT", "STOP", "BREAK")
+_HANDLERS = ("ERROR", "UNDO", "BACKWARD")
 ONCE = "IF without THEN"
 _STORAGE = ("CONST", "PERS", "VAR", "LOCAL", "TASK", "ALIAS")
 _PLAIN = {"MOVEL": "line", "MOVEJ": "joint", "MOVEC": "circle", "MOVEABSJ": "joint"}
@@ -365,7 +366,8 @@ def _step(statement: Statement, opening: str, *, is_label: bool) -> Step:
     if first in _CLOSES:
         return Step(closes=_CLOSES[first])
     if first in _JUMPS or is_label:
-        return Step(is_jump=True, calls=_routines(name for name, _ in calls_in(items)))
+        calls = _routines(name for name, _ in calls_in(items))
+        return Step(is_jump=True, is_label=is_label or first in _HANDLERS, calls=calls)
     if first == "CONNECT":
         return Step(starts=tuple(words_in(items[1:])))
     is_own = not (is_assignment(items) or first in MOTIONS or first in _STORAGE)

@@ -6,6 +6,7 @@ object, and measures those points of it that face the sensor.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -32,6 +33,8 @@ _UPRIGHT = 0.7
 _OF_RADIUS = 0.5
 _LEVER = 0.1
 _UP = np.array([0.0, 0.0, 1.0])
+# Images that tell where a point is.
+_IMAGES = 2
 # Between the name of a feature and that of its point.
 _MARK = "/"
 
@@ -204,27 +207,41 @@ def readings_of_features(
     table: Mapping[str, np.ndarray], joint: str, positions: np.ndarray, features: Sequence[str]
 ) -> dict[str, np.ndarray]:
     """Return the rows in which a pose shows the feature that it is for, with the columns
-    ``feature``, ``point``, its number, and ``pass`` if poses are visited several times.
+    ``feature``, ``point``, its number, and ``pass`` if poses are visited several times. Of images a
+    point needs two in each pass; others of it are left out.
 
     Args:
         table: Columns of the readings of an object of features.
         joint: Name of a joint that tells poses apart.
         positions: Its positions in the poses of one pass, as many for each feature, shape (N,).
         features: Their names, in the order of the object.
+
+    Raises:
+        BadInputError: If nothing is left, as of images of each feature from a single pose.
     """
     names = [str(name).rpartition(_MARK) for name in table["point"]]
     views = len(positions) // len(features)
     shown = {at: features[i // views] for i, at in enumerate(positions.tolist())}
-    visits = dict[tuple[str, float], int]()
+    visits = Counter[tuple[str, float]]()
     rows = list[int]()
     passes = list[int]()
     for row, (name, at) in enumerate(zip(table["point"], table[joint].tolist(), strict=True)):
         if names[row][0] != shown[at]:
             continue
-        visits[name, at] = visits.get((name, at), 0) + 1
+        visits[name, at] += 1
         rows.append(row)
         passes.append(visits[name, at])
-    found = {name: column[rows] for name, column in table.items()}
-    found["feature"] = np.array([names[row][0] for row in rows])
-    found["point"] = np.array([names[row][2] for row in rows])
-    return found | ({"pass": np.array(passes)} if max(passes, default=1) > 1 else {})
+    seen = Counter((table["point"][row], k) for row, k in zip(rows, passes, strict=True))
+    least = _IMAGES if "u" in table else 1
+    kept = [i for i, row in enumerate(rows) if seen[table["point"][row], passes[i]] >= least]
+    if not kept:
+        raise BadInputError(
+            f"no point of the part is seen from {least} poses; expected more poses of each feature "
+            "(--poses)"
+        )
+    found = {name: column[[rows[i] for i in kept]] for name, column in table.items()}
+    found["feature"] = np.array([names[rows[i]][0] for i in kept])
+    found["point"] = np.array([names[rows[i]][2] for i in kept])
+    if max(passes) > 1:
+        found["pass"] = np.array([passes[i] for i in kept])
+    return found

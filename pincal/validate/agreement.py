@@ -219,7 +219,8 @@ class _Suspect:
         that something is wrong.
         """
         limits = self.trials.limits
-        before, after = self.error, cure.left
+        before = self.error
+        after = cure.left
         if before[1] / limits.orientation <= before[0] / limits.position:
             return f"{self.found}, with this corrected {after[0] * 1e3:.1f} mm"
         return (

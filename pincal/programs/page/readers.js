@@ -263,17 +263,20 @@ return { Understood, _PAIRS, understood_words, without_brackets, tokens_of, firs
 })();
 MODULES.flow = (() => {
 const { Statement, word } = MODULES.syntax;
+let _ROUNDS;
+_ROUNDS = 8;
 let _DEEPEST;
 _DEEPEST = 100;
 let OUTSIDE;
 OUTSIDE = "is not in these files and may set it";
 class Step {
-constructor(opens = "", closes = [], routine = "", is_loop = false, is_jump = false, sets = py.frozenset(), clears = py.frozenset(), calls = [], starts = []) {
+constructor(opens = "", closes = [], routine = "", is_loop = false, is_jump = false, is_label = false, sets = py.frozenset(), clears = py.frozenset(), calls = [], starts = []) {
 this.opens = opens;
 this.closes = closes;
 this.routine = routine;
 this.is_loop = is_loop;
 this.is_jump = is_jump;
+this.is_label = is_label;
 this.sets = sets;
 this.clears = clears;
 this.calls = calls;
@@ -307,24 +310,26 @@ return null;
 }
 }
 function followed(files, outside = py.frozenset(), ends = null) {
-let around, at_any_time, blocks, code, effects, ended, found, paired, walk;
+let around, at_any_time, blocks, code, effects, ended, found, jumps, known, paired, walk;
 blocks = (() => { const $out = []; for (const code of py.iter(files)) { $out.push(_blocks(code)); } return $out; })();
 paired = (() => { const $out = []; for (const [code, around] of py.iter(py.zip(files, blocks))) { $out.push([code.steps, around]); } return $out; })();
 effects = _effects(paired, new py.Dict([]));
 at_any_time = _at_any_time(files, effects, outside);
 function walked(effects) {
-let around, code, found, walk;
+let around, code, found, jumps, known, walk;
 found = [];
 for (const $each of py.iter(py.zip(files, blocks))) {
 [code, around] = $each;
-walk = new _Walk(code.statements, code.steps, around, effects, outside, at_any_time);
+jumps = py.any((() => { const $out = []; for (const step of py.iter(code.steps)) { $out.push(step.is_label); } return $out; })());
+known = [effects, outside, at_any_time];
+walk = new _Walk(code.statements, code.steps, around, ...py.iter(known), (py.truth(jumps) ? null : ends));
 py.call(found, "append", new Code(code.source, code.statements, code.steps, walk.through()));
 }
 return found;
 return null;
 }
 found = walked(effects);
-ended = (((ends) ?? null) !== (null) ? _ended(found, ends) : new py.Dict([]));
+ended = (((ends) ?? null) !== (null) ? _ended(found, ends, effects) : new py.Dict([]));
 return (py.truth(py.any(py.call(ended, "values"))) ? walked(_effects(paired, ended)) : found);
 return null;
 }
@@ -352,8 +357,8 @@ function leaves(statement) {
 return py.has(["RETURN", "EXITCYCLE"], word(py.at(statement.items, 0)));
 return null;
 }
-function _ended(files, ends) {
-let clean, code, found, is_end, k, routine, states, step;
+function _ended(files, ends, effects) {
+let clean, code, found, is_end, k, name, routine, state, step;
 found = py.dict();
 for (const $each of py.iter(files)) {
 code = $each;
@@ -363,9 +368,15 @@ is_end = py.both(py.bool(step.closes), () => py.bool(py.at(code.steps, py.at(py.
 if (!py.truth(py.either(is_end, () => leaves(py.at(code.statements, k))))) {
 continue;
 }
-states = py.call(py.at(code.flow, k).setters, "items");
-clean = new Set((() => { const $out = []; for (const [name, state] of py.iter(states)) { if (py.truth(py.both(py.isinstance(state, ["int"]), () => ends(py.at(code.statements, state))))) $out.push(name); } return $out; })());
 routine = code.routine(k);
+clean = py.set();
+for (const $each of py.iter(py.call(effects, "get", routine, []))) {
+name = $each;
+state = py.call(py.at(code.flow, k).setters, "get", name);
+if (py.truth(py.either(((state) ?? null) === (null), () => py.both(py.isinstance(state, ["int"]), () => ends(py.at(code.statements, state)))))) {
+py.call(clean, "add", name);
+}
+}
 py.put(found, routine, new Set((() => { const $out = []; for (const name of py.iter(clean)) { if (py.has(py.call(found, "get", routine, clean), name)) $out.push(name); } return $out; })()));
 }
 }
@@ -373,21 +384,40 @@ return found;
 return null;
 }
 class _Walk {
-constructor(statements = null, steps = null, blocks = null, effects = null, outside = null, at_any_time = null, state = py.dict(), saved = py.list(), run = 0) {
+constructor(statements = null, steps = null, blocks = null, effects = null, outside = null, at_any_time = null, ends = null, unbalanced = py.dict(), entered = py.dict(), state = py.dict(), saved = py.list(), run = 0) {
 this.statements = statements;
 this.steps = steps;
 this.blocks = blocks;
 this.effects = effects;
 this.outside = outside;
 this.at_any_time = at_any_time;
+this.ends = ends;
+this.unbalanced = unbalanced;
+this.entered = entered;
 this.state = state;
 this.saved = saved;
 this.run = run;
 }
 through() {
-let i, inside, known, routine, setters, step;
+let _, count, inside, known;
 inside = this._set_inside();
+for (const $each of py.iter(py.range(_ROUNDS))) {
+_ = $each;
+count = py.len(this.unbalanced);
+known = this._once_through(inside);
+if (py.same(py.len(this.unbalanced), count)) {
+return known;
+}
+}
+this.ends = null;
+return this._once_through(inside);
+return null;
+}
+_once_through(inside) {
+let i, known, routine, setters, step;
 known = [];
+this.state = new py.Dict([]);
+this.run = 0;
 for (const $each of py.iter(py.enumerate(this.steps))) {
 [i, step] = $each;
 if (py.truth(step.routine)) {
@@ -400,6 +430,9 @@ routine = (py.truth(step.routine) ? i : _routine(this.steps, py.at(this.blocks, 
 setters = (py.truth(this.at_any_time) ? new py.Dict([...py.iter(py.call(this.state, 'items')), ...py.iter(py.call(this.at_any_time, 'items'))]) : this.state);
 py.call(known, "append", new InForce(setters, py.at(this.blocks, i), this.run, routine));
 this._execute(i);
+if (py.truth(py.either(step.opens, () => py.both(step.is_jump, () => py.both(step.calls, () => py.at(this.blocks, i)))))) {
+py.put(this.entered, (py.truth(step.opens) ? i : py.at(py.at(this.blocks, i), -1)), this.state);
+}
 if (py.truth(this._ends_routine(i))) {
 this.state = py.call(this.saved, "pop");
 }
@@ -431,17 +464,60 @@ return py.both(py.bool(py.at(this.steps, i).closes), () => py.bool(py.at(this.st
 return null;
 }
 _join(i, inside) {
-let block, line, step;
+let before, block, changed, kept, line, names, reason, same, step;
 step = py.at(this.steps, i);
 if (py.truth(py.either(py.both(step.closes, () => !py.truth(this._ends_routine(i))), () => step.is_jump))) {
 block = (py.truth(py.at(this.blocks, i)) ? py.at(py.at(this.blocks, i), -1) : i);
 line = py.at(this.statements, block).line;
-this._forget(py.call(inside, "get", block, py.set()), ("it is set on some paths only through the block of line " + py.str(line)));
+names = py.call(inside, "get", block, py.set());
+this._check_balance(block, names);
+same = new Set((() => { const $out = []; for (const name of py.iter(names)) { if (py.truth(this._is_balanced(block, name))) $out.push(name); } return $out; })());
+reason = ("it is set on some paths only through the block of line " + py.str(line));
+this._forget(py.sub(names, same), reason);
+if (py.truth(same)) {
+before = py.call(py.at(this.entered, block), "items");
+kept = new py.Dict((() => { const $out = []; for (const [name, found] of py.iter(py.call(this.state, "items"))) { if (!py.has(same, name)) $out.push([name, found]); } return $out; })());
+this.state = py.or(kept, new py.Dict((() => { const $out = []; for (const [name, found] of py.iter(before)) { if (py.has(same, name)) $out.push([name, found]); } return $out; })()));
+}
 }
 if (py.truth(step.is_loop)) {
 line = py.at(this.statements, i).line;
-this._forget(py.at(inside, i), ("it is set within the loop of line " + py.str(line)));
+py.put(this.entered, i, this.state);
+changed = new Set((() => { const $out = []; for (const name of py.iter(py.at(inside, i))) { if (!py.truth(this._is_balanced(i, name))) $out.push(name); } return $out; })());
+this._forget(changed, ("it is set within the loop of line " + py.str(line)));
 }
+if (py.has(["BREAK", "CONTINUE"], word(py.at(py.at(this.statements, i).items, 0)))) {
+for (const $each of py.iter(py.at(this.blocks, i))) {
+block = $each;
+this._check_balance(block, py.at(inside, block));
+}
+}
+return null;
+}
+_check_balance(block, names) {
+let name;
+for (const $each of py.iter(names)) {
+name = $each;
+if (!py.truth(this._is_off(this.state, name))) {
+py.put(this.unbalanced, [block, name], true);
+}
+}
+return null;
+}
+_is_balanced(block, name) {
+if (py.truth(py.either(((this.ends) ?? null) === (null), () => py.either(py.at(this.steps, block).routine, () => py.has(this.unbalanced, [block, name]))))) {
+return false;
+}
+return this._is_off(py.call(this.entered, "get", block, new py.Dict([])), name);
+return null;
+}
+_is_off(state, name) {
+let found;
+found = py.call(state, "get", name);
+if (!py.truth(py.isinstance(found, ["int"]))) {
+return ((found) ?? null) === (null);
+}
+return py.both(((this.ends) ?? null) !== (null), () => this.ends(py.at(this.statements, found)));
 return null;
 }
 _execute(i) {
@@ -553,7 +629,7 @@ throw code.source.error((py.repr(word) + " within " + py.str(opens) + " of line 
 }
 return null;
 }
-return { _DEEPEST, OUTSIDE, Step, InForce, Code, followed, _at_any_time, leaves, _ended, _Walk, _routine, _effects, _blocks, _check_closing };
+return { _ROUNDS, _DEEPEST, OUTSIDE, Step, InForce, Code, followed, _at_any_time, leaves, _ended, _Walk, _routine, _effects, _blocks, _check_closing };
 })();
 MODULES.line_flow = (() => {
 const { OUTSIDE } = MODULES.flow;
@@ -1972,6 +2048,8 @@ let _CONDITIONS;
 _CONDITIONS = ["IF", "TEST", ...py.iter(_LOOPS)];
 let _LEAVING;
 _LEAVING = ["RETURN", "EXITCYCLE", "EXIT", "GOTO", "RAISE", "RETRY", "TRYNEXT", "STOP", "BREAK"];
+let _HANDLERS;
+_HANDLERS = ["ERROR", "UNDO", "BACKWARD"];
 let ONCE;
 ONCE = "IF without THEN";
 let _STORAGE;
@@ -2104,7 +2182,7 @@ k = py.sub(k, 1);
 }
 }
 condition = _part(whole, py.text(items).slice(undefined, 1));
-(yield [condition, new Step(ONCE, undefined, undefined, undefined, undefined, undefined, undefined, _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(py.text(items).slice(undefined, k)))) { $out.push(name); } return $out; })()))]);
+(yield [condition, new Step(ONCE, undefined, undefined, undefined, undefined, undefined, undefined, undefined, _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(py.text(items).slice(undefined, k)))) { $out.push(name); } return $out; })()))]);
 if ((k < py.len(items))) {
 statement = _part(whole, py.text(items).slice(k, undefined));
 (yield [statement, _step(statement, word(py.at(statement.items, 0)), false)]);
@@ -2123,21 +2201,22 @@ items = statement.items;
 first = word(py.at(statement.items, 0));
 if (py.has(_BLOCKS, opening)) {
 names = (() => { const $out = []; for (const item of py.iter(items)) { if (py.truth(word(item))) $out.push(word(item)); } return $out; })();
-return new Step(opening, undefined, (py.has(_ROUTINES, opening) ? py.at(names, -1) : ""), py.has(_LOOPS, opening), undefined, undefined, undefined, (py.has(_CONDITIONS, first) ? _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(name); } return $out; })()) : []));
+return new Step(opening, undefined, (py.has(_ROUTINES, opening) ? py.at(names, -1) : ""), py.has(_LOOPS, opening), undefined, undefined, undefined, undefined, (py.has(_CONDITIONS, first) ? _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(name); } return $out; })()) : []));
 }
 if (py.has(_CLOSES, first)) {
 return new Step(undefined, py.at(_CLOSES, first));
 }
 if (py.truth(py.either(py.has(_JUMPS, first), () => is_label))) {
-return new Step(undefined, undefined, undefined, undefined, true, undefined, undefined, _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(name); } return $out; })()));
+calls = _routines((() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { $out.push(name); } return $out; })());
+return new Step(undefined, undefined, undefined, undefined, true, py.either(is_label, () => py.has(_HANDLERS, first)), undefined, undefined, calls);
 }
 if (py.same(first, "CONNECT")) {
-return new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, py.tuple(words_in(py.text(items).slice(1, undefined))));
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, py.tuple(words_in(py.text(items).slice(1, undefined))));
 }
 is_own = !py.truth(py.either(is_assignment(items), () => py.either(py.has(MOTIONS, first), () => py.has(_STORAGE, first))));
 names = (() => { const $out = []; for (const [name, ] of py.iter(calls_in(items))) { if (py.truth(py.either(is_own, () => !py.same(py.call(name, "upper"), first)))) $out.push(name); } return $out; })();
 calls = _routines([...py.iter((py.truth(is_own) ? [first] : [])), ...py.iter(names), ...py.iter(_called_by_text(items))]);
-return new Step(undefined, undefined, undefined, undefined, undefined, (py.has(SWITCHES, first) ? py.frozenset(new Set([py.at(SWITCHES, first)])) : py.frozenset()), undefined, calls);
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, (py.has(SWITCHES, first) ? py.frozenset(new Set([py.at(SWITCHES, first)])) : py.frozenset()), undefined, calls);
 return null;
 }
 function _routines(names) {
@@ -2179,7 +2258,7 @@ throw source.error((py.repr(found) + " within another routine; expected " + py.s
 }
 return null;
 }
-return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, _CONDITIONS, _LEAVING, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, _FILLERS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, _routines, _called_by_text, is_assignment, check_blocks };
+return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, _CONDITIONS, _LEAVING, _HANDLERS, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, _FILLERS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, _routines, _called_by_text, is_assignment, check_blocks };
 })();
 MODULES.fanuc_ls = (() => {
 const { Draft, joined } = MODULES.draft;
@@ -2736,7 +2815,7 @@ _SPEEDS = ["#VEL_PTP", "#VEL_CP", "#ACC_PTP", "#ACC_CP", "#OUT_SYNC"];
 let _MANUAL;
 _MANUAL = "KUKA System Software 8, operating and programming instructions for system integrators";
 let _KRL_WORDS;
-_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E6POS, AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, PATH, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, STRLEN, STRDECLLEN, STRFIND, STRCOMP, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("function", "KUKA System Software 8.3 and later: collision detection, as their inline forms call it", "USE_CM_PRO_VALUES, SET_CD_PARAMS"), new Understood("filler", "KUKA, CREAD/CWRITE for KSS 8: texts and channels, which write to their arguments", "CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRCLEAR, STRADD, STRCOPY"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $OUT_C, $COLLMON_TOL_PRO, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
+_KRL_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ", chapter 11: program flow, declarations, interrupts, outputs"), "IF, ELSE, ENDIF, SWITCH, CASE, DEFAULT, ENDSWITCH, LOOP, ENDLOOP, FOR, ENDFOR, WHILE, ENDWHILE, REPEAT, UNTIL, EXIT, GOTO, HALT, WAIT, RETURN, RESUME, CONTINUE, BRAKE, DECL, SIGNAL, ENUM, STRUC, EXT, EXTFCT, IMPORT, GLOBAL, CONST, INT, REAL, BOOL, CHAR, POS, E3POS, E6POS, AXIS, E3AXIS, E6AXIS, FRAME, INTERRUPT, TRIGGER, PULSE, ANOUT, ANIN, DIGIN, INI, DEF, DEFFCT, DEFDAT, END, ENDFCT, ENDDAT, SPLINE, PTP_SPLINE, ENDSPLINE, TIME_BLOCK, CONST_VEL, STOP, CONFIRM, CCLOSE"), new Understood("function", (py.str(_MANUAL) + ", chapters 11 and 12: words before brackets, conditions, messages, data; frames that BAS sets are read from its arguments"), "IF, WHILE, UNTIL, FOR, WHEN, SWITCH, CASE, AND, OR, NOT, EXOR, B_AND, B_OR, B_NOT, B_EXOR, RETURN, WAIT, SEC, TO, STEP, DO, DEF, DEFFCT, EXT, EXTFCT, BAS, STOOL, STOOL2, SBASE, SIPO_MODE, SVEL_JOINT, SVEL_CP, SACC_JOINT, SACC_CP, SAPO, SAPO_PTP, SGEAR_JERK, SJERK, SORI_TYP, SLOAD, PATH, ABS, SQRT, SIN, COS, TAN, ACOS, ATAN2, INVERSE, FORWARD, INV_POS, VARSTATE, PULSE, SIGN, ROUND, STRLEN, STRDECLLEN, STRFIND, STRCOMP, MSGNOTIFY, MSGSTATE, MSGQUIT, MSGACKNOWLEDGE, MSGDIALOG, MSGLOOP, SET_KRLMSG, EXISTS_KRLMSG, CLEAR_KRLMSG, SET_KRLDLG, EXISTS_KRLDLG, IR_STOPM"), new Understood("function", "KUKA System Software 8.3 and later: collision detection, as their inline forms call it", "USE_CM_PRO_VALUES, SET_CD_PARAMS"), new Understood("filler", "KUKA, CREAD/CWRITE for KSS 8: texts and channels, which write to their arguments", "CAST_TO, CAST_FROM, SREAD, SWRITE, CREAD, CWRITE, COPEN, CCLOSE, CIOCTL, STRCLEAR, STRADD, STRCOPY"), new Understood("variable", "KUKA System Software 8, system variables: speeds, approximation, times, signals, start; $TOOL, $BASE, $ORI_TYPE and $LOAD are read", "$TOOL, $BASE, $ORI_TYPE, $LOAD, $IPO_MODE, $ADVANCE, $VEL, $ACC, $APO, $VEL_AXIS, $ACC_AXIS, $VEL_EXTAX, $ACC_EXTAX, $OV_PRO, $OV_ROB, $OV_APPL, $OUT, $OUT_C, $COLLMON_TOL_PRO, $ANOUT, $DIGOUT, $TIMER, $TIMER_STOP, $TIMER_FLAG, $FLAG, $CYCFLAG, $BWDSTART, $H_POS, $CIRC_TYPE, $GEAR_JERK, $JERK, $RED_VEL, $FILTER, $ERR, $LOOP_MSG, $LOOP_CONT, $MSG_T, $CP_VEL_TYPE, $SPL_VEL_MODE, $SPL_VEL_RESTR, $DECEL_MB, $ACC_MA, $ACC_CAR_LIMIT, $ACC_CAR_STOP, $PRO_IP, $TORQUE_DIFF, $SEN_PREA, $SEN_PINT, $TECHPAR, $LOAD_A1, $LOAD_A2, $LOAD_A3")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(_KRL_WORDS, "instruction");
 let _HARMLESS;
@@ -2753,8 +2832,6 @@ let _ROBOT;
 _ROBOT = "$ROBROOT";
 let _PLACES;
 _PLACES = ["$ROBROOT", "$ERSYSROOT", "$WORLD", "$ERSYS"];
-let _MOVES;
-_MOVES = ["ASYPTP", "MASYPTP", "ASYCONT"];
 let _SETTABLE;
 _SETTABLE = ["$TOOL", "$BASE", "FDAT_ACT", "$ORI_TYPE", "LDAT_ACT", "$LOAD"];
 class Krl extends ControllerLanguage {
@@ -3293,18 +3370,18 @@ if (py.truth(py.any((() => { const $out = []; for (const item of py.iter(items))
 return _started(_action(items), calls);
 }
 if (py.truth(py.either(py.has(_LOOPS, first), () => py.has(_BLOCKS, first)))) {
-return new Step(first, undefined, undefined, py.has(_LOOPS, first), undefined, undefined, undefined, calls);
+return new Step(first, undefined, undefined, py.has(_LOOPS, first), undefined, undefined, undefined, undefined, calls);
 }
 if (py.has(_CLOSES, first)) {
-return new Step(undefined, py.at(_CLOSES, first), undefined, undefined, undefined, undefined, undefined, calls);
+return new Step(undefined, py.at(_CLOSES, first), undefined, undefined, undefined, undefined, undefined, undefined, calls);
 }
 if (py.truth(py.either(py.has(["ELSE", "CASE", "DEFAULT"], first), () => py.both(py.same(py.len(items), 2), () => is_token(py.at(items, 1), "SIGN", ":"))))) {
 return new Step(undefined, undefined, undefined, undefined, true);
 }
 if (py.same(first, "BAS")) {
-return new Step(undefined, undefined, undefined, undefined, undefined, _set_by_bas(items));
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, _set_by_bas(items));
 }
-return (py.has(_MOTIONS, first) ? new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, calls) : _assigned(items, calls));
+return (py.has(_MOTIONS, first) ? new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, undefined, calls) : _assigned(items, calls));
 return null;
 }
 function _action(items) {
@@ -3317,7 +3394,7 @@ function _started(action, calls) {
 let changed, name;
 name = py.at(element_name(py.at(split(action, "="), 0)), 0);
 changed = (py.truth(action) ? _set_by_assignment(action, name) : py.frozenset());
-return new Step(undefined, undefined, undefined, undefined, undefined, undefined, py.or(changed, py.and(new Set([name]), _FRAMES)), undefined, calls);
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, py.or(changed, py.and(new Set([name]), _FRAMES)), undefined, calls);
 return null;
 }
 function _assigned(items, calls) {
@@ -3325,10 +3402,10 @@ let is_part, name, sides, what;
 sides = split(items, "=");
 [name, is_part] = [...py.iter(element_name(py.at(sides, 0)))];
 if (py.truth(py.either(!py.same(py.len(sides), 2), () => !py.has(_SETTABLE, name)))) {
-return new Step(undefined, undefined, undefined, undefined, undefined, undefined, _set_by_assignment(items, name), calls);
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, _set_by_assignment(items, name), calls);
 }
 what = py.frozenset(new Set([py.call(new py.Dict([["LDAT_ACT", _ORIENTATION], ["$LOAD", STATED_LOAD]]), "get", name, name)]));
-return (py.truth(is_part) ? new Step(undefined, undefined, undefined, undefined, undefined, undefined, what, calls) : new Step(undefined, undefined, undefined, undefined, undefined, what, undefined, calls));
+return (py.truth(is_part) ? new Step(undefined, undefined, undefined, undefined, undefined, undefined, undefined, what, calls) : new Step(undefined, undefined, undefined, undefined, undefined, undefined, what, undefined, calls));
 return null;
 }
 function _set_by_bas(items) {
@@ -3342,7 +3419,7 @@ return py.call(one, "get", what, (py.has(_SPEEDS, what) ? py.frozenset() : _FRAM
 return null;
 }
 function _set_by_assignment(items, name) {
-let first, is_assignment, is_call, is_declaration, is_known, stem;
+let first, is_assignment, is_call, is_known, stem;
 first = word(py.at(items, 0));
 stem = py.at(py.call(name, "partition", "["), 0);
 is_assignment = py.any((() => { const $out = []; for (const item of py.iter(items)) { $out.push(is_token(item, "SIGN", "=")); } return $out; })());
@@ -3352,13 +3429,12 @@ return py.frozenset();
 }
 return py.frozenset(new Set([(py.has(_PLACES, stem) ? _ROBOT : POSITIONS)]));
 }
-is_declaration = py.both((py.len(items) > 1), () => py.both(py.bool(word(py.at(items, 1))), () => py.both(!py.has(_MOVES, first), () => !py.truth(py.any((() => { const $out = []; for (const item of py.iter(items)) { $out.push(py.both(py.isinstance(item, [Brackets]), () => py.same(item.kind, "{"))); } return $out; })())))));
 is_call = py.both((py.len(items) > 1), () => py.both(py.isinstance(py.at(items, 1), [Brackets]), () => py.same(py.at(items, 1).kind, "(")));
-is_known = py.either(py.has(_INSTRUCTIONS, first), () => py.either(py.has(_RELATIVE, first), () => py.either(is_declaration, () => is_call)));
+is_known = py.either(py.has(_INSTRUCTIONS, first), () => py.either(py.has(_RELATIVE, first), () => is_call));
 return (py.truth(py.either(is_known, () => !py.truth(first))) ? py.frozenset() : py.frozenset(new Set([POSITIONS])));
 return null;
 }
-return { _TOKENS, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _MOTIONS, _BY_POSTURE, _RELATIVE, _AFTER, _POSE, _JOINTS, _EXTERNAL, _NULL, _FRAMES, _BY_DATA, _SPEEDS, _MANUAL, _KRL_WORDS, _INSTRUCTIONS, _HARMLESS, _FILLERS, _VARIABLES, _TURNING, _ORIENTATION, _ROBOT, _PLACES, _MOVES, _SETTABLE, Krl, _Data, _SourceReader, _Places, _places, _check_outside, _takes_values, _frame_named, _frame_of_data, _frame_of_pair, _frame_data, _fields, _bits, _posture, _by_bas, _step, _action, _started, _assigned, _set_by_bas, _set_by_assignment };
+return { _TOKENS, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _MOTIONS, _BY_POSTURE, _RELATIVE, _AFTER, _POSE, _JOINTS, _EXTERNAL, _NULL, _FRAMES, _BY_DATA, _SPEEDS, _MANUAL, _KRL_WORDS, _INSTRUCTIONS, _HARMLESS, _FILLERS, _VARIABLES, _TURNING, _ORIENTATION, _ROBOT, _PLACES, _SETTABLE, Krl, _Data, _SourceReader, _Places, _places, _check_outside, _takes_values, _frame_named, _frame_of_data, _frame_of_pair, _frame_data, _fields, _bits, _posture, _by_bas, _step, _action, _started, _assigned, _set_by_bas, _set_by_assignment };
 })();
 MODULES.rapid = (() => {
 const { Draft } = MODULES.draft;
@@ -4083,18 +4159,18 @@ kind = py.call(_OPENS, "get", first, "");
 calls = py.tuple((() => { const $out = []; for (const name of py.iter(_called(items))) { if (py.truth(py.both(!py.has(_HARMLESS, name), () => py.both(!py.has(_SWITCHES, name), () => py.both(!py.has(_MOTIONS, name), () => !py.has(_ENDLESS, name)))))) $out.push(name); } return $out; })());
 if (py.same(kind, "routine")) {
 name = py.next((() => { const $out = []; for (const item of py.iter(py.text(items).slice(1, undefined))) { if (py.truth(is_token(item, "WORD"))) $out.push(py.str(item)); } return $out; })(), first);
-return new Step(first, undefined, name, undefined, undefined, undefined, undefined, undefined, (py.same(first, "thread") ? [name] : []));
+return new Step(first, undefined, name, undefined, undefined, undefined, undefined, undefined, undefined, (py.same(first, "thread") ? [name] : []));
 }
 if (py.truth(kind)) {
-return new Step(first, undefined, undefined, py.same(kind, "loop"), undefined, undefined, undefined, calls);
+return new Step(first, undefined, undefined, py.same(kind, "loop"), undefined, undefined, undefined, undefined, calls);
 }
 if (py.truth(py.both(py.same(first, "end"), () => py.same(py.len(items), 1)))) {
 return new Step(undefined, py.tuple(_OPENS));
 }
 if (py.has(["elif", "else"], first)) {
-return new Step(undefined, undefined, undefined, undefined, true, undefined, undefined, calls);
+return new Step(undefined, undefined, undefined, undefined, true, undefined, undefined, undefined, calls);
 }
-return new Step(undefined, undefined, undefined, undefined, undefined, (py.has(_SWITCHES, first) ? py.frozenset(new Set([py.at(_SWITCHES, first)])) : py.frozenset()), undefined, calls);
+return new Step(undefined, undefined, undefined, undefined, undefined, undefined, (py.has(_SWITCHES, first) ? py.frozenset(new Set([py.at(_SWITCHES, first)])) : py.frozenset()), undefined, calls);
 return null;
 }
 return { _TOKENS, _WORDS, _MOTIONS, _ENDLESS, _MANUAL, _SCRIPT_WORDS, _HARMLESS, _SWITCHES, _ENDS_IT, _MODE, _OPENS, UrScript, _ScriptReader, _ScriptArguments, _arguments, _code, _ends_displacement, _called, _step };

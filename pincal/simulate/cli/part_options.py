@@ -45,7 +45,7 @@ class PartArguments:
         words="0.1mm",
     )
 
-    def check(self, kind: str, given: dict[str, Any]) -> None:
+    def check(self, kind: str, given: dict[str, object]) -> None:
         """Refuse options that do not go together.
 
         Args:
@@ -116,7 +116,11 @@ def looking_at(options: SetupOptions, target: CalibrationObject) -> SetupOptions
 
 
 def truth_of(features: tuple[TrueFeature, ...], found: dict[str, Any]) -> dict[str, Any]:
-    """Return the true part, for JSON; ``found`` is what is known of the set-up."""
+    """Return the true part, for JSON, nothing without features; ``found`` is what is known of the
+    set-up.
+    """
+    if not features:
+        return {}
     return {
         "part": {
             "T_base_part": found["T_base_object"],

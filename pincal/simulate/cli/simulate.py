@@ -93,11 +93,7 @@ def simulate(arguments: SimulateArguments) -> Exit:
 
     arguments.check()
     robot = _robot(arguments)
-    if arguments.motion.path is not None and _is_from_hand(robot):
-        raise click.UsageError(
-            f"--path: readings from {robot.path.start} to {robot.tip}, which no joint moves, are "
-            "simulated at rest; give --poses N"
-        )
+    _check_path(robot, arguments)
     machine = _machine(robot, arguments)
     if arguments.motion.path is not None:
         return _drive(robot, machine, arguments)
@@ -107,9 +103,8 @@ def simulate(arguments: SimulateArguments) -> Exit:
     log_step("measuring them")
     table = _measured(robot, machine, campaign, arguments, features)
     rows = len(table[machine.names[0]])
-    found = _origin(robot, machine, arguments) | campaign.truth(machine, tip=robot.tip)
-    if features:
-        found |= truth_of(features, found)
+    seen = campaign.truth(machine, tip=robot.tip)
+    found = _origin(robot, machine, arguments) | seen | truth_of(features, seen)
     out: _Files = {"--out": (arguments.out, lambda path: write_table(path, table))}
     truth = found | _made_by(robot, arguments)
     write_all(out | _further_files(arguments, campaign.setup, truth))
@@ -145,6 +140,15 @@ def _measured(
     if start != robot.base or robot.links:
         table |= {"from": np.repeat(start, rows), "to": np.repeat(robot.tip, rows)}
     return table
+
+
+def _check_path(robot: Robot, arguments: SimulateArguments) -> None:
+    """Refuse a path for readings that are simulated at rest."""
+    if arguments.motion.path is not None and _is_from_hand(robot):
+        raise click.UsageError(
+            f"--path: readings from {robot.path.start} to {robot.tip}, which no joint moves, are "
+            "simulated at rest; give --poses N"
+        )
 
 
 def _robot(arguments: SimulateArguments) -> Robot:

@@ -345,15 +345,7 @@ class SimulateArguments:
         given = self.sensor
         kind = self.kind
         self._check_motion()
-        self.part.check(
-            kind,
-            {
-                "--at": self.campaign.at,
-                "--path": self.motion.path,
-                "--object": given.object,
-                "--points-out": given.points_out,
-            },
-        )
+        self.part.check(kind, self._given_without_part())
         for name in sorted(name for name in _GOES_WITH if getattr(given, name) is not None):
             if kind not in _GOES_WITH[name]:
                 flag = f"--{name.replace('_', '-')}"
@@ -373,6 +365,15 @@ class SimulateArguments:
             )
         if self.motion.path is None and (self.n_poses is None) == (self.campaign.at is None):
             raise click.UsageError("give either --poses N, --at FILE.csv or --path DURATION|FILE")
+
+    def _given_without_part(self) -> dict[str, object]:
+        """Return the options that a part takes the place of, with their values."""
+        return {
+            "--at": self.campaign.at,
+            "--path": self.motion.path,
+            "--object": self.sensor.object,
+            "--points-out": self.sensor.points_out,
+        }
 
     def _check_motion(self) -> None:
         """Refuse options of poses at rest for a path, and options of a path for poses at rest."""
@@ -442,7 +443,7 @@ class SimulateArguments:
     def _sigma(self) -> float:
         """Return the noise in the unit of the sensor."""
         unit = "px" if self.kind in _PIXELS else "m"
-        value, given = (_NOISE[unit], unit) if self.sensor.noise is None else self.sensor.noise
+        value, given = self.sensor.noise or (_NOISE[unit], unit)
         if value and given != unit:
             example = "0.1px" if unit == "px" else "0.05mm"
             raise click.UsageError(
