@@ -18,7 +18,7 @@ from pincal.features.flange_sensor import FlangeSensor
 from pincal.features.mounted_sensor import STATED, MountedSensor, Reservations
 from pincal.features.probe import contacts_of_centres
 from pincal.features.readings import FeatureReadings, read_readings
-from pincal.features.triangulation import points_of_images
+from pincal.features.triangulation import mapped_errors, points_of_images
 from pincal.sensors.lens import Lens
 
 STEP = 1e-6
@@ -151,6 +151,14 @@ def test_a_camera_that_was_calibrated_moves_with_the_arm(rng: np.random.Generato
     expected = whole @ robot.covariance @ whole.T
     np.testing.assert_allclose(found.covariance.sources["parameters"].matrix, expected, rtol=1e-5, atol=1e-13)
     assert found.evidence["sensor"].kind == "A"
+
+
+def test_what_stops_share_moves_every_point_that_they_see(rng: np.random.Generator) -> None:
+    """Errors of all and of groups of readings, through maps that mix rows, are what the maps make of their matrix."""
+    errors = SharedErrors(rng.normal(size=(6, 3, 2)), rng.normal(size=(6, 3, 2)), np.array([0, 0, 1, 2, 2, 1]))
+    maps = rng.normal(size=(2, 3, 6, 3))
+    A = maps.reshape(6, 18)
+    np.testing.assert_allclose(mapped_errors(errors, maps).matrix, A @ errors.matrix @ A.T, atol=1e-12)
 
 
 def test_images_that_cannot_tell_the_depth_are_refused(rng: np.random.Generator) -> None:

@@ -275,6 +275,9 @@ def test_the_command_measures_a_part(
     assert found["features"][0]["values"]["diameter"]["decision"] == "does not conform"
     with (tmp_path / "out" / "measured.csv").open() as file:
         rows = list(csv.DictReader(file))
+    with pytest.raises(SystemExit) as ended:
+        main([*words, "--sensor-noise", "0.1px", "--out", str(tmp_path / "none")])
+    assert ended.value.code == 3 and not (tmp_path / "none").exists()
     row = next(row for row in rows if (row["feature"], row["quantity"]) == ("h1", "diameter"))
     np.testing.assert_allclose(float(row["value"]), found["features"][0]["values"]["diameter"]["value"])
     page = (tmp_path / "out" / "report.html").read_text()

@@ -164,14 +164,14 @@ def _covariance(mounted: MountedSensor, found: list[_Intersection]) -> PositionC
         maps[k][:, of.rows] = of.by_arm.swapaxes(0, 1)
         seen[of.rows] = of.seen
     errors = mounted.arm_errors(seen)
-    sources = {name: _mapped(of, maps) for name, of in errors.sources.items()}
+    sources = {name: mapped_errors(of, maps) for name, of in errors.sources.items()}
     by_lens = np.array([of.by_lens for of in found])
     if mounted.declared.lens is None:
         sources["parameters"] = _with_camera(mounted, seen, maps, by_lens)
     return PositionCovariance(sources)
 
 
-def _mapped(errors: SharedErrors, maps: np.ndarray) -> SharedErrors:
+def mapped_errors(errors: SharedErrors, maps: np.ndarray) -> SharedErrors:
     """Return the errors of linear functions of positions, shape (K, 3, N, 3), one point each.
 
     What a group of positions shares then moves several points, each in its own way: it counts as
