@@ -23,10 +23,10 @@ from test_identity import STATED
 from pincal import Robot
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.certificate.certificate_page import certificate_page
+from pincal.certificate.contents import Certificate, Figure, FigureGroup, Issue
 from pincal.certificate.dcc import DCC, DCC_VERSION, SI, digital_certificate
 from pincal.certificate.of_measured import certificate_of_measured
 from pincal.certificate.of_model import certificate_of_model, position_budget
-from pincal.certificate.statement import Certificate, Figure, FigureGroup, Issue
 from pincal.errors import BadInputError
 from pincal.identity import Identity
 from pincal.io.result_folder import output_folder

@@ -23,6 +23,7 @@ intervals to what the residuals show (a conformal quantile: Barber et al. 2021, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -373,17 +374,39 @@ def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
         return None
     (by_station,) = left_out_residuals(fit, fit.solution, [fold])
     left_out = [_LeftOut.of(rows[i], by_station[k]) for i, k in enumerate(stations)]
-    residuals = np.vstack([of.displacements for of in left_out])
-    levers = np.concatenate([of.rows.levers for of in left_out], axis=1)
-    noise = np.concatenate([of.rows.noise for of in left_out])[:, None, None] * np.eye(3)
     if verdict is Verdict.ADEQUATE:
-        by_parameters = zip(left_out_variances(fit, fold, stations), left_out, strict=True)
-        known = noise + np.concatenate([found[of.some] for found, of in by_parameters])
-        return hidden_in_noise(residuals, levers, known)
-    # Parameters of a model that lacks something err by what it lacks, not by the noise: what fits
-    # without a region miss there is all of the model.
-    q = np.vstack([of.rows.q for of in left_out])
-    found = discrepancy_of(residuals, q, levers, noise)
+        return _hidden(left_out, left_out_variances(fit, fold, stations))
+    return _shown(left_out)
+
+
+def _hidden(
+    left_out: Sequence[_LeftOut], by_parameters: Sequence[np.ndarray]
+) -> Discrepancy | None:
+    """Return what noise may hide, given the covariances of the predictions by the parameters."""
+    known = [
+        found[of.some] + of.rows.noise[:, None, None] * np.eye(3)
+        for found, of in zip(by_parameters, left_out, strict=True)
+    ]
+    return hidden_in_noise(
+        np.vstack([of.displacements for of in left_out]),
+        np.concatenate([of.rows.levers for of in left_out], axis=1),
+        np.concatenate(known),
+    )
+
+
+def _shown(left_out: Sequence[_LeftOut]) -> Discrepancy | None:
+    """Return what a model lacks by residuals that show it.
+
+    Its parameters err by what it lacks, not by the noise: what fits without a region miss there is
+    all of the model.
+    """
+    noise = np.concatenate([of.rows.noise for of in left_out])
+    found = discrepancy_of(
+        np.vstack([of.displacements for of in left_out]),
+        np.vstack([of.rows.q for of in left_out]),
+        np.concatenate([of.rows.levers for of in left_out], axis=1),
+        noise[:, None, None] * np.eye(3),
+    )
     turned = [of for of in left_out if of.turns is not None]
     if found is None or not turned:
         return found

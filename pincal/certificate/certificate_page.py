@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from importlib.resources import files
 
-from pincal.certificate.statement import NOT_STATED, Certificate, Figure, Range
+from pincal.certificate.contents import NOT_STATED, Certificate, Figure, Range
 from pincal.errors import counted
 from pincal.identity import KEYS
 from pincal.thresholds import Count
@@ -89,9 +89,9 @@ def _uncertainty(figure: Figure) -> str:
     """Return expanded uncertainty or interval in words; empty without either."""
     if figure.expanded is not None:
         return f"{figure.expanded.value:.4f} (k = {figure.expanded.factor:.3g})"
-    lower, upper = figure.interval or (None, None)
-    if lower is None:
+    if figure.interval is None or figure.interval[0] is None:
         return ""
+    lower, upper = figure.interval
     return f"above {lower:.4f}" if upper is None else f"{lower:.4f} to {upper:.4f}"
 
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from lxml import etree
 
-from pincal.certificate.statement import (
+from pincal.certificate.contents import (
     NOT_STATED,
     Budget,
     Certificate,

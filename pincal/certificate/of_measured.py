@@ -11,7 +11,7 @@ from typing import Any
 
 from scipy.special import ndtr, stdtr
 
-from pincal.certificate.statement import (
+from pincal.certificate.contents import (
     NOT_STATED,
     Budget,
     BudgetLine,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from msgspec import UNSET
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.model_statement import COVERAGE_FACTOR
 from pincal.calibration.result import ResultFile
-from pincal.certificate.statement import (
+from pincal.certificate.contents import (
     NOT_STATED,
     Budget,
     BudgetLine,
@@ -35,7 +35,7 @@ from pincal.model.conditions import Conditions
 from pincal.notes import Note, doubts_of
 from pincal.report.words import noise_words
 from pincal.thresholds import Count
-from pincal.validate.misfit import worst
+from pincal.validate.misfit import Verdict, worst
 
 # Poses over which the uncertainty is averaged, more of which change it by a per cent, and their
 # seed.
@@ -75,37 +75,23 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
         BadInputError: if there is no ``result.json`` beside it, or it can't be read; or if the
             model is of another robot than stated.
     """
-    fitted = load_model(path)
+    of = _Calibrated.read(path)
+    fitted = of.fitted
     stated.require(fitted.identity, str(path))
-    result_path = path.with_name(_RESULT)
-    if not result_path.is_file():
-        raise BadInputError(
-            f"{result_path}: not there; a certificate states the figures of the calibration: give "
-            "the model in the folder that calibrate or discover wrote"
-        )
-    result = read_json(result_path, ResultFile, _RESULT_FILE)
-    _require_result_of(fitted, result, result_path)
-    found = _search_of(path)
     robot = fitted.robot_model()
     budget, lacking = _budget_of(robot)
-    notes = [note for note in result.warnings if isinstance(note, Note)]
-    notes += () if found is None else found.warnings
-    verdicts = [result.verdict] if found is None else [result.verdict, found.verdict]
-    inputs = fitted.provenance.get("inputs")
-    beside = [result_path, *([] if found is None else [path.with_name(_DISCOVERY)])]
-    files = {file.name: file_hash(file) for file in (path, *beside)}
     return Certificate(
         title="Calibration certificate of a robot",
         issue=issue,
         item=robot.model.chain.robot.name,
         identity=stated.over(fitted.identity),
         ranges=tuple(_ranges(robot)),
-        facts=_facts(fitted, result) | _searched(found) | lacking,
-        verdict=worst(verdicts).value,
-        doubts=tuple(dict.fromkeys(doubt.text for doubt in doubts_of(notes))),
-        groups=tuple(_groups(result, budget)),
+        facts=_facts(fitted, of.result) | of.searched | lacking,
+        verdict=of.verdict.value,
+        doubts=of.doubts,
+        groups=tuple(_groups(of.result, budget)),
         budget=budget,
-        files=files | (dict(inputs) if isinstance(inputs, Mapping) else {}),
+        files=of.files,
         versions={
             "calibrated with pincal": str(fitted.provenance.get("pincal", NOT_STATED)),
             "certificate by pincal": version("pincal"),
@@ -113,28 +99,73 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
     )
 
 
-def _require_result_of(fitted: FittedRobot, result: ResultFile, path: Path) -> None:
-    """Refuse a result of another model, as two that were saved into one folder by hand."""
-    named = {parameter.name for parameter in result.parameters}
-    if named != set(fitted.estimate.names):
-        raise BadInputError(
-            f"{path}: its parameters are not those of the model beside it; expected the result of "
-            "the same calibration: calibrate again into a folder of its own"
-        )
+@dataclass(frozen=True)
+class _Calibrated:
+    """What a folder of results says of a robot.
 
+    Attributes:
+        path: its ``model.json``.
+        fitted: the robot.
+        result: its result.
+        search: what a search for missing effects found; None if there was none.
+    """
 
-def _search_of(path: Path) -> Findings | None:
-    """Return what the search of a model found; None if it was calibrated without one."""
-    beside = path.with_name(_DISCOVERY)
-    return read_json(beside, Findings, _DISCOVERY_FILE) if beside.is_file() else None
+    path: Path
+    fitted: FittedRobot
+    result: ResultFile
+    search: Findings | None
 
+    @classmethod
+    def read(cls, path: Path) -> _Calibrated:
+        """Read the files beside a ``model.json``, and refuse those of another model, as of two that
+        were saved into one folder by hand.
+        """
+        fitted = load_model(path)
+        beside = path.with_name(_RESULT)
+        if not beside.is_file():
+            raise BadInputError(
+                f"{beside}: not there; a certificate states the figures of the calibration: give "
+                "the model in the folder that calibrate or discover wrote"
+            )
+        result = read_json(beside, ResultFile, _RESULT_FILE)
+        if {parameter.name for parameter in result.parameters} != set(fitted.estimate.names):
+            raise BadInputError(
+                f"{beside}: its parameters are not those of the model beside it; expected the "
+                "result of the same calibration: calibrate again into a folder of its own"
+            )
+        found = path.with_name(_DISCOVERY)
+        search = read_json(found, Findings, _DISCOVERY_FILE) if found.is_file() else None
+        return cls(path, fitted, result, search)
 
-def _searched(found: Findings | None) -> dict[str, str]:
-    """Return in words what a search for missing effects found."""
-    if found is None:
-        return {"search": "none for effects that the model lacks"}
-    effects = ", ".join(map(effect_words, found.effects)) or "no effect"
-    return {"search": f"{effects} found; {found.unexplained_mm:.4f} mm unexplained"}
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on the fit or, if it is worse, on the search."""
+        found = [self.result.verdict]
+        found += [] if self.search is None else [self.search.verdict]
+        return worst(found)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """The doubts of fit and search, each once."""
+        notes = [note for note in self.result.warnings if isinstance(note, Note)]
+        notes += () if self.search is None else self.search.warnings
+        return tuple(dict.fromkeys(doubt.text for doubt in doubts_of(notes)))
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Checksums of the files read, and of what the robot was calibrated from."""
+        names = [self.path.name, _RESULT, *([] if self.search is None else [_DISCOVERY])]
+        inputs = self.fitted.provenance.get("inputs")
+        own = {name: file_hash(self.path.with_name(name)) for name in names}
+        return own | (dict(inputs) if isinstance(inputs, Mapping) else {})
+
+    @property
+    def searched(self) -> dict[str, str]:
+        """What a search for missing effects found, in words."""
+        if self.search is None:
+            return {"search": "none for effects that the model lacks"}
+        effects = ", ".join(map(effect_words, self.search.effects)) or "no effect"
+        return {"search": f"{effects} found; {self.search.unexplained_mm:.4f} mm unexplained"}
 
 
 def _budget_of(robot: FittedRobot) -> tuple[Budget | None, dict[str, str]]:
@@ -197,7 +228,8 @@ def _ranges(robot: FittedRobot) -> Iterator[Range]:
     arm = robot.model.chain.robot
     covered = robot.covered
     for name, unit, (lower, upper) in zip(arm.joint_names, arm.joint_units, covered.q, strict=True):
-        factor, shown = (180.0 / math.pi, "deg") if unit == "rad" else (1e3, "mm")
+        factor = 180.0 / math.pi if unit == "rad" else 1e3
+        shown = "deg" if unit == "rad" else "mm"
         yield Range(name=name, lower=lower * factor, upper=upper * factor, unit=shown)
     yield Range(
         name="payload",

@@ -14,10 +14,10 @@ from pincal.export.exported import (
     Exported,
     Format,
     as_comment,
+    export_notes,
     filled,
     header,
     identifier,
-    notes_on,
     template_of,
 )
 from pincal.export.formulas import Formulas, Language, WrittenPart, written
@@ -62,7 +62,7 @@ class CSource(Format):
             for kind in "hc"
         }
         worst = refuse_wrong(formulas.calibrated, text=numpy_source(formulas, frame=self.frame))
-        return Exported(files, notes_on(calibrated, formulas), worst)
+        return Exported(files, export_notes(calibrated, formulas), worst)
 
 
 def _file(formulas: Formulas, name: str, *, kind: str, frame: str) -> str:

@@ -167,7 +167,7 @@ def placed_in(calibrated: FittedRobot, frame: str) -> FittedRobot:
     )
 
 
-def notes_on(calibrated: FittedRobot, formulas: Formulas) -> tuple[str, ...]:
+def export_notes(calibrated: FittedRobot, formulas: Formulas) -> tuple[str, ...]:
     """Return what source code can't represent of a calibrated model."""
     read = ", ".join(effect.name for effect in calibrated.model.effects if effect.is_sighted)
     notes = [*NOTES]

@@ -48,6 +48,14 @@ class Spread:
         """Whether there is any."""
         return bool(np.any(self.root)) or self.rest > 0.0
 
+    def of_uncertain(self, motions: Sequence[np.ndarray]) -> tuple[Expression, ...]:
+        """Return the entries of the motions of the uncertain parameters and of the drives, of those
+        of all parameters and then of the drives.
+        """
+        n = len(self.root) - len(self.parameters)
+        chosen = [*(motions[p] for p in self.parameters), *motions[len(motions) - n :]]
+        return tuple(entry for motion in chosen for entry in motion)
+
     def rows(self) -> list[list[str]]:
         """Return the rows of the root as numbers in any language."""
         return [[f"{value:.9g}" for value in row] for row in self.root]
@@ -138,22 +146,28 @@ def formulas_of(calibrated: FittedRobot) -> Formulas:
             moments = tuple(walk.symbolic_moments(layout, x, at.payload[0], at.payload_centre))
     tool = _by_target(chain.tool_rotations, at.target[0])
     pose, by_coordinates = walk.tip_pose(layout, x, tool, list(range(len(x))))
-    columns = by_coordinates[:, chain.drives]
     spread = Spread.of(calibrated)
     motions = _motions(model, at, taken, by_coordinates[:3])
-    columns = chain.robot.gathered(columns)
-    own = chain.robot.own_joints
-    if chain.robot.couplings:
-        columns = columns @ chain.robot.combination[np.ix_(own, own)]
-    uncertain = (*spread.parameters, *(model.n_parameters + np.arange(n)))
     return Formulas(
         calibrated,
         moments,
         tuple(pose.ravel()),
-        tuple(columns.ravel()),
-        tuple(entry for p in uncertain for entry in motions[p]),
+        tuple(_by_joints(chain, by_coordinates).ravel()),
+        spread.of_uncertain(motions),
         spread,
     )
+
+
+def _by_joints(chain: Chain, by_coordinates: np.ndarray) -> np.ndarray:
+    """Return the motion by the m independent joints, shape (6, m), of that by the K coordinates,
+    shape (6, K).
+    """
+    robot = chain.robot
+    columns = robot.gathered(by_coordinates[:, chain.drives])
+    own = robot.own_joints
+    if robot.couplings:
+        columns = columns @ robot.combination[np.ix_(own, own)]
+    return columns
 
 
 def _motions(

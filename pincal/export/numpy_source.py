@@ -21,9 +21,9 @@ from pincal.export.exported import (
     Format,
     as_comment,
     checked_poses,
+    export_notes,
     filled,
     header,
-    notes_on,
     placed_in,
     template_of,
 )
@@ -92,7 +92,7 @@ class NumpySource(Format):
         formulas = checked_formulas(calibrated, self.frame)
         text = numpy_source(formulas, frame=self.frame)
         worst = refuse_wrong(formulas.calibrated, text=text)
-        return Exported({"": text.encode()}, notes_on(calibrated, formulas), worst)
+        return Exported({"": text.encode()}, export_notes(calibrated, formulas), worst)
 
 
 def checked_formulas(calibrated: FittedRobot, frame: str) -> Formulas:

@@ -22,9 +22,9 @@ from pincal.export.exported import (
     Format,
     as_comment,
     checked_poses,
+    export_notes,
     filled,
     header,
-    notes_on,
     placed_in,
     worth_of,
 )
@@ -108,7 +108,7 @@ class CorrectorPage(Format):
         page = jinja2.Environment(loader=loader, autoescape=True, trim_blocks=True).get_template(
             "corrector.html.j2"
         )
-        notes = notes_on(calibrated, formulas)
+        notes = export_notes(calibrated, formulas)
         html = page.render(
             title=calibrated.model.chain.robot.name,
             machine=calibrated.identity.machine,

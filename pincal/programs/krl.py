@@ -357,8 +357,7 @@ class _SourceReader(Reader):
 
     def move(self, k: int) -> None:
         """Note a motion."""
-        statement = self.statements[k]
-        items = statement.items
+        items = self.statements[k].items
         first = word(items[0])
         if first in _RELATIVE:
             self._move_relatively(k)
@@ -371,15 +370,15 @@ class _SourceReader(Reader):
         path = places.path(_MOTIONS[first])
         tool = self._frame("$TOOL", k)
         displaced = self.displaced(k, [POSITIONS])
-        why = displaced or self._why_moved(k, is_line=_MOTIONS[first] != "joint")
+        moved = displaced or self._why_moved(k, is_line=_MOTIONS[first] != "joint")
         self.draft.motions.append(
             Motion(
                 path,
                 tuple(self.target(k, part) for part in places.parts),
-                statement,
+                self.statements[k],
                 self.file,
                 tool,
-                Frame("$BASE", reason=why) if why else self._frame("$BASE", k),
+                Frame("$BASE", reason=moved) if moved else self._frame("$BASE", k),
                 place_of(places.parts[-1]),
                 self.flow[k].run,
                 can_insert=path == "line" and not self._splines(k),

@@ -18,7 +18,7 @@ from pincal.errors import Exit, OutputError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from pincal.certificate.statement import Certificate
+    from pincal.certificate.contents import Certificate
 
 PAGE_FILE = "certificate.html"
 DCC_FILE = "dcc.xml"
@@ -84,9 +84,9 @@ def certificate(arguments: CertificateArguments) -> Exit:
 
 def _certificate(arguments: CertificateArguments) -> Certificate:
     """Return the certificate of what the command line names."""
+    from pincal.certificate.contents import Issue
     from pincal.certificate.of_measured import MEASURED, certificate_of_measured
     from pincal.certificate.of_model import certificate_of_model
-    from pincal.certificate.statement import Issue
     from pincal.io.result_folder import MODEL
 
     day = arguments.issued or datetime.datetime.now(tz=datetime.UTC).date()

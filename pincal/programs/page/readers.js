@@ -3070,9 +3070,8 @@ return new Point(name, this.file, line, "pose", found, posture);
 return null;
 }
 move(k) {
-let displaced, first, items, path, places, statement, tool, why;
-statement = py.at(this.statements, k);
-items = statement.items;
+let displaced, first, items, moved, path, places, tool;
+items = py.at(this.statements, k).items;
 first = word(py.at(items, 0));
 if (py.has(_RELATIVE, first)) {
 this._move_relatively(k);
@@ -3088,8 +3087,8 @@ return null;
 path = places.path(py.at(_MOTIONS, first));
 tool = this._frame("$TOOL", k);
 displaced = this.displaced(k, [POSITIONS]);
-why = py.either(displaced, () => this._why_moved(k, !py.same(py.at(_MOTIONS, first), "joint")));
-py.call(this.draft.motions, "append", new Motion(path, py.tuple((() => { const $out = []; for (const part of py.iter(places.parts)) { $out.push(this.target(k, part)); } return $out; })()), statement, this.file, tool, (py.truth(why) ? new Frame("$BASE", undefined, why) : this._frame("$BASE", k)), place_of(py.at(places.parts, -1)), py.at(this.flow, k).run, py.both(py.same(path, "line"), () => !py.truth(this._splines(k))), py.has(_BY_POSTURE, first), py.either(this.load(k), () => this._load_of_tool(k, tool)), displaced));
+moved = py.either(displaced, () => this._why_moved(k, !py.same(py.at(_MOTIONS, first), "joint")));
+py.call(this.draft.motions, "append", new Motion(path, py.tuple((() => { const $out = []; for (const part of py.iter(places.parts)) { $out.push(this.target(k, part)); } return $out; })()), py.at(this.statements, k), this.file, tool, (py.truth(moved) ? new Frame("$BASE", undefined, moved) : this._frame("$BASE", k)), place_of(py.at(places.parts, -1)), py.at(this.flow, k).run, py.both(py.same(path, "line"), () => !py.truth(this._splines(k))), py.has(_BY_POSTURE, first), py.either(this.load(k), () => this._load_of_tool(k, tool)), displaced));
 return null;
 }
 _move_relatively(k) {
