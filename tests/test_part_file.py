@@ -167,6 +167,20 @@ def test_what_is_no_part_is_refused(case: str, tmp_path: Path) -> None:
     assert "door.toml" in str(error.value) or "absent.csv" in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("name,x,y,z,tolerance\np,1,2,3,0.1\nq,1,2,4,\n", 'line 3, column "tolerance"'),
+        ("name,x,y,z\np,1,2,3\nq,1,,4\n", 'line 3, column "y"'),
+        ("name,x,y,z,tolerance\np,1,2,3,-0.001\n", "'p' has the tolerance -1 mm; expected more than 0"),
+    ],
+)
+def test_no_point_of_a_table_is_lost(tmp_path: Path, table: str, words: str) -> None:
+    """An empty cell or a tolerance below 0 is refused: without its row, a feature would not be judged."""
+    with pytest.raises(BadInputError, match=words):
+        read(tmp_path, "points = 'nominals.csv'", table)
+
+
 def test_a_point_that_stands_twice_in_its_table_is_refused(tmp_path: Path) -> None:
     """By its name."""
     with pytest.raises(BadInputError, match="'p' occurs twice"):

@@ -431,10 +431,15 @@ def _rows(path: Path) -> Iterator[PartFeature]:
     from pincal.measure.reader import read_columns
 
     quantities = {"name": "name", **dict.fromkeys("xyz", "length"), "tolerance": "length"}
-    columns = read_columns(path, quantities, optional=("tolerance",))
+    columns = read_columns(path, quantities, optional=("tolerance",), is_whole=True)
     places = np.column_stack([columns[axis] for axis in "xyz"])
     tolerances = columns.get("tolerance", np.full(len(places), np.nan))
     for name, place, tolerance in zip(columns["name"], places, tolerances, strict=True):
+        if tolerance <= 0.0:
+            raise BadInputError(
+                f"{path}: point {str(name)!r} has the tolerance {1e3 * tolerance:g} mm; expected "
+                "more than 0"
+            )
         limits = {
             axis: ToleranceLimits(value - tolerance, value + tolerance)
             for axis, value in zip("xyz", place.tolist(), strict=True)
