@@ -241,6 +241,8 @@ def test_tables_are_read_with_their_units(tmp_path: Path) -> None:
         ("feature,cx,cy,cz", "a,0,0,-0.3", "behind the sensor"),
         ("feature,cx,cy", "a,0,0", "without cz"),
         ("feature,range", "a,-0.1", "a range of 0 or less"),
+        ("feature,range", "a,350", r"looks like millimetres; expected at most 20 m: write `range \[mm\]`"),
+        ("feature,cx,cy,cz", "a,10,-20,380", r"cz has a median of 380 m.*write `cz \[mm\]`"),
     ],
 )
 def test_tables_that_cannot_be_right_are_refused(tmp_path: Path, columns: str, cells: str, words: str) -> None:

@@ -184,7 +184,7 @@ class FittedRobot:
             if len(names) > 1:
                 raise BadInputError(
                     f"this needs a single station, and there are {len(names)}: "
-                    f"{', '.join(names)}; choose one with fit.at(NAME)"
+                    f"{', '.join(names)}; choose one: --station NAME, or fit.at(NAME) in Python"
                 )
             return self
         if station not in names and names == ("",):

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pincal.errors import MeasurementError, few
+from pincal.features.features_numbers import FEATURES
 from pincal.measure.admit import check_joints_of
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.reader import read_table
@@ -36,6 +37,8 @@ _PASSES = (Field("pass", ("pass",), "name"), Field("run", ("run",), "name"))
 _RANGE = Field(RANGE, ("range",), "length")
 _READ = (known_fields()[CAMERA_POINT], known_fields()[IMAGE], _RANGE)
 _FIELDS = (_FEATURE, *_PASSES, *_READ, *CONDITIONS.values())
+# The column of the distance from the sensor, by the kind of readings.
+_DEPTH = {CAMERA_POINT: "cz", RANGE: "range"}
 # Rows that a message lists.
 _LISTED: Count = 5
 
@@ -220,6 +223,13 @@ def _faults(kind: str, seen: np.ndarray) -> Iterator[tuple[np.ndarray, str, str]
     """Yield which rows have a fault, shape (N,), the fault and what is expected."""
     is_finite = np.isfinite(seen).reshape(len(seen), -1).all(axis=1)
     yield ~is_finite, f"{kind} is not finite", "numbers"
+    if kind in _DEPTH:
+        depth = np.abs(seen if kind == RANGE else seen[:, 2])
+        yield (
+            np.full(len(depth), float(np.median(depth)) > FEATURES.farthest),
+            f"{_DEPTH[kind]} has a median of {np.median(depth):g} m, which looks like millimetres",
+            f"at most {FEATURES.farthest:g} m: write `{_DEPTH[kind]} [mm]` in the header",
+        )
     if kind == CAMERA_POINT:
         yield (
             seen[:, 2] <= 0.0,

@@ -123,12 +123,13 @@ def _intersection(mounted: MountedSensor, rows: np.ndarray) -> _Intersection:
 def _named(mounted: MountedSensor, rows: np.ndarray) -> str:
     """Return where the images of a point are, for a message."""
     readings = mounted.readings
-    point = readings.point[rows[0]]
+    point = str(readings.point[rows[0]])
+    feature = str(readings.feature[rows[0]])
     lines = few(readings.rows.rows[rows], _LISTED)
     of_point = f", point {point!r}" if point else ""
     if readings.pass_name is not None:
-        of_point += f", pass {readings.pass_name[rows[0]]!r}"
-    return f"{readings.rows.source}, line {lines}: feature {readings.feature[rows[0]]!r}{of_point}"
+        of_point += f", pass {str(readings.pass_name[rows[0]])!r}"
+    return f"{readings.rows.source}, line {lines}: feature {feature!r}{of_point}"
 
 
 def _nearest(poses: np.ndarray, directions: np.ndarray, where: str) -> np.ndarray:

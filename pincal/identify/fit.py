@@ -168,7 +168,7 @@ class ModelFit:
             names = ", ".join(station.name for station in stations)
             raise BadInputError(
                 f"this needs a single station, and there are {len(stations)}: {names}; "
-                "choose one with fit.at(NAME)"
+                "choose one: --station NAME, or fit.at(NAME) in Python"
             )
         return stations[0]
 
