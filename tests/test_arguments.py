@@ -285,6 +285,21 @@ def test_a_name_that_can_not_be_written_is_refused_first(words: str, capsys: pyt
     assert "can't be written as" in told or "give the name of a folder" in told
 
 
+@pytest.mark.parametrize("name", ["t.csv", "./t.csv", "model.json/../t.csv"])
+def test_a_table_that_is_read_is_not_replaced(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By whatever name, before anything is computed: measurements would be lost to predictions of them."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "model.json").mkdir()
+    (tmp_path / "t.csv").write_text("measured")
+
+    assert run("predict", "model.json", "t.csv", "--out", name) == 3
+
+    assert "is read by this command and would be replaced" in capsys.readouterr().err
+    assert (tmp_path / "t.csv").read_text() == "measured"
+
+
 def test_a_table_ends_as_it_is_written(tmp_path: Path) -> None:
     """From Python, too: tabs where the name says so, and no other format under its name."""
     write_table(tmp_path / "t.tsv", {"a": np.ones(1), "b": np.ones(1)})

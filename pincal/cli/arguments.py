@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, field, fields
 from pathlib import Path
 from types import NoneType
@@ -286,6 +286,7 @@ def verb(
     def decorate(function: Callable[[A], Exit]) -> Verb:
         def run(**given: Any) -> Exit:
             show_progress(given["quiet"])
+            _keep_inputs(parameters, given)
             return function(_filled(arguments, given))
 
         parameters = list(_parameters(arguments, defaults or {}, heading="Options"))
@@ -301,6 +302,37 @@ def verb(
         )
 
     return decorate
+
+
+def _keep_inputs(
+    parameters: Sequence[tuple[str, click.Parameter]], given: Mapping[str, Any]
+) -> None:
+    """Refuse a file to write that is also read: measurements would be replaced by results.
+
+    Raises:
+        OutputError: with both names.
+    """
+    read = list[Path]()
+    written = list[tuple[str, Path]]()
+    for _, parameter in parameters:
+        value = given[str(parameter.name)]
+        paths = [
+            each for each in (value if isinstance(value, tuple) else (value,)) if _is_file(each)
+        ]
+        if isinstance(parameter.type, Output):
+            written += [(parameter.opts[0], path) for path in paths]
+        else:
+            read += paths
+    for name, path in written:
+        if any(path.samefile(source) for source in read):
+            raise OutputError(
+                f"{name} {path}: is read by this command and would be replaced; choose another name"
+            )
+
+
+def _is_file(value: Any) -> bool:
+    """Return whether a value is the path of a file that exists."""
+    return isinstance(value, Path) and value.is_file()
 
 
 def _filled(arguments: type[A], given: Mapping[str, Any]) -> A:
