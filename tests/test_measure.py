@@ -284,6 +284,7 @@ def test_the_command_measures_a_part(
     np.testing.assert_allclose(float(row["value"]), found["features"][0]["values"]["diameter"]["value"])
     page = (tmp_path / "out" / "report.html").read_text()
     assert "does not conform" in page and "2021-17" in page and "<script" not in page
+    assert "24 readings" in page and "at most 1<" in page and "U: expanded uncertainty" in page
 
 
 def test_a_doubt_of_the_calibration_is_one_of_the_part(
