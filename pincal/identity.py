@@ -17,8 +17,8 @@ import msgspec
 from pincal.errors import BadInputError, nearest_first, printable
 from pincal.thresholds import Count, Scale
 
-# Longest entry [characters]: a line on a page of A4.
-_LONGEST: Count = 200
+LONGEST_ENTRY: Count = 200
+"""Longest entry [characters]: a line on a page of A4."""
 # Most notes.
 _MOST_NOTES: Count = 50
 # Lowest temperature [deg C].
@@ -99,7 +99,7 @@ class Identity(msgspec.Struct, frozen=True, omit_defaults=True):
                 known[key] = _text(key, text.strip())
             else:
                 raise BadInputError(
-                    f"id.{printable(key, _LONGEST)}: no such entry; expected one of "
+                    f"id.{printable(key, LONGEST_ENTRY)}: no such entry; expected one of "
                     f"{', '.join(nearest_first([key], KEYS))}, or id.note.NAME for anything else"
                 )
         return cls(**known, note=notes)
@@ -194,10 +194,10 @@ def _text(key: str, value: str) -> str:
     Raises:
         BadInputError: for an empty, long or unprintable one.
     """
-    if not value.strip() or len(value) > _LONGEST or not value.isprintable():
+    if not value.strip() or len(value) > LONGEST_ENTRY or not value.isprintable():
         raise BadInputError(
-            f"id.{printable(key, _LONGEST)} {printable(value, _LONGEST)!r}; expected a line of "
-            f"text of at most {_LONGEST} characters"
+            f"id.{printable(key, LONGEST_ENTRY)} {printable(value, LONGEST_ENTRY)!r}; expected a "
+            f"line of text of at most {LONGEST_ENTRY} characters"
         )
     return value
 

@@ -83,6 +83,26 @@ def test_a_length_without_contacts_is_told() -> None:
         acceptance(contacts(0.0, 0.5), [KnownDistance("a", "c", 0.5)], Permitted(1e-4, 0.0))
 
 
+@pytest.mark.parametrize(
+    ("lengths", "words"),
+    [
+        ([KnownDistance("a", "b", 500.0)], r"500 m, and the contacts are 0.5 m apart.*distance \[mm\]"),
+        ([KnownDistance("a", "b", 5e-4)], "0.0005 m, and the contacts are 0.5 m apart"),
+        ([KnownDistance("a", "b", 0.5), KnownDistance("b", "a", 0.5)], "b and a occurs twice"),
+    ],
+)
+def test_lengths_that_are_no_test_are_refused(lengths: list[KnownDistance], words: str) -> None:
+    """Numbers in mm under a header without a unit, or the reverse, are no errors of a robot; a pair of ends counts once."""
+    with pytest.raises(MeasurementError, match=words):
+        acceptance(contacts(0.0, 0.5), lengths, Permitted(1e-4, 0.0))
+
+
+def test_a_plan_that_no_model_can_be_judged_by_is_refused(tmp_path: Path) -> None:
+    """A single contact with an end only tells where the end is: validate leaves it out."""
+    assert run("design", "ur10", "--acceptance", "300mm", "--times", "1", "--out", tmp_path / "test.csv") == 2
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.long
 def test_a_plan_has_the_tool_point_in_the_ends() -> None:
     """By the nominal arm, each contact is at its end; ends are as far apart as the length, in seven places."""

@@ -519,9 +519,50 @@ def test_a_certificate_does_not_outlive_its_calibration(tmp_path: Path) -> None:
     assert {file.name for file in folder.iterdir()} == {"model.json", "notes.txt"}
 
 
-@pytest.mark.parametrize("words", [["--issued", "30.11.2026"], ["--set", "id.robt=1"]])
+def test_the_file_of_a_measured_part_is_certified_as_its_folder(tmp_path: Path) -> None:
+    """measured.json by its own name says the same as the folder that holds it."""
+    (tmp_path / "measured.json").write_text(json.dumps(MEASURED))
+
+    assert run("certificate", tmp_path / "measured.json", "--out", tmp_path / "a", "--issued", "2026-11-30") == 0
+    assert run("certificate", tmp_path, "--out", tmp_path / "b", "--issued", "2026-11-30") == 0
+
+    assert (tmp_path / "a" / "dcc.xml").read_bytes() == (tmp_path / "b" / "dcc.xml").read_bytes()
+
+
+def test_a_decision_that_is_none_is_refused_with_its_place(tmp_path: Path) -> None:
+    """The quantity stands in a dictionary, whose key the decoder does not tell."""
+    changed = json.loads(json.dumps(MEASURED))
+    next(iter(changed["features"][0]["values"].values()))["decision"] = "perhaps"
+    (tmp_path / "measured.json").write_text(json.dumps(changed))
+
+    with pytest.raises(BadInputError, match=r"decision: is 'perhaps'; expected one of .*conforms"):
+        certificate_of_measured(tmp_path, Identity(), ISSUE)
+
+
+def test_a_provenance_of_ones_own_is_no_checksum(tmp_path: Path) -> None:
+    """Text is; a number among the inputs is left out, and the certificate is written."""
+    own = MEASURED | {"provenance": {"inputs": {"part.toml": "ab12", "run": 3}}}
+    (tmp_path / "measured.json").write_text(json.dumps(own))
+
+    found = certificate_of_measured(tmp_path, Identity(), ISSUE)
+
+    assert found.files["part.toml"] == "ab12" and "run" not in found.files
+    assert "ab12" in certificate_page(found)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--issued", "30.11.2026"],
+        ["--issued", "20261130"],
+        ["--issued", "2026-W48-1"],
+        ["--set", "id.robt=1"],
+        ["--number", "C-17\nC-18"],
+        ["--number", "9" * 201],
+    ],
+)
 def test_wrong_words_are_wrong_usage(words: list[str], folder: Path) -> None:
-    """A day that is none, and an entry that is none."""
+    """A day that is none or written otherwise, an entry that is none, and a number that is no line of text."""
     assert run("certificate", folder, "--out", folder, *words) == 2
 
 

@@ -293,6 +293,7 @@ def test_a_sensor_file_is_read(tmp_path: Path) -> None:
         ("rotation_deg = [0, 0, 90]", "", "no rotation_deg.*three numbers"),
         ("radius_mm = 1.5", "radius_mm = -1.5", "a number of 0 or more"),
         ("u_position_mm = 0.02", "u_position_mm = -0.02", "numbers of 0 or more"),
+        (SENSOR, "probe = 3", r"probe = 3; expected a table \[probe\]"),
         ("radius_mm = 1.5", "radius_mm = 1.5\nradius_um = 1500", "twice"),
         ("fx = 1500", "", "no fx; expected fx fy u0 v0"),
         ("fx = 1500", "fx = -1500", "a focal length of more than 0"),

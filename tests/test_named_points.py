@@ -387,7 +387,9 @@ def test_the_origin_of_an_object_is_a_point(tmp_path: Path) -> None:
     [
         (read_points, "point,x,y\nA,1,2\n", "no column 'z'"),
         (read_points, "point,x,y,z\nA,1,2,3\nA,1,2,4\n", "'A' occurs twice"),
-        (read_distances, "first,second,distance\nA,B,-1\n", "expected more than 0"),
+        (read_distances, "first,second,distance\nA,B,-1\n", "file.*: distance of A and B.*expected more than 0"),
+        (read_distances, "first,second,distance\nA,B,1\nB,C,\n", 'line 3, column "distance"'),
+        (read_distances, "first,second,distance,sigma\nA,B,1,1e-5\nB,C,1,\n", 'line 3, column "sigma"'),
         (read_camera, "{", "not JSON"),
         (read_camera, '{"fx": 1}', "expected an object with fx, fy, u0, v0"),
         (read_camera, '{"fx": 0, "fy": 1, "u0": 1, "v0": 1}', "fx is 0 px"),

@@ -95,8 +95,8 @@ REFUSED = {
     "top key": ("units = 'mm'\n" + POINT, "'units'; expected one of unit"),
     "top unit": ("unit = 'furlong'\n" + POINT, "furlong"),
     "kind": ("[feature.a]\nkind = 'circel'", "expected one of circle"),
-    "no kind": ("[feature.a]\nnominal_mm = 3", "kind"),
     "key": (POINT + "nominal_mn = [1, 2, 3]", "nominal_mm"),
+    "no kind": ("[feature.a]\nnominal_mm = 3", "no kind; expected one of"),
     "key of another kind": (POINT + "diameter_mm = 3", "unknown key 'diameter_mm'"),
     "no unit": (POINT + "nominal = [1, 2, 3]", "a unit: nominal_mm = ..."),
     "no unit of an angle": (
@@ -128,7 +128,7 @@ REFUSED = {
         "names what it is of",
     ),
     "direction of 0": ("[feature.a]\nkind = 'plane'\ndirection = [0, 0, 0]", "not all 0"),
-    "negative": ("[feature.a]\nkind = 'circle'\ndiameter_mm = -3", "below 0"),
+    "negative": ("[feature.a]\nkind = 'circle'\ndiameter_mm = -3", "the nominal diameter is below 0 (-0.003 m)"),
     "of one": (POINT + "[feature.d]\nkind = 'distance'\nof = ['a']", "two features"),
     "of itself": (POINT + "[feature.d]\nkind = 'distance'\nof = ['a', 'd']", "distance itself"),
     "of unknown": (POINT + "[feature.d]\nkind = 'distance'\nof = ['a', 'b']", "'b', which is no feature"),
@@ -141,6 +141,14 @@ REFUSED = {
     "datum of unknown": (POINT + "[datum]\nkind = 'best fit'\nfeatures = ['b']", "no measured feature"),
     "datum without nominal": (POINT + "[datum]\nkind = 'best fit'\nfeatures = ['a']", "no nominal position"),
     "datum of nothing": (POINT + "[datum]\nkind = 'best fit'", "no features"),
+    "datum of one twice": (
+        POINT + "nominal_mm = [1, 2, 3]\n[datum]\nkind = 'best fit'\nfeatures = ['a', 'a']",
+        "'a' occurs twice; expected each feature once",
+    ),
+    "datum of three, one twice": (
+        POINT + "nominal_mm = [1, 2, 3]\n[datum]\nkind = '3-2-1'\nfeatures = ['a', 'a', 'a']",
+        "'a' occurs twice; expected each feature once",
+    ),
     "calibrated datum": (POINT + "[datum]\nkind = 'calibrated'\nfeatures = ['a']", "takes none"),
     "no points": ("points = 'absent.csv'", "absent.csv"),
     "points of a plane": ("points = 'nominals.csv'\n[feature.p_1]\nkind = 'plane'", "another name"),
@@ -157,6 +165,20 @@ def test_what_is_no_part_is_refused(case: str, tmp_path: Path) -> None:
 
     assert words in str(error.value)
     assert "door.toml" in str(error.value) or "absent.csv" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("name,x,y,z,tolerance\np,1,2,3,0.1\nq,1,2,4,\n", 'line 3, column "tolerance"'),
+        ("name,x,y,z\np,1,2,3\nq,1,,4\n", 'line 3, column "y"'),
+        ("name,x,y,z,tolerance\np,1,2,3,-0.001\n", "'p' has the tolerance -1 mm; expected more than 0"),
+    ],
+)
+def test_no_point_of_a_table_is_lost(tmp_path: Path, table: str, words: str) -> None:
+    """An empty cell or a tolerance below 0 is refused: without its row, a feature would not be judged."""
+    with pytest.raises(BadInputError, match=words):
+        read(tmp_path, "points = 'nominals.csv'", table)
 
 
 def test_a_point_that_stands_twice_in_its_table_is_refused(tmp_path: Path) -> None:

@@ -32,6 +32,19 @@ def write(folder: Path, mark: str, names: tuple[str, ...] = CALIBRATION) -> None
             (draft / name).write_text(f'{{\n"format_version": 1,\n"run": "{mark}"\n}}\n')
 
 
+@pytest.mark.parametrize("is_exchangeable", [True, False])
+def test_a_model_is_never_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_exchangeable: bool) -> None:
+    """Results without a model, as of a measured part, are refused in a folder that has one, and leave all its files."""
+    monkeypatch.setattr(result_folder, "_is_exchangeable", lambda goal: is_exchangeable)
+    write(tmp_path, "calibration")
+
+    with pytest.raises(OutputError, match="holds a calibration"):
+        write(tmp_path, "part", ("measured.json", "report.html"))
+
+    assert state(tmp_path) == {name: "calibration" for name in CALIBRATION if name in ("model.json", *RESULTS)}
+    assert {file.name for file in tmp_path.iterdir()} == set(CALIBRATION)
+
+
 def state(folder: Path) -> dict[str, str]:
     """Return which run each file is of."""
     return {

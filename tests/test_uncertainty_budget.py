@@ -18,6 +18,14 @@ def test_coverage_factors_are_those_of_the_table(dof: float) -> None:
     assert round(coverage_factor(dof), 2) == TABLE[dof][1]
 
 
+def test_a_probability_whose_factor_is_infinite_is_refused() -> None:
+    """The largest number below 1 leaves nothing to either tail; ten of its steps lower are something."""
+    with pytest.raises(BadInputError, match="less than 1 by 1e-15"):
+        coverage_factor(math.inf, math.nextafter(1.0, 0.0))
+
+    assert math.isfinite(coverage_factor(math.inf, 1.0 - 1e-15))
+
+
 def test_the_end_gauge_of_the_gum() -> None:
     """JCGM 100, H.1: 32 nm with 16 degrees of freedom, and 93 nm for 99 %."""
     budget = UncertaintyBudget(

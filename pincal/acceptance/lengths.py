@@ -38,6 +38,9 @@ ARTICULATIONS: Count = 5
 """Articulations that ISO 10360-12 asks for at a seat."""
 
 _COVERAGE: Scale = 2.0
+# Ratio of calibrated and measured length, either way, beyond which a unit is wrong: mm and m are
+# 1000 apart, and ends that were mistaken for one another rarely 100.
+_OTHER_UNIT: Scale = 100.0
 
 AcceptanceOutcome = Literal["pass", "fail", "undecided"]
 _OUTCOMES: dict[ConformityVerdict, AcceptanceOutcome] = {
@@ -275,10 +278,10 @@ def acceptance(
         permitted_location: MPE of L_Dia [m]; None if it is not tested.
 
     Raises:
-        MeasurementError: if there is no length, or one without contacts.
+        MeasurementError: if there is no length, one without contacts, one that occurs twice, or one
+            in another unit.
     """
-    if not lengths:
-        raise MeasurementError("no calibrated length; expected at least one")
+    _check_lengths(lengths)
     found = []
     for length in lengths:
         a = contacts.of(length.first)
@@ -287,6 +290,7 @@ def acceptance(
         a = a[:n]
         b = b[:n]
         measured = np.linalg.norm(contacts.position[a] - contacts.position[b], axis=1)
+        _check_unit(length, float(np.median(measured)))
         found.append(
             LengthErrors(
                 length=length,
@@ -296,6 +300,31 @@ def acceptance(
             )
         )
     return Acceptance(tuple(found), _locations(contacts, permitted_location))
+
+
+def _check_lengths(lengths: Sequence[KnownDistance]) -> None:
+    """Refuse no length at all, and two of the same ends, whose contacts would count twice."""
+    if not lengths:
+        raise MeasurementError("no calibrated length; expected at least one")
+    seen = set[frozenset[str]]()
+    for length in lengths:
+        ends = frozenset((length.first, length.second))
+        if ends in seen:
+            raise MeasurementError(
+                f"the length of {length.first} and {length.second} occurs twice; expected each "
+                "pair of ends once"
+            )
+        seen.add(ends)
+
+
+def _check_unit(length: KnownDistance, measured: float) -> None:
+    """Refuse a calibrated length that is larger or smaller than its contacts by a unit."""
+    if not measured / _OTHER_UNIT < length.length < measured * _OTHER_UNIT:
+        raise MeasurementError(
+            f"the length of {length.first} and {length.second} is {length.length:g} m, and the "
+            f"contacts are {measured:g} m apart; expected lengths in m, or their unit in the "
+            "header: distance [mm]"
+        )
 
 
 def _locations(contacts: Contacts, permitted: float | None) -> tuple[LocationError, ...]:

@@ -205,3 +205,14 @@ class Certificate:
         needed = ("robot", "instrument", "certificate", "operator", "date", "place", "laboratory",
                   "country", "customer")  # fmt: skip
         return tuple(key for key in needed if not getattr(self.identity, key))
+
+
+def checksums_of_inputs(provenance: Mapping[str, object]) -> dict[str, str]:
+    """Return the checksums of the files that results were made of, by name.
+
+    Users may write a provenance of their own; what is no text there is no checksum.
+    """
+    inputs = provenance.get("inputs")
+    if not isinstance(inputs, Mapping):
+        return {}
+    return {str(name): value for name, value in inputs.items() if isinstance(value, str)}

@@ -20,6 +20,7 @@ from pincal.certificate.contents import (
     FigureGroup,
     Issue,
     StatedUncertainty,
+    checksums_of_inputs,
 )
 from pincal.errors import BadInputError
 from pincal.features.measured_file import (
@@ -93,8 +94,7 @@ def _files(path: Path, provenance: Mapping[str, Any]) -> dict[str, str]:
     """Return the checksums of what was written, and of what it was made of."""
     written = (path, path.with_name(_TABLE))
     own = {file.name: file_hash(file) for file in written if file.is_file()}
-    inputs = provenance.get("inputs")
-    return own | (dict(inputs) if isinstance(inputs, Mapping) else {})
+    return own | checksums_of_inputs(provenance)
 
 
 def _words(datum: DatumEntry) -> str:

@@ -23,6 +23,7 @@ from pincal.certificate.contents import (
     FigureGroup,
     Issue,
     Range,
+    checksums_of_inputs,
 )
 from pincal.discover.discovery_file import Findings
 from pincal.discover.report.found_words import effect_words
@@ -155,9 +156,8 @@ class _Calibrated:
     def files(self) -> dict[str, str]:
         """Checksums of the files read, and of what the robot was calibrated from."""
         names = [self.path.name, _RESULT, *([] if self.search is None else [_DISCOVERY])]
-        inputs = self.fitted.provenance.get("inputs")
         own = {name: file_hash(self.path.with_name(name)) for name in names}
-        return own | (dict(inputs) if isinstance(inputs, Mapping) else {})
+        return own | checksums_of_inputs(self.fitted.provenance)
 
     @property
     def searched(self) -> dict[str, str]:

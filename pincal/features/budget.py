@@ -161,9 +161,13 @@ def coverage_factor(dof: float, coverage: float = DECISION.coverage) -> float:
     """
     from scipy.special import ndtri, stdtrit
 
-    if not 0.0 < coverage < 1.0:
-        raise BadInputError(f"coverage probability {coverage}; expected more than 0, less than 1")
+    p = (1.0 + coverage) / 2.0
+    # The nearest numbers below 1 leave no probability to a tail, and the factor would be infinite.
+    if not (coverage > 0.0 and p < 1.0):
+        raise BadInputError(
+            f"coverage probability {coverage}; expected more than 0, and less than 1 by 1e-15 or "
+            "more"
+        )
     if not dof > 0.0:
         raise BadInputError(f"{dof} degrees of freedom; expected more than 0")
-    p = (1.0 + coverage) / 2.0
     return float(ndtri(p) if math.isinf(dof) else stdtrit(dof, p))

@@ -287,8 +287,9 @@ class _Adjustment:
         if not np.linalg.norm(step) < _STALLED * self.size:
             raise IdentificationError(
                 f"{_said(self.kind.name, self.name)}: the fit to {len(self.points)} points did not "
-                f"converge in {_STEPS} steps; look for points of another feature among them, or "
-                "measure it with more points that are further apart"
+                f"converge in {_STEPS} steps; look for points of another feature among them, check "
+                "mount and noise of the sensor, or measure it with more points that are further "
+                "apart"
             )
         return _Weighted(self, self._at_mean(numbers), adjusted, form_sigma)
 

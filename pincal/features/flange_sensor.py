@@ -87,9 +87,11 @@ class FlangeSensor:
                 "or probe"
             ) from None
         for name, table in tables.items():
-            if name not in _KNOWN or not isinstance(table, dict):
+            if name not in _KNOWN:
                 known = ", ".join(nearest_first([name], _KNOWN))
                 raise BadInputError(f"{path}: unknown table [{name}]; expected one of {known}")
+            if not isinstance(table, dict):
+                raise BadInputError(f"{path}: {name} = {table!r}; expected a table [{name}]")
         of = {name: _table(path, name, tables.get(name, {})) for name in _KNOWN}
         return cls(
             mount=_mount(of["mount"]),

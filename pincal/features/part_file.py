@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import os
 import tomllib
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -167,9 +168,8 @@ class _File:
     def _feature(self, name: str, entries: Mapping[str, Any]) -> PartFeature:
         where = f"{self.path}, [feature.{name}]"
         units = self._units_of(entries, where)
-        kind = KeyedTable(where, {"kind": entries.get("kind")}, units, {"kind": ""}).text(
-            "kind", QUANTITIES
-        )
+        given = {key: value for key, value in entries.items() if key == "kind"}
+        kind = KeyedTable(where, given, units, {"kind": ""}).text("kind", QUANTITIES)
         table = KeyedTable(where, entries, units, _known_keys(kind))
         point = self.points.get(name)
         if point is not None and kind in (*DERIVED_KINDS, "plane"):
@@ -234,7 +234,9 @@ def _check_datum(datum: PartDatum, features: Mapping[str, PartFeature], where: s
             f"{where}: features for a calibrated datum, which takes none; leave them out, or "
             "expected kind best fit or 3-2-1"
         )
-    if datum.kind == "3-2-1" and (n != 3 or len(set(datum.features)) != 3):
+    if twice := [name for name, times in Counter(datum.features).items() if times > 1]:
+        raise BadInputError(f"{where}: {twice[0]!r} occurs twice; expected each feature once")
+    if datum.kind == "3-2-1" and n != 3:
         raise BadInputError(
             f"{where}: {counted(n, 'feature')}; expected three: a plane, a line and a point"
         )
@@ -321,8 +323,12 @@ def _with_values(feature: PartFeature, table: KeyedTable) -> PartFeature:
             if "diameter" in nominal:
                 raise table.error(name, "one nominal diameter or radius")
             nominal["diameter"] = factor * table.number(name)
-    if min(nominal.values(), default=0.0) < 0.0:
-        raise BadInputError(f"{table.where}: a nominal value below 0; expected 0 or more")
+    for name, value in nominal.items():
+        if value < 0.0:
+            raise BadInputError(
+                f"{table.where}: the nominal {name} is below 0 ({value:g} {UNIT_OF[name]}); "
+                "expected 0 or more"
+            )
     return replace(feature, nominal=nominal)
 
 
@@ -425,10 +431,15 @@ def _rows(path: Path) -> Iterator[PartFeature]:
     from pincal.measure.reader import read_columns
 
     quantities = {"name": "name", **dict.fromkeys("xyz", "length"), "tolerance": "length"}
-    columns = read_columns(path, quantities, optional=("tolerance",))
+    columns = read_columns(path, quantities, optional=("tolerance",), is_whole=True)
     places = np.column_stack([columns[axis] for axis in "xyz"])
     tolerances = columns.get("tolerance", np.full(len(places), np.nan))
     for name, place, tolerance in zip(columns["name"], places, tolerances, strict=True):
+        if tolerance <= 0.0:
+            raise BadInputError(
+                f"{path}: point {str(name)!r} has the tolerance {1e3 * tolerance:g} mm; expected "
+                "more than 0"
+            )
         limits = {
             axis: ToleranceLimits(value - tolerance, value + tolerance)
             for axis, value in zip("xyz", place.tolist(), strict=True)

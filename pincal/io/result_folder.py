@@ -42,7 +42,8 @@ def output_folder(path: Path) -> Iterator[Path]:
     Results of an earlier run are removed; other files at ``path`` are kept.
 
     Raises:
-        OutputError: if ``path`` is a file or can't be written.
+        OutputError: if ``path`` is a file, can't be written, or holds a model that results without
+            one would remove.
     """
     try:
         goal = Path(os.path.realpath(path))
@@ -52,6 +53,7 @@ def output_folder(path: Path) -> Iterator[Path]:
         place = goal.parent if _is_exchangeable(goal) else goal
         with drafted(place, goal.name, is_folder=True) as draft:
             yield draft
+            _keep_model(path, draft)
             model = draft / MODEL
             if model.exists():
                 listed = {
@@ -63,6 +65,19 @@ def output_folder(path: Path) -> Iterator[Path]:
         raise OutputError(
             f"{path}: can't write here ({error.strerror}); choose another --out"
         ) from None
+
+
+def _keep_model(path: Path, draft: Path) -> None:
+    """Refuse to replace a calibration by results that have no model.
+
+    A part's results written into the folder of the model that they were measured with would take
+    the model, which may exist nowhere else, and its ``result.json`` with them.
+    """
+    if (path / MODEL).exists() and not (draft / MODEL).exists():
+        raise OutputError(
+            f"{path}: holds a calibration ({MODEL}), whose files would be removed; expected "
+            "another folder: choose another --out"
+        )
 
 
 def not_written_with(model: Path, files: Mapping[str, str]) -> str:

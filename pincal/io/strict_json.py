@@ -46,6 +46,8 @@ _NO_BRACKETS = bytes(set(range(256)) - set(b"[]{}"))
 
 _SURROGATES = re.compile(rb"\\u[dD][89a-fA-F]")
 _PLACE = re.compile(r" - at `(?P<place>[^`]*)`$")
+# Keys of dictionaries are not named, but stand as [...].
+_ANY_KEY = "[...]"
 _KEY = re.compile(r"\.([^.\[]+)|\[(\d+)\]")
 _KINDS = {
     dict: "an object",
@@ -251,16 +253,14 @@ def explained(
             "has entries that are not finite numbers",
             "finite numbers",
         )
-    value = _value_at(loaded(), place)
-    if message.startswith("Invalid enum value"):
-        return (
-            place,
-            f"is {value!r}",
-            f"one of {', '.join(map(str, get_args(_type_at(wanted, place))))}",
-        )
-    if match := re.fullmatch(r"Expected `([^`]+)`, got `[^`]+`", message):
+    if match := re.fullmatch(r"Invalid enum value (.+)", message, re.DOTALL):
+        choices = get_args(_type_at(wanted, place))
+        return place, f"is {match[1]}", f"one of {', '.join(map(str, choices))}"
+    if match := re.fullmatch(r"Expected `([^`]+)`, got `([^`]+)`", message):
         expected = " or ".join(_EXPECTED.get(name, name) for name in match[1].split(" | "))
-        return place, what_is(value, expected), expected
+        if _ANY_KEY in place:
+            return place, f"is {_EXPECTED.get(match[2], match[2])}", expected
+        return place, what_is(_value_at(loaded(), place), expected), expected
     return place, f"is invalid ({message})", "what pincal writes"
 
 
@@ -273,10 +273,14 @@ def what_is(value: Any, expected: str) -> str:
 
 def _steps(place: str) -> list[str | int]:
     return [
-        key or int(index)
-        for key, index in _KEY.findall(f".{place}" if place[:1] != "[" else place)
-        if key or index
+        key or int(index) for key, index in _KEY.findall(_without_any_key(place)) if key or index
     ]
+
+
+def _without_any_key(place: str) -> str:
+    """Return a place that begins with a separator, without keys of dictionaries."""
+    plain = place.replace(_ANY_KEY, "")
+    return plain if plain[:1] == "[" else f".{plain}"
 
 
 def _value_at(value: Any, place: str) -> Any:
@@ -295,7 +299,8 @@ def _type_at(wanted: Any, place: str) -> Any:
                 field.type for field in msgspec.structs.fields(wanted) if field.encode_name == step
             )
         while not isinstance(wanted, type) and get_origin(wanted) is not Literal:
-            wanted = get_args(wanted)[0]
+            # Of a dictionary its values.
+            wanted = get_args(wanted)[-1 if get_origin(wanted) is dict else 0]
     return wanted
 
 

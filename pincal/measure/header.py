@@ -109,6 +109,7 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
     measured = {name for part in readings for name in part.columns}
     measured |= {*(meanings.orientation.columns if meanings.orientation else ())}
     measured |= {*columns} if schema.is_stream else set()
+    measured = set() if schema.is_whole else measured
     return Header(
         tuple(columns.values()),
         joints,

@@ -35,14 +35,13 @@ def read_distances(path: str | os.PathLike[str]) -> tuple[KnownDistance, ...]:
     ``sigma``.
 
     Raises:
-        MeasurementError: if the file can't be read, or a value is invalid.
+        MeasurementError: if the file can't be read, a cell is empty, or a value is invalid.
     """
     quantities = {"first": "name", "second": "name", "distance": "length", "sigma": "length"}
-    columns = read_columns(path, quantities, optional=("sigma",))
+    columns = read_columns(path, quantities, optional=("sigma",), is_whole=True)
     sigma = columns.get("sigma", np.full(len(columns["first"]), GAP_SIGMA))
-    return tuple(
-        KnownDistance(str(a), str(b), float(length), float(s))
-        for a, b, length, s in zip(
-            columns["first"], columns["second"], columns["distance"], sigma, strict=True
-        )
-    )
+    rows = zip(columns["first"], columns["second"], columns["distance"], sigma, strict=True)
+    try:
+        return tuple(KnownDistance(str(a), str(b), float(d), float(s)) for a, b, d, s in rows)
+    except MeasurementError as error:
+        raise MeasurementError(f"{path}: {error}") from None

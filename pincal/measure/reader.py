@@ -324,7 +324,11 @@ def _whole(part: Field, values: Mapping[str, np.ndarray], *, source: str) -> np.
 
 
 def read_columns(
-    path: str | os.PathLike[str], quantities: Mapping[str, str], *, optional: Sequence[str] = ()
+    path: str | os.PathLike[str],
+    quantities: Mapping[str, str],
+    *,
+    optional: Sequence[str] = (),
+    is_whole: bool = False,
 ) -> dict[str, np.ndarray]:
     """Return the columns in SI units, shape (N,) each, of a small table whose columns are all
     known.
@@ -333,11 +337,14 @@ def read_columns(
         path: the file; formats and units as in a table of measurements.
         quantities: quantity of each column: "name", "length", ...
         optional: columns that may be absent.
+        is_whole: whether each row counts, so that an empty cell is refused; otherwise its row is
+            left out with a note.
 
     Raises:
         MeasurementError: for a file that can't be read, or a column, unit or cell that is invalid.
     """
-    schema = Schema(tuple(Field(name, (name,), quantity) for name, quantity in quantities.items()))
+    fields = tuple(Field(name, (name,), quantity) for name, quantity in quantities.items())
+    schema = Schema(fields, is_whole=is_whole)
     found = read_table(path, schema).arrays
     required = [name for name in quantities if name not in optional]
     if missing := [name for name in required if name not in found]:

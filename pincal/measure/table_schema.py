@@ -73,6 +73,7 @@ class Schema:
         may_lack_joints: whether a table without any joint is allowed.
         is_stream: whether it is a log of a moving arm: columns may have the names that loggers use,
             unneeded ones and rows with an empty cell are left out.
+        is_whole: whether each row counts, so that an empty cell is refused.
         options: how to read it.
     """
 
@@ -84,6 +85,7 @@ class Schema:
     resting: Mapping[str, float] = field(default_factory=dict)
     may_lack_joints: bool = False
     is_stream: bool = False
+    is_whole: bool = False
     options: TableOptions = field(default_factory=TableOptions)
 
     def __post_init__(self) -> None:

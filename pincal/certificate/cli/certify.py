@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from contextlib import suppress
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,8 @@ from pincal.cli.arguments import Output, argument, group, option, verb
 from pincal.cli.common import GeneralOptions
 from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, print_json
-from pincal.errors import Exit, OutputError
+from pincal.errors import Exit, OutputError, printable
+from pincal.identity import LONGEST_ENTRY
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -35,10 +37,22 @@ stated.
 
 def _day(text: str) -> datetime.date:
     """Return a day."""
-    try:
-        return datetime.date.fromisoformat(text)
-    except ValueError:
-        raise click.BadParameter(f"{text!r}; expected a day as YYYY-MM-DD") from None
+    with suppress(ValueError):
+        found = datetime.date.fromisoformat(text)
+        if found.isoformat() == text:
+            return found
+    raise click.BadParameter(f"{text!r}; expected a day as YYYY-MM-DD")
+
+
+def _number(text: str) -> str:
+    """Return the number of a certificate, which has to fit on a line of the sheet."""
+    number = text.strip()
+    if len(number) > LONGEST_ENTRY or not number.isprintable():
+        raise click.BadParameter(
+            f"{printable(number, LONGEST_ENTRY)!r}; expected a line of text of at most "
+            f"{LONGEST_ENTRY} characters"
+        )
+    return number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +66,11 @@ class CertificateArguments:
     )
     out: Path = option("Folder for the certificate.", MISSING, metavar="DIR", type=Output())
     number: str = option(
-        "Number of the certificate.", "", metavar="NUMBER", words="from the file's checksum"
+        "Number of the certificate.",
+        "",
+        metavar="NUMBER",
+        words="from the file's checksum",
+        type=_number,
     )
     issued: datetime.date | None = option(
         "Day on which it is issued.", metavar="YYYY-MM-DD", words="today", type=_day
@@ -90,9 +108,11 @@ def _certificate(arguments: CertificateArguments) -> Certificate:
     from pincal.io.result_folder import MODEL
 
     day = arguments.issued or datetime.datetime.now(tz=datetime.UTC).date()
-    issue = Issue(number=arguments.number.strip(), day=day)
+    issue = Issue(number=arguments.number, day=day)
     source = arguments.source
     stated = arguments.identity.given
+    if source.name == MEASURED and source.is_file():
+        return certificate_of_measured(source.parent, stated, issue)
     if not source.is_dir():
         return certificate_of_model(source, stated, issue)
     if (source / MODEL).is_file() and not (source / MEASURED).is_file():

@@ -37,7 +37,7 @@ class AcceptancePlanOptions:
         type=_lengths,
     )
     times: int = option(
-        "Contacts with each end in each place.", 3, metavar="N", type=click.IntRange(min=1)
+        "Contacts with each end in each place.", 3, metavar="N", type=click.IntRange(min=2)
     )
 
 
