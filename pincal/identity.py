@@ -153,6 +153,13 @@ class Identity(msgspec.Struct, frozen=True, omit_defaults=True):
         here = {key: value for key in KEYS if (value := getattr(self, key)) not in ("", None)}
         return msgspec.structs.replace(earlier, **here, note=earlier.note | self.note)
 
+    @property
+    def lasting(self) -> Identity:
+        """What is still true when the calibrated robot measures something else: all but who took
+        the readings, and when, where and at which temperature.
+        """
+        return msgspec.structs.replace(self, operator="", date="", temperature=None, place="")
+
     def require(self, known: Identity, file: str) -> None:
         """Refuse a file that is of another robot than stated here.
 

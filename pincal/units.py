@@ -351,6 +351,18 @@ def fixed(places: int) -> Callable[[Any], str]:
     )
 
 
+def show_limits(least: float, largest: float, show: Callable[[float], str]) -> str:
+    """Return the range between two limits, of which one may be infinite.
+
+    Example:
+        >>> show_limits(1.5, 2.0, str), show_limits(-math.inf, 0.5, str)
+        ('1.5 to 2.0', 'at most 0.5')
+    """
+    if math.isinf(least):
+        return f"at most {show(largest)}"
+    return f"at least {show(least)}" if math.isinf(largest) else f"{show(least)} to {show(largest)}"
+
+
 def show_percent(share: float | None) -> str:
     """Return a fraction in percent."""
     return "-" if share is None else f"{100 * share:z.0f} %"

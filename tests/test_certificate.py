@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import copy
 import datetime
 import json
 import re
@@ -243,11 +244,23 @@ def test_a_part_keeps_values_limits_and_decisions(of_part: Certificate) -> None:
     assert found["uncertainty budget: parameters, type A"][0] == 0.02
     assert re.findall(r"<dcc:conformity>(\w+)<", xml) == ["pass", "conditionalPass"]
     page = certificate_page(of_part)
-    assert "11.9000 to 12.1000" in page and "any to 100.1000" in page and "undecided" in page
+    assert "11.9000 to 12.1000" in page and "at most 100.1000" in page and "undecided" in page
     assert "ISO 14253-1, guard band U" in page and "door 4" in page
     assert of_part.facts["decisions"] == "conforms: 1, undecided: 1" and "-0.0000" not in page
     assert of_part.facts["datum"] == "3-2-1 by plane, edge in the frame of the base"
     assert of_part.files["part.toml"] == "cd" * 32
+
+
+def test_a_direction_is_not_taken_for_the_coverage_factor(tmp_path: Path) -> None:
+    """The components i, j, k of a unit vector are named as such, beside a U with its k."""
+    measured = copy.deepcopy(MEASURED)
+    values = measured["features"][0]["values"]
+    values["k"] = values["x"] | {"unit": "", "value": 1.0, "nominal": 1.0}
+    (tmp_path / "measured.json").write_text(json.dumps(measured))
+
+    page = certificate_page(certificate_of_measured(tmp_path, Identity(), ISSUE))
+
+    assert "<td>direction k</td>" in page and "<td>k</td>" not in page
 
 
 # The content of elements by the published schema, versions 3.2.1 and 3.3.0 alike, as far as certificates use them:

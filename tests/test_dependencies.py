@@ -35,6 +35,7 @@ COMMANDS = (
     ("compensate calibrated/model.json rows.csv --out corrected.csv", "corrected.csv"),
     ("compensate calibrated/model.json a.src --out b.src", "b.src"),
     ("certificate calibrated/model.json --out certificate", "certificate/dcc.xml"),
+    ("measure calibrated/model.json touched.csv --features part.toml --out measured", "measured/measured.json"),
     ("diagnose calibrated/model.json new.csv --out diagnosis", "diagnosis/diagnosis.json"),
     ("update calibrated/model.json new.csv --out updated", "updated/model.json"),
     ("export calibrated/model.json --mjcf out.xml --c out --python out.py --page out.html", "out.html"),
@@ -51,6 +52,11 @@ $TOOL = {X 0,Y 0,Z 0,A 0,B 0,C 0}
 $BASE = {X 0,Y 0,Z 0,A 0,B 0,C 0}
 PTP {A1 10,A2 20,A3 -20,A4 0,A5 30,A6 0}
 END
+"""
+PART = 'unit = "mm"\n[feature.seat]\nkind = "point"\n'
+TOUCHED = """joint_1,joint_2,joint_3,joint_4,joint_5,joint_6,feature
+0.1,-1,1,0.2,0.3,0.4,seat
+0.2,-1,1,0.1,0.3,0.4,seat
 """
 # What extras are for, at their lowest versions: a workbook, SQL, images, recordings, a cluster, and xacro.
 OF_EXTRAS = """
@@ -93,6 +99,8 @@ def failures(python: Path, folder: Path) -> list[str]:
     """Run every command in a folder; return those that failed, with the end of what they said."""
     shutil.copy(kuka_urdf_path(), folder / "robot.urdf")
     (folder / "a.src").write_text(PROGRAM, encoding="utf-8")
+    (folder / "part.toml").write_text(PART, encoding="utf-8")
+    (folder / "touched.csv").write_text(TOUCHED, encoding="utf-8")
     clean = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     found = []
     for command, file in COMMANDS:

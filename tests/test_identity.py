@@ -118,6 +118,17 @@ def test_later_statements_add_to_earlier_ones() -> None:
     assert (found.robot, found.operator, found.note) == ("2021-17", "B. Jones", {"order": "88-12", "shift": "2"})
 
 
+def test_circumstances_of_a_calibration_are_not_those_of_a_part() -> None:
+    """Robot, instrument, laboratory and notes last; operator, day, place and temperature are of the readings."""
+    entries = {key: "x" for key in KEYS} | {"date": "2026-11-29", "temperature": "20.5", "country": "DE", "note.order": "1"}
+    stated = Identity.of(entries)
+
+    lost = {key for key, _, _ in stated.entries()} - {key for key, _, _ in stated.lasting.entries()}
+
+    assert lost == {"operator", "date", "place", "temperature"}
+    assert set(stated.lasting.entries()) < set(stated.entries())
+
+
 @pytest.mark.parametrize(("one", "other", "same"), [("A 1", "a1", True), ("A 1", "A 2", False), ("A 1", "", True)])
 def test_serial_numbers_are_compared_without_case_and_blanks(one: str, other: str, same: bool) -> None:
     """A blank is no other robot, and who says nothing does not contradict."""

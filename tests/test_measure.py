@@ -22,6 +22,7 @@ from pincal.features.measured_page import verdict_words
 from pincal.features.measured_part import MeasuredPart, measure_part
 from pincal.features.part import Part
 from pincal.features.readings import FeatureReadings
+from pincal.identity import Identity
 from pincal.notes import doubts_of
 from pincal.validate.misfit import Verdict
 
@@ -261,17 +262,18 @@ def test_the_command_measures_a_part(
     camera: FittedRobot, rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The folder has file, table and page with one result; the exit code says that a tolerance is not met."""
-    camera.save(tmp_path / "model.json", provenance={})
+    calibrated = Identity.of({"instrument": "AT960 7512", "date": "2026-01-31", "operator": "A. Smith"})
+    replace(camera, identity=calibrated).save(tmp_path / "model.json", provenance={})
     write_readings(tmp_path / "readings.csv", seen_panel(camera, rng, wider=3e-4, noise=1e-5))
     part = part_in(tmp_path)
     words = ["measure", str(tmp_path / "model.json"), str(tmp_path / "readings.csv"), "--features", str(part)]
     with pytest.raises(SystemExit) as ended:
-        main([*words, "--set", "id.robot=2021-17", "--out", str(tmp_path / "out")])
+        main([*words, "--set", "id.robot=2021-17", "--set", "id.operator=B. Jones", "--out", str(tmp_path / "out")])
     printed = capsys.readouterr().out
     assert ended.value.code == 5
     assert "does not conform: 1 of 3 values (h1 diameter)" in printed and len(printed.splitlines()) < 15
     found = json.loads((tmp_path / "out" / "measured.json").read_text())
-    assert found["id"]["robot"] == "2021-17"
+    assert found["id"] == {"robot": "2021-17", "instrument": "AT960 7512", "operator": "B. Jones"}
     assert found["features"][0]["values"]["diameter"]["decision"] == "does not conform"
     with (tmp_path / "out" / "measured.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -282,6 +284,7 @@ def test_the_command_measures_a_part(
     np.testing.assert_allclose(float(row["value"]), found["features"][0]["values"]["diameter"]["value"])
     page = (tmp_path / "out" / "report.html").read_text()
     assert "does not conform" in page and "2021-17" in page and "<script" not in page
+    assert "24 readings" in page and "at most 1<" in page and "U: expanded uncertainty" in page
 
 
 def test_a_doubt_of_the_calibration_is_one_of_the_part(

@@ -371,6 +371,17 @@ def test_side_files_are_read_with_their_units(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_camera(tmp_path / "mounted.json").T_tip_camera, MOUNT)
 
 
+def test_the_origin_of_an_object_is_a_point(tmp_path: Path) -> None:
+    """Of a plate whose origin is a hole, 0 0 0 is a known place among many, and no reading that an instrument lost."""
+    plate = {f"p{k}": (0.025 * (k % 5), 0.025 * (k // 5), 0.0) for k in range(25)} | {"far": (-1.0, -1.0, -1.0)}
+    rows = "".join(f"{name},{x},{y},{z}\n" for name, (x, y, z) in plate.items())
+    (tmp_path / "plate.csv").write_text(f"point,x,y,z\n{rows}")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert read_points(tmp_path / "plate.csv") == plate
+
+
 @pytest.mark.parametrize(
     ("read", "text", "message"),
     [

@@ -9,8 +9,8 @@ joints of a contact with either end, L the calibrated length,
 A seat that was contacted with the arm in several articulations has the location error L_Dia: the
 diameter of the smallest sphere that holds the positions found. An error conforms if it is below the
 maximum permissible error (MPE) by a guard band, and does not if it is above by as much (ISO
-14253-1): the guard band covers the uncertainty of the test, which is that of the calibrated length,
-not of the robot (ISO/TS 23165).
+14253-1): the guard band is the expanded uncertainty (k = 2) of the test, which is that of the
+calibrated length, not of the robot (ISO/TS 23165).
 
 The standard asks for 105 lengths, five of them three times in each of seven places, and for L_Dia
 of five articulations with five contacts of a sphere each; a test with fewer says so.
@@ -26,6 +26,8 @@ import numpy as np
 
 from pincal.acceptance.enclosing_sphere import smallest_sphere
 from pincal.errors import MeasurementError, few
+from pincal.features.decision import ConformityVerdict, DecisionRule
+from pincal.features.part_feature import ToleranceLimits
 from pincal.sensors.setup import KnownDistance
 from pincal.thresholds import Count, Scale
 
@@ -35,15 +37,17 @@ ASKED: Count = 105
 ARTICULATIONS: Count = 5
 """Articulations that ISO 10360-12 asks for at a seat."""
 
-# One-sided quantile of a normal variable at 95 %, by which a guard band is as many standard
-# uncertainties wide (ISO 14253-1).
-_GUARD: Scale = 1.645
 _COVERAGE: Scale = 2.0
 # Ratio of calibrated and measured length, either way, beyond which a unit is wrong: mm and m are
 # 1000 apart, and ends that were mistaken for one another rarely 100.
 _OTHER_UNIT: Scale = 100.0
 
 AcceptanceOutcome = Literal["pass", "fail", "undecided"]
+_OUTCOMES: dict[ConformityVerdict, AcceptanceOutcome] = {
+    "conforms": "pass",
+    "does not conform": "fail",
+    "undecided": "undecided",
+}
 
 
 class Permitted(NamedTuple):
@@ -63,7 +67,8 @@ class Permitted(NamedTuple):
 
 
 def decided(error: float, permitted: float, uncertainty: float) -> AcceptanceOutcome:
-    """Return whether the size of an error is proven to be permitted, or not to be.
+    """Return whether the size of an error is proven to be permitted, or not to be, by the same rule
+    as features of a part.
 
     Args:
         error: with either sign [m].
@@ -71,13 +76,11 @@ def decided(error: float, permitted: float, uncertainty: float) -> AcceptanceOut
         uncertainty: standard uncertainty of the test [m].
 
     Example:
-        >>> [decided(error, 2e-4, 1e-5) for error in (1.8e-4, -1.9e-4, 2.2e-4)]
+        >>> [decided(error, 2e-4, 1e-5) for error in (1.7e-4, -1.9e-4, 2.3e-4)]
         ['pass', 'undecided', 'fail']
     """
-    guard = _GUARD * uncertainty
-    if abs(error) <= permitted - guard:
-        return "pass"
-    return "fail" if abs(error) > permitted + guard else "undecided"
+    limits = ToleranceLimits(-permitted, permitted)
+    return _OUTCOMES[DecisionRule().decide(error, uncertainty, limits).verdict]
 
 
 def outcome_of_all(outcomes: Sequence[AcceptanceOutcome]) -> AcceptanceOutcome:
@@ -207,7 +210,7 @@ class Acceptance:
         """Return the result."""
         return {
             "standard": "ISO 10360-12",
-            "rule": "ISO 14253-1",
+            "rule": DecisionRule().words,
             "outcome": self.outcome,
             "measured": self.measured,
             "within_U": sum(each.within_stated for each in self.lengths),

@@ -109,7 +109,7 @@ class PositionCovariance:
         >>> sensor = SharedErrors.of_each(np.tile(1e-10 * np.eye(3), (2, 1, 1)))
         >>> both = PositionCovariance({"placement": shift, "sensor": sensor})
         >>> difference = np.hstack([-np.eye(3), np.eye(3)])
-        >>> float(both.through(difference)[0, 0]), both.matrix.shape
+        >>> round(float(both.through(difference)[0, 0]), 15), both.matrix.shape
         (2e-10, (6, 6))
     """
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from importlib.resources import files
 
@@ -10,6 +9,7 @@ from pincal.certificate.contents import NOT_STATED, Certificate, Figure, Range
 from pincal.errors import counted
 from pincal.identity import KEYS
 from pincal.thresholds import Count
+from pincal.units import show_limits
 
 # Short names for what identifies robot, instrument and circumstances.
 _LABELS = {
@@ -81,7 +81,7 @@ def _cells(figure: Figure, has_uncertainties: bool, has_limits: bool) -> Iterato
         yield _uncertainty(figure)
     if has_limits:
         yield "" if figure.nominal is None else _number(figure.nominal)
-        yield "" if figure.limits is None else " to ".join(map(_limit, figure.limits))
+        yield "" if figure.limits is None else show_limits(*figure.limits, _number)
         yield figure.decision or ""
 
 
@@ -93,10 +93,6 @@ def _uncertainty(figure: Figure) -> str:
         return ""
     lower, upper = figure.interval
     return f"above {lower:.4f}" if upper is None else f"{lower:.4f} to {upper:.4f}"
-
-
-def _limit(value: float) -> str:
-    return "any" if math.isinf(value) else _number(value)
 
 
 def _number(value: float) -> str:

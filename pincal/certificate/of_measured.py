@@ -30,6 +30,7 @@ from pincal.features.measured_file import (
     SourceEntry,
     ValueEntry,
 )
+from pincal.features.part_feature import QUANTITIES
 from pincal.identity import Identity
 from pincal.io.result_folder import file_hash
 from pincal.io.strict_json import FileKind, read_json
@@ -123,7 +124,8 @@ def _group(feature: FeatureEntry) -> FigureGroup:
 def _figures(feature: FeatureEntry) -> Iterator[Figure]:
     for name, of in feature.values.items():
         yield Figure(
-            name=name,
+            # A k without a word would be taken for the coverage factor.
+            name=name if name in QUANTITIES[feature.kind] else f"direction {name}",
             value=of.value,
             unit=of.unit,
             expanded=StatedUncertainty(of.U, of.k, _probability(of)),

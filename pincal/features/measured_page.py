@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 from pincal.errors import counted, few
@@ -23,12 +24,16 @@ from pincal.report.blocks import (
 from pincal.report.html import render
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.thresholds import Count
-from pincal.units import fixed, show_percent
+from pincal.units import fixed, show_limits, show_percent
 
 # Names that a sentence lists.
 _NAMED: Count = 4
 # Rows of a table on the terminal.
 _ROWS: Count = 20
+_EXPANDED = (
+    "U: expanded uncertainty, k times the standard uncertainty u; measured.json has both, "
+    "and the degrees of freedom from which k follows."
+)
 # Decimal places by unit.
 _PLACES = {"mm": 4, "mrad": 3, "deg": 4, "": 6}
 _TONES: dict[str, RowTone] = {"conforms": "good", "does not conform": "bad", "undecided": "care"}
@@ -92,7 +97,7 @@ def value_table(found: MeasuredFile) -> Table:
         for name, value in feature.values.items()
         if name in QUANTITIES[feature.kind]
     ]
-    return _values(chosen, _COLUMNS, (found.rule,))
+    return _values(chosen, _COLUMNS, (_EXPANDED, f"Decision rule: {found.rule}."))
 
 
 def short_table(found: MeasuredFile) -> Table:
@@ -136,7 +141,7 @@ def _is_told(found: MeasuredFile, feature: FeatureEntry, name: str, value: Value
 def _cells(feature: FeatureEntry, name: str, value: ValueEntry) -> dict[str, Cell]:
     """Return the cells of a quantity by their columns."""
     show = fixed(_PLACES.get(value.unit, 6))
-    limits = "" if value.limits is None else " to ".join(map(_plain, value.limits))
+    limits = "" if value.limits is None else _limit_words(*value.limits)
     return {
         "feature": feature.name,
         "quantity": name,
@@ -150,8 +155,10 @@ def _cells(feature: FeatureEntry, name: str, value: ValueEntry) -> dict[str, Cel
     }
 
 
-def _plain(limit: float | None) -> str:
-    return "-" if limit is None else f"{limit:.10g}"
+def _limit_words(lower: float | None, upper: float | None) -> str:
+    least = -math.inf if lower is None else lower
+    largest = math.inf if upper is None else upper
+    return show_limits(least, largest, "{:.10g}".format)
 
 
 def budget_table(found: MeasuredFile) -> Table:
@@ -228,7 +235,8 @@ def measured_page(found: MeasuredFile, *, robot: str, version: str) -> str:
         robot: name of the robot.
         version: of pincal.
     """
-    readings = sum(feature.readings for feature in found.features)
+    # A distance has the readings of the features between which it is.
+    readings = sum(of.readings for of in found.features if of.kind not in DERIVED_KINDS)
     repeats = repeat_table(found)
     made: tuple[Section | None, ...] = (
         _answer(found),
@@ -272,7 +280,8 @@ def _next_steps(found: MeasuredFile) -> Iterator[str]:
     if found.count("does not conform"):
         yield "Look at the deviations below; with another datum they may be the part's placement."
     yield rich(
-        "Sign: {} writes the certificate of this folder.", code("pincal certificate DIR --out DIR")
+        "Sign: {} writes a certificate of the FOLDER in which this page is.",
+        code("pincal certificate FOLDER --out SHEET"),
     )
 
 

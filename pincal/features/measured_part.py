@@ -30,6 +30,7 @@ from pincal.features.part import Part
 from pincal.features.part_values import PartValues
 from pincal.features.readings import CONTACT, IMAGE, RANGE, FeatureReadings
 from pincal.features.triangulation import points_of_images
+from pincal.identity import Identity
 from pincal.io.strict_json import write_json
 from pincal.measure.table import write_table
 from pincal.notes import Note, Severity, doubts_first
@@ -75,6 +76,7 @@ def measure_part(
     frame: PoseFrame = "instrument",
     reservations: Reservations | None = None,
     rule: DecisionRule | None = None,
+    stated: Identity | None = None,
 ) -> MeasuredPart:
     """Measure the features of a part.
 
@@ -86,6 +88,8 @@ def measure_part(
         frame: of a datum as calibrated: that of the calibration's instrument or the robot's base.
         reservations: what the calibration itself does not know of its errors.
         rule: by which tolerances are decided; default: guard bands of ISO 14253-1.
+        stated: of this measurement, such as its date and operator. Those of the calibration are not
+            kept; its robot and instrument are, unless stated here.
 
     Returns:
         Quantities with their standard and expanded uncertainty [mm, mrad, deg], their covariance,
@@ -117,7 +121,8 @@ def measure_part(
         *_lacking(part, features),
         *passes.notes,
     ]
-    found = msgspec.structs.replace(result.file(), warnings=doubts_first(notes), id=robot.identity)
+    identity = (stated or Identity()).over(robot.identity.lasting)
+    found = msgspec.structs.replace(result.file(), warnings=doubts_first(notes), id=identity)
     return MeasuredPart(found, features, values)
 
 

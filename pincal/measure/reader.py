@@ -160,7 +160,7 @@ def cells_of(
             header.columns,
             readings=header.readings,
             flag=header.flag,
-            is_measured=not schema.may_lack_joints and not schema.is_stream,
+            is_measured=schema.has_readings,
         )
     if NANOSECONDS in values:
         values["time"] = values["time"] + values.pop(NANOSECONDS)

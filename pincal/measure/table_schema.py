@@ -103,6 +103,13 @@ class Schema:
         )
 
     @property
+    def has_readings(self) -> bool:
+        """Whether an instrument wrote the rows, pose by pose. Without joints it is a list of known
+        points: 0 0 0 is the origin of the object, not a reading that is missing.
+        """
+        return bool(self.joint_names) and not self.may_lack_joints and not self.is_stream
+
+    @property
     def needed_joints(self) -> tuple[str, ...]:
         """The joints whose columns are needed."""
         return tuple(name for name in self.own_joints if name not in self.resting)

@@ -83,20 +83,20 @@ def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:
         for held, rows, use in ((True, "held-out", "not used"), (False, "fitted", "used")):
             if evidence.part(held=held).any():
                 title = (
-                    f"Histogram of {evidence.name} errors of {rows} poses before and after "
+                    f"Histogram of {evidence.name} errors of {rows} rows before and after "
                     "calibration"
                 )
                 caption = (
-                    "Share of poses by size of error, on a logarithmic scale: the further left, "
-                    f"the better. These poses were {use} by the fit that predicts them."
+                    "Share of rows by size of error, on a logarithmic scale: the further left, "
+                    f"the better. These rows were {use} by the fit that predicts them."
                 )
                 yield row_figures.histogram_figure(evidence, held=held), title, caption
         caption = (
-            "Share of poses with a smaller error"
+            "Share of rows with a smaller error"
             + (
                 ", each predicted by a fit without it. "
                 if evidence.is_held.all()
-                else ": solid lines held-out, dotted lines fitted poses. Where both coincide, "
+                else ": solid lines held-out, dotted lines fitted rows. Where both coincide, "
                 "expect the same accuracy at new poses. "
             )
             + "The dashed curve is the noise of the instrument alone."

@@ -156,10 +156,10 @@ def _elsewhere(subject: Subject) -> Iterator[Markup]:
     if found is not UNSET:
         words = elsewhere_words(found, subject.result.error["calibrated"][subject.part])
         meaning = (
-            "the model itself, by the uncertainty of its parameters, what it lacks and how the "
-            "robot arrives"
+            "The model expects this by the uncertainty of its parameters, what it lacks and how "
+            "the robot arrives."
         )
-        yield paragraph(rich("Elsewhere: {} (by {}).", words, meaning))
+        yield paragraph(rich("Elsewhere: {}. {}", words, meaning))
 
 
 def _worth(subject: Subject) -> Iterator[Markup]:
@@ -269,7 +269,7 @@ def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
     name = rich("<b>{}</b>: ", rows.name) if rows.name else ""
     held = rich(", {} held out{}", len(test), held) if len(test) else Markup("")
     return rich(
-        "{}{} in {}: {} poses fitted{}{}",
+        "{}{} in {}: {} rows fitted{}{}",
         name,
         train.kind,
         code(train.source),

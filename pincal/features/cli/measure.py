@@ -4,7 +4,7 @@ and decisions on their tolerances.
 
 from __future__ import annotations
 
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -133,13 +133,14 @@ def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
     fitted, absent = without_absent(fitted, readings.rows)
     _, beyond = extrapolation(fitted, fitted.conditions(readings.rows), readings.rows.rows)
     measured = measure_part(
-        replace(fitted, identity=identity.given.over(fitted.identity)),
+        fitted,
         readings,
         part,
         sensor=_sensor(arguments),
         frame=arguments.frame,
         reservations=_reservations(arguments),
         rule=_rule(arguments),
+        stated=identity.given,
     )
     inputs = (arguments.model, arguments.readings, arguments.features, arguments.sensor)
     origin = provenance([path for path in inputs if path is not None])

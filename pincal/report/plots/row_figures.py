@@ -81,8 +81,8 @@ def histogram_figure(evidence: RowErrors, *, held: bool = True) -> Figure:
     dress(
         axes,
         x=_error_label(evidence),
-        y="share of poses [%]",
-        title=f"{int(rows.sum())} {part} poses",
+        y="share of rows [%]",
+        title=f"{int(rows.sum())} {part} rows",
     )
     legend(axes, loc="upper left")
     return figure
@@ -113,13 +113,13 @@ def cumulative_figure(evidence: RowErrors) -> Figure:
         axes.plot(x, share, "--", color=MUTED, linewidth=1.1, label="noise alone")
     _mark_most(axes, low)
     axes.set_ylim(0.0, 101.0)
-    dress(axes, x=_error_label(evidence), y="poses with less error [%]")
+    dress(axes, x=_error_label(evidence), y="rows with less error [%]")
     legend(axes, loc="lower left", bbox_to_anchor=(-0.02, 0.98), ncols=3)
     return figure
 
 
 def _mark_most(axes: Axes, low: float) -> None:
-    """Draw the level of 95 % of the poses; low is the left end of the axis."""
+    """Draw the level of 95 % of the rows; low is the left end of the axis."""
     axes.axhline(95.0, color=MUTED, linewidth=0.7)
     axes.annotate(
         "95 %",
