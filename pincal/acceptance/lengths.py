@@ -229,12 +229,14 @@ class Contacts:
         position: shape (N, 3), positions of the tool point by the model [m].
         covariance: shape (N, 3, N, 3), of these [m^2].
         source: name of the file, for messages.
+        noise: of one coordinate of a contact, as far as it is known [m].
     """
 
     seat: np.ndarray
     position: np.ndarray
     covariance: np.ndarray
     source: str = "the table"
+    noise: float = 0.0
 
     def of(self, seat: str) -> np.ndarray:
         """Return the rows of a seat.
@@ -257,7 +259,7 @@ class Contacts:
         way = self.position[a] - self.position[b]
         way = way / np.linalg.norm(way, axis=1)[:, None]
         spread = C[a, :, a] + C[b, :, b] - C[a, :, b] - C[b, :, a]
-        variance = np.einsum("na,nab,nb->n", way, spread, way)
+        variance = np.einsum("na,nab,nb->n", way, spread, way) + 2.0 * self.noise**2
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 

@@ -114,8 +114,17 @@ def _contacts(found: Sequence[Validation]) -> Contacts:
         seat=np.asarray(names),
         position=poses[:, :, 3],
         covariance=covariance.matrix.reshape(len(poses), 3, len(poses), 3),
+        noise=_noise_of_a_contact(first),
         source=first.table.source,
     )
+
+
+def _noise_of_a_contact(found: Validation) -> float:
+    """Return the noise of one coordinate of a contact [m]: that of a calibration by contacts; 0 of
+    any other, whose noise is another instrument's.
+    """
+    is_known = found.model.sensor_kind == found.table.kind
+    return float(found.model.sigma[0]) if is_known else 0.0
 
 
 def _print(found: Acceptance) -> None:
