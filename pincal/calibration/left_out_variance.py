@@ -52,7 +52,7 @@ def left_out_variances(
 
 def _roots_without(fit: ModelFit, fold: np.ndarray) -> list[np.ndarray]:
     """Return roots of the covariance of the free parameters without each fold, shape (F, r)."""
-    variances, axes = np.linalg.eigh(fit.solution.known.covariance)
+    variances, axes = np.linalg.eigh(fit.solution.known.joint_covariance.dense())
     some = variances > 0.0
     root = axes[:, some] * np.sqrt(variances[some])
     found = []
