@@ -143,9 +143,8 @@ def next_steps(calibration: Calibration, search: SearchReport | None = None) -> 
         )
     if judgement is not Verdict.NOT_ADEQUATE or not steps:
         steps.append(
-            "Use it: model.json predicts poses (pincal predict), calibrated.urdf "
-            "transfers the geometry to other programs, "
-            "and pincal validate checks the model against new measurements in a few months."
+            "Use it: pincal predict, compensate and measure take model.json, other programs "
+            "calibrated.urdf; in a few months pincal diagnose tells whether the robot has changed."
         )
     return steps
 
