@@ -288,3 +288,15 @@ def test_a_killed_calibration_leaves_old_results_or_new_ones(tmp_path: Path, kil
         process.join()
         assert rows() in ({("old.csv", 120)}, {("new.csv", 130)})
         read_model(out / "model.json")
+
+
+def test_a_failure_leaves_no_folder_above(tmp_path: Path) -> None:
+    """Folders that were there stay, with what others put into them; new ones go."""
+    (tmp_path / "there").mkdir()
+    with pytest.raises(ZeroDivisionError), output_folder(tmp_path / "there" / "a" / "b" / "out"):
+        raise ZeroDivisionError
+    assert not list((tmp_path / "there").iterdir())
+    with pytest.raises(ZeroDivisionError), output_folder(tmp_path / "there" / "a" / "out"):
+        (tmp_path / "there" / "a" / "other.txt").write_text("kept")
+        raise ZeroDivisionError
+    assert [file.name for file in (tmp_path / "there" / "a").iterdir()] == ["other.txt"]

@@ -49,22 +49,37 @@ def output_folder(path: Path) -> Iterator[Path]:
         goal = Path(os.path.realpath(path))
         if goal.exists() and not goal.is_dir():
             raise NotADirectoryError(20, os.strerror(20))
-        goal.parent.mkdir(parents=True, exist_ok=True)
-        place = goal.parent if _is_exchangeable(goal) else goal
-        with drafted(place, goal.name, is_folder=True) as draft:
-            yield draft
-            _keep_model(path, draft)
-            model = draft / MODEL
-            if model.exists():
-                listed = {
-                    name: file_hash(draft / name) for name in RESULTS if (draft / name).exists()
-                }
-                model.write_bytes(_sealed(model.read_bytes(), listed))
-            _publish(draft, goal)
+        with _parents_of(goal):
+            place = goal.parent if _is_exchangeable(goal) else goal
+            with drafted(place, goal.name, is_folder=True) as draft:
+                yield draft
+                _keep_model(path, draft)
+                model = draft / MODEL
+                if model.exists():
+                    listed = {
+                        name: file_hash(draft / name) for name in RESULTS if (draft / name).exists()
+                    }
+                    model.write_bytes(_sealed(model.read_bytes(), listed))
+                _publish(draft, goal)
     except OSError as error:
         raise OutputError(
             f"{path}: can't write here ({error.strerror}); choose another --out"
         ) from None
+
+
+@contextmanager
+def _parents_of(goal: Path) -> Iterator[None]:
+    """Create the folders above a folder; those that are still empty after a failure go again."""
+    missing = [folder for folder in goal.parents if not folder.exists()]
+    goal.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        for folder in missing:
+            # Another run may have put something there.
+            with suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 def _keep_model(path: Path, draft: Path) -> None:
