@@ -233,6 +233,9 @@ def test_no_sensor_is_recognised_outside_its_own_file() -> None:
     others += ("motion/sessions.py", "motion/stations.py", "readers/recordings.py", "motion/cli/")
     # Names of columns and keys in files.
     others += ("measure/header.py", "measure/nested_labels.py", "readers/nested_values.py")
+    # Features of a part, and their quantities; the column of a plan of contacts.
+    names = ("best_fit", "datum", "feature_fit", "flange_sensor", "part_feature", "part_file", "part_values", "probe")
+    others += (*(f"features/{name}.py" for name in names), "design/cli/acceptance_planning.py")
     # Orientations alone, which the closed form of poses places.
     others += ("validate/orientations.py",)
     assert [entry for entry in found if not entry.startswith(others)] == []

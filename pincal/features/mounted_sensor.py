@@ -252,7 +252,7 @@ class MountedSensor:
         """
         if self.declared.pixel_noise is not None:
             return self.declared.pixel_noise, STATED
-        if self.is_own and self.fitted.sensor_kind == "camera_pixel":
+        if self.is_own and self._has_camera:
             return float(self.fitted.sigma[0]), self._evidence_of_noise
         raise BadInputError(
             f"{self.readings.rows.source}: images, but neither the calibration nor an option tells "
@@ -265,6 +265,12 @@ class MountedSensor:
         return STATED if is_declared else SourceEvidence("A", self.calibration_dof)
 
     @property
+    def _has_camera(self) -> bool:
+        """Whether the calibration was by images of a camera on the tool."""
+        kind = self.fitted.sensor_kind
+        return kind in _ON_TOOL and blocks_of(kind)[0].unit == "px"
+
+    @property
     def lens(self) -> Lens:
         """The camera.
 
@@ -273,7 +279,7 @@ class MountedSensor:
         """
         if self.declared.lens is not None:
             return self.declared.lens
-        if self.fitted.sensor_kind == "camera_pixel":
+        if self._has_camera:
             values = self.fitted.camera()
             return Lens(**{name: v for name, v in values.items() if name != "T_tip_camera"})
         raise BadInputError(
