@@ -139,7 +139,7 @@ def test_a_fit_of_several_stations_is_the_same_object(fit: pincal.FittedRobot) -
     assert two.to_pinocchio().nq == 6
     tips = (two.at(name).predict(q[:3], target="far")[:, :, 3] for name in ("east", "west"))
     np.testing.assert_allclose(next(tips), next(tips), rtol=0.0, atol=1e-3)  # both stand in the same place [m]
-    with pytest.raises(pincal.BadInputError, match=r"there are 2: east, west; choose one with fit.at\(NAME\)"):
+    with pytest.raises(pincal.BadInputError, match=r"there are 2: east, west; choose one: .* or fit.at\(NAME\) in Python"):
         two.predict(q)
 
 
