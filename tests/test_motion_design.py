@@ -128,7 +128,7 @@ def test_the_command_writes_a_motion_that_simulate_drives(tmp_path: Path, capsys
         ("--candidates", "50"),
         ("--type", out),
     ):
-        assert run("design", "ur5", "--motion", "20s", *other, "--out", out) == 2
+        assert run("design", "ur5", "--motion", "20s", *other, "--out", tmp_path / "other.csv") == 2
         assert f"{other[0]} is for poses at rest" in capsys.readouterr().err
 
 
