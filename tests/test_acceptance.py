@@ -15,7 +15,7 @@ from pincal.acceptance.enclosing_sphere import smallest_sphere
 from pincal.acceptance.lengths import Contacts, Permitted, acceptance, decided
 from pincal.design.acceptance_plan import PLACES, plan_acceptance
 from pincal.design.reach import Limits, Reach, SensorSetup
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, PincalWarning
 from pincal.sensors.setup import KnownDistance
 
 SOCKETS = Path(__file__).parents[2] / "shared" / "data" / "holiday_sockets"
@@ -75,6 +75,15 @@ def test_wrong_acceptances_are_as_rare_as_stated(rng: np.random.Generator) -> No
     """Of lengths whose error is at the limit, 2.3 % pass where the artefact's uncertainty is all of it."""
     passed = [decided(2e-4 + 1e-5 * rng.standard_normal(), 2e-4, 1e-5) == "pass" for _ in range(4000)]
     assert np.mean(passed) < 0.0228 + 3.0 * (0.0228 * 0.98 / 4000) ** 0.5
+
+
+def test_contacts_without_a_partner_are_told() -> None:
+    """Two contacts with one end and one with the other make one length, and a warning."""
+    uneven = contacts(0.0, 0.5001, 0.0, 0.4997)
+    uneven.seat[3] = "c"
+    with pytest.warns(PincalWarning, match="2 contacts with a, 1 with b; the first 1 of each are paired"):
+        found = acceptance(uneven, [KnownDistance("a", "b", 0.5)], Permitted(4e-4, 0.0))
+    assert found.lengths[0].errors == pytest.approx([1e-4])
 
 
 def test_a_length_without_contacts_is_told() -> None:

@@ -25,7 +25,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from pincal.acceptance.enclosing_sphere import smallest_sphere
-from pincal.errors import MeasurementError, few
+from pincal.errors import MeasurementError, few, warn
 from pincal.features.decision import ConformityVerdict, DecisionRule
 from pincal.features.part_feature import ToleranceLimits
 from pincal.sensors.setup import KnownDistance
@@ -289,6 +289,11 @@ def acceptance(
         a = contacts.of(length.first)
         b = contacts.of(length.second)
         n = min(len(a), len(b))
+        if len(a) != len(b):
+            warn(
+                f"{contacts.source}: {len(a)} contacts with {length.first}, {len(b)} with "
+                f"{length.second}; the first {n} of each are paired in the order of the rows"
+            )
         a = a[:n]
         b = b[:n]
         measured = np.linalg.norm(contacts.position[a] - contacts.position[b], axis=1)
