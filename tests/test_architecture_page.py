@@ -1,4 +1,4 @@
-"""The architecture page: its table of layers is the real one, its places exist, and its recipes do what they promise."""
+"""The pages of architecture and extension: layers are the real ones, places exist, and recipes do what they promise."""
 
 from __future__ import annotations
 
@@ -35,13 +35,15 @@ from pincal.sensors.registry import SENSORS
 from pincal.simulate import TrueMachine, plan_poses
 from pincal.validate.cures import TOPICS
 
-PAGE = (Path(__file__).parents[1] / "docs" / "architecture.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[1] / "docs"
+ARCHITECTURE = (DOCS / "architecture.md").read_text(encoding="utf-8")
+EXTENDING = (DOCS / "extending.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture
 def recipe(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """Return the code block of a recipe as a module of its own."""
-    block = re.search(rf"<!-- recipe: {request.param} -->\n```python\n(.*?)```", PAGE, re.DOTALL)
+    block = re.search(rf"<!-- recipe: {request.param} -->\n```python\n(.*?)```", EXTENDING, re.DOTALL)
     assert block is not None
     name = f"recipe_{request.param}"
     (tmp_path / f"{name}.py").write_text(block[1])
@@ -55,14 +57,14 @@ def recipe(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.M
 
 def test_the_table_of_layers_is_the_one_that_is_enforced() -> None:
     """The layers of the page, top down, are those of the layer test, bottom up."""
-    table = PAGE.split("## The layers")[1].split("## Control flow")[0]
+    table = ARCHITECTURE.split("## The layers")[1].split("## Control flow")[0]
     told = [name for row in re.findall(r"^\| (`.*?`) \|", table, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)]
     assert [*(name for name in LAYERS if name != "__main__"), *SATELLITES] == told
 
 
 def test_every_place_that_the_page_names_exists() -> None:
     """Files stand where the page says, and functions in them."""
-    nouns = re.findall(r"`([a-z_]+(?:/[a-z_]+)*\.py|[a-z_]+(?:/[a-z_]+)+(?:\.[A-Za-z_]+)?/?)`", PAGE)
+    nouns = re.findall(r"`([a-z_]+(?:/[a-z_]+)*\.py|[a-z_]+(?:/[a-z_]+)+(?:\.[A-Za-z_]+)?/?)`", ARCHITECTURE + EXTENDING)
     root = PACKAGE.parent
     for place in nouns:
         path, _, name = place.partition(".") if not place.endswith(".py") else (place.removesuffix(".py"), "", "")
@@ -95,7 +97,7 @@ def test_an_effect_in_a_file_of_its_own_passes_the_tests_of_the_house(tmp_path: 
     for folder in ("pincal", "tests", "urdf"):
         shutil.copytree(root / folder, tmp_path / folder, ignore=shutil.ignore_patterns("*.pyc"))
     shutil.copy(root / "pyproject.toml", tmp_path)
-    block = re.search(r"<!-- recipe: catalogue -->\n```python\n(.*?)```", PAGE, re.DOTALL)
+    block = re.search(r"<!-- recipe: catalogue -->\n```python\n(.*?)```", EXTENDING, re.DOTALL)
     assert block is not None
     catalogue = tmp_path / "pincal" / "model" / "catalogue"
     (catalogue / "encoder_sag.py").write_text(block[1], encoding="utf-8")
@@ -227,7 +229,7 @@ def test_the_recipe_of_a_satellite(recipe: ModuleType, kuka: Robot, tmp_path: Pa
 
 def test_the_table_of_places_is_complete() -> None:
     """The page names each place of the code, satellites hand in at these alone, and all that they hand in exists."""
-    table = PAGE.split("## Add a satellite")[1].split("## Add an export")[0]
+    table = EXTENDING.split("## Add a satellite")[1].split("## Add an export")[0]
     told = re.findall(r'^\| `"(\w+)"` \|', table, re.MULTILINE)
     code = "".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py") if path.name != "satellites.py")
     used = {name for handed_in in satellites._declarations() for name in handed_in}

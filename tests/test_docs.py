@@ -79,6 +79,15 @@ def test_every_link_leads_somewhere(page: Path) -> None:
         assert not anchor or anchor in anchors_of(file), link
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_pages_are_short_enough_to_read(page: Path) -> None:
+    """A tutorial has 1200 words with all that its commands print, and other pages 3000; what is looked up may be longer."""
+    words = len(re.sub(r"<!--.*?-->", "", page.read_text(encoding="utf-8"), flags=re.DOTALL).split())
+    most = {"tutorials": 1200, "reference": sys.maxsize}.get(page.parent.name, 3000)
+
+    assert words <= most or page.name == "CHANGELOG.md"
+
+
 @pytest.mark.long
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     """Sphinx finds every page, name and reference; formulas are drawn without a script from anywhere."""
@@ -134,6 +143,7 @@ def test_every_block_is_run_or_says_why_not(tests: dict[str, bool]) -> None:
         "CONTRIBUTING: it is what runs the tests",
         "README: it is what runs the tests",
         "cluster: it needs several machines",
+        "install: it is what installs pincal",
     ]
 
 

@@ -89,14 +89,14 @@ def test_meshes_that_can_not_be_read_are_told_with_what_to_install(monkeypatch: 
     assert any("pip install 'trimesh[easy]'" in note for note in notes)
 
 
-def test_where_pinocchio_can_not_be_installed_the_readme_says_what_to_do(tmp_path: Path) -> None:
+def test_where_pinocchio_can_not_be_installed_a_page_says_what_to_do(tmp_path: Path) -> None:
     """As on Windows: exit code 3 and where to read on, no word of a bug."""
     words = ["simulate", kuka_urdf_path(), "--poses", "3", "--out", "t.csv"]
     done = run_without("pinocchio", *words, folder=tmp_path)
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
 
-    assert done.returncode == 3 and "pinocchio is not installed; README.md lists" in done.stderr
-    assert "### Where it installs" in readme and "no wheels for Windows" in readme
+    assert done.returncode == 3 and "pinocchio is not installed; docs/install.md lists" in done.stderr
+    assert "## Where it installs" in page and "no wheels for Windows" in page
 
 
 def test_the_environment_has_all_that_the_wheel_needs() -> None:

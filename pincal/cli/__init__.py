@@ -275,7 +275,7 @@ def _run_verb(arguments: list[str] | None) -> object:
 
 def _missing_words(error: ModuleNotFoundError) -> str:
     return (
-        f"pincal: {error.name} is not installed; README.md lists what each part of "
+        f"pincal: {error.name} is not installed; docs/install.md lists what each part of "
         "pincal needs, and what to do where it can't be installed"
     )
 
