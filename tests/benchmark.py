@@ -16,6 +16,7 @@ if __name__ == "__main__":
 
 import argparse
 import gc
+import json
 import subprocess
 import sys
 import tempfile
@@ -23,7 +24,7 @@ import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -433,12 +434,108 @@ def _measured(*words: str) -> tuple[float, float]:
 
 def _run(*words: str) -> tuple[float, float]:
     """Run Python and return how long it took [s] and its largest memory [MB]."""
+    taken, _, peak = _used(*words)
+    return taken, peak
+
+
+def _used(*words: str) -> tuple[float, float, float]:
+    """Run Python and return how long it took [s], its processor time, workers included [s], and its largest memory [MB]."""
     begun = time.perf_counter()
     process = subprocess.Popen([sys.executable, *words], cwd=ROOT, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)
     if status:
         raise SystemExit(f"{' '.join(words[:3])} ended with {os.waitstatus_to_exitcode(status)}")
-    return time.perf_counter() - begun, usage.ru_maxrss / 1024.0
+    return time.perf_counter() - begun, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0
+
+
+@dataclass(frozen=True)
+class RealTable:
+    """A discovery on tables of a real arm.
+
+    Attributes:
+        robot: its name.
+        words: tables and options, after those that are made of a whole series.
+        limits: how long it may take [s], and its largest memory [MB]; None for no limit.
+        part: every how many-th row of series A, or, if negative, into how many stations it is divided; 0 for none of it.
+    """
+
+    robot: str
+    words: tuple[str, ...]
+    limits: tuple[float | None, float | None]
+    part: int = 0
+
+
+SERIES_A, SERIES_B = (DATA / "ur10_tmac" / f"series_{name}.csv" for name in "AB")
+REAL = {
+    "ur5 grid, 20 subsamples": RealTable("ur5", (str(GRID),), (45.0, None)),
+    "ur10 B, 20 subsamples": RealTable("ur10", (str(SERIES_B),), (90.0, None)),
+    "ur10, every fourth row of A, 20 subsamples": RealTable("ur10", (), (90.0, None), part=4),
+    "ur10 A, regions of seed 1, 20 subsamples": RealTable(
+        "ur10", (str(SERIES_A), "--split", "blocked", "--seed", "1"), (120.0, None)
+    ),
+    "ur10 A in two stations and B": RealTable("ur10", (str(SERIES_B),), (240.0, 1500.0), part=-2),
+}
+
+
+def time_real_tables() -> Iterator[Line]:
+    """Time discoveries of the command on tables of real arms; say names and errors, by which two versions are compared.
+
+    PINCAL_TABLES, words that are part of a table's name, divided by commas, chooses some.
+    """
+    chosen = os.environ.get("PINCAL_TABLES", "").split(",")
+    for name, table in REAL.items():
+        if GRID.is_file() and any(word in name for word in chosen):
+            yield from _time_real(name, table)
+    if any(word in _DAYS for word in chosen):
+        yield from _time_days_of_imu()
+
+
+def _time_real(name: str, table: RealTable) -> Iterator[Line]:
+    with tempfile.TemporaryDirectory() as folder:
+        parts = [str(path) for path in _parts_of_a(Path(folder), table.part)]
+        yield from _time_found(name, folder, (table.robot, *parts, *table.words), table.limits)
+
+
+def _parts_of_a(folder: Path, part: int) -> Iterator[Path]:
+    """Write parts of series A, see :class:`RealTable`."""
+    if not part:
+        return
+    rows = pl.read_csv(SERIES_A)
+    size = -(-len(rows) // -part) if part < 0 else len(rows)
+    for k, start in enumerate(range(0, len(rows), size)):
+        path = folder / f"part_{k}.csv"
+        some = rows.slice(start, size) if part < 0 else rows.gather_every(part)
+        some.write_csv(path)
+        yield path
+
+
+_DAYS = "ur5, three days of an IMU and eight positions"
+
+
+def _time_days_of_imu() -> Iterator[Line]:
+    """Time a discovery from an arm's motion on three simulated days, each with another path, and a few positions."""
+    machine = ("--elastic", "0", "--seed", "3")
+    with tempfile.TemporaryDirectory() as folder:
+        days = [str(Path(folder) / day) for day in ("monday", "tuesday", "wednesday")]
+        for k, day in enumerate(days):
+            _measured("simulate", "ur5", "--path", "300s", "--imu", *machine, "--pose-seed", str(k), "--out", day)
+        eight = str(Path(folder) / "eight.csv")
+        _measured("simulate", "ur5", "--poses", "8", "--noise", "0.05mm", *machine, "--out", eight)
+        yield from _time_found(_DAYS, folder, ("ur5", *days, eight), (180.0, None))
+
+
+def _time_found(name: str, folder: str, words: tuple[str, ...], limits: tuple[float | None, float | None]) -> Iterator[Line]:
+    out = Path(folder) / "found"
+    taken, processor, peak = _used("-m", "pincal", "discover", *words, "--out", str(out), "--quiet")
+    found = json.loads((out / "discovery.json").read_text())
+    yield line(f"discover {name}", taken, limits[0], "{:.0f} s")
+    yield line("    processor time", processor, None, "{:.0f} s")
+    yield line("    memory, at most", peak, limits[1], "{:.0f} MB")
+    errors = found["gap"]["after"] or {}
+    yield line("    mean error", errors.get("mean_mm", np.nan), None, "{:.4f} mm")
+    for entry in found["effects"]:
+        stability = entry["stability"] or {"named": 0, "of": 0}
+        yield f"    {entry['effect']} {entry['joint'] or ''}", f"{stability['named']} of {stability['of']}", "", ""
 
 
 def _reset_peak() -> float:
@@ -529,6 +626,7 @@ SLOW: dict[str, Callable[[], Iterator[Line]]] = {
     "splits": time_splits,
     "million": time_million,
     "ten-million": time_ten_million,
+    "real-tables": time_real_tables,
 }
 
 

@@ -24,7 +24,13 @@ from pincal.calibration.fitted_robot import FittedRobot
 from pincal.discover.decisions import standard_errors
 from pincal.discover.run import run_discovery
 from pincal.identify.calibrate import refit
-from pincal.identify.dependence import _largest_factor, dependence, is_dependent, serial_noise
+from pincal.identify.dependence import (
+    _largest_factor,
+    _RestrictedLikelihood,
+    dependence,
+    is_dependent,
+    serial_noise,
+)
 from pincal.identify.fit import ModelFit
 from pincal.identify.split import ways_held_out
 from pincal.identify.whitening import Serial
@@ -129,6 +135,34 @@ def test_innovations_weigh_by_the_inverse_of_the_covariance() -> None:
         ratio = (found[:, i] @ found[:, i].T) / expected
         np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-9)
     np.testing.assert_allclose(serial.coloured(found[0]), columns[0], atol=1e-12)
+
+
+def test_the_likelihood_of_a_noise_along_the_rows_is_that_of_its_covariance() -> None:
+    """Of the dense covariance, parameters integrated out with their priors, at the likeliest of many variances."""
+    rng = np.random.default_rng(7)
+    n, m, P = 40, 2, 5
+    place = np.sort(rng.choice(80, n, replace=False)).astype(float)
+    columns = rng.standard_normal((1 + P, m, n))
+    precision, values = np.array([0.0, 0.0, 0.5, 4.0, 30.0]), rng.standard_normal(P)
+    likelihood = _RestrictedLikelihood(columns, place, precision, values)
+    phi, share = 0.9, 0.7
+    serial = Serial(np.full(m, phi), np.full(m, share), place, np.ones(n, bool))
+    of_rows = np.stack([serial.coloured(np.eye(m * n)[k].reshape(m, n)).ravel() for k in range(m * n)], axis=1)
+    r, J = columns[0].ravel(), columns[1:].reshape(P, -1)
+
+    def misfit(log: float) -> float:
+        V = np.exp(log) * of_rows @ of_rows.T
+        H = J @ np.linalg.solve(V, J.T) + np.diag(precision)
+        pull = J @ np.linalg.solve(V, r) - precision * values
+        volume = np.linalg.slogdet(V)[1] + np.linalg.slogdet(H)[1]
+        return float(volume + r @ np.linalg.solve(V, r) - pull @ np.linalg.solve(H, pull))
+
+    expected = min(misfit(log) for log in np.linspace(-3.0, 3.0, 6001))
+    found = likelihood.misfit(float(np.log(share / (1.0 - share))), float(-np.log(1.0 - phi)))
+    assert found == pytest.approx(expected, abs=1e-4)
+    of_rows = np.eye(m * n)
+    independent = min(misfit(log) for log in np.linspace(-3.0, 3.0, 6001))
+    assert likelihood.white == pytest.approx(independent, abs=1e-4)
 
 
 def test_rows_in_any_order_of_a_table_are_one_fit(kuka: Robot) -> None:

@@ -18,13 +18,14 @@ mean over all directions of the model, relative to the same rows in any order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_triangular
-from scipy.optimize import OptimizeResult, minimize
+from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dtrtri
+from scipy.optimize import OptimizeResult, minimize, minimize_scalar
 from scipy.special import expit
 
 from pincal.identify.criteria import CRITERIA
@@ -58,8 +59,15 @@ _STARTS: tuple[tuple[Scale, Scale], tuple[Scale, Scale], tuple[Scale, Scale]] = 
 # longest first.
 _LONGEST: Scale = 1e5
 _MEMORIES: tuple[Scale, ...] = (3e4, 1e3, 300.0, 100.0, 30.0)
-# Trial values for the log size of white noise, in units of the residuals' noise.
-_SIZES = np.linspace(-0.4, 0.4, 9)
+# Limits of the logit of the share and the log of the memory, and how closely both are found.
+_LIMITS: tuple[tuple[Scale, Scale], tuple[Scale, Scale]] = (
+    (-6.0, 9.0),
+    (0.01, float(np.log(_LONGEST))),
+)
+_NEAR_SHARE: Scale = 0.05
+# Relative change of the variance that no longer matters, and the number of its corrections.
+_SAME: Scale = 1e-3
+_TURNS: Count = 8
 
 # Rows of a block.
 _LENGTHS: tuple[Count, ...] = (5, 10, 20, 40)
@@ -404,66 +412,108 @@ class _RestrictedLikelihood:
     precision: np.ndarray
     values: np.ndarray
 
-    def misfit(self, at: np.ndarray) -> float:
-        """Return -2 l at the log of the variance, the logit of the share and the log of the
-        memory, shape (3,).
-        """
-        _, m, n = self.columns.shape
-        noise = float(np.exp(at[0]))
-        share = float(expit(at[1]))
-        phi = float(1.0 - np.exp(-at[2]))
-        serial = Serial(np.full(m, phi), np.full(m, share), self.position, np.ones(n, bool))
-        z = serial.innovations(self.columns).reshape(len(self.columns), -1)
-        H = z[1:] @ z[1:].T / noise
-        H.flat[:: len(H) + 1] += self.precision
-        pull = z[1:] @ z[0] / noise - self.precision * self.values
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        try:
-            factor = cho_factor(H * np.outer(scale, scale) + 1e-10 * np.eye(len(H)), lower=True)
-        except LinAlgError:
-            return 1e300
-        gained = float((scale * pull) @ cho_solve(factor, scale * pull))
-        determinant = 2.0 * float(np.sum(np.log(np.diag(factor[0]) / scale)))
-        left = float(z[0] @ z[0]) / noise - gained
-        return float(m * n * at[0] + serial.log_determinant + determinant + left)
-
-    @property
+    @cached_property
     def white(self) -> float:
         """-2 l of independent rows."""
-        return min(self.misfit(np.array([log, -30.0, 0.1])) for log in _SIZES)
+        every = self.columns.reshape(len(self.columns), -1)
+        return self._least(every @ every.T, 0.0)
 
-    def with_memory(self, memory: float, start: np.ndarray) -> OptimizeResult:
-        """Return the optimum with a given log of the memory."""
-        return _least(lambda at: self.misfit(np.append(at, memory)), start)
+    def misfit(self, share: float, memory: float) -> float:
+        """Return -2 l at the logit of the share and the log of the memory, and the likeliest
+        variance.
+
+        All variances share the products of the whitened columns, which take most of the time.
+        """
+        _, m, n = self.columns.shape
+        phi = float(1.0 - np.exp(-memory))
+        shares = np.full(m, float(expit(share)))
+        serial = Serial(np.full(m, phi), shares, self.position, np.ones(n, bool))
+        z = serial.innovations(self.columns).reshape(len(self.columns), -1)
+        return self._least(z @ z.T, serial.log_determinant)
+
+    def _least(self, products: np.ndarray, log_determinant: float) -> float:
+        """Return -2 l of the likeliest variance, by the products of the whitened columns, shape
+        (1 + P, 1 + P), and the log determinant of the whitening.
+
+        At the optimum the variance is the sum of squares over the degrees of freedom, which hardly
+        depend on it.
+        """
+        readings = self.columns[0].size
+        noise = max(float(products[0, 0]) / readings, 1e-300)
+        least = 1e300
+        for _ in range(_TURNS):
+            try:
+                least, better = self._at(products, noise)
+            except LinAlgError:
+                return 1e300
+            if abs(np.log(better / noise)) < _SAME:
+                break
+            noise = better
+        return least + log_determinant
+
+    def _at(self, products: np.ndarray, noise: float) -> tuple[float, float]:
+        """Return -2 l of a variance, and the variance that its parameters and degrees of freedom
+        give.
+        """
+        readings = self.columns[0].size
+        of_rows = products[1:, 1:]
+        H = of_rows / noise
+        H.flat[:: len(H) + 1] += self.precision
+        pull = products[1:, 0] / noise - self.precision * self.values
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
+        L = cholesky(H * np.outer(scale, scale) + 1e-10 * np.eye(len(H)), lower=True)
+        step = scale * cho_solve((L, True), scale * pull)
+        inverse, _ = dtrtri(L, lower=1)
+        variances = scale**2 * np.sum(inverse**2, axis=0)
+        degrees = readings - float(np.sum(1.0 - variances * self.precision))
+        squares = float(products[0, 0] + step @ (of_rows @ step - 2.0 * products[1:, 0]))
+        determinant = 2.0 * float(np.sum(np.log(np.diag(L) / scale)))
+        left = float(products[0, 0]) / noise - float(pull @ step)
+        least = readings * float(np.log(noise)) + determinant + left
+        return least, max(squares / max(degrees, 1.0), 1e-300)
+
+    def with_memory(self, memory: float) -> tuple[float, float]:
+        """Return the optimum with a given log of the memory, and the logit of the share there."""
+        found = minimize_scalar(
+            lambda share: self.misfit(share, memory),
+            bounds=_LIMITS[0],
+            method="bounded",
+            options={"xatol": _NEAR_SHARE},
+        )
+        return float(found.fun), float(found.x)
 
     def likeliest(self) -> _Remembered | None:
         """Return the most likely correlated noise; None if it gains too little."""
-        white = self.white
-        starts = [np.array([0.0, np.log(s / (1.0 - s)), -np.log(1.0 - phi)]) for s, phi in _STARTS]
-        tried = [_least(self.misfit, start) for start in sorted(starts, key=self.misfit)[:2]]
+        starts = [(np.log(s / (1.0 - s)), -np.log(1.0 - phi)) for s, phi in _STARTS]
+        likely = sorted(starts, key=lambda start: self.misfit(*start))[:2]
+        tried = [self._near(np.array(start)) for start in likely]
         best = min(tried, key=lambda found: float(found.fun))
-        if white - float(best.fun) < CRITERIA.correlated:
+        least = float(best.fun)
+        if self.white - least < CRITERIA.correlated:
             return None
-        memory = best.x[2]
-        found = best
+        share, memory = best.x.tolist()
         for longer in np.log(_MEMORIES).tolist():
             # The longest of the memories that are as likely: a short one takes the mean of the
             # noise for well known.
-            other = self.with_memory(longer, best.x[:2])
-            if longer > memory and float(other.fun) < float(best.fun) + CRITERIA.as_likely:
-                memory = longer
-                found = other
+            if longer <= memory:
+                break
+            misfit, there = self.with_memory(longer)
+            if misfit < float(best.fun) + CRITERIA.as_likely:
+                least, share, memory = misfit, there, longer
                 break
         phi = float(1.0 - np.exp(-memory))
-        return _Remembered(white - float(found.fun), phi, float(expit(found.x[1])))
+        return _Remembered(self.white - least, phi, float(expit(share)))
 
-
-def _least(misfit: Callable[[np.ndarray], float], start: np.ndarray) -> OptimizeResult:
-    limits = [(-6.0, 6.0), (-6.0, 9.0), (0.01, np.log(_LONGEST))]
-    options = {"xatol": 0.05, "fatol": 0.1, "maxfev": 120}
-    return minimize(
-        misfit, start, method="Nelder-Mead", bounds=limits[: len(start)], options=options
-    )
+    def _near(self, start: np.ndarray) -> OptimizeResult:
+        """Return the optimum near a logit of the share and a log of the memory."""
+        options = {"xatol": _NEAR_SHARE, "fatol": 0.1, "maxfev": 120}
+        return minimize(
+            lambda at: self.misfit(*at.tolist()),
+            start,
+            method="Nelder-Mead",
+            bounds=_LIMITS,
+            options=options,
+        )
 
 
 def with_blocks(fit: AnyFit, beyond: float = 1.0) -> AnyFit:
