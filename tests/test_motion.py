@@ -310,7 +310,8 @@ def test_the_clock_of_an_imu_is_found(session: tuple[MovingArm, dict[str, dict[s
     grid = np.arange(1.0, 39.0, 0.02)
     speeds = np.linalg.norm(arm.ideal(grid).rate, axis=1)
     start = correlate(grid, speeds, table["time"], np.linalg.norm(rate, axis=1))
-    found = aligned(table["time"], rate, lambda at, _: arm.ideal(at).rate, arm.path.covers, Clock(start.offset))
+    clock = Clock(start.offset)
+    found = aligned(table["time"], rate, lambda at, _: arm.ideal(at).rate, arm.path.covers, clock, source="imu")
     stamps = np.linspace(2.0, 37.0, 20)
 
     assert start.is_same and start.is_clear and abs(start.offset - 1.234) < 0.05
@@ -328,7 +329,7 @@ def test_a_clock_that_runs_at_another_rate_is_caught(session: tuple[MovingArm, d
         tips = arm.tips(at)
         return np.hstack([tips[:, :, 3], tips[:, :, :3].reshape(len(at), -1)])
 
-    found = aligned(stamps, position, poses, arm.path.covers, Clock(-0.75 + 0.1))
+    found = aligned(stamps, position, poses, arm.path.covers, Clock(-0.75 + 0.1), source="tracker")
     assert found.clock.drift == pytest.approx(1062e-6, abs=60e-6)
     assert np.abs(found.clock.to_joints(stamps) - TRUE["tracker"].to_joints(stamps)).max() < 2e-3
 

@@ -344,6 +344,9 @@ class Judge:
     def weights(self, point: Linearised, sigma: np.ndarray, *, hard: bool) -> np.ndarray:
         """Return the rows' robust weights for noise of each block, shape (blocks,); further
         arguments as for :meth:`at`.
+
+        Rows that most of a station's rows are as far off as are no outliers, whatever the noise:
+        the nearer half of each station counts, so that no fit is left without rows.
         """
         if self.loss == "none":
             return np.ones(len(self.problem))
@@ -360,6 +363,9 @@ class Judge:
         limit2 = np.repeat(limits, counts)
         if not np.any(distance2 > limit2):
             return np.ones(len(self.problem))
+        parts = np.split(distance2, np.cumsum(counts)[:-1])
+        middles = [float(np.median(part)) if len(part) else np.inf for part in parts]
+        limit2 = np.maximum(limit2, np.repeat(middles, counts))
         lighter = (
             0.0
             if hard and self.loss == "screen"

@@ -268,7 +268,8 @@ class _Run:
     @property
     def is_steady(self) -> bool:
         """Whether the robust weights agree with the residuals."""
-        return bool(np.max(np.abs(self.judged.robust - self.point.robust)) < _SETTLED)
+        change = np.abs(self.judged.robust - self.point.robust)
+        return bool(np.max(change, initial=0.0) < _SETTLED)
 
     def ending(self) -> Ending | None:
         """Return how the fit has ended, None if it continues."""

@@ -163,7 +163,14 @@ def cross_validate(
         split: rows at random, or whole clusters in joint space.
         seed: of the division.
         executor: runs the fits; default: serially, in this process.
+
+    Raises:
+        BadInputError: for a table without rows.
     """
+    if not len(measurements):
+        raise BadInputError(
+            f"{measurements.source}: no rows; expected some to leave out and some to fit"
+        )
     groups = row_groups(measurements, split=split, seed=seed)
     order = np.random.default_rng(seed).permutation(groups.max() + 1)
     fold = (order % folds)[groups]

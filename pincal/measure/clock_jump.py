@@ -68,7 +68,7 @@ def likeliest_jump(
         block for block, size in zip(blocks, squares, strict=True) if size > _MOVES * max(squares)
     ]
     if len(parts) < 2 * JUMPS.either_side:
-        return Jump(0.0, np.inf, float(time.min()))
+        return Jump(0.0, np.inf, float(time.min(initial=np.inf)))
     residuals = unexplained(residuals[:, :, None])[:, :, 0]
     reach = float(np.ptp(time)) / len(parts)
     tried = np.array(

@@ -17,6 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.errors import MeasurementError
 from pincal.measure.clock_jump import Jump, likeliest_jump
 from pincal.motion.motion_numbers import CLOCKS
 from pincal.thresholds import Count, Scale
@@ -149,12 +150,29 @@ class Alignment:
     jump: Jump
 
 
+def refuse_uncovered(known: np.ndarray, *, source: str) -> None:
+    """Refuse readings of which none lies on the path of the joints; ``known`` are those that do,
+    indices or a mask.
+
+    Raises:
+        MeasurementError: if there are none.
+    """
+    if not (known.any() if known.dtype == bool else len(known)):
+        raise MeasurementError(
+            f"{source}: no reading lies where the joints were logged without a gap; expected "
+            "joints and readings over the same minutes of motion: log them together, and the "
+            "joints without gaps"
+        )
+
+
 def aligned(
     time: np.ndarray,
     readings: np.ndarray,
     features: Callable[[np.ndarray, np.ndarray], np.ndarray],
     covers: Callable[[np.ndarray], np.ndarray],
     start: Clock,
+    *,
+    source: str,
 ) -> Alignment:
     """Return the clock by which readings are linear in features of the motion.
 
@@ -166,9 +184,14 @@ def aligned(
         covers: returns at which of such times they are known.
         start: the clock, to some tenths of a second; if its drift is known, the whole is aligned at
             once.
+        source: of the readings, for errors.
+
+    Raises:
+        MeasurementError: if the joints' path is known at none of the readings.
     """
     clock = start
     known = covers(start.to_joints(time))
+    refuse_uncovered(known, source=source)
     begin = time[known].min()
     end = time[known].max()
     middle = 0.5 * (begin + end)
@@ -184,7 +207,7 @@ def aligned(
                 int
             )
         ]
-        found = _aligned(time, readings, rows, features, covers, clock)
+        found = _aligned(time, readings, rows, features, covers, clock, source=source)
         clock = found.clock
         if is_whole:
             return found
@@ -198,9 +221,12 @@ def _aligned(
     features: Callable[[np.ndarray, np.ndarray], np.ndarray],
     covers: Callable[[np.ndarray], np.ndarray],
     clock: Clock,
+    *,
+    source: str,
 ) -> Alignment:
     for _ in range(_STEPS):
         seen = rows[covers(clock.to_joints(time[rows]))]
+        refuse_uncovered(seen, source=source)
         since = time[seen] - clock.middle
         found = _Projected.of(readings[seen], clock.to_joints(time[seen]), since, seen, features)
         J = found.jacobian

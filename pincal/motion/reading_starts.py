@@ -52,7 +52,7 @@ def start_readings(arm: MovingArm, tracker: Stream, sensor: type[Sensor]) -> Clo
     things = [_Thing.of(part, sensor) for part in parts]
     what = f"{sensor.blocks[0].name}s"
     offset = _searched(things, arm, what, source=tracker.name)
-    alignment = _aligned(things, arm, Clock(offset))
+    alignment = _aligned(things, arm, Clock(offset), source=tracker.name)
     if sensor.follows != "squared":
         _refuse_mirrored(things[0], alignment, sensor, source=tracker.name)
     check_clock(tracker, alignment)
@@ -261,7 +261,7 @@ class _Thing:
         )
 
 
-def _aligned(things: list[_Thing], arm: MovingArm, start: Clock) -> Alignment:
+def _aligned(things: list[_Thing], arm: MovingArm, start: Clock, *, source: str) -> Alignment:
     """Return the clock by which all things follow the arm."""
     middles = [
         _functions(arm.tips(start.to_joints(thing.time[:: len(thing.time) // _SAMPLED + 1]))).mean(
@@ -285,7 +285,7 @@ def _aligned(things: list[_Thing], arm: MovingArm, start: Clock) -> Alignment:
             found[-1][here] = own
         return np.hstack(found)
 
-    return aligned(time, values[:, None], features, arm.path.covers, start)
+    return aligned(time, values[:, None], features, arm.path.covers, start, source=source)
 
 
 def _functions(tips: np.ndarray) -> np.ndarray:

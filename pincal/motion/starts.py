@@ -17,7 +17,14 @@ import numpy as np
 from pincal.errors import MeasurementError, warn
 from pincal.hypotheses.hypothesis import Hypothesis, explaining
 from pincal.measure.reading_numbers import JUMPS
-from pincal.motion.clocks import Alignment, Clock, SpeedMatch, aligned, correlate
+from pincal.motion.clocks import (
+    Alignment,
+    Clock,
+    SpeedMatch,
+    aligned,
+    correlate,
+    refuse_uncovered,
+)
 from pincal.motion.imu_rows import ImuRows
 from pincal.motion.motion_numbers import CLOCKS, FOLLOWING
 from pincal.motion.moving_arm import MovingArm
@@ -55,11 +62,13 @@ class ImuStart:
         clock: of the IMU.
         mount: rotation from the IMU's frame to the tip, shape (3, 3).
         rows: its filtered readings while the joints were logged.
+        source: name of its log.
     """
 
     clock: Clock
     mount: np.ndarray
     rows: ImuRows
+    source: str
 
 
 class OtherMotionError(MeasurementError):
@@ -100,11 +109,13 @@ def start_imu(
         )
     _check_rates(imu, found)
     check_clock(imu, found)
-    rows = rows.select(arm.path.covers(found.clock.to_joints(rows.time), 4.0 * rows.window.width))
+    inside = arm.path.covers(found.clock.to_joints(rows.time), 4.0 * rows.window.width)
+    refuse_uncovered(inside, source=imu.name)
+    rows = rows.select(inside)
     mount = nearest_rotation(found.matrix).T
     _check_forces(arm, imu, rows, found.clock, mount)
     _check_slip(arm, imu, rows, found.clock, mount)
-    return ImuStart(found.clock, mount, rows)
+    return ImuStart(found.clock, mount, rows, imu.name)
 
 
 def _of_session(name: str, other: MovingArm) -> Hypothesis[MovingArm]:
@@ -124,7 +135,9 @@ def aligned_forces(arm: MovingArm, start: ImuStart) -> float:
     rows = start.rows
     covers = partial(arm.path.covers, margin=4.0 * rows.window.width)
     middle = np.array([start.clock.middle])
-    forces = aligned(rows.time, rows.readings[:3].T, features, covers, start.clock).clock
+    forces = aligned(
+        rows.time, rows.readings[:3].T, features, covers, start.clock, source=start.source
+    ).clock
     return float((start.clock.to_joints(middle) - forces.to_joints(middle))[0])
 
 
@@ -139,6 +152,7 @@ def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:
         lambda at, _: arm.ideal(at, rows.window).rate,
         lambda at: arm.path.covers(at, 4.0 * rows.window.width),
         Clock(match.offset),
+        source=imu.name,
     )
 
 
@@ -299,6 +313,7 @@ def _placed(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Alignment:
         lambda at, _: _features(arm.tips(at)),
         arm.path.covers,
         Clock(match.offset),
+        source=tracker.name,
     )
     sizes = np.linalg.svd(found.matrix[:, :3], compute_uv=False)
     if np.any(np.abs(sizes - 1.0) > FOLLOWING.scale):

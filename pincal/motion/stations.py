@@ -17,7 +17,7 @@ import numpy as np
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.hypotheses.hypothesis import Hypothesis, exchange_order, explaining
 from pincal.measure.measurements import Measurements, measurements
-from pincal.motion.clocks import Clock
+from pincal.motion.clocks import Clock, refuse_uncovered
 from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.motion_numbers import FOLLOWING
@@ -183,6 +183,7 @@ def _imu_table(
     clock = start.clock.moved(-delay, 0.0)
     at = clock.to_joints(rows.time)
     inside = arm.path.covers(at, 4.0 * WIDTH)
+    refuse_uncovered(inside, source=imu.name)
     rows = rows.select(inside)
     at = at[inside]
     # Noise of both by vibration, relative to its median.
@@ -247,6 +248,7 @@ def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
         )
     at = clock.to_joints(tracker.time)
     inside = arm.path.covers(at)
+    refuse_uncovered(inside, source=tracker.name)
     readings = {name: values[inside] for name, values in tracker.readings.items()}
     lines = tracker.lines[inside]
     return _table(arm, tracker, clock, tracker.time[inside], at[inside], lines, readings)
