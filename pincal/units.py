@@ -242,6 +242,8 @@ _READABLE = {
     "px": Unit(1.0, "px"),
     "rad/(N m)": Unit(1e6, "µrad/(N m)"),
 }
+# SI unit -> unit in which joint positions and their changes are shown, as pendants do.
+_OF_JOINTS = {"rad": Unit(180.0 / math.pi, "deg"), "m": Unit(1e3, "mm")}
 # SI unit -> unit in which small effects of a robot are shown.
 _SMALL = {
     "rad": Unit(1e6, "µrad"),
@@ -288,6 +290,39 @@ def format_readable(value: float, unit: str, form: str = ".3g") -> str:
     """
     factor, name = readable_unit(unit)
     return f"{value * factor:{form}} {name}"
+
+
+def joint_unit(unit: str) -> Unit:
+    """Return the unit in which a joint's position is shown, given its SI unit; another unit, of a
+    payload or a temperature, is unchanged.
+
+    Example:
+        >>> joint_unit("m"), joint_unit("kg")
+        (Unit(factor=1000.0, name='mm'), Unit(factor=1.0, name='kg'))
+    """
+    return _OF_JOINTS.get(unit, Unit(1.0, unit))
+
+
+def format_joint(value: float, unit: str, form: str = ".3g") -> str:
+    """Return a joint's position or its change, as a pendant shows it.
+
+    Example:
+        >>> format_joint(-0.19792, "rad", ".4g"), format_joint(0.0123, "m")
+        ('-11.34 deg', '12.3 mm')
+    """
+    factor, name = joint_unit(unit)
+    return f"{value * factor:{form}} {name}"
+
+
+def range_of_joint(low: float, high: float, unit: str) -> str:
+    """Return a range of a joint's positions, as a pendant shows it.
+
+    Example:
+        >>> range_of_joint(-0.5, 1.25, "rad")
+        '-28.65 to 71.62 deg'
+    """
+    factor, name = joint_unit(unit)
+    return f"{low * factor:.4g} to {high * factor:.4g} {name}"
 
 
 def format_small(value: float, unit: str) -> str:

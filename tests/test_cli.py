@@ -122,6 +122,24 @@ def test_text_fits_a_hundred_columns(tmp_path, table, capsys):
     assert max(len(line) for line in lines if not line.startswith(("note: ", "written to "))) <= 100
 
 
+def test_a_check_says_the_declared_noise_and_what_the_readings_show(tmp_path, capsys):
+    """Of five readings a pose their scatter, as of independent draws; that of the table, if none was declared."""
+    made = tmp_path / "repeated.csv"
+    words = ("--poses", "20", "--cycles", "5", "--noise", "0.06mm", "--no-floor", "--seed", "3")
+    assert run("simulate", URDF, *words, "--out", made, "--quiet") == 0
+    assert "100 rows at 20 poses in 5 cycles" in capsys.readouterr().out
+    xyz = np.genfromtxt(made, delimiter=",", names=True)
+    read = np.stack([xyz[axis].reshape(5, 20) for axis in "xyz"])
+    scatter = 1e3 * np.sqrt(np.sum((read - read.mean(axis=1, keepdims=True)) ** 2) / (3 * 20 * 4))
+
+    assert run("check", URDF, made, "--noise", "0.05mm", "--quiet") == 0
+    text = capsys.readouterr().out
+    assert f"0.0500 mm per coordinate (declared; repeated poses show {scatter:.4f})" in text
+    assert "rows     100 position measurements" in text
+    assert run("check", URDF, made, "--quiet") == 0
+    assert f"{scatter:.4f} mm per coordinate (estimated from repeated poses)" in capsys.readouterr().out
+
+
 @pytest.mark.long
 def test_ten_lines_come_first(tmp_path, table, capsys):
     """Before, after, noise as the mean distance it makes, verdict and next step; the tables only with --verbose."""
@@ -135,7 +153,9 @@ def test_ten_lines_come_first(tmp_path, table, capsys):
     for name, model in (("before", "nominal"), ("after", "calibrated")):
         assert f"{name:8s} mean {errors[model]['test']['mean_mm']:.4f} mm" in text
     # The mean of the chi distribution with three degrees of freedom, times the noise.
-    assert f"noise    mean {0.05 * np.sqrt(8.0 / np.pi):.4f} mm, 0.0500 mm per coordinate (declared)" in text
+    shown = f"noise    mean {0.05 * np.sqrt(8.0 / np.pi):.4f} mm, 0.0500 mm per coordinate (declared; residuals show "
+    noise = json.loads((tmp_path / "out" / "result.json").read_text())["noise"]
+    assert shown + f"{1e3 * noise['residual_sigma_m']:.4f})" in text and noise["declared"] == ["sigma_m"]
     assert "Pose accuracy" not in text and "base_link to tool0 (--tip takes another link)" in text
     assert run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--verbose", "--quiet") == 0
     assert "Pose accuracy" in capsys.readouterr().out

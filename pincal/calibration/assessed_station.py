@@ -329,17 +329,39 @@ def noise_of(fit: ModelFit, blocks: slice = slice(None)) -> NoiseRecord:
         [len(station) for station in fit.problem.stations],
         [b.stop - b.start for b in fit.problem.block_spans],
     )
+    repeated = _repeated_sigma(fit)
     found: dict[str, list[tuple[float, float]]] = {}
-    for (block, sigma, declared, estimated), n in list(zip(of_blocks, rows, strict=True))[blocks]:
+    is_declared: dict[str, bool] = {}
+    each = list(zip(zip(of_blocks, repeated, strict=True), rows, strict=True))[blocks]
+    for ((block, sigma, declared, estimated), scatter), n in each:
         weight = float(n * block.size)
-        found.setdefault(noise_key(block.unit), []).append(
-            (float(sigma if declared is None else declared), weight)
-        )
-        found.setdefault(f"residual_{noise_key(block.unit)}", []).append((float(estimated), weight))
+        name = noise_key(block.unit)
+        used = float(sigma if declared is None else declared)
+        found.setdefault(name, []).append((used, weight))
+        found.setdefault(f"residual_{name}", []).append((float(estimated), weight))
+        if scatter > 0.0:
+            found.setdefault(f"repeated_{name}", []).append((scatter, weight))
+        is_declared[name] = is_declared.get(name, True) and declared is not None
     noise = {}
     for name, sizes in found.items():
         values, weights = np.array(sizes).T
         noise[name] = float(
             values[0] if len(values) == 1 else np.sqrt(np.average(values**2, weights=weights))
         )
-    return cast(NoiseRecord, {"source": "declared" if fit.is_declared else "estimated", **noise})
+    source = "declared" if fit.is_declared else "estimated"
+    stated_names = [name for name, is_stated in is_declared.items() if is_stated]
+    return cast(NoiseRecord, {"source": source, "declared": stated_names, **noise})
+
+
+def _repeated_sigma(fit: ModelFit) -> list[float]:
+    """Return by what repeated readings scatter, for each block of readings; 0 where none are."""
+    found: list[float] = []
+    for station, _, blocks in fit.stations:
+        scatter = fit.scatter.get(station.name)
+        size = blocks.stop - blocks.start
+        if scatter is None:
+            found += [0.0] * size
+            continue
+        is_known = (scatter.within_degrees > 0.0) | (scatter.between_degrees > 0.0)
+        found += np.where(is_known, np.sqrt(scatter.of_row(1.0)), 0.0).tolist()
+    return found

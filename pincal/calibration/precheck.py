@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from msgspec import to_builtins
 
+from pincal.calibration.assessed_station import noise_of
 from pincal.calibration.calibration import unobservable
 from pincal.calibration.held_out import WAYS, StationRows, headline_of, nominal_errors
 from pincal.identify.calibrate import Tables, expected_fit, tables_of
@@ -23,9 +24,8 @@ from pincal.model.conditions import distinct_values
 from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
 from pincal.satellites import Place
-from pincal.validate.accuracy import error_statistics, leading_block, pose_error_sizes
+from pincal.validate.accuracy import error_statistics, pose_error_sizes
 from pincal.validate.agreement import check_agreement
-from pincal.validate.outcome import noise_key
 
 
 class Further(Protocol):
@@ -83,7 +83,7 @@ class DataReport:
         joints: coverage of each joint.
         nominal: errors with only base and tool fitted, each pose predicted by a fit without it, as
             a calibration has them.
-        noise: standard deviation on which expectations are based [m], and its origin.
+        noise: standard deviations, declared or of a preliminary fit, and their origin.
         rank: number of directions that the poses determine better than the priors do.
         released: number of parameters that a fit would release.
         condition: condition number of the determined directions.
@@ -135,16 +135,12 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     further = {name: _FURTHER[name](robot, fit) for name in _FURTHER.names()}
     notes += [note for found in further.values() for note in found.notes]
     posterior = fit.solution.posterior
-    lead = leading_block(fit)
     return DataReport(
         kind=" and ".join(dict.fromkeys(table.kind for table in tables.values())),
-        rows=len(fit.problem),
+        rows=sum(map(len, tables.values())),
         joints=tuple(_ranges(robot, fit.problem.conditions.q)),
         nominal=_nominal(fit, tables),
-        noise={
-            noise_key(fit.problem.blocks[lead].unit): float(fit.solution.sigma[lead]),
-            "source": "declared" if fit.is_declared else "estimated from a preliminary fit",
-        },
+        noise=_noise(fit),
         rank=posterior.identifiable_rank,
         released=int(fit.solution.free.sum()),
         condition=posterior.condition,
@@ -152,6 +148,22 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
         further=further,
         warnings=doubts_first([*robot.notes, *notes]),
     )
+
+
+def _noise(fit: ModelFit) -> dict[str, Any]:
+    """Return the noise of a single reading: declared, that of repeated poses, or of a preliminary
+    fit, which is to means of poses.
+    """
+    found: dict[str, Any] = dict(noise_of(fit))
+    declared = found["declared"]
+    repeated = {
+        name: found[f"repeated_{name}"]
+        for name in found
+        if f"repeated_{name}" in found and name not in declared
+    }
+    if not fit.is_declared and not repeated:
+        found["source"] = "estimated from a preliminary fit"
+    return found | repeated
 
 
 def _nominal(fit: ModelFit, tables: Mapping[str, Measurements]) -> dict[str, float]:

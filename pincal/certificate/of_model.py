@@ -34,7 +34,7 @@ from pincal.io.result_folder import file_hash
 from pincal.io.strict_json import FileKind, read_json
 from pincal.model.conditions import Conditions
 from pincal.notes import Note, doubts_of
-from pincal.report.words import noise_words
+from pincal.report.words import noise_origin, noise_words
 from pincal.thresholds import Count
 from pincal.validate.misfit import Verdict, worst
 
@@ -262,7 +262,7 @@ def _facts(fitted: FittedRobot, result: ResultFile) -> dict[str, str]:
         "measured": f"{result.rows['train']} rows of {', '.join(kinds)}",
         "method": f"least squares on all rows; effects: {', '.join(effects)}",
         "validation": _validation(result),
-        "noise": f"{noise_words(result.noise)} ({result.noise['source']})",
+        "noise": f"{noise_words(result.noise)} ({noise_origin(result.noise)})",
         "rests on": "" if result.uncertainty is UNSET else result.uncertainty.rests_on,
     }
     return {name: text for name, text in found.items() if text}

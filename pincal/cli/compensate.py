@@ -21,7 +21,7 @@ from pincal.cli.target_files import PROGRAMS, FileCorrection, TargetFiles
 from pincal.errors import Exit, counted, few
 from pincal.recorded import RECORDABLE
 from pincal.thresholds import Count
-from pincal.units import plain_number
+from pincal.units import format_joint, plain_number
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -461,25 +461,27 @@ def _statistics(errors: np.ndarray) -> dict[str, float]:
 def _summary(result: dict[str, Any]) -> Iterator[str]:
     counts = ", ".join(f"{count} {name}" for name, count in result["status"].items() if count)
     yield f"{result['rows']} rows: {counts}"
-    for name, words in (("seeds", "joints as given"), ("commanded", "joints to command")):
-        if name in result["error"]:
-            error = result["error"][name]
-            yield (
-                f"  {words:18s} predicted error: mean {error['mean_mm']:8.4f} mm, max "
-                f"{error['max_mm']:8.4f} mm"
-            )
-    if result["change"]:
-        change = result["change"]
-        size = f"{1e3 * change['value']:.4g} m{change['unit']}"
-        yield f"  largest change of a joint: {size} ({change['joint']}, line {change['line']})"
     frame = {"instrument": "the instrument's frame", "base": "the robot's base frame"}[
         result["frame"]
     ]
+    if "seeds" in result["error"]:
+        yield f"  joints as given    miss the targets by {_sizes(result['error']['seeds'])}"
     yield (
-        f"  uncertainty of the model at these joint positions: {result['sigma_mm']:.4f} mm "
-        f"rms in {frame}"
+        f"  joints to command  meet them with an uncertainty of {result['sigma_mm']:.4f} mm rms in "
+        f"{frame}"
     )
+    if result["not_ok"]:
+        # Only where a row is not reached does more remain than rounding.
+        yield f"  not reached        remain {_sizes(result['error']['commanded'])} over all rows"
+    if result["change"]:
+        change = result["change"]
+        size = format_joint(change["value"], change["unit"], ".4g")
+        yield f"  largest change     {size} of a joint ({change['joint']}, line {change['line']})"
     yield f"written to {result['out']}"
+
+
+def _sizes(error: dict[str, float]) -> str:
+    return f"mean {error['mean_mm']:.4f} mm, max {error['max_mm']:.4f} mm"
 
 
 def _failures(result: dict[str, Any]) -> Iterator[str]:

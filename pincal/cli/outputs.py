@@ -19,6 +19,7 @@ import click
 from pincal.atomic import replacing
 from pincal.errors import AccuracyGateError, OutputError, printable
 from pincal.thresholds import Count
+from pincal.units import format_joint, range_of_joint
 
 if TYPE_CHECKING:
     import numpy as np
@@ -121,8 +122,10 @@ def extrapolation(
     rows = len({value.row for value in values})
     notes = [f"rows outside the range of the calibration data: {rows}"] if rows else []
     for row, name, value, low, high in values[:_SHOWN]:
+        at = format_joint(value, units[name], ".4g")
         notes.append(
-            f"line {lines[row]}: {name} = {value:.4g}, calibrated from {low:.4g} to {high:.4g}"
+            f"line {lines[row]}: {name} = {at}, calibrated from "
+            f"{range_of_joint(low, high, units[name])}"
         )
     notes += [_curve_words(curve, units[curve.variable]) for curve in curves]
     notes += _gap_words(gaps, units)
@@ -138,9 +141,9 @@ def extrapolation(
 def _curve_words(curve: OutsideCurve, unit: str) -> str:
     return (
         f"{curve.rows} rows need the {curve.effect} of {curve.joint} at "
-        f"{curve.variable} {curve.lowest:.4g} to "
-        f"{curve.highest:.4g} {unit}; it was identified from "
-        f"{curve.lower:.4g} to {curve.upper:.4g} only and is held constant outside"
+        f"{curve.variable} {range_of_joint(curve.lowest, curve.highest, unit)}; it was "
+        f"identified from {range_of_joint(curve.lower, curve.upper, unit)} only and is held "
+        "constant outside"
     )
 
 
@@ -152,7 +155,7 @@ def _gap_words(gaps: Iterable[CurveGap], units: Mapping[str, str]) -> Iterator[s
         yield (
             f"rows in gaps of the {effect} of {joint}: "
             f"{sum(gap.rows for gap in (*narrower, widest))}; {widest.variable} "
-            f"{widest.lower:.4g} to {widest.upper:.4g} {units[widest.variable]}{more}: "
+            f"{range_of_joint(widest.lower, widest.upper, units[widest.variable])}{more}: "
             "the calibration had too few poses there to determine it, and it is interpolated"
         )
 

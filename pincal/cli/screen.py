@@ -21,6 +21,7 @@ from pincal.report import precheck_tables
 from pincal.report.judgement import SearchReport, judged, next_steps
 from pincal.report.words import (
     elsewhere_words,
+    noise_origin,
     noise_words,
     rank_words,
 )
@@ -67,7 +68,7 @@ def print_brief(
         _line(out, name, _errors(result.error[model], name))
     print_elsewhere(result, out)
     kinds = " and ".join(dict.fromkeys(rows.train.kind for rows in calibration.stations))
-    _line(out, "noise", f"{_noise_of(result.noise, kinds)} ({result.noise['source']})")
+    _line(out, "noise", f"{_noise_of(result.noise, kinds)} ({noise_origin(result.noise)})")
     for clock in () if result.clocks is UNSET else result.clocks:
         _line(out, "clock", result_tables.clock_words(clock))
     if result.stations is not UNSET and (moved := result_tables.station_changes(result.stations)):
@@ -108,7 +109,7 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
     _line(out, "robot", _arm(robot))
     _line(out, "rows", f"{found.rows} {found.kind} measurements")
     _line(out, "before", f"{_nominal(found)}: nominal robot, base and tool fitted")
-    _line(out, "noise", f"{_noise_of(found.noise, found.kind)} ({found.noise['source']})")
+    _line(out, "noise", f"{_noise_of(found.noise, found.kind)} ({noise_origin(found.noise)})")
     shares = {
         joint.joint: share
         for joint in found.joints
@@ -263,7 +264,7 @@ def _summary(result: Result) -> str:
         f"{result.rows['train']} rows fitted, {held_out_words(result)}; "
         f"{result.iterations} iterations, "
         f"{result.seconds:.2f} s\nnoise {noise_words(result.noise)} "
-        f"({result.noise['source']}){chi2}\n{rank}"
+        f"({noise_origin(result.noise)}){chi2}\n{rank}"
     )
 
 
@@ -298,7 +299,7 @@ def print_precheck(precheck: DataReport, out: Console) -> None:
         f"{_nominal(precheck, '.3f')}"
     )
     out.print(words)
-    out.print(f"noise {noise_words(precheck.noise)} ({precheck.noise['source']})")
+    out.print(f"noise {noise_words(precheck.noise)} ({noise_origin(precheck.noise)})")
     statuses = (parameter.status for parameter in precheck.parameters)
     out.print(rank_words(statuses, rank=precheck.rank, condition=precheck.condition))
     out.print(precheck_tables.coverage_table(precheck))

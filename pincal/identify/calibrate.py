@@ -352,7 +352,8 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
     Raises:
         BadInputError: as :func:`calibrate`.
     """
-    tables = {name: by_pose(table) for name, table in tables_of(measurements).items()}
+    readings = tables_of(measurements)
+    tables = {name: by_pose(table) for name, table in readings.items()}
     options = _completed(robot, options, tables)
     some, whole = begin(robot, tables, options, None)
     fit = _begun(some)
@@ -373,7 +374,7 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
         free=free,
         at_bound=np.zeros(len(free), bool),
     )
-    return replace(fit, solution=outlook)
+    return replace(fit, solution=outlook, scatter=_scatter(fit, list(readings.values())))
 
 
 def _in_best_frame(fit: ModelFit) -> ModelFit:

@@ -110,6 +110,38 @@ def noise_words(noise: Mapping[str, Any]) -> str:
     return f"{sigma:{form}} {name} per coordinate"
 
 
+def noise_origin(noise: Mapping[str, Any]) -> str:
+    """Return where the noise that :func:`noise_words` states comes from, and what the readings
+    themselves show where it was declared.
+
+    Example:
+        >>> declared = {"sigma_m": 5e-5, "source": "declared", "residual_sigma_m": 5.26e-5}
+        >>> noise_origin(declared)
+        'declared; residuals show 0.0526'
+        >>> noise_origin(declared | {"repeated_sigma_m": 6.4e-5})
+        'declared; repeated poses show 0.0640'
+        >>> noise_origin({"sigma_m": 5.2e-5, "source": "estimated", "repeated_sigma_m": 5.2e-5})
+        'estimated from repeated poses'
+        >>> noise_origin({"sigma_px": 0.1, "source": "estimated"})
+        'estimated from the residuals'
+    """
+    name = next((name for name in ("sigma_m", "sigma_px") if name in noise), "sigma_m_s2")
+    repeated = noise.get(f"repeated_{name}")
+    source = str(noise["source"])
+    is_declared = name in noise["declared"] if "declared" in noise else source == "declared"
+    shown = noise.get(f"residual_{name}") if repeated is None else repeated
+    factor, _ = readable_unit(name.removeprefix("sigma_"))
+    size = "" if shown is None else f"{shown * factor:.4f}"
+    what = "residuals" if repeated is None else "repeated poses"
+    if is_declared:
+        return f"declared; {what} show {size}" if size else "declared"
+    origin = "estimated from the residuals" if source in ("declared", "estimated") else source
+    if repeated is None:
+        return origin
+    is_theirs = size == f"{noise[name] * factor:.4f}"
+    return "estimated from repeated poses" if is_theirs else f"{origin}; {what} show {size}"
+
+
 def is_worse_elsewhere(found: Elsewhere, error: Mapping[str, float]) -> bool:
     """Return whether the expected error elsewhere is much larger than the error at poses like the
     measured ones.

@@ -20,25 +20,36 @@ class NoiseRecord(TypedDict):
 
     Attributes:
         source: whether the noise was declared by the user or estimated from the residuals.
+        declared: names of the entries that were declared ("sigma_m"), where the instruments of all
+            stations were; not in files of version 0.2.0 and earlier.
         sigma_m, sigma_rad, sigma_px: noise that the fit used, of lengths [m], angles [rad] and
             image coordinates [px].
         sigma_m_s2, sigma_rad_s: of an IMU's specific forces [m/s^2] and angular rates [rad/s].
         residual_sigma_m, residual_sigma_rad, residual_sigma_px: estimates from the residuals of the
             fitted rows, corrected for degrees of freedom.
         residual_sigma_m_s2, residual_sigma_rad_s: the same, of specific forces and angular rates.
+        repeated_sigma_m, repeated_sigma_rad, repeated_sigma_px: scatter of single readings about
+            the mean of their pose, where poses were repeated.
+        repeated_sigma_m_s2, repeated_sigma_rad_s: the same, of specific forces and angular rates.
     """
 
     source: Literal["declared", "estimated"]
+    declared: NotRequired[list[str]]
     sigma_m: NotRequired[float]
     residual_sigma_m: NotRequired[float]
+    repeated_sigma_m: NotRequired[float]
     sigma_rad: NotRequired[float]
     residual_sigma_rad: NotRequired[float]
+    repeated_sigma_rad: NotRequired[float]
     sigma_px: NotRequired[float]
     residual_sigma_px: NotRequired[float]
+    repeated_sigma_px: NotRequired[float]
     sigma_m_s2: NotRequired[float]
     residual_sigma_m_s2: NotRequired[float]
+    repeated_sigma_m_s2: NotRequired[float]
     sigma_rad_s: NotRequired[float]
     residual_sigma_rad_s: NotRequired[float]
+    repeated_sigma_rad_s: NotRequired[float]
 
 
 def noise_key(unit: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pincal.cli.arguments import verb
 from pincal.cli.outputs import print_json, provenance, write_all, write_plain
-from pincal.errors import BadInputError, Exit, OutputError, nearest_first
+from pincal.errors import BadInputError, Exit, OutputError, counted, nearest_first
 from pincal.robot.cell import read_cell, robot_files
 from pincal.simulate.cli.part_options import looking_at, truth_of
 from pincal.simulate.cli.simulate_options import (
@@ -475,9 +475,8 @@ def _summary(
     truth file.
     """
     lines = [
-        f"{rows} rows in {truth['poses']} poses of {truth['robot']} ({truth['base']} to "
-        f"{truth['tip']}): "
-        f"{truth['sensor']}, noise {_noise(setup)}"
+        f"{_counts(rows, truth['poses'], arguments.campaign.cycles)} of {truth['robot']} "
+        f"({truth['base']} to {truth['tip']}): {truth['sensor']}, noise {_noise(setup)}"
     ]
     if drawn := truth.get("drawn_masses_kg"):
         lines.append(
@@ -494,6 +493,17 @@ def _summary(
     written = "".join(f", {what} to {path}" for what, path in further.items() if path)
     lines += [f"written to {arguments.out}{written}", f"next: {_next_command(arguments, setup)}"]
     return "\n".join(lines)
+
+
+def _counts(rows: int, measured: int, cycles: int) -> str:
+    """Return the size of a table in words; ``measured`` are its poses in all cycles.
+
+    Example:
+        >>> _counts(125, 125, 5), _counts(480, 60, 1)
+        ('125 rows at 25 poses in 5 cycles', '480 rows at 60 poses')
+    """
+    counts = f"{counted(rows, 'row')} at {counted(measured // cycles, 'pose')}"
+    return f"{counts} in {cycles} cycles" if cycles > 1 else counts
 
 
 def _hidden_lines(truth: dict[str, Any]) -> Iterator[str]:
