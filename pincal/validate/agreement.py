@@ -90,6 +90,13 @@ class _Suspect:
         """The residuals of the calibration relative to plausible ones."""
         return self.trials.limits.exceeded(self.left)
 
+    @cached_property
+    def unexplained(self) -> float:
+        """The residuals that errors of the arm do not explain, relative to plausible ones: those of
+        the calibration, or of one by some of the rows, in which less may have gone wrong.
+        """
+        return min(self.exceeded, self.trials.unchanged)
+
     @property
     def reach(self) -> float:
         """Of the robot [m]."""
@@ -118,7 +125,7 @@ class _Suspect:
         limits = self.trials.limits
         for cure in self.trials.cures(limits.exceeded(self.error)):
             exceeded = limits.exceeded(self.trials.calibrated(cure.case)[1])
-            if exceeded < min(1.0, self.exceeded / AGREEMENT.cured):
+            if exceeded < min(1.0, self.unexplained / AGREEMENT.cured):
                 yield Explanation(cure, exceeded)
         cure_of_zeros = self.trials.shifted()
         if cure_of_zeros is not None:
@@ -142,7 +149,7 @@ class _Suspect:
         if described is None:
             return found
         exceeded = self.trials.limits.exceeded(described.left)
-        is_enough = exceeded < min(1.0, self.exceeded / AGREEMENT.improved)
+        is_enough = exceeded < min(1.0, self.unexplained / AGREEMENT.improved)
         return self._of([*explanations, Explanation(described, exceeded, is_enough)])
 
     @staticmethod
@@ -189,7 +196,7 @@ class _Suspect:
         assert shifts.correction is not None
         if self.pulled & shifts.correction.shifts.keys():
             return max(AGREEMENT.no_worse * self.exceeded, AGREEMENT.usual)
-        return self.exceeded / AGREEMENT.improved
+        return self.unexplained / AGREEMENT.improved
 
     def believed(self, found: Likeliest[Cure], *, is_held: bool) -> Correction:
         """Return the correction of the robot's description that explains the residuals alone.

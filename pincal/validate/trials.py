@@ -7,8 +7,10 @@ fits.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -47,6 +49,8 @@ _MOST_ROWS: Count = 20_000
 # instrument errors.
 _SCALED: Scale = 0.5
 _SCALE_STEP: Scale = 2e-4
+# The hypothesis that nothing is wrong.
+_NOTHING = Mistake("nothing is wrong", lambda case: case)
 Residuals = tuple[float, float]
 """Typical errors of position [m] and orientation [rad]."""
 
@@ -136,13 +140,17 @@ class Trials:
     def cures(self, error: float) -> list[Cure]:
         """Return the mistakes that undone remove most of an error, relative to the limits, with
         base and tool fitted; the best first.
+
+        What the same rows leave with nothing undone, placed in the same way, is no larger an error:
+        a mistake explains only what is left of it.
         """
         case = replace(self.case, table=self.case.table.select(slice(0, _MOST_ROWS)))
         rows = _few(case.table)
+        error = min(error, self.limits.exceeded(self._fitted(_undone(_NOTHING, case, rows)).left))
         possible = list(mistakes(case.robot, case.table, TOPICS))
         found = self._placed([_undone(one, case, rows) for one in possible])
         if lengths := lengths_of(case.table):
-            found.append(self._best_scale(lengths, case, rows))
+            found += self._best_scale(lengths, case, rows)
         # Of equivalent mistakes, such as one mirror or another, the first.
         found.sort(key=lambda cure: float(f"{self.limits.exceeded(cure.left):.2g}"))
         before = self._as_is(error, case.table.select(rows))
@@ -184,8 +192,10 @@ class Trials:
             return replace(cure, left=left, readings=readings, unknowns=unknowns)
         return cure
 
-    def _best_scale(self, lengths: tuple[str, ...], case: Case, rows: np.ndarray) -> Cure:
-        """Return the scale of the measured lengths, by name, with the least residuals."""
+    def _best_scale(self, lengths: tuple[str, ...], case: Case, rows: np.ndarray) -> Iterator[Cure]:
+        """Yield the scale of the measured lengths, by name, with the least residuals, unless it is
+        no more than errors of an arm look like.
+        """
 
         def tried(scale: float) -> Cure:
             return self._fitted(_undone(scaled(lengths, float(np.exp(scale))), case, rows))
@@ -196,13 +206,22 @@ class Trials:
             method="bounded",
             options={"xatol": _SCALE_STEP},
         )
-        return tried(best.x)
+        if abs(best.x) > AGREEMENT.suspicious:
+            yield tried(best.x)
 
     def of_positions(self) -> Trials:
         """Return the trials of the positions of poses alone."""
         alone = self.case.table.of_positions()
         options = replace(self.options, sigma_orientation=None)
         return replace(self, case=replace(self.case, table=alone), options=options)
+
+    @cached_property
+    def unchanged(self) -> float:
+        """What a calibration of the geometry by some rows leaves with nothing undone, relative to
+        the limits: what errors of the arm explain needs no other cause.
+        """
+        few = replace(self.case, table=self.case.table.select(_few(self.case.table)))
+        return self.limits.exceeded(self.calibrated(few)[1])
 
     def calibrated(self, case: Case) -> tuple[ModelFit | None, Residuals]:
         """Return a calibration of the geometry by some rows, and its residuals; None if it
