@@ -13,7 +13,6 @@ _COVERED = "test_model_file.py::test_outside_names_rows_joints_and_ranges"
 _STANDS = "test_cells.py::test_where_a_robot_stands_is_found_from_contacts"
 _COMMANDED = "test_motion_stations.py::test_joints_that_were_commanded_are_doubted_by_an_imu"
 _LACKING = "test_discrepancy.py::test_what_drives_lack_is_found_with_its_lengths"
-_NOTHING_LACKS = "test_discrepancy.py::test_noise_is_no_discrepancy"
 _ORDER = "test_rows.py::test_a_joint_that_moved_steadily_with_each_load_is_told"
 
 
@@ -166,14 +165,6 @@ class DiscrepancyNumbers:
         "what is predicted is then as far from fitted poses as new work is",
     )
     fewest: int = number(15, "poses", _LACKING, "from which a discrepancy is estimated", "chosen")
-    significant: float = number(
-        4.0,
-        "standard deviations",
-        _NOTHING_LACKS,
-        "by which residuals of neighbours agree along a drive, above which the model lacks "
-        "something, where no noise is known",
-        "one sound arm with six joints in 5000",
-    )
     covered: float = number(
         0.96,
         "probability",

@@ -16,40 +16,35 @@ better than the poses. The covariance of f_j is a sum over lengths,
           \qquad d = \sqrt 3 \, |a - b| / l ,
 
 and all variances are linear in the products of the residuals of two poses: non-negative least
-squares, once plain and once weighted by the covariances found, estimate them. A factor brings the
-intervals to what the residuals show (a conformal quantile: Barber et al. 2021, Ann. Stat. 49,
-486-507).
+squares, once plain and once weighted by the covariances found, estimate them. What is known to be
+of the readings and of the parameters of the fit without the region is not of the discrepancy: the
+uncertainty of predictions counts parameters beside it. A factor brings the intervals to what the
+residuals show (a conformal quantile: Barber et al. 2021, Ann. Stat. 49, 486-507).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from msgspec.structs import replace as changed
 from scipy.linalg import block_diag, solve_triangular
 from scipy.optimize import nnls
-from scipy.special import log_ndtr
 
 from pincal.calibration.calibration_numbers import DISCREPANCY
-from pincal.calibration.left_out_variance import left_out_variances
+from pincal.calibration.left_out_variance import fitted_variances, left_out_variances
 from pincal.calibration.position_covariance import SharedErrors
+from pincal.calibration.position_rows import LeftOutRows, PositionRows, gives_positions
+from pincal.calibration.structure import DRIVE_LENGTHS, Structure, alike, residual_structure
 from pincal.identify.fit import ModelFit
 from pincal.identify.folds import left_out_residuals
-from pincal.identify.motion_fields import displacements_by_drives
 from pincal.identify.split import joint_regions
-from pincal.identify.station import Station
 from pincal.io.arrays import ArrayShape, Matrix, Numbers, Record
 from pincal.io.strict_json import Fault
-from pincal.measure.poses import SCATTER, same_joints
-from pincal.model.motions import with_moving_drives
 from pincal.thresholds import Count, Scale
 from pincal.validate.misfit import Verdict
 
-# Lengths over which drives err alike [rad or m].
-_LENGTHS: tuple[Scale, ...] = (0.05, 0.2, 0.8)
 # Poses from whose pairs the variances are estimated, and their seed.
 _MOST: Count = 100
 _SEED: Count = 0
@@ -65,6 +60,8 @@ _CLOSE: Scale = 1e-4
 # keeps their covariance regular where angles nearly coincide.
 _ANGLES: Count = 128
 _RIDGE: Scale = 1e-10
+# Smallest variance [m^2].
+_SMALLEST: Scale = 1e-300
 # Standard deviations that hold 95 % of a normal variable.
 _NORMAL: Scale = 1.959964
 
@@ -119,6 +116,11 @@ class Discrepancy(Record, frozen=True, kw_only=True):
         of_drives = np.einsum("j,jna->na", self.drives.sum(axis=1), turns**2)
         return np.asarray(self.turn_factor**2 * (of_drives + self.turn_rest))
 
+    def part(self, share: float) -> Discrepancy:
+        """Return the discrepancy of which all variances are so many times as large."""
+        size = float(np.sqrt(share))
+        return changed(self, factor=size * self.factor, turn_factor=size * self.turn_factor)
+
     def with_turns(
         self, residuals: np.ndarray, turns: np.ndarray, noise: np.ndarray
     ) -> Discrepancy:
@@ -171,51 +173,12 @@ class Discrepancy(Record, frozen=True, kw_only=True):
         angles = np.unique(position)
         if len(angles) > _ANGLES:
             angles = np.linspace(angles[0], angles[-1], _ANGLES)
-        among = np.einsum("l,lab->ab", sizes, _alike(angles, angles, self.lengths))
+        among = np.einsum("l,lab->ab", sizes, alike(angles, angles, self.lengths))
         among += _RIDGE * sizes.sum() * np.eye(len(angles))
-        with_them = np.einsum("l,lab->ab", sizes, _alike(position, angles, self.lengths))
+        with_them = np.einsum("l,lab->ab", sizes, alike(position, angles, self.lengths))
         shared = solve_triangular(np.linalg.cholesky(among), with_them.T, lower=True).T
         left = sizes.sum() - np.sum(shared**2, axis=1)
         return np.asarray(shared), np.sqrt(np.maximum(left, 0.0))
-
-
-def _alike(q: np.ndarray, others: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Return the correlation of the errors of a drive at its positions, shape (N,), with those at
-    others, shape (M,), for each length, shape (L, N, M).
-    """
-    apart = np.sqrt(3.0) * np.abs(q[:, None] - others) / np.asarray(lengths)[:, None, None]
-    return np.asarray((1.0 + apart) * np.exp(-apart))
-
-
-def errs_with_drives(residuals: np.ndarray, q: np.ndarray, levers: np.ndarray) -> float:
-    """Return how significantly the residuals of a fit follow the position of some drive, in
-    standard deviations.
-
-    Residuals along the lever of a drive, sorted by its position, are compared with their
-    neighbours: the products are zero on average if they are noise.
-
-    Args:
-        residuals: shape (N, 3), of the target's positions [m].
-        q: shape (N, n), joint positions.
-        levers: shape (n, N, 3), motion of the target by each drive.
-    """
-    # Readings of a pose share how its drives arrived: they are one.
-    pose = np.unique(same_joints(q, SCATTER), return_inverse=True)[1].ravel()
-    _, first = np.unique(pose, return_index=True)
-    found = [0.0]
-    for position, lever in zip(q[first].T, levers, strict=True):
-        squares = np.bincount(pose, np.sum(lever**2, axis=1))
-        projected = np.bincount(pose, np.einsum("na,na->n", residuals, lever))
-        moved = squares > _LEVER**2
-        if np.count_nonzero(moved) < DISCREPANCY.fewest or not np.ptp(position[moved]):
-            continue
-        along = projected[moved] / np.sqrt(squares[moved])
-        sign = np.sign(along) * np.sqrt(np.abs(along))
-        in_order = sign[np.argsort(position[moved], kind="stable")]
-        products = in_order[1:] * in_order[:-1]
-        size = np.sqrt(np.sum(products**2))
-        found.append(float(np.sum(products) / size) if size else 0.0)
-    return max(found)
 
 
 def discrepancy_of(
@@ -236,12 +199,12 @@ def discrepancy_of(
     rng = np.random.default_rng(_SEED)
     some = np.sort(rng.permutation(len(residuals))[:_MOST])
     moves = np.sqrt(np.mean(np.sum(levers**2, axis=2), axis=1)) > _LEVER
-    drives = np.zeros((q.shape[1], len(_LENGTHS)))
+    drives = np.zeros((q.shape[1], len(DRIVE_LENGTHS)))
     drives[moves], rest = _variances(
         residuals[some], q[some][:, moves], levers[moves][:, some], known[some]
     )
     plain = Discrepancy(
-        lengths=np.array(_LENGTHS),
+        lengths=np.array(DRIVE_LENGTHS),
         drives=drives,
         rest=rest,
         factor=1.0,
@@ -253,42 +216,6 @@ def discrepancy_of(
         np.einsum("naa->na", known),
     )
     return changed(plain, factor=factor) if factor else None
-
-
-def hidden_in_noise(
-    residuals: np.ndarray, levers: np.ndarray, known: np.ndarray
-) -> Discrepancy | None:
-    """Return the discrepancy to expect of an adequate model; None for too few residuals.
-
-    That nothing shows in the noise does not say that nothing is there. What is lacking is taken to
-    be half of all drives alike, half of no other pose; its variance is the mean of the posterior,
-    with the exponential prior of a mean that residuals could just show.
-
-    Args:
-        residuals: shape (N, 3), as for :func:`discrepancy_of`.
-        levers: shape (n, N, 3).
-        known: shape (N, 3, 3).
-    """
-    size = float(np.mean(np.sum(levers**2, axis=0)))
-    if len(residuals) < DISCREPANCY.fewest or not size:
-        return None
-    drives = np.zeros((len(levers), len(_LENGTHS)))
-    drives[:, -1] = 0.5 / size
-    unit = Discrepancy(
-        lengths=np.array(_LENGTHS), drives=drives, rest=0.5, factor=1.0, coordinates=residuals.size
-    )
-    shape = np.einsum("naa->na", unit.variances(levers))
-    variance = np.einsum("naa->na", known)
-    weight = shape / (2.0 * variance**2)
-    information = float(np.sum(weight * shape))
-    if not 0.0 < information < np.inf:
-        return None
-    spread = information**-0.5
-    found = float(np.sum(weight * (residuals**2 - variance))) / information
-    # A normal variable of positive values, its mean shifted by the prior.
-    shifted = found / spread - 1.0
-    mean = shifted + float(np.exp(-0.5 * shifted**2 - log_ndtr(shifted))) / np.sqrt(2.0 * np.pi)
-    return changed(unit, factor=float(np.sqrt(mean * spread)))
 
 
 def _factor(residuals: np.ndarray, lacking: np.ndarray, known: np.ndarray) -> float:
@@ -329,9 +256,9 @@ def _variances(
     n = len(residuals)
     known = block_diag(*blocks)
     terms = [
-        np.einsum("nm,na,mb->namb", alike, lever, lever).reshape(3 * n, 3 * n)
+        np.einsum("nm,na,mb->namb", near, lever, lever).reshape(3 * n, 3 * n)
         for position, lever in zip(q.T, levers, strict=True)
-        for alike in _alike(position, position, np.array(_LENGTHS))
+        for near in alike(position, position, np.array(DRIVE_LENGTHS))
     ]
     same = np.all(q[:, None] == q[None], axis=2)
     terms.append(np.kron(same.astype(float), np.eye(3)))
@@ -354,58 +281,59 @@ def _least_squares(terms: list[np.ndarray], products: np.ndarray) -> np.ndarray:
 
 
 def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
-    """Return the discrepancy of a fit; None where readings do not give positions, or where no noise
-    is known and residuals follow no drive.
+    """Return the discrepancy of a fit; None where readings do not give positions or are too few, or
+    where no noise is known and residuals have no structure.
 
     Where noise was declared or readings were repeated, the verdict tells whether residuals are
-    noise; what may be hidden in it is then of another estimate. Else what is not known to be of the
-    readings or the parameters counts as the model's.
+    noise; what may be hidden in it is then of another estimate. Else it is their structure: of an
+    e-value E the part 1 - 1 / E of what is not known to be of the readings or the parameters counts
+    as the model's.
     """
-    stations = [k for k, at in enumerate(fit.problem.stations) if _gives_positions(at)]
-    if not stations:
+    stations = [k for k, at in enumerate(fit.problem.stations) if gives_positions(at)]
+    rows = [PositionRows.of(fit, k) for k in stations]
+    if sum(int(of.is_kept.sum()) for of in rows) < DISCREPANCY.fewest:
         return None
-    rows = [_Rows.of(fit, k) for k in stations]
-    if verdict is Verdict.NOT_JUDGED:
-        follows = max(errs_with_drives(of.fitted, of.q, of.levers) for of in rows)
-        if follows < DISCREPANCY.significant:
-            return None
+    if verdict is Verdict.NOT_ADEQUATE:
+        return _shown(fit, rows)
+    structure = residual_structure(fit, rows)
+    if verdict is Verdict.ADEQUATE:
+        return _hidden(structure)
+    evidence = structure.evidence()
+    found = _shown(fit, rows) if evidence > 1.0 else None
+    return found.part(1.0 - 1.0 / evidence) if found else None
+
+
+def _hidden(structure: Structure) -> Discrepancy | None:
+    """Return what an adequate model may lack: that nothing shows in the noise does not say that
+    nothing is there.
+    """
+    if not structure.kernels:
+        return None
+    drives, rest = structure.hidden()
+    return Discrepancy(
+        lengths=np.array(DRIVE_LENGTHS),
+        drives=drives,
+        rest=rest,
+        factor=1.0,
+        coordinates=len(structure.kernels[0].squares),
+    )
+
+
+def _shown(fit: ModelFit, rows: Sequence[PositionRows]) -> Discrepancy | None:
+    """Return what a model lacks by residuals of fits without regions of joint space.
+
+    What these fits do not know of their parameters, more than the fit to all rows, is none of it.
+    """
     fold = joint_regions(fit.problem.conditions.q, DISCREPANCY.regions)
     if not fold.max(initial=0):
         return None
     (by_station,) = left_out_residuals(fit, fit.solution, [fold])
-    left_out = [_LeftOut.of(rows[i], by_station[k]) for i, k in enumerate(stations)]
-    if verdict is Verdict.ADEQUATE:
-        return _hidden(left_out, left_out_variances(fit, fold, stations))
-    return _shown(left_out)
-
-
-def _hidden(
-    left_out: Sequence[_LeftOut], by_parameters: Sequence[np.ndarray]
-) -> Discrepancy | None:
-    """Return what noise may hide, given the covariances of the predictions by the parameters."""
-    known = [
-        found[of.some] + of.rows.noise[:, None, None] * np.eye(3)
-        for found, of in zip(by_parameters, left_out, strict=True)
-    ]
-    return hidden_in_noise(
-        np.vstack([of.displacements for of in left_out]),
-        np.concatenate([of.rows.levers for of in left_out], axis=1),
-        np.concatenate(known),
-    )
-
-
-def _shown(left_out: Sequence[_LeftOut]) -> Discrepancy | None:
-    """Return what a model lacks by residuals that show it.
-
-    Its parameters err by what it lacks, not by the noise: what fits without a region miss there is
-    all of the model.
-    """
-    noise = np.concatenate([of.rows.noise for of in left_out])
+    left_out = [LeftOutRows.of(of, by_station[of.number]) for of in rows]
     found = discrepancy_of(
         np.vstack([of.displacements for of in left_out]),
         np.vstack([of.rows.q for of in left_out]),
         np.concatenate([of.rows.levers for of in left_out], axis=1),
-        noise[:, None, None] * np.eye(3),
+        _known(fit, fold, left_out),
     )
     turned = [of for of in left_out if of.turns is not None]
     if found is None or not turned:
@@ -417,127 +345,49 @@ def _shown(left_out: Sequence[_LeftOut]) -> Discrepancy | None:
     )
 
 
-def _gives_positions(station: Station) -> bool:
-    """Return whether each reading of a station that stands still gives a position in 3D."""
-    block = station.sensor.blocks[0]
-    is_still = not station.conditions.are_of_motion and station.conditions.around is None
-    return is_still and block.unit == "m" and block.size == 3
-
-
-def _gives_turns(station: Station) -> bool:
-    """Return whether each reading of a station gives a position, and then an orientation."""
-    blocks = station.sensor.blocks
-    return len(blocks) > 1 and blocks[1].unit == "rad" and blocks[1].size == 3
-
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """What the rows of a station say of a discrepancy.
-
-    Attributes:
-        at: the station.
-        values: shape (P,), its parameters.
-        q: shape (N, n), joint positions.
-        levers: shape (n, N, 3), motion of the target by each drive.
-        noise: shape (N,), variance of a coordinate that is known to be of the readings [m^2].
-        is_kept: shape (N,), rows that are no outliers.
-        turn_noise: as ``noise``, of a component of orientations [rad^2]; None where none are read.
+def _known(fit: ModelFit, fold: np.ndarray, left_out: Sequence[LeftOutRows]) -> np.ndarray:
+    """Return the covariance of the residuals of fits without each fold that is of the readings and
+    of their parameters, shape (N, 3, 3) [m^2].
     """
-
-    at: Station
-    values: np.ndarray
-    q: np.ndarray
-    levers: np.ndarray
-    noise: np.ndarray
-    is_kept: np.ndarray
-    turn_noise: np.ndarray | None
-
-    @classmethod
-    def of(cls, fit: ModelFit, k: int) -> _Rows:
-        """Return those of the k-th station of a fit."""
-        at = fit.problem.stations[k]
-        values = fit.solution.values[fit.problem.places[k]]
-        return cls(
-            at,
-            values,
-            at.conditions.q,
-            displacements_by_drives(at, values),
-            _known_noise(fit, k),
-            fit.solution.weights[fit.problem.rows[k]] > 0.0,
-            _known_noise(fit, k, 1) if _gives_turns(at) else None,
-        )
-
-    def select(self, rows: np.ndarray) -> _Rows:
-        """Return what some rows say (mask or indices)."""
-        return replace(
-            self,
-            at=self.at.select(rows),
-            q=self.q[rows],
-            levers=self.levers[:, rows],
-            noise=self.noise[rows],
-            is_kept=self.is_kept[rows],
-            turn_noise=None if self.turn_noise is None else self.turn_noise[rows],
-        )
-
-    @property
-    def fitted(self) -> np.ndarray:
-        """Residuals of the fit, shape (N, 3) [m]."""
-        return self.at.displacements(self.values)
+    stations = [of.rows.number for of in left_out]
+    found = zip(
+        left_out,
+        left_out_variances(fit, fold, stations),
+        fitted_variances(fit, stations),
+        strict=True,
+    )
+    return np.concatenate(
+        [
+            of.rows.noise[:, None, None] * np.eye(3)
+            + _of_parameters(
+                of,
+                fold[fit.problem.rows[of.rows.number]][of.some],
+                without[of.some],
+                by_all[of.some],
+            )
+            for of, without, by_all in found
+        ]
+    )
 
 
-@dataclass(frozen=True, eq=False)
-class _LeftOut:
-    """Rows of a station with their residuals by fits without them.
+def _of_parameters(
+    left_out: LeftOutRows, fold: np.ndarray, without: np.ndarray, by_all: np.ndarray
+) -> np.ndarray:
+    """Return the covariance of residuals by the parameters of fits without their fold, shape
+    (N, 3, 3) [m^2].
 
-    Attributes:
-        rows: the N rows that are no outliers and have such residuals.
-        displacements: shape (N, 3), of the target's position [m].
-        turns: shape (N, 3), rotation from predicted to read orientations [rad]; None where none are
-            read.
-        some: shape (N,), their places among all of the station.
+    That of parameters which nothing but the fold determined is of their priors, which may be much
+    wider than robots differ. So it is at most that of the fit to all rows and of how far
+    predictions of the fold moved.
+
+    Args:
+        left_out: the rows.
+        fold: shape (N,).
+        without: shape (N, 3, 3), covariances as parameters without the fold have them.
+        by_all: shape (N, 3, 3), as those of the fit to all rows do.
     """
-
-    rows: _Rows
-    displacements: np.ndarray
-    turns: np.ndarray | None
-    some: np.ndarray
-
-    @classmethod
-    def of(cls, rows: _Rows, residuals: np.ndarray) -> _LeftOut:
-        """Return the rows of residuals, shape (m, N), that are finite."""
-        displacements = rows.at.displacements(rows.values, residuals)
-        some = np.flatnonzero(rows.is_kept & np.isfinite(displacements).all(axis=1))
-        turns = residuals[3:6, some].T if rows.turn_noise is not None else None
-        return cls(rows.select(some), displacements[some], turns, some)
-
-    @property
-    def turn_noise(self) -> np.ndarray:
-        """Variance of a component that is known to be of the readings, shape (N,) [rad^2]."""
-        noise = self.rows.turn_noise
-        return np.zeros(len(self.displacements)) if noise is None else noise
-
-    @property
-    def turn_levers(self) -> np.ndarray:
-        """Rotation of the target by each drive, shape (n, N, 3) [rad/rad or rad/m]."""
-        station = self.rows.at
-        model = with_moving_drives(station.model)
-        of_model, _ = station.split(self.rows.values)
-        values = np.concatenate([of_model, np.zeros(model.n_parameters - len(of_model))])
-        _, J = model.linearise(values, station.conditions, rows=6)
-        return np.moveaxis(J[:, 3:, len(of_model) :], 2, 0)
-
-
-def _known_noise(fit: ModelFit, k: int, block: int = 0) -> np.ndarray:
-    """Return the variance of a component of a block of each row that is known to be of the
-    readings, shape (N,) [m^2 or rad^2]: the declared noise, or what the stops of its pose show,
-    whichever is more.
-    """
-    at = fit.problem.stations[k]
-    scatter = fit.scatter.get(at.name)
-    declared = fit.noise.declared[fit.problem.block_spans[k].start + block]
-    size = 0.0 if declared is None else declared**2
-    if scatter is not None:
-        of_row = (1.0, 1.0) if scatter.of_single else (scatter.readings, scatter.stops)
-        shown = scatter.of_row(*of_row)
-        size = max(size, float(shown[block]))
-    return np.asarray(size / np.maximum(at.weights, 1e-300) ** 2)
+    moved = np.sum((left_out.displacements - left_out.rows.fitted) ** 2, axis=1)
+    most = np.bincount(fold, moved + np.einsum("naa->n", by_all))
+    expected = np.bincount(fold, np.einsum("naa->n", without))
+    share = np.minimum(most / np.maximum(expected, _SMALLEST), 1.0)
+    return np.asarray(share[fold][:, None, None] * without)

@@ -7,7 +7,7 @@ of fold k give, the covariance without them is :math:`(C^{-1} - A_k)^{-1}`: in t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -30,11 +30,26 @@ def left_out_variances(
         fold: shape (N,), fold of each row of all stations, numbered from 0.
         stations: their numbers; of readings that give positions.
     """
+    return list(_covariances(fit, fold, stations, _roots_without(fit, fold)))
+
+
+def fitted_variances(fit: ModelFit, stations: Sequence[int]) -> list[np.ndarray]:
+    """Return the covariance of the displacement of each row's target by the parameters of a fit to
+    all rows, as :func:`left_out_variances`.
+    """
+    fold = np.zeros(len(fit.problem.conditions), int)
+    return list(_covariances(fit, fold, stations, [_root(fit)]))
+
+
+def _covariances(
+    fit: ModelFit, fold: np.ndarray, stations: Sequence[int], roots: Sequence[np.ndarray]
+) -> Iterator[np.ndarray]:
+    """Yield the covariances at each of some stations, for roots of that of the free parameters for
+    the rows of each fold, shape (F, r).
+    """
     problem = fit.problem
     free = fit.solution.free
-    roots = _roots_without(fit, fold)
     number = np.cumsum(free) - 1
-    found = []
     for at in stations:
         station = problem.stations[at]
         places = problem.places[at]
@@ -46,20 +61,24 @@ def left_out_variances(
             mine = np.flatnonzero(fold[rows] == k)
             along = np.einsum("fr,fna->nar", root[number[places[own]]], moved[:, mine])
             covariance[mine] = along @ along.swapaxes(1, 2)
-        found.append(covariance)
-    return found
+        yield covariance
 
 
 def _roots_without(fit: ModelFit, fold: np.ndarray) -> list[np.ndarray]:
     """Return roots of the covariance of the free parameters without each fold, shape (F, r)."""
-    variances, axes = np.linalg.eigh(fit.solution.known.joint_covariance.dense())
-    some = variances > 0.0
-    root = axes[:, some] * np.sqrt(variances[some])
+    root = _root(fit)
     found = []
     for information in _information(fit, fold):
         w, V = np.linalg.eigh(root.T @ information @ root)
         found.append(root @ V / np.sqrt(1.0 - np.clip(w, 0.0, _MOST)))
     return found
+
+
+def _root(fit: ModelFit) -> np.ndarray:
+    """Return a root of the covariance of the free parameters, shape (F, r)."""
+    variances, axes = np.linalg.eigh(fit.solution.known.joint_covariance.dense())
+    some = variances > 0.0
+    return np.asarray(axes[:, some] * np.sqrt(variances[some]))
 
 
 def _information(fit: ModelFit, fold: np.ndarray) -> np.ndarray:
