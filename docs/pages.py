@@ -19,6 +19,7 @@ from msgspec.inspect import DataclassType, NamedTupleType, StructType, TypedDict
 
 import pincal
 from pincal.cli import pincal as command
+from pincal.cli.arguments import Verb
 from pincal.programs.language import LANGUAGES
 from pincal.schemas import schema_of, structure_of
 from pincal.sensors.registry import SENSORS
@@ -90,7 +91,7 @@ def commands() -> Iterator[str]:
     """Yield the page of commands: the help text of each."""
     yield "# Commands"
     yield (
-        "The output of `pincal COMMAND --help`. Results go to stdout, progress and notes to stderr; `--json` is for "
+        "The output of `pincal COMMAND --help all`. Results go to stdout, progress and notes to stderr; `--json` is for "
         "programs."
     )
     settings = command.context_settings | {"max_content_width": None, "terminal_width": 100}
@@ -106,7 +107,7 @@ def _verbs(group: click.Group, context: click.Context, before: str = "") -> Iter
         assert verb is not None
         with click.Context(verb, info_name=name, parent=context, terminal_width=100) as own:
             yield f"## {before}{name}"
-            yield _block(verb.get_help(own))
+            yield _block(verb.full_help(own) if isinstance(verb, Verb) else verb.get_help(own))
             if isinstance(verb, click.Group):
                 yield from _verbs(verb, own, f"{name} ")
 

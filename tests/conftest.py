@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+# No cell file is found or written by commands but where a test asks for one.
+os.environ["PINCAL_CELL"] = "none"
 # One thread a process, as several run at once; read when NumPy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 

@@ -195,7 +195,7 @@ def test_options_from_python_are_numbers_that_can_be_meant(wrong: dict[str, Any]
 def test_the_help_of_every_verb_is_complete(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Every option has a sentence, every default can be read, every section has a heading, every exit code its meaning."""
     command = pincal.get_command(click.Context(pincal), name)
-    assert run(name, "--help") == 0
+    assert run(name, "--help", "all") == 0
     text = " ".join(capsys.readouterr().out.split())
     for parameter in command.params:
         if isinstance(parameter, click.Option):

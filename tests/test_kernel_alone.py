@@ -71,7 +71,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory, kuka: Robot) -> Run:
             (package / entry.name).symlink_to(entry)
     folder = tmp_path_factory.mktemp("work")
     write_table(folder / "data.csv", columns_of(paper_table(kuka, 40, 0, 5e-5)))
-    commands: list[Any] = [["--help"], ["calibrate", "--help"], *DONE, *(words for words, *_ in REFUSED)]
+    commands: list[Any] = [["--help"], ["calibrate", "--help", "all"], *DONE, *(words for words, *_ in REFUSED)]
     command = [sys.executable, "-P", "-c", RUN, json.dumps([KERNEL, commands])]
     environment = os.environ | {"PYTHONPATH": str(package.parent)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=folder, check=False)

@@ -292,7 +292,7 @@ def test_a_robot_of_the_library_is_found_by_its_name(tmp_path, capsys):
     columns, _ = simulate(tmp_path, "--effect", "transmission_error:elbow_joint", urdf="ur10", poses=5)
 
     assert tuple(columns)[:6] == Robot.from_urdf("ur10").joint_names
-    assert f"pincal discover ur10 {tmp_path / 'data.csv'}" in capsys.readouterr().out
+    assert f"pincal check ur10 {tmp_path / 'data.csv'}" in capsys.readouterr().out
 
 
 def test_help_shows_an_example_and_the_catalogue(capsys):

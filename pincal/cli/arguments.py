@@ -10,14 +10,15 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
 
 import click
 
 from pincal.cli import show_progress
+from pincal.cli.cell_defaults import CELL_FIELD, ENTRIES, SETTINGS, filled_from_cell, tell_cell
 from pincal.errors import BadInputError, Exit, OutputError
 from pincal.satellites import Place
 from pincal.units import LARGEST, plain_numbers
@@ -26,6 +27,9 @@ A = TypeVar("A")
 T = TypeVar("T")
 _HEADING = "heading"
 _HANDED_IN = "handed in"
+_CELL = "cell"
+_ALL = "pincal.all options"
+_SETTINGS_HEADING = "Cell"
 _WORDS = "pincal.words"
 _OPTIONS: Place[type[Any]] = Place("options")
 
@@ -36,6 +40,7 @@ def option(
     *,
     words: str | None = None,
     name: str | None = None,
+    in_cell: bool = False,
     **attributes: Any,
 ) -> Any:
     """Return a field that is an option.
@@ -45,23 +50,25 @@ def option(
         default: its value if it is not given; ``MISSING`` for an option that has to be given.
         words: the default in words, if its value would not be understood.
         name: its name on the command line; default: the field's name with hyphens.
+        in_cell: whether a cell file may give it, under this name with underscores.
         attributes: further ones for Click; type and number of values follow from the type of the
             field.
     """
-    return field(
-        default=default, metadata={"help": help, "words": words, "name": name, **attributes}
-    )
+    about = {"help": help, "words": words, "name": name, _CELL: in_cell}
+    return field(default=default, metadata={**about, **attributes})
 
 
-def argument(metavar: str, help: str, *, required: bool = True) -> Any:
+def argument(metavar: str, help: str, *, required: bool = True, in_cell: bool = False) -> Any:
     """Return a field that is a positional argument.
 
     Args:
         metavar: its name in the help text.
         help: one sentence.
         required: whether it has to be given; the field is None, or empty, if it is not.
+        in_cell: whether a cell file may give it, under the field's name.
     """
     about = {"cls": _Argument, "metavar": metavar, "help": help, "required": required}
+    about[_CELL] = in_cell
     return field(default=MISSING if required else None, metadata=about)
 
 
@@ -192,15 +199,43 @@ class _Argument(click.Argument):
         return str(self.metavar), self._help
 
 
+class _Described(NamedTuple):
+    """Click's parameter of a field: heading of its section, and whether a cell file may give it."""
+
+    heading: str
+    parameter: click.Parameter
+    in_cell: bool = False
+
+
 class Verb(click.Command):
-    """A command whose help text has a section for its arguments and for each group of options."""
+    """A command whose help text has a section for its arguments and for each group of options.
+
+    ``--help`` shows what most calls need; ``--help all`` shows all options by their sections.
+
+    Attributes:
+        shown: the fields whose options the short help text shows; None for all.
+    """
 
     def __init__(
-        self, *, headings: Mapping[str, str], ending: Callable[[], str] | None, **attributes: Any
+        self,
+        *,
+        described: Sequence[_Described],
+        about: VerbHelp,
+        reads_cell: bool,
+        takes_identity: bool,
+        **attributes: Any,
     ) -> None:
-        super().__init__(**attributes)
-        self._headings = headings
-        self._ending = ending
+        super().__init__(params=[each.parameter for each in described], **attributes)
+        self._headings = {str(each.parameter.name): each.heading for each in described}
+        self._cell_keys = {
+            str(each.parameter.name): _cell_key(each.parameter)
+            for each in described
+            if each.in_cell
+        }
+        self._reads_cell = reads_cell
+        self._takes_identity = takes_identity
+        self._ending = about.ending
+        self.shown = about.shown
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the words of the command line, and keep them for :func:`words_given`.
@@ -216,15 +251,49 @@ class Verb(click.Command):
                     "rename the file, or correct the encoding of the terminal or the script"
                 )
         ctx.meta[_WORDS] = tuple(args)
-        return super().parse_args(ctx, args)
+        words = filled_from_cell(
+            self,
+            ctx,
+            args,
+            keys=self._cell_keys if self._reads_cell else None,
+            takes_identity=self._takes_identity,
+        )
+        return super().parse_args(ctx, words)
+
+    def get_help_option(self, ctx: click.Context) -> click.Option:
+        """Return the option that prints the help text, short or, followed by ``all``, in full."""
+        if self._help_option is None:
+            self._help_option = click.Option(
+                [*self.get_help_option_names(ctx), "_help"],
+                is_flag=False,
+                flag_value="",
+                is_eager=True,
+                expose_value=False,
+                metavar="[all]",
+                help="Print this text; --help all: with all options."
+                if self.shown is not None
+                else "Print this text.",
+                callback=_print_help,
+            )
+        return self._help_option
+
+    def full_help(self, ctx: click.Context) -> str:
+        """Return the help text with all options."""
+        ctx.meta[_ALL] = True
+        return self.get_help(ctx)
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write arguments and options, section by section."""
+        """Write arguments and options, section by section, or those that most calls need."""
         sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        is_short = self.shown is not None and not ctx.meta.get(_ALL, False)
         for parameter in self.get_params(ctx):
+            if is_short and not self._is_shown(parameter):
+                continue
             heading = (
                 "Arguments"
                 if isinstance(parameter, _Argument)
+                else "Options"
+                if is_short
                 else self._headings.get(str(parameter.name), "Options")
             )
             record = parameter.get_help_record(ctx)
@@ -234,11 +303,46 @@ class Verb(click.Command):
                 with formatter.section(heading):
                     formatter.write_dl(records)
 
+    def _is_shown(self, parameter: click.Parameter) -> bool:
+        """Return whether the short help text has a parameter."""
+        always = (CELL_FIELD, SETTINGS, ENTRIES, "_help")
+        return isinstance(parameter, _Argument) or parameter.name in (*(self.shown or ()), *always)
+
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write examples and exit codes, and the ending verbatim."""
         super().format_epilog(ctx, formatter)
         if self._ending is not None:
             formatter.write(f"\n{self._ending()}\n")
+
+
+@dataclass(frozen=True)
+class VerbHelp:
+    """What the help text of a verb shows.
+
+    Attributes:
+        shown: the fields whose options it shows unless it is asked for all; None for all.
+        ending: makes lines after the examples, called only when they are shown.
+    """
+
+    shown: tuple[str, ...] | None = None
+    ending: Callable[[], str] | None = None
+
+
+def _print_help(context: click.Context, parameter: click.Parameter, given: str | None) -> None:
+    """Print the help text if it is asked for."""
+    if given is None or context.resilient_parsing:
+        return
+    command = context.command
+    assert isinstance(command, Verb)
+    # Another word after the option, such as a file, is no reason to refuse help.
+    text = command.full_help(context) if given == "all" else command.get_help(context)
+    click.echo(text, color=context.color)
+    context.exit()
+
+
+def _cell_key(parameter: click.Parameter) -> str:
+    """Return the key of a cell file for a parameter."""
+    return str(parameter.opts[0]).lstrip("-").replace("-", "_")
 
 
 def _is_text(word: str) -> bool:
@@ -263,7 +367,9 @@ def verb(
     examples: str,
     exits: tuple[Exit, ...] = (),
     defaults: Mapping[str, Any] | None = None,
+    shown: tuple[str, ...] | None = None,
     ending: Callable[[], str] | None = None,
+    cell: Literal["read", "read, written", "written", "none"] = "read",
 ) -> Callable[[Callable[[A], Exit]], Verb]:
     """Return a decorator that makes a command of a function of typed arguments; its docstring is
     the help text.
@@ -277,8 +383,11 @@ def verb(
         exits: exit codes other than done, wrong usage and bad input.
         defaults: name of an option -> its default for this command, or a tuple of default and
             words, if it differs.
+        shown: the fields whose options the short help text shows; default: all.
         ending: makes lines after the examples, called only when the help text is shown; default:
             none.
+        cell: whether a cell file gives what the command line leaves out, and whether the command
+            writes one where there is none.
     """
     codes = sorted({Exit.DONE, Exit.USAGE, Exit.BAD_INPUT, *exits})
     meanings = "; ".join(f"{int(code)} {code.meaning}" for code in codes)
@@ -286,17 +395,27 @@ def verb(
     def decorate(function: Callable[[A], Exit]) -> Verb:
         def run(**given: Any) -> Exit:
             show_progress(given["quiet"])
+            if not given["quiet"]:
+                tell_cell()
             _keep_inputs(parameters, given)
             return function(_filled(arguments, given))
 
         parameters = list(_parameters(arguments, defaults or {}, heading="Options"))
+        states_identity = any(each.parameter.name == ENTRIES for each in parameters)
+        reads_cell = cell.startswith("read")
+        reads_any = reads_cell and (states_identity or any(each.in_cell for each in parameters))
+        described = [
+            each._replace(in_cell=each.in_cell and reads_cell)
+            for each in (*parameters, *_settings(reads_any, states_identity))
+        ]
         return Verb(
             name=function.__name__.removesuffix("_verb"),
             callback=run,
-            params=[parameter for _, parameter in parameters],
-            headings={str(parameter.name): heading for heading, parameter in parameters},
+            described=described,
+            about=VerbHelp(shown, ending),
+            reads_cell=reads_any,
+            takes_identity=states_identity or cell.endswith("written"),
             context_settings={"help_option_names": ["-h", "--help"]},
-            ending=ending,
             help=inspect.getdoc(function),
             epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",
         )
@@ -304,9 +423,35 @@ def verb(
     return decorate
 
 
-def _keep_inputs(
-    parameters: Sequence[tuple[str, click.Parameter]], given: Mapping[str, Any]
-) -> None:
+def _settings(reads_cell: bool, states_identity: bool) -> Iterator[_Described]:
+    """Yield the options that every verb has: the cell file, if it can give anything, and settings
+    unless the verb has them with an identity.
+    """
+    if reads_cell:
+        yield _Described(
+            _SETTINGS_HEADING,
+            click.Option(
+                ["--cell", CELL_FIELD],
+                metavar="FILE",
+                expose_value=False,
+                help="File that describes the cell: robot, noise and more; none for none.  "
+                "[default: cell.toml beside the table]",
+            ),
+        )
+    if not states_identity:
+        yield _Described(
+            _SETTINGS_HEADING,
+            click.Option(
+                ["--set", SETTINGS],
+                metavar="KEY=VALUE",
+                multiple=True,
+                expose_value=False,
+                help="Set any option by its name, such as noise=0.05mm. May be repeated.",
+            ),
+        )
+
+
+def _keep_inputs(parameters: Sequence[_Described], given: Mapping[str, Any]) -> None:
     """Refuse a file to write that is also read: measurements would be replaced by results.
 
     Raises:
@@ -314,7 +459,7 @@ def _keep_inputs(
     """
     read = list[Path]()
     written = list[tuple[str, Path]]()
-    for _, parameter in parameters:
+    for _, parameter, _ in parameters:
         value = given[str(parameter.name)]
         paths = [
             each for each in (value if isinstance(value, tuple) else (value,)) if _is_file(each)
@@ -355,34 +500,30 @@ def _kind_of(part: Field[Any], kinds: Mapping[str, Any]) -> Any:
 
 def _parameters(
     arguments: type, defaults: Mapping[str, Any], *, heading: str
-) -> Iterator[tuple[str, click.Parameter]]:
-    """Yield heading and Click's parameter of all options and arguments, those of groups
-    included.
-    """
+) -> Iterator[_Described]:
+    """Yield Click's parameters of all options and arguments, those of groups included."""
     kinds = get_type_hints(arguments)
     for part in fields(arguments):
         kind = _kind_of(part, kinds)
-        about = part.metadata
+        about = dict(part.metadata)
         if _HEADING in about:
             yield from _parameters(kind, defaults, heading=about[_HEADING])
-        elif "cls" in about:
-            read = _reader(kind)
-            several = {"nargs": -1} if read.pop("multiple", False) else {}
-            yield (
-                heading,
-                about["cls"](
-                    [part.name], **read | {k: v for k, v in about.items() if k != "cls"} | several
-                ),
-            )
+            continue
+        in_cell = about.pop(_CELL)
+        if "cls" in about:
+            made: click.Parameter = _positional(part.name, kind, about)
         else:
-            yield (
-                heading,
-                _option(
-                    part.name,
-                    defaults.get(part.name, part.default),
-                    attributes=_reader(kind) | about,
-                ),
-            )
+            default = defaults.get(part.name, part.default)
+            made = _option(part.name, default, attributes=_reader(kind) | about)
+        yield _Described(heading, made, in_cell)
+
+
+def _positional(name: str, kind: Any, about: dict[str, Any]) -> click.Argument:
+    """Return Click's parameter of an argument."""
+    read = _reader(kind)
+    several = {"nargs": -1} if read.pop("multiple", False) else {}
+    about.pop("cls")
+    return _Argument([name], **read | about | several)
 
 
 def _option(field_name: str, default: Any, *, attributes: dict[str, Any]) -> click.Option:

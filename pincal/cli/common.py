@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from pincal.cli.arguments import Output, argument, group, option, pair
+from pincal.cli.arguments import NumberType, Output, argument, group, option, pair
 from pincal.cli.quantities import (
     ANGLE,
     COLUMNS,
@@ -38,15 +38,18 @@ verbose_option = partial(option, "Print all tables and notes, not just the summa
 max_error_option = partial(
     option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH
 )
-tip_option = partial(option, "Last link of the arm.", metavar="LINK")
+tip_option = partial(option, "Last link of the arm.", metavar="LINK", in_cell=True)
 to_option = partial(
     option, "Link that carries the target; the same as --tip.", metavar="LINK", words="--tip"
 )
-base_option = partial(option, "First link of the arm.", metavar="LINK", words="root of the URDF")
+base_option = partial(
+    option, "First link of the arm.", metavar="LINK", words="root of the URDF", in_cell=True
+)
 robot_argument = partial(
     argument,
     "ROBOT.urdf",
     "URDF or xacro file, or the name of a robot that comes with example-robot-data.",
+    in_cell=True,
 )
 xacro_option = partial(
     option,
@@ -54,6 +57,7 @@ xacro_option = partial(
     (),
     metavar="NAME:=VALUE",
     name="--xacro-arg",
+    in_cell=True,
     type=xacro_argument,
 )
 
@@ -75,6 +79,7 @@ gravity_option = partial(
     "Gravity in the robot's base frame [m/s^2].",
     words="standard gravity along -z",
     callback=_check_gravity,
+    in_cell=True,
 )
 mass_option = partial(
     option,
@@ -82,6 +87,7 @@ mass_option = partial(
     "the links are then estimated.",
     metavar="KG",
     words="those of the URDF, if it has any",
+    in_cell=True,
 )
 coupling_option = partial(
     option,
@@ -91,9 +97,15 @@ coupling_option = partial(
     (),
     metavar="joint_3=+joint_2",
     name="--coupling",
+    in_cell=True,
 )
 sign_option = partial(
-    option, "Joint whose sign is opposite to that of the URDF.", (), metavar="JOINT", name="--sign"
+    option,
+    "Joint whose sign is opposite to that of the URDF.",
+    (),
+    metavar="JOINT",
+    name="--sign",
+    in_cell=True,
 )
 beside_option = partial(
     option,
@@ -103,6 +115,7 @@ beside_option = partial(
     (),
     metavar="[NAME=]URDF[@X,Y,Z,ROLL,PITCH,YAW]",
     name="--beside",
+    in_cell=True,
     type=beside,
 )
 model_argument = partial(
@@ -112,12 +125,14 @@ type_option = partial(
     option,
     "Prior knowledge of this type of robot, from fleet learn; few poses are then enough.",
     metavar="TYPE.json",
+    in_cell=True,
 )
 noise_angle_option = partial(
     option,
     "Standard deviation of one orientation component of the new measurements.",
     type=ANGLE,
     words="that of the calibration; estimated from the rows if it had no orientations",
+    in_cell=True,
 )
 station_option = partial(
     option,
@@ -220,6 +235,7 @@ class LinkOptions:
         metavar="LINK",
         name="--from",
         words="the base; or the column from",
+        in_cell=True,
     )
     to: str | None = to_option(words="the column to")
     stations: tuple[tuple[str, str, str], ...] = option(
@@ -235,6 +251,7 @@ class LinkOptions:
         metavar="JOINT=POSITION",
         type=resting,
         words="zero",
+        in_cell=True,
     )
 
 
@@ -258,6 +275,13 @@ class InputOptions:
     beside: tuple[Beside, ...] = beside_option(words="identified from the readings")
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()
     mass: float | None = mass_option()
+    payload: float | None = option(
+        "Mass at the tip, in tables without a column payload.",
+        metavar="KG",
+        type=NumberType(0.0),
+        words="none",
+        in_cell=True,
+    )
     couplings: tuple[str, ...] = coupling_option()
     signs: tuple[str, ...] = sign_option()
     table: TableArguments = group("Tables")
@@ -298,7 +322,7 @@ class ModelOptions:
         "auto",
     )
     payload_com: Triple = option(
-        "Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0)
+        "Centre of mass of the payload in the tip frame [m].", (0.0, 0.0, 0.0), in_cell=True
     )
     gravity: Triple | None = gravity_option()
 
@@ -326,9 +350,13 @@ class SetupOptions:
         type=NoiseType(),
         metavar="0.05mm|0.1px",
         words="estimated",
+        in_cell=True,
     )
     noise_angle: float | None = option(
-        "Standard deviation of one orientation component.", type=ANGLE, words="estimated"
+        "Standard deviation of one orientation component.",
+        type=ANGLE,
+        words="estimated",
+        in_cell=True,
     )
     instrument: str | None = option(
         "Noise of positions by range and direction: an instrument (leica_at500, "
@@ -338,20 +366,25 @@ class SetupOptions:
         "Positions are in the instrument's own frame.",
         metavar="NAME|MPE",
         words="the same everywhere",
+        in_cell=True,
     )
     tool: Triple | None = option(
-        "Target position in the tip frame [m], if known.", words="identified"
+        "Target position in the tip frame [m], if known.", words="identified", in_cell=True
     )
     anchor: Triple | None = option(
         "Distances: the instrument's fixed point in the robot's base frame [m], if known.",
         words="identified",
+        in_cell=True,
     )
     points: Path | None = option(
         "Known positions of sockets, anchors or points of a calibration object: columns "
-        "point, x, y, z."
+        "point, x, y, z.",
+        in_cell=True,
     )
     points_in: Literal["own", "base"] = option(
-        "Frame of --points: their own, to be identified, or the robot's base.", "own"
+        "Frame of --points: their own, to be identified, or the robot's base.",
+        "own",
+        in_cell=True,
     )
     gaps: tuple[tuple[str, str, float], ...] = option(
         "Known distance between two sockets, anchors or points; a number without a unit "
@@ -360,15 +393,18 @@ class SetupOptions:
         metavar="A B LENGTH",
         type=(str, str, QuantityType(LENGTH_UNITS, "50mm", bare=1.0)),
         name="--socket-distance",
+        in_cell=True,
     )
     distances: Path | None = option(
-        "Known distances as a table: columns first, second, distance and optionally sigma."
+        "Known distances as a table: columns first, second, distance and optionally sigma.",
+        in_cell=True,
     )
     camera: Path | None = option(
         "Camera parameters: fx, fy, u0, v0 [px], k1, k2, p1, p2, k3, and T_tip_camera if "
         "the mount is known.",
         metavar="FILE.json",
         words="identified",
+        in_cell=True,
     )
     fit_camera: bool = option("Refine the parameters given by --camera.", False)
 

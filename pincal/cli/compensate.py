@@ -119,7 +119,12 @@ class PredictArguments(_AtPlace):
     )
 
 
-@verb(PredictArguments, examples=_PREDICT_EXAMPLES, exits=(Exit.CHANGED,))
+@verb(
+    PredictArguments,
+    examples=_PREDICT_EXAMPLES,
+    exits=(Exit.CHANGED,),
+    shown=("out", "components", "placement", "station", "start", "to", "as_json", "quiet"),
+)
 def predict(arguments: PredictArguments) -> Exit:
     """Predict target positions at given joint positions.
 
@@ -218,7 +223,24 @@ class CompensateArguments(_AtPlace):
     program: TargetFiles = group(PROGRAMS, is_handed_in=True)
 
 
-@verb(CompensateArguments, examples=_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
+@verb(
+    CompensateArguments,
+    examples=_EXAMPLES,
+    exits=(Exit.UNDECIDED, Exit.CHANGED),
+    shown=(
+        "out",
+        "frame",
+        "free_orientation",
+        "seed_joints",
+        "false_targets",
+        "max_change",
+        "placement",
+        "payload",
+        "explain",
+        "strict",
+        "as_json",
+    ),
+)
 def compensate(arguments: CompensateArguments) -> Exit:
     """Find the joint positions that reach desired poses.
 

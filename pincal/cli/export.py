@@ -100,7 +100,24 @@ class ExportArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(ExportArguments, examples=_EXAMPLES, exits=(Exit.CHANGED,))
+@verb(
+    ExportArguments,
+    examples=_EXAMPLES,
+    exits=(Exit.CHANGED,),
+    shown=(
+        "urdf",
+        "c",
+        "python",
+        "page",
+        "mjcf",
+        "ur_kinematics",
+        "dh",
+        "frames",
+        "camera",
+        "frame",
+        "station",
+    ),
+)
 def export(arguments: ExportArguments) -> Exit:
     """Write the calibrated robot in other formats."""
     from pincal.export import FORMATS, export_model

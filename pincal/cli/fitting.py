@@ -6,14 +6,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
 
-from pincal.cli.arguments import Output, group, option, verb
+from pincal.cli.arguments import group, option, verb
 from pincal.cli.common import (
     CalibrationOptions,
     GeneralOptions,
@@ -25,6 +25,7 @@ from pincal.cli.common import (
 from pincal.cli.fit_output import FitOutput
 from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import print_json, provenance, require_accuracy
+from pincal.cli.result_place import results_option
 from pincal.cli.robot_priors import load_prior
 from pincal.errors import BadInputError, Exit, IdentificationError
 from pincal.io.result_folder import output_folder
@@ -52,8 +53,21 @@ FIT_FILES = (
     "residuals.csv and report.html"
 )
 FIT_EXITS = (Exit.UNDECIDED, Exit.INACCURATE)
+FIT_SHOWN = (
+    "out",
+    "noise",
+    "tip",
+    "points",
+    "camera",
+    "model",
+    "max_error",
+    "verbose",
+    "as_json",
+)
+"""Options that the short help text of a fit shows."""
 _CALIBRATE_EXAMPLES = f"""
 Examples:
+  pincal calibrate tracker.csv           # with a cell.toml beside it, which pincal check writes
   pincal calibrate robot.urdf tracker.csv --out results --noise 0.05mm
   pincal calibrate ur10 series.csv --out results --max-error 0.2mm
   pincal calibrate robot.urdf monday.csv tuesday.csv --split station --out results
@@ -67,7 +81,7 @@ class FitArguments:
     """Arguments of calibrate and discover."""
 
     source: InputOptions = group("Input")
-    out: Path = option("Folder for the results.", MISSING, metavar="DIR", type=Output())
+    out: Path = results_option("results")
     max_error: float | None = max_error_option()
     verbose: bool = verbose_option()
     view: bool = option(f"Also write {VIEW}: the robot and its errors in 3D.", False)
@@ -91,7 +105,12 @@ class FitArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(FitArguments, examples=_CALIBRATE_EXAMPLES, exits=FIT_EXITS)
+@verb(
+    FitArguments,
+    examples=_CALIBRATE_EXAMPLES,
+    exits=FIT_EXITS,
+    shown=(*FIT_SHOWN, "holdout", "view"),
+)
 def calibrate_verb(arguments: FitArguments) -> Exit:
     """Calibrate a robot from a table of measured poses.
 
@@ -129,7 +148,7 @@ class _Inputs:
     @classmethod
     def read(cls, arguments: FitArguments) -> _Inputs:
         """Read all files of a command line."""
-        from pincal.cli.inputs import load_table, load_tables, prepare
+        from pincal.cli.inputs import load_table, load_tables, prepare, with_payload
 
         source = arguments.source
         held = arguments.split.holdout
@@ -138,9 +157,13 @@ class _Inputs:
         robot = prepared.robot
         shared = replace(source.table.options, shares_log=True)
         holdout = None if held is None else load_tables(robot, [held], options=shared)
+        if holdout is not None:
+            holdout = {name: with_payload(of, source.payload) for name, of in holdout.items()}
         task = (
             None if arguments.task is None else load_table(robot, arguments.task, joints_only=True)
         )
+        if task is not None:
+            task = with_payload(task, source.payload)
         doubts: tuple[str, ...] = ()
         if known is not None:
             options, doubts = load_prior(known).compared(robot, prepared.tables, prepared.options)

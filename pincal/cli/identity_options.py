@@ -18,19 +18,17 @@ HEADING = "Identity"
 
 
 def identity_entry(text: str) -> tuple[str, str]:
-    """Return key and value of an entry.
+    """Return key and value of a setting; what states the identity is checked.
 
     Raises:
         click.BadParameter: if there is no such entry, or the value is none.
     """
     key, value = pair(text, _EXPECTED)
-    if not key.startswith(_PREFIX):
-        raise click.BadParameter(f"{text.strip()!r}; expected {_EXPECTED}")
-    key = key.removeprefix(_PREFIX)
-    try:
-        Identity.of({key: value})
-    except BadInputError as error:
-        raise click.BadParameter(str(error)) from None
+    if key.startswith(_PREFIX):
+        try:
+            Identity.of({key.removeprefix(_PREFIX): value})
+        except BadInputError as error:
+            raise click.BadParameter(str(error)) from None
     return key, value
 
 
@@ -39,10 +37,11 @@ class IdentityOptions:
     """What is stated of robot, instrument and circumstances."""
 
     entries: tuple[tuple[str, str], ...] = option(
-        f"State which robot it is, how it was measured and by whom. Keys: {', '.join(KEYS)}; "
-        "anything else as id.note.NAME.",
+        "Set any option by its name, such as noise=0.05mm, or state the identity: which robot it "
+        f"is, how it was measured and by whom. Its keys: id. and {', '.join(KEYS)}; anything else "
+        "as id.note.NAME.",
         (),
-        metavar="id.KEY=VALUE",
+        metavar="KEY=VALUE",
         name="--set",
         type=identity_entry,
     )
@@ -50,7 +49,13 @@ class IdentityOptions:
     @property
     def given(self) -> Identity:
         """What was stated; of a key given twice the last value."""
-        return Identity.of(dict(self.entries))
+        return Identity.of(
+            {
+                key.removeprefix(_PREFIX): value
+                for key, value in self.entries
+                if key.startswith(_PREFIX)
+            }
+        )
 
     def of_model(self, known: Identity, path: Path) -> Iterator[str]:
         """Yield a note where it can't be checked that a model is of the robot stated, and where

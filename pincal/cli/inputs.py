@@ -100,6 +100,7 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     tables = load_tables(
         robot, source.data, options=source.table.options, links=source.links, motion=source.motion
     )
+    tables = {name: with_payload(table, source.payload) for name, table in tables.items()}
     options = options_of(chosen, tables)
     if unplaced.beside != source.beside:
         robot = load_robot(replace(source, beside=located(robot, source.beside, tables, options)))
@@ -110,6 +111,13 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
             options, earlier=load_prior(chosen.fit.type).prior_of(robot, options.effects)
         )
     return Prepared(robot, tables, options, _input_files(source, chosen, robot))
+
+
+def with_payload(table: Measurements, payload: float | None) -> Measurements:
+    """Return a table with the mass at the tip [kg] in all rows, unless it states its own."""
+    if payload is None or table.payload is not None:
+        return table
+    return replace(table, payload=np.full(len(table), payload))
 
 
 def _input_files(

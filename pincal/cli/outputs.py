@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pincal.atomic import replacing
+from pincal.cli.cell_defaults import cell_files
 from pincal.errors import AccuracyGateError, OutputError, printable
 from pincal.thresholds import Count
 from pincal.units import format_joint, range_of_joint
@@ -64,7 +65,9 @@ def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, A
         "python": sys.version.split()[0],
         "command": " ".join(["pincal", *sys.argv[1:]]),
         "seed": seed,
-        "inputs": {file.name: file_hash(file) for file in files if file.is_file()},
+        "inputs": {
+            file.name: file_hash(file) for file in (*files, *cell_files()) if file.is_file()
+        },
     }
 
 

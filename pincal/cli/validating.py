@@ -66,7 +66,22 @@ class ValidateArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(ValidateArguments, examples=_VALIDATE_EXAMPLES, exits=(Exit.INACCURATE, Exit.CHANGED))
+@verb(
+    ValidateArguments,
+    examples=_VALIDATE_EXAMPLES,
+    exits=(Exit.INACCURATE, Exit.CHANGED),
+    shown=(
+        "station",
+        "max_error",
+        "noise_angle",
+        "orientation",
+        "acceptance",
+        "mpe",
+        "mpe_location",
+        "as_json",
+        "quiet",
+    ),
+)
 def validate(arguments: ValidateArguments) -> Exit:
     """Report how accurate a calibrated model is on new measurements.
 

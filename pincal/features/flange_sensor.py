@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError, nearest_first
-from pincal.features.part_keys import DefaultUnits, KeyedTable
+from pincal.io.keyed_table import DefaultUnits, KeyedTable
 from pincal.robot.se3 import rotation_of_rpy, transform
 from pincal.sensors.lens import DISTORTION, PINHOLE, Lens
 

@@ -32,7 +32,6 @@ they are of the quantities that are named (:mod:`pincal.features.part_feature`),
 from __future__ import annotations
 
 import os
-import tomllib
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -52,7 +51,7 @@ from pincal.features.part_feature import (
     PartFeature,
     ToleranceLimits,
 )
-from pincal.features.part_keys import UNITS_OF, DefaultUnits, KeyedTable
+from pincal.io.keyed_table import UNITS_OF, DefaultUnits, KeyedTable, read_toml, require_known
 from pincal.thresholds import Count, Scale
 
 # Length of a direction below which it is none.
@@ -75,17 +74,8 @@ class PartContent(NamedTuple):
 def read_part(path: str | os.PathLike[str]) -> PartContent:
     """Read the file of a part, see :class:`pincal.features.part.Part`."""
     path = Path(path)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise BadInputError(
-            f"{path}: can't be read ({error}); expected TOML with a table [feature.NAME] for each "
-            "feature"
-        ) from None
-    for key in content:
-        if key not in _TOP:
-            near = ", ".join(nearest_first([key], _TOP))
-            raise BadInputError(f"{path}: unknown key {key!r}; expected one of {near}")
+    content = read_toml(path, "TOML with a table [feature.NAME] for each feature")
+    require_known(str(path), content, _TOP)
     return _File(path, content).content_of_part()
 
 

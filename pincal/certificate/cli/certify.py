@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from contextlib import suppress
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,7 +64,12 @@ class CertificateArguments:
         "Calibrated model in the folder of its results, or a folder that calibrate, discover or "
         "measure wrote.",
     )
-    out: Path = option("Folder for the certificate.", MISSING, metavar="DIR", type=Output())
+    out: Path | None = option(
+        "Folder for the certificate.",
+        metavar="DIR",
+        type=Output(),
+        words="that of what is certified",
+    )
     number: str = option(
         "Number of the certificate.",
         "",
@@ -78,8 +83,14 @@ class CertificateArguments:
     identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
 
+    @property
+    def folder(self) -> Path:
+        """Where the certificate is written."""
+        beside = self.source if self.source.is_dir() else self.source.parent
+        return beside if self.out is None else self.out
 
-@verb(CertificateArguments, examples=_EXAMPLES)
+
+@verb(CertificateArguments, examples=_EXAMPLES, cell="none")
 def certificate(arguments: CertificateArguments) -> Exit:
     """Certify a calibrated robot, or a measured part.
 
@@ -87,15 +98,15 @@ def certificate(arguments: CertificateArguments) -> Exit:
     of a robot.
     """
     found = _certificate(arguments)
-    _write(arguments.out, found)
+    _write(arguments.folder, found)
     if arguments.general.as_json:
-        contents = {"number": found.number, "out": str(arguments.out)}
+        contents = {"number": found.number, "out": str(arguments.folder)}
         print_json(contents | {"not_stated": list(found.lacking)})
     else:
         for doubt in found.doubts:
             click.echo(f"doubt: {doubt}")
         click.echo(f"{found.title}: {found.item}, No. {found.number}")
-        click.echo(f"written to {arguments.out}: {PAGE_FILE} {DCC_FILE}")
+        click.echo(f"written to {arguments.folder}: {PAGE_FILE} {DCC_FILE}")
     echo_notes(_notes(found), quiet=arguments.general.quiet)
     return Exit.DONE
 

@@ -136,21 +136,29 @@ class InstrumentOptions:
         name="--socket",
     )
     tool: Triple | None = option(
-        "Approximate target position in the tip frame [m].", words="slightly off the last axis"
+        "Approximate target position in the tip frame [m].",
+        words="slightly off the last axis",
+        in_cell=True,
     )
     noise: float = option(
         "Standard deviation of one position coordinate, or of a distance.",
         5e-05,
         type=LENGTH,
         words="0.05mm",
+        in_cell=True,
     )
     noise_angle: float = option(
-        "Standard deviation of one orientation component.", 0.0001, type=ANGLE, words="0.1mrad"
+        "Standard deviation of one orientation component.",
+        0.0001,
+        type=ANGLE,
+        words="0.1mrad",
+        in_cell=True,
     )
     payload: Sequence[float] | None = option(
         "Payload, or several from which the best is chosen for each pose.",
         metavar="KG[,KG...]",
         type=masses,
+        in_cell=True,
     )
 
 
@@ -196,6 +204,7 @@ class DesignArguments:
         "ROBOT",
         "URDF or xacro file, or the name of a robot of example-robot-data; with --check "
         "also a model.json.",
+        in_cell=True,
     )
     out: Path = option(
         "Table of poses to write, with empty columns for the readings.", MISSING, type=TABLE
@@ -249,7 +258,24 @@ class DesignArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(DesignArguments, examples=_EXAMPLES, exits=(Exit.INACCURATE,))
+@verb(
+    DesignArguments,
+    examples=_EXAMPLES,
+    exits=(Exit.INACCURATE,),
+    shown=(
+        "out",
+        "poses",
+        "accuracy",
+        "task",
+        "measured",
+        "check",
+        "motion",
+        "acceptance",
+        "noise",
+        "payload",
+        "as_json",
+    ),
+)
 def design(arguments: DesignArguments) -> Exit:
     """Choose the most informative poses to measure.
 

@@ -4,17 +4,19 @@ to it.
 
 from __future__ import annotations
 
-from dataclasses import MISSING, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from pincal.cli.arguments import Output, argument, group, option, verb
+from pincal.cli.arguments import argument, group, option, verb
+from pincal.cli.cell_defaults import came_from_cell
 from pincal.cli.common import GeneralOptions, TableArguments, model_argument, noise_angle_option
 from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, print_json, provenance
 from pincal.cli.quantities import LENGTH
+from pincal.cli.result_place import results_option
 from pincal.errors import Exit, IdentificationError
 from pincal.io.result_folder import output_folder
 
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from pincal.measure.measurements import Measurements
     from pincal.robot.robot import Robot
 
+_SHOWN = ("out", "noise", "noise_angle", "as_json", "quiet")
 _DIAGNOSE_EXAMPLES = """
 Example:
   pincal diagnose results/model.json new.csv --out diagnosis
@@ -49,7 +52,6 @@ class _NewRows:
         "New measurements, or the folder of a session with a tracker; instrument and "
         "target may have moved.",
     )
-    out: Path = option("Folder for the results.", MISSING, metavar="DIR", type=Output())
     table: TableArguments = group("Tables")
     identity: IdentityOptions = group(HEADING)
     general: GeneralOptions = group("General")
@@ -66,6 +68,12 @@ class _NewRows:
             (table for table in tables.values() if table.sensor and table.sensor.reads_place),
             next(iter(tables.values())),
         )
+
+    def noise_of(self, table: Measurements, declared: float | None) -> float | None:
+        """Return the noise of the new readings; that of a cell file holds for rows without one."""
+        if table.sigma is not None and came_from_cell("noise"):
+            return None
+        return declared
 
     def load_model(self) -> tuple[FittedRobot, tuple[str, ...]]:
         """Return the model, with what was stated on the command line; and notes on that.
@@ -91,16 +99,23 @@ class _NewRows:
 class DiagnoseArguments(_NewRows):
     """Arguments of diagnose."""
 
+    out: Path = results_option("diagnosis")
     alpha: float = option("Probability of a false alarm.", 0.01)
     noise: float | None = option(
         "Noise of one coordinate of the new measurements, if larger than that of the calibration.",
         type=LENGTH,
         words="that of the calibration",
+        in_cell=True,
     )
     noise_angle: float | None = noise_angle_option()
 
 
-@verb(DiagnoseArguments, examples=_DIAGNOSE_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
+@verb(
+    DiagnoseArguments,
+    examples=_DIAGNOSE_EXAMPLES,
+    exits=(Exit.UNDECIDED, Exit.CHANGED),
+    shown=("alpha", *_SHOWN),
+)
 def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
     """Find out whether a calibrated robot has changed, and what.
 
@@ -116,7 +131,7 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
             calibrated,
             table,
             alpha=arguments.alpha,
-            sigma=arguments.noise,
+            sigma=arguments.noise_of(table, arguments.noise),
             sigma_orientation=arguments.noise_angle,
         )
         write_diagnosis(draft, found, provenance(arguments.files))
@@ -162,10 +177,12 @@ def write_diagnosis(folder: Path, diagnosis: Diagnosis, origin: dict[str, Any]) 
 class UpdateArguments(_NewRows):
     """Arguments of update."""
 
+    out: Path = results_option("updated")
     noise: float | None = option(
         "Noise of one coordinate of the new measurements.",
         type=LENGTH,
         words="as declared for the calibration, else estimated",
+        in_cell=True,
     )
     noise_angle: float | None = noise_angle_option()
     anew: tuple[str, ...] = option(
@@ -175,7 +192,12 @@ class UpdateArguments(_NewRows):
     )
 
 
-@verb(UpdateArguments, examples=_UPDATE_EXAMPLES, exits=(Exit.UNDECIDED, Exit.CHANGED))
+@verb(
+    UpdateArguments,
+    examples=_UPDATE_EXAMPLES,
+    exits=(Exit.UNDECIDED, Exit.CHANGED),
+    shown=("anew", *_SHOWN),
+)
 def update_verb(arguments: UpdateArguments) -> Exit:
     """Add new measurements to a calibrated model permanently.
 
@@ -194,7 +216,7 @@ def update_verb(arguments: UpdateArguments) -> Exit:
         found = update(
             calibrated,
             table,
-            sigma=arguments.noise,
+            sigma=arguments.noise_of(table, arguments.noise),
             sigma_orientation=arguments.noise_angle,
             anew=arguments.anew,
         )

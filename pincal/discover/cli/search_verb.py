@@ -8,11 +8,12 @@ from typing import Any
 import click
 
 from pincal.cli.arguments import option, verb
-from pincal.cli.fitting import FIT_EXITS, FIT_FILES, FitArguments, run_fit, workers
+from pincal.cli.fitting import FIT_EXITS, FIT_FILES, FIT_SHOWN, FitArguments, run_fit, workers
 from pincal.errors import Exit
 
 _DISCOVER_EXAMPLES = f"""
 Examples:
+  pincal discover tracker.csv            # with a cell.toml beside it, which pincal check writes
   pincal discover robot.urdf tracker.csv --out results --noise 0.05mm
   pincal discover robot.urdf tracker.csv --out results --try gear_ripple:joint_2:order=101
   pincal discover robot.urdf monday.csv tuesday.csv --split station --out results
@@ -48,7 +49,11 @@ class DiscoverArguments(FitArguments):
 
 
 @verb(
-    DiscoverArguments, examples=_DISCOVER_EXAMPLES, exits=FIT_EXITS, defaults={"model": "geometric"}
+    DiscoverArguments,
+    examples=_DISCOVER_EXAMPLES,
+    exits=FIT_EXITS,
+    shown=(*FIT_SHOWN, "tried", "stability"),
+    defaults={"model": "geometric"},
 )
 def discover(arguments: DiscoverArguments) -> Exit:
     """Identify the effects that the model lacks.

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from pincal.cli.arguments import Output, argument, group, option, verb
+from pincal.cli.arguments import argument, group, option, verb
 from pincal.cli.common import GeneralOptions, TableArguments, model_argument, station_option
 from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, provenance
 from pincal.cli.quantities import LENGTH, NoiseType
+from pincal.cli.result_place import results_option
 from pincal.errors import Exit
 from pincal.features.decision_numbers import DECISION
 from pincal.io.result_folder import output_folder
@@ -53,7 +54,7 @@ class MeasureArguments:
         MISSING,
         metavar="PART.toml",
     )
-    out: Path = option("Folder for the results.", MISSING, metavar="DIR", type=Output())
+    out: Path = results_option("measured")
     station: str | None = station_option(words="the only one")
     frame: Literal["instrument", "base"] = option(
         "Frame of the datum as calibrated: the instrument's or the robot's base.", "instrument"
@@ -74,6 +75,7 @@ class MeasureArguments:
         "errors (10um+0.3um/m), whose part per metre is the uncertainty of its scale.",
         metavar="NAME|MPE",
         words="its scale is exact",
+        in_cell=True,
     )
     drift: float | None = option(
         "Standard uncertainty of a position by drift since the calibration, as of interim checks.",
@@ -90,7 +92,24 @@ class MeasureArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(MeasureArguments, examples=_EXAMPLES, exits=(Exit.INACCURATE,))
+@verb(
+    MeasureArguments,
+    examples=_EXAMPLES,
+    exits=(Exit.INACCURATE,),
+    shown=(
+        "features",
+        "out",
+        "station",
+        "frame",
+        "sensor",
+        "sensor_noise",
+        "instrument",
+        "drift",
+        "decision",
+        "coverage",
+        "as_json",
+    ),
+)
 def measure_verb(arguments: MeasureArguments) -> Exit:
     """Measure features of a part with a calibrated robot.
 

@@ -90,7 +90,7 @@ class LearnArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(LearnArguments, examples=_LEARN_EXAMPLES)
+@verb(LearnArguments, examples=_LEARN_EXAMPLES, cell="none")
 def fleet_learn(arguments: LearnArguments) -> Exit:
     """Learn a type of robot from its machines.
 
@@ -217,7 +217,7 @@ class FleetCheckArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(FleetCheckArguments, examples=_CHECK_EXAMPLES, exits=(Exit.CHANGED,))
+@verb(FleetCheckArguments, examples=_CHECK_EXAMPLES, exits=(Exit.CHANGED,), cell="none")
 def fleet_check(arguments: FleetCheckArguments) -> Exit:
     """Find which machines of a store have changed, what changed, and since when.
 

@@ -53,6 +53,7 @@ A store is a folder, or a URL that fsspec can open, such as s3://bucket/fleet; i
 the first file. Several processes may add files at the same time; a file that is added twice is
 stored once.
 """
+_SHOWN = ("noise", "noise_angle", "tip", "base", "model", "dask", "as_json", "quiet")
 _JOB_EXAMPLES = """
 Examples:
   pincal fleet {0} fleet-store --noise 0.05mm
@@ -213,7 +214,12 @@ class _Reader:
         return None if known is None else known.model.chain.robot
 
 
-@verb(AddArguments, examples=_ADD_EXAMPLES)
+@verb(
+    AddArguments,
+    examples=_ADD_EXAMPLES,
+    shown=("machine", "day", "check", "label", "robot", "tip", "base", "orientation", "as_json"),
+    cell="none",
+)
 def fleet_add(arguments: AddArguments) -> Exit:
     """Add models, diagnoses or tables of measurements to a store."""
     import datetime
@@ -279,7 +285,12 @@ def _fitted_with(arguments: _TablesArguments) -> tuple[Robot, Options]:
     return Robot.from_urdf(arguments.robot, tip=arguments.tip, base=arguments.base), options
 
 
-@verb(FitTablesArguments, examples=_JOB_EXAMPLES.format("calibrate robot.urdf", "information"))
+@verb(
+    FitTablesArguments,
+    examples=_JOB_EXAMPLES.format("calibrate robot.urdf", "information"),
+    shown=("type", *_SHOWN),
+    cell="none",
+)
 def fleet_calibrate(arguments: FitTablesArguments) -> Exit:
     """Calibrate all tables of a store that are not calibrated yet.
 
@@ -301,7 +312,12 @@ def fleet_calibrate(arguments: FitTablesArguments) -> Exit:
     )
 
 
-@verb(_TablesArguments, examples=_JOB_EXAMPLES.format("discover robot.urdf", "discoveries"))
+@verb(
+    _TablesArguments,
+    examples=_JOB_EXAMPLES.format("discover robot.urdf", "discoveries"),
+    shown=_SHOWN,
+    cell="none",
+)
 def fleet_discover(arguments: _TablesArguments) -> Exit:
     """Identify the effects that the model of each machine of a store lacks."""
     from pincal.fleet.jobs import DiscoverTables
@@ -332,7 +348,11 @@ class DiagnoseTablesArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(DiagnoseTablesArguments, examples=_JOB_EXAMPLES.format("diagnose", "diagnoses"))
+@verb(
+    DiagnoseTablesArguments,
+    examples=_JOB_EXAMPLES.format("diagnose", "diagnoses"),
+    cell="none",
+)
 def fleet_diagnose(arguments: DiagnoseTablesArguments) -> Exit:
     """Diagnose every check of a store with the last model.json of its machine.
 

@@ -79,7 +79,10 @@ class ProgramOptions(TargetFiles):
         metavar="FILE",
     )
     payload: float = option(
-        "Mass at the tip while the program runs [kg].", 0.0, type=NumberType(least=0.0)
+        "Mass at the tip while the program runs [kg].",
+        0.0,
+        type=NumberType(least=0.0),
+        in_cell=True,
     )
     explain: bool = option("Also say of each corrected point why it could be.", False)
     path_error: float | None = option(

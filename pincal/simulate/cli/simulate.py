@@ -13,13 +13,14 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import verb
+from pincal.cli.cell_defaults import is_cell_beside, written_cell
+from pincal.cli.cell_file import CELL_KEYS
 from pincal.cli.outputs import print_json, provenance, write_all, write_plain
 from pincal.errors import BadInputError, Exit, OutputError, counted, nearest_first
 from pincal.robot.cell import read_cell, robot_files
 from pincal.simulate.cli.part_options import looking_at, truth_of
 from pincal.simulate.cli.simulate_options import (
     MachineArguments,
-    SensorArguments,
     SimulateArguments,
     via_path,
 )
@@ -85,7 +86,26 @@ def _keys(kind: type[HiddenEffect]) -> list[str]:
     return ["size", *(field.name for field in fields(kind) if field.name not in ("joint", "size"))]
 
 
-@verb(SimulateArguments, examples=_EXAMPLES, ending=effect_help)
+@verb(
+    SimulateArguments,
+    examples=_EXAMPLES,
+    shown=(
+        "out",
+        "truth",
+        "poses",
+        "at",
+        "payload",
+        "seed",
+        "pose_seed",
+        "sensor",
+        "noise",
+        "path",
+        "effects",
+        "as_json",
+    ),
+    ending=effect_help,
+    cell="written",
+)
 def simulate(arguments: SimulateArguments) -> Exit:
     """Simulate the measurement of a machine with chosen errors and hidden effects."""
     from pincal.cli.progress import end_progress, log_step
@@ -186,12 +206,11 @@ def _drive(robot: Robot, machine: TrueMachine, arguments: SimulateArguments) -> 
         print_json({"rows": rows, "out": str(arguments.out)} | found)
         return Exit.DONE
     written = f", the truth to {arguments.truth}" if arguments.truth else ""
-    calibrate = " ".join([_of_arm("calibrate", arguments), *_known(arguments.sensor)])
     lines = [
         *_log_lines(robot, session, rows),
         *_hidden_lines(found),
         f"written to {arguments.out}{written}",
-        f"next: {calibrate} --out results",
+        *_next_words(arguments, None),
     ]
     click.echo("\n".join(lines))
     return Exit.DONE
@@ -491,7 +510,7 @@ def _summary(
         "the camera": given.camera_out,
     }
     written = "".join(f", {what} to {path}" for what, path in further.items() if path)
-    lines += [f"written to {arguments.out}{written}", f"next: {_next_command(arguments, setup)}"]
+    lines += [f"written to {arguments.out}{written}", *_next_words(arguments, setup)]
     return "\n".join(lines)
 
 
@@ -516,46 +535,78 @@ def _hidden_lines(truth: dict[str, Any]) -> Iterator[str]:
         yield f"  hidden: {entry['effect']}{place}, size {entry['size']:.3g}{unit}, {moved}"
 
 
-def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
-    """Return the command that discovers the effects from the table, or measures the part."""
+def _next_words(arguments: SimulateArguments, setup: SensorSetup | None) -> list[str]:
+    """Return the lines that say what is next: to check the table, or to measure the part; write
+    the cell file for it.
+    """
     if arguments.part.features is not None:
         part = f"--features {arguments.part.features}"
-        return f"pincal measure results/model.json {arguments.out} {part} --out measured"
+        return [f"next: pincal measure results/model.json {arguments.out} {part}"]
+    given = _cell_values(arguments, setup)
+    folder = arguments.out.parent
+    cell = written_cell("pincal simulate", more=given, place=folder)
+    if cell is not None:
+        return [
+            f"written to {cell}: what describes the cell, for the next commands",
+            f"next: pincal check {arguments.out}",
+        ]
+    is_beside = is_cell_beside(given, folder)
+    if is_beside:
+        return [f"next: pincal check {arguments.out}"]
+    # A cell file of something else stays as it is.
+    elsewhere = "" if is_beside is None else " --cell none"
+    return [f"next: {_with_options(arguments, given)}{elsewhere}"]
+
+
+def _cell_values(arguments: SimulateArguments, setup: SensorSetup | None) -> dict[str, Any]:
+    """Return what describes the cell, by key, as on a command line; ``setup`` is None for logs of
+    motion, whose noise is told by themselves.
+    """
     machine = arguments.machine
-    given = arguments.sensor
-    words = [f"{_of_arm('discover', arguments)} --out results"]
-    words += [f"--noise {_noise(setup)}"] if setup.sigma else []
+    sensor = arguments.sensor
+    found: dict[str, Any] = {
+        "robot": arguments.robot,
+        "tip": machine.end,
+        "base": machine.base,
+        "beside": [str(of) for of in machine.beside],
+        "xacro_arg": [f"{name}:={value}" for name, value in machine.xacro_args],
+        "points": sensor.points_out and str(sensor.points_out),
+        "camera": sensor.camera_out and str(sensor.camera_out),
+    }
+    if setup is not None:
+        found |= _of_setup(arguments, setup)
+    return {key: found[key] for key in CELL_KEYS if found.get(key)}
+
+
+def _of_setup(arguments: SimulateArguments, setup: SensorSetup) -> dict[str, Any]:
+    """Return noise, distance of a pair of sockets and load, by key."""
     angle = setup.truth()["noise"]["sigma_rad"]
-    words += [f"--noise-angle {angle * 1e3:g}mrad"] if angle else []
-    words += _known(given)
-    if setup.kind == "socket" and not given.points_out and len(setup.points) > 1:
+    found: dict[str, Any] = {
+        "noise": _noise(setup) if setup.sigma else None,
+        "noise_angle": f"{angle * 1e3:g}mrad" if angle else None,
+    }
+    if setup.kind == "socket" and not arguments.sensor.points_out and len(setup.points) > 1:
         (a, first), (b, second) = list(setup.points.items())[:2]
-        words.append(f"--socket-distance {a} {b} {np.linalg.norm(first - second):g}")
-    for name, vector in (
-        ("payload-com", arguments.campaign.payload_com),
-        ("gravity", machine.gravity),
+        found["socket_distance"] = [[a, b, f"{np.linalg.norm(first - second):g}"]]
+    for key, vector in (
+        ("payload_com", arguments.campaign.payload_com),
+        ("gravity", arguments.machine.gravity),
     ):
         if vector not in (None, (0.0, 0.0, 0.0)):
-            words.append(f"--{name} {' '.join(f'{value:g}' for value in vector)}")
+            found[key] = [f"{value:g}" for value in vector]
+    return found
+
+
+def _with_options(arguments: SimulateArguments, given: dict[str, Any]) -> str:
+    """Return the command that checks the table without a cell file."""
+    words = ["pincal", "check", arguments.robot, str(arguments.out)]
+    for key, value in given.items():
+        if key == "robot":
+            continue
+        several = isinstance(value, list) and key not in ("payload_com", "gravity")
+        for each in value if several else [value]:
+            words += [f"--{key.replace('_', '-')}", *([each] if isinstance(each, str) else each)]
     return " ".join(words)
-
-
-def _known(given: SensorArguments) -> list[str]:
-    """Return the options that give what is written of points and camera."""
-    pairs = (("--points", given.points_out), ("--camera", given.camera_out))
-    return [f"{name} {path}" for name, path in pairs if path]
-
-
-def _of_arm(verb: str, arguments: SimulateArguments) -> str:
-    """Return a command on the same arm and what was written of it."""
-    machine = arguments.machine
-    words = [f"pincal {verb} {arguments.robot} {arguments.out}"]
-    words += [f"--tip {machine.end}"] if machine.end else []
-    words += [f"--base {machine.base}"] if machine.base else []
-    words += [f"--beside {of}" for of in machine.beside]
-    return " ".join(
-        [*words, *(f"--xacro-arg {name}:={value}" for name, value in machine.xacro_args)]
-    )
 
 
 def _noise(setup: SensorSetup) -> str:

@@ -72,7 +72,21 @@ class ViewArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(ViewArguments, examples=_VIEW_EXAMPLES)
+@verb(
+    ViewArguments,
+    examples=_VIEW_EXAMPLES,
+    shown=(
+        "html_file",
+        "pose",
+        "scale",
+        "grid",
+        "station",
+        "holdout",
+        "meshes",
+        "port",
+        "open_page",
+    ),
+)
 def view(arguments: ViewArguments) -> Exit:
     """Show the robot and its deviations in 3D.
 

@@ -1,9 +1,14 @@
-"""Tables of a part's file with units in keys or values: ``size_mm = 20``, ``size = "2 cm"``."""
+"""Files in TOML, and their tables with units in keys or values: ``size_mm = 20``,
+``size = "2 cm"``.
+"""
 
 from __future__ import annotations
 
+import os
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,12 +22,41 @@ UNITS_OF = {
     "angle": ("rad", "mrad", "urad", "deg"),
     "number": (),
 }
-"""Units of a part's file by dimension; the SI unit is the first."""
+"""Units of values by dimension; the SI unit is the first."""
 
 # The unit that messages suggest.
 _USUAL = {"length": "mm", "angle": "deg"}
 # Keys that a message lists.
 _LISTED: Count = 12
+
+
+def read_toml(path: str | os.PathLike[str], expected: str) -> dict[str, Any]:
+    """Return the content of a file.
+
+    Args:
+        path: the file.
+        expected: what it should be, for the message.
+
+    Raises:
+        BadInputError: if it can't be read or is no TOML.
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise BadInputError(f"{path}: can't be read ({error}); expected {expected}") from None
+
+
+def require_known(where: str, keys: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse keys that are not known.
+
+    Raises:
+        BadInputError: with the place, the key and the nearest that are known.
+    """
+    known = tuple(known)
+    for key in keys:
+        if key not in known:
+            near = ", ".join(nearest_first([key], known)[:_LISTED])
+            raise BadInputError(f"{where}: unknown key {key!r}; expected one of {near}")
 
 
 @dataclass(frozen=True)
@@ -57,10 +91,8 @@ class KeyedTable:
     def __post_init__(self) -> None:
         """Refuse keys that are not known, and values that are given twice."""
         keys = self._possible()
+        require_known(self.where, self.entries, keys)
         for key in self.entries:
-            if key not in keys:
-                near = ", ".join(nearest_first([key], keys)[:_LISTED])
-                raise BadInputError(f"{self.where}: unknown key {key!r}; expected one of {near}")
             name, unit = keys[key]
             if name in self._units_of_keys:
                 other = self._units_of_keys[name][0]

@@ -1,0 +1,263 @@
+"""The cell file: what it gives to commands, who overrides it, what is refused, and who writes it."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from test_calibrate import paper_table
+from test_cli import URDF, columns_of, run
+
+from pincal import Robot
+from pincal.cli import pincal
+from pincal.cli.arguments import Verb
+from pincal.cli.cell_file import CELL_KEYS, CellFile, write_cell
+from pincal.errors import BadInputError
+from pincal.measure.table import write_table
+
+CONTEXT = click.Context(pincal)
+MOST_SHOWN = 14
+
+
+def verbs() -> dict[str, Verb]:
+    """Return all verbs by name, those of groups included."""
+    found: dict[str, Verb] = {}
+    for name in pincal.list_commands(CONTEXT):
+        command = pincal.get_command(CONTEXT, name)
+        inner = command.commands if isinstance(command, click.Group) else {"": command}
+        found |= {f"{name} {own}".strip(): each for own, each in inner.items() if isinstance(each, Verb)}
+    return found
+
+
+VERBS = verbs()
+
+
+@pytest.fixture
+def folder(tmp_path: Path, kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return the current folder, with a robot and a table; cell files are found in it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PINCAL_CELL")
+    shutil.copy(URDF, "robot.urdf")
+    write_table("tracker.csv", columns_of(paper_table(kuka, 40, 0, 5e-5)))
+    return tmp_path
+
+
+def cell(text: str, name: str = "cell.toml") -> None:
+    """Write a cell file."""
+    Path(name).write_text(text, encoding="utf-8")
+
+
+def checked(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[dict[str, Any], str]:
+    """Return what check says of the table as JSON, and what it prints on stderr."""
+    assert run("check", *words, "--json") == 0
+    said = capsys.readouterr()
+    return json.loads(said.out), said.err
+
+
+def test_a_table_is_enough_with_a_cell_beside_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The same as with all options, and what came from the file is said once."""
+    whole, _ = checked(capsys, "robot.urdf", "tracker.csv", "--noise", "0.05mm", "--sign", "joint_4")
+    cell('robot = "robot.urdf"\nnoise = "0.05mm"\nsign = ["joint_4"]\n')
+    short, said = checked(capsys, "tracker.csv")
+
+    assert short == whole
+    assert said.count("cell.toml: ") == 1 and "cell.toml: robot, sign, noise\n" in said
+
+
+def test_files_are_relative_to_the_cell(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From whichever folder the command is run, and by whichever way the cell is found."""
+    (folder / "day").mkdir()
+    shutil.move("tracker.csv", "day/tracker.csv")
+    cell('robot = "../robot.urdf"\nnoise = "0.05mm"\n', "day/cell.toml")
+    beside, said = checked(capsys, "day/tracker.csv")
+    named, _ = checked(capsys, "day/tracker.csv", "--cell", str(folder / "day" / "cell.toml"))
+
+    assert beside == named and "day/cell.toml: robot, noise" in said
+
+
+def test_options_override_the_cell(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By their names or by --set, lists as a whole; only what was taken is said."""
+    cell('robot = "robot.urdf"\nnoise = "0.05mm"\nsign = ["joint_4"]\n')
+    for words in (["--noise", "0.2mm"], ["--set", "noise=0.2mm"]):
+        found, said = checked(capsys, "tracker.csv", *words)
+        assert found["noise"]["sigma_m"] == pytest.approx(2e-4)
+        assert "cell.toml: robot, sign\n" in said or words[0] == "--set"
+    turned, _ = checked(capsys, "tracker.csv", "--sign", "joint_5")
+    cell('robot = "robot.urdf"\nnoise = "0.05mm"\nsign = ["joint_5"]\n')
+    assert turned == checked(capsys, "tracker.csv")[0]
+
+
+def test_none_is_no_cell(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """As an option or in the environment; the environment may also name a file."""
+    cell('robot = "robot.urdf"\nnoise = "0.05mm"\n')
+    assert run("check", "tracker.csv", "--cell", "none") == 2
+    told = capsys.readouterr().err
+    assert "no cell file is to be used; expected ROBOT.urdf tracker.csv" in " ".join(told.split())
+    shutil.move("cell.toml", "other.toml")
+    monkeypatch.setenv("PINCAL_CELL", "other.toml")
+    assert "other.toml: robot, noise" in checked(capsys, "tracker.csv")[1]
+    monkeypatch.setenv("PINCAL_CELL", "none")
+    assert run("check", "tracker.csv") == 2
+
+
+def test_another_robot_takes_nothing_of_the_cells_robot(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its signs and its load are not those of the robot on the command line; the instrument is the same."""
+    shutil.copy("robot.urdf", "other.urdf")
+    cell('robot = "robot.urdf"\nnoise = "0.05mm"\nsign = ["joint_4"]\ntip = "nowhere"\n')
+    found, said = checked(capsys, "other.urdf", "tracker.csv")
+
+    assert "cell.toml: noise\n" in said
+    assert found == checked(capsys, "other.urdf", "tracker.csv", "--noise", "0.05mm", "--cell", "none")[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("nois = '0.05mm'", "cell.toml: unknown key 'nois'; expected one of noise"),
+        ("noise = 0.05", "cell.toml: noise: '0.05'; expected a number with a unit"),
+        ("tool = [0, 0]", "cell.toml: tool: "),
+        ("tool = 1", "cell.toml: tool = '1'; expected a list, such as [0, 0, 0.1]"),
+        ("tip = ['a']", "cell.toml: tip = ('a',); expected one value, such as"),
+        ("sign = {a = 1}", "cell.toml: sign = {'a': 1}; expected text, a number, or a list"),
+        ("[id]\nrobt = '1'", "cell.toml: id.robt: no such entry; expected one of robot"),
+        ("id = 3", "cell.toml: id = 3; expected a table [id]"),
+        ("robot", "cell.toml: can't be read"),
+    ],
+)
+def test_what_a_cell_can_not_say_is_refused(text: str, told: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With file, key and what is expected; exit code 3, nothing written."""
+    cell(text)
+    assert run("calibrate", "robot.urdf", "tracker.csv") == 3
+    assert told in capsys.readouterr().err
+    assert not (folder / "results").exists()
+
+
+@pytest.mark.parametrize("words", [["--set", "nois=1mm"], ["--set", "noise"], ["--noise", "1mm", "--set", "noise=2mm"]])
+def test_settings_that_are_none_are_refused(words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 2, with the nearest keys."""
+    assert run("check", "robot.urdf", "tracker.csv", *words) == 2
+    assert "Invalid value for --set: " in capsys.readouterr().err
+
+
+def test_settings_take_any_option_by_its_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Single values, several, and vectors."""
+    plain = ["--points-in", "base", "--fix", "*.s_x", "--fix", "*.s_y", "--payload-com", "0", "0", "0.1"]
+    settings = ["points_in=base", "fix=*.s_x", "fix=*.s_y", "payload-com=0,0,0.1"]
+    by_name = [word for text in settings for word in ("--set", text)]
+
+    table = ["robot.urdf", "tracker.csv", "--cell", "none"]
+    assert checked(capsys, *table, *plain)[0] == checked(capsys, *table, *by_name)[0]
+
+
+def test_check_writes_a_cell_of_what_it_was_told_and_suggests_the_short_command(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With comments on all keys; the next command needs the table and what no cell holds; it is not written twice."""
+    given = ["--noise", "0.05mm", "--payload-com", "0", "0", ".1", "--loss", "huber", "--set", "id.robot=4711"]
+    assert run("check", "robot.urdf", "tracker.csv", *given) == 0
+    said = capsys.readouterr().out
+    text = Path("cell.toml").read_text()
+
+    assert "pincal calibrate tracker.csv --loss huber\n" in said and "written to cell.toml" in said
+    assert {line.lstrip("# ").split(" = ")[0] for line in text.splitlines() if " = " in line} >= {*CELL_KEYS, "operator"}
+    found = CellFile.read(Path("cell.toml"))
+    assert found.entries == {"robot": "robot.urdf", "payload_com": ("0", "0", "0.1"), "noise": "0.05mm"}
+    assert found.identity == {"robot": "4711"}
+    assert run("check", "tracker.csv", "--noise", "0.1mm") == 0
+    assert Path("cell.toml").read_text() == text
+    assert "pincal calibrate tracker.csv --noise 0.1mm\n" in capsys.readouterr().out
+
+
+def test_a_written_cell_is_valid_with_every_comment_removed(tmp_path: Path) -> None:
+    """The examples in it can be used as they are."""
+    path = tmp_path / "cell.toml"
+    write_cell(path, {"robot": "a.urdf"}, {"note.order": "4711"}, by="pincal check")
+    lines = [line.removeprefix("# ") if " = " in line else line for line in path.read_text().splitlines()]
+    path.write_text("\n".join(line for line in lines if '"..."' not in line))
+    found = CellFile.read(path)
+
+    assert found.entries.keys() == CELL_KEYS.keys() and found.identity == {"note.order": "4711"}
+
+
+def test_simulate_writes_a_cell_and_suggests_what_it_makes_short(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A cell of another machine stays as it is, and is not used for the new table."""
+    simulate = ["simulate", "robot.urdf", "--poses", "5", "--out"]
+    assert run(*simulate, "a.csv") == 0
+    assert "next: pincal check a.csv\n" in capsys.readouterr().out
+    text = Path("cell.toml").read_text()
+    assert run(*simulate, "b.csv", "--pose-seed", "2") == 0
+    assert "next: pincal check b.csv\n" in capsys.readouterr().out
+    assert run(*simulate, "c.csv", "--noise", "0.1mm") == 0
+    assert "next: pincal check robot.urdf c.csv --noise 0.1mm --cell none\n" in capsys.readouterr().out
+    assert Path("cell.toml").read_text() == text
+    assert CellFile.read(Path("cell.toml")).entries == {"robot": "robot.urdf", "noise": "0.05mm"}
+
+
+def test_the_identity_of_the_cell_reaches_the_model_and_guards_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It is in model.json and result.json, and the model of another robot is refused; --set replaces an entry."""
+    cell('robot = "robot.urdf"\nnoise = "0.05mm"\n[id]\nrobot = "4711"\noperator = "A"\ndate = 2026-11-28\n')
+    assert run("calibrate", "tracker.csv", "--set", "id.operator=B", "--model", "geometric", "--quiet") == 0
+    for name in ("model.json", "result.json"):
+        stated = json.loads(Path("results", name).read_text())["id"]
+        assert stated == {"robot": "4711", "operator": "B", "date": "2026-11-28"}
+    inputs = json.loads(Path("results/model.json").read_text())["provenance"]["inputs"]
+    assert inputs.keys() == {"robot.urdf", "tracker.csv", "cell.toml"}
+    cell('[id]\nrobot = "4712"\n')
+    assert run("predict", "results/model.json", "tracker.csv", "--out", "p.csv") == 3
+    told = capsys.readouterr().err
+    assert "4711" in told and "4712" in told and not Path("p.csv").exists()
+
+
+def test_a_payload_of_the_cell_is_that_of_rows_without_one(
+    folder: Path, kuka: Robot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As if the table had the column; a column that there is stays."""
+    columns = columns_of(paper_table(kuka, 40, 0, 5e-5))
+    load = columns.pop("payload")
+    write_table("bare.csv", columns)
+    write_table("loaded.csv", columns | {"payload": 0 * load + 80.0})
+    cell('robot = "robot.urdf"\nnoise = "0.05mm"\npayload = 80\n')
+
+    bare, loaded = (checked(capsys, name)[0] for name in ("bare.csv", "loaded.csv"))
+    assert bare == loaded
+    with_own = checked(capsys, "tracker.csv")[0]
+    assert with_own == checked(capsys, "robot.urdf", "tracker.csv", "--noise", "0.05mm", "--cell", "none")[0]
+
+
+def test_noise_of_images_is_left_alone_by_options_of_lengths(folder: Path) -> None:
+    """A cell with a camera serves diagnose as well, whose noise is a length."""
+    cell('robot = "robot.urdf"\nnoise = "0.1px"\n')
+    assert run("diagnose", "absent.json", "tracker.csv") == 3
+
+
+def test_every_key_is_an_option_of_calibrate() -> None:
+    """A cell file says nothing that could not be said on the command line, nor under another name."""
+    known = {key for verb in VERBS.values() for key in verb._cell_keys.values()}
+
+    assert known == CELL_KEYS.keys()
+    assert {*VERBS["calibrate"]._cell_keys.values()} == CELL_KEYS.keys()
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_the_short_help_has_few_options(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """At most fourteen; with ``all`` every one; both end with an example."""
+    verb = VERBS[name]
+    assert run(*name.split(), "--help") == 0
+    short = capsys.readouterr().out
+    assert run(*name.split(), "--help", "all") == 0
+    whole = capsys.readouterr().out
+    options = [each for each in verb.params if isinstance(each, click.Option)]
+
+    assert len(re.findall("^  -", short.partition("Example")[0], re.MULTILINE)) <= MOST_SHOWN
+    assert all(f"  {each.opts[0]}" in whole for each in options)
+    assert all(field in {each.name for each in options} for field in verb.shown or ())
+    assert "Example" in short and "Example" in whole
+
+
+def test_a_cell_that_is_no_file_is_refused(tmp_path: Path) -> None:
+    """From Python, too."""
+    with pytest.raises(BadInputError, match=r"can't be read .*expected a cell file in TOML"):
+        CellFile.read(tmp_path)
