@@ -52,6 +52,15 @@ def test_set_ups_that_lack_a_variable(name: str) -> None:
     assert some is None or (np.all(some[:N] == 1.0) and np.all(some[N:] == variable.unknown))
 
 
+def test_the_joined_poses_of_the_same_set_ups_are_one_object() -> None:
+    """Results are kept for poses by identity, and a search joins those of its stations again for every model."""
+    q = np.zeros((N, ROBOT.n_joints))
+    first, second = (conditions_of(Model(Chain.of(ROBOT), ()), measurements(ROBOT, q + k), np.zeros(3)) for k in (0.0, 1.0))
+
+    assert joined_conditions([first, second]) is joined_conditions((first, second))
+    np.testing.assert_array_equal(joined_conditions([second, first]).q, np.concatenate([q + 1.0, q]))
+
+
 def test_every_column_has_typical_values_before_anything_is_measured() -> None:
     """A plan, and a check of it, need no list of columns: whatever a table may hold has its shape and a value."""
     q = np.zeros((5, 6))

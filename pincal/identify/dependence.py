@@ -65,8 +65,11 @@ _LIMITS: tuple[tuple[Scale, Scale], tuple[Scale, Scale]] = (
     (0.01, float(np.log(_LONGEST))),
 )
 _NEAR_SHARE: Scale = 0.05
-# Relative change of the variance that no longer matters, and the number of its corrections.
-_SAME: Scale = 1e-3
+# First steps of both.
+_STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+# Relative change of the variance whose effect a closed form tells well enough, and the number of
+# its corrections.
+_SAME: Scale = 3e-3
 _TURNS: Count = 8
 
 # Rows of a block.
@@ -436,24 +439,25 @@ class _RestrictedLikelihood:
         (1 + P, 1 + P), and the log determinant of the whitening.
 
         At the optimum the variance is the sum of squares over the degrees of freedom, which hardly
-        depend on it.
+        depend on it: as if they did not, what is left to the optimum has a closed form.
         """
-        readings = self.columns[0].size
-        noise = max(float(products[0, 0]) / readings, 1e-300)
+        noise = max(float(products[0, 0]) / self.columns[0].size, 1e-300)
         least = 1e300
         for _ in range(_TURNS):
             try:
-                least, better = self._at(products, noise)
+                misfit, squares, degrees = self._at(products, noise)
             except LinAlgError:
                 return 1e300
-            if abs(np.log(better / noise)) < _SAME:
+            left = float(np.log(squares / degrees / noise))
+            least = misfit - degrees * float(np.expm1(left) - left)
+            if abs(left) < _SAME:
                 break
-            noise = better
+            noise = squares / degrees
         return least + log_determinant
 
-    def _at(self, products: np.ndarray, noise: float) -> tuple[float, float]:
-        """Return -2 l of a variance, and the variance that its parameters and degrees of freedom
-        give.
+    def _at(self, products: np.ndarray, noise: float) -> tuple[float, float, float]:
+        """Return -2 l of a variance, and squares and degrees of freedom of the residuals with its
+        parameters.
         """
         readings = self.columns[0].size
         of_rows = products[1:, 1:]
@@ -470,7 +474,7 @@ class _RestrictedLikelihood:
         determinant = 2.0 * float(np.sum(np.log(np.diag(L) / scale)))
         left = float(products[0, 0]) / noise - float(pull @ step)
         least = readings * float(np.log(noise)) + determinant + left
-        return least, max(squares / max(degrees, 1.0), 1e-300)
+        return least, max(squares, 1e-300), max(degrees, 1.0)
 
     def with_memory(self, memory: float) -> tuple[float, float]:
         """Return the optimum with a given log of the memory, and the logit of the share there."""
@@ -506,7 +510,14 @@ class _RestrictedLikelihood:
 
     def _near(self, start: np.ndarray) -> OptimizeResult:
         """Return the optimum near a logit of the share and a log of the memory."""
-        options = {"xatol": _NEAR_SHARE, "fatol": 0.1, "maxfev": 120}
+        low, high = np.transpose(_LIMITS)
+        around = np.clip(start + _STEPS, low, high)
+        options = {
+            "xatol": _NEAR_SHARE,
+            "fatol": 0.1,
+            "maxfev": 120,
+            "initial_simplex": around,
+        }
         return minimize(
             lambda at: self.misfit(*at.tolist()),
             start,

@@ -101,7 +101,7 @@ class MassError(Effect):
         self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
     ) -> tuple[Term, ...]:
         """Add each compliance times the change of its moment."""
-        known = chain.kept.about("moments of links", chain, conditions, most=2)
+        known = chain.kept.about("moments of links", chain, conditions)
         terms = list[Term]()
         for p, i in enumerate(self.links):
             if i not in known:

@@ -98,6 +98,8 @@ _KIND = {
 }  # fmt: skip
 # Largest number of paths kept of one robot.
 _MOST_PATHS: Count = 64
+# Chains and their poses of which results are kept.
+_MOST_STATIONS: Count = 16
 # A joint closer than this to the origin of its frame is taken to be there [m].
 _AT_ORIGIN: Scale = 1e-6
 # Columns of DhFrames.parameters.
@@ -285,8 +287,10 @@ class Chain:
     def known(self, what: str, *objects: object) -> dict[Any, Any]:
         """Return the cache of one kind of result for this very chain and some objects, to be added
         to.
+
+        Each of several stations has a chain and poses of its own.
         """
-        return self.kept.about(what, self.token, *objects)
+        return self.kept.about(what, self.token, *objects, most=_MOST_STATIONS)
 
     @cached_property
     def token(self) -> object:

@@ -146,6 +146,7 @@ class Conditions(Recorded):
 
 
 _PARTS = Latest["Conditions"](16)
+_JOINED = Latest["Conditions"](4)
 
 
 def part_of(whole: Conditions, rows: slice | np.ndarray, key: Hashable) -> Conditions:
@@ -164,10 +165,17 @@ def joined_conditions(parts: Sequence[Conditions]) -> Conditions:
     Every target becomes the first one, as each set-up has its own. Times, whose origin differs
     between set-ups, are left out; so are temperatures, droops and sighted positions if some set-up
     lacks them. Directions of approach and moves are unknown where they were not recorded, and poses
-    without a velocity were held.
+    without a velocity were held. The same parts give the same object, so that caches of it apply.
     """
     if len(parts) == 1:
         return parts[0]
+    known = _JOINED.of(*parts)
+    if not known:
+        known["all"] = _joined(parts)
+    return known["all"]
+
+
+def _joined(parts: Sequence[Conditions]) -> Conditions:
     q, payload = (
         np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "payload")
     )
