@@ -33,6 +33,10 @@ _FILES = {
     "model": ("model.json", "The calibrated robot: predicts without its URDF. Written by every command that fits."),
     "result": ("result.json", "Results of a calibration. Written by `calibrate` and `discover`."),
     "discovery": ("discovery.json", "Missing effects and their alternatives. Written by `discover`."),
+    "checks": (
+        "model.checks.json",
+        "Interim checks of a calibrated robot, beside its model. Written by `interim`, read by `measure` and `certificate`.",
+    ),
     "diagnosis": ("diagnosis.json", "Whether the robot has changed, and what. Written by `diagnose`."),
     "measured": ("measured.json", "What the robot measured of a part. Written by `measure`."),
     "information": (

@@ -36,6 +36,7 @@ COMMANDS = (
     ("compensate calibrated/model.json a.src --out b.src", "b.src"),
     ("certificate calibrated/model.json --out certificate", "certificate/dcc.xml"),
     ("measure calibrated/model.json touched.csv --features part.toml --out measured", "measured/measured.json"),
+    ("interim calibrated/model.json new.csv", "calibrated/model.checks.json"),
     ("diagnose calibrated/model.json new.csv --out diagnosis", "diagnosis/diagnosis.json"),
     ("update calibrated/model.json new.csv --out updated", "updated/model.json"),
     ("export calibrated/model.json --mjcf out.xml --c out --python out.py --page out.html", "out.html"),

@@ -24,7 +24,7 @@ residuals show (a conformal quantile: Barber et al. 2021, Ann. Stat. 49, 486-507
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated
 
 import numpy as np
@@ -153,18 +153,24 @@ class Discrepancy(Record, frozen=True, kw_only=True):
             levers: shape (n, N, 3), motion of the target by each drive [m/rad or m/m].
         """
         common = [np.zeros((len(q), 3, 0))]
-        grouped = [np.tile(np.sqrt(self.rest) * np.eye(3), (len(q), 1, 1))]
-        for position, lever, sizes in zip(q.T, levers, self.drives, strict=True):
+        grouped = [np.tile(self.factor * np.sqrt(self.rest) * np.eye(3), (len(q), 1, 1))]
+        for j, shared, alone in self.of_drives(q):
+            common.append(levers[j][:, :, None] * shared[:, None])
+            grouped.append((levers[j] * alone[:, None])[:, :, None])
+        pose = np.unique(q, axis=0, return_inverse=True)[1].ravel()
+        return SharedErrors(np.concatenate(common, axis=2), np.concatenate(grouped, axis=2), pose)
+
+    def of_drives(self, q: np.ndarray) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+        """Yield each drive that errs, by its number, and its errors at N poses: by common ones of
+        unit variance, shape (N, r), and what each pose has beside, shape (N,) [rad or m].
+
+        Args:
+            q: shape (N, n), joint positions [rad or m].
+        """
+        for j, (position, sizes) in enumerate(zip(q.T, self.drives, strict=True)):
             if np.any(sizes):
                 shared, alone = self._of_drive(position, sizes)
-                common.append(lever[:, :, None] * shared[:, None])
-                grouped.append((lever * alone[:, None])[:, :, None])
-        pose = np.unique(q, axis=0, return_inverse=True)[1].ravel()
-        return SharedErrors(
-            self.factor * np.concatenate(common, axis=2),
-            self.factor * np.concatenate(grouped, axis=2),
-            pose,
-        )
+                yield j, self.factor * shared, self.factor * alone
 
     def _of_drive(self, position: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the errors of a drive by common ones, shape (N, r), and what each has beside,

@@ -56,6 +56,7 @@ _ORDER = (
     "validate",
     "predict",
     "compensate",
+    "interim",
     "diagnose",
     "update",
     "fleet",

@@ -11,6 +11,7 @@ from pincal.thresholds import number
 
 _CHECKS = "test_fleet_checks.py::"
 _LEARNING = "test_fleet_learning.py::"
+_INTERIM = "test_interim.py::"
 _KINDS = _CHECKS + "test_what_is_believed_of_a_change_beforehand"
 _UNUSUAL = _LEARNING + "test_a_machine_is_unusual_if_both_its_odds_and_its_p_value_say_so"
 
@@ -176,5 +177,26 @@ class WatchNumbers:
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class InterimNumbers:
+    """Thresholds on interim checks of one robot."""
+
+    false_alarms: float = number(
+        0.05,
+        "probability",
+        _INTERIM + "test_an_alarm_needs_evidence_of_the_inverse_of_its_rate",
+        "of any alarm over the whole life of a robot that has not changed",
+        "usual",
+    )
+    fewest: int = number(
+        3,
+        "stops",
+        _INTERIM + "test_two_points_are_refused",
+        "of a check, below which it is refused",
+        "three points give the place of a body",
+    )
+
+
 TYPES = TypeNumbers()
 WATCH = WatchNumbers()
+INTERIM = InterimNumbers()

@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 
+from pincal.calibration.check_record import CheckRecord
 from pincal.calibration.information import RobotInformation
 from pincal.calibration.model_file import ModelFile
 from pincal.calibration.result import ResultFile
@@ -23,6 +24,7 @@ from pincal.satellites import Place
 _FILES: dict[str, type] = {
     "model": ModelFile,
     "result": ResultFile,
+    "checks": CheckRecord,
     "camera": CameraFile,
     "information": RobotInformation,
 }

@@ -1,0 +1,200 @@
+"""``pincal interim``: a few points measured again, and whether the robot is as it was."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date
+from math import exp, log
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from pincal.cli.arguments import Output, argument, group, option, verb
+from pincal.cli.common import GeneralOptions, TableArguments, model_argument
+from pincal.cli.identity_options import HEADING, IdentityOptions
+from pincal.cli.outputs import echo_notes, print_json
+from pincal.cli.quantities import LENGTH
+from pincal.errors import Exit
+from pincal.thresholds import Count
+
+if TYPE_CHECKING:
+    from pincal.calibration.check_record import CheckedChange, CheckRecord, InterimCheck
+
+# Other explanations that are named.
+_NAMED: Count = 4
+_EXAMPLES = """
+Examples:
+  pincal interim results/model.json today.csv
+  pincal interim results/model.json today.csv --new-station --day 2026-11-29
+  pincal interim results/model.json bar.csv --record checks/R17.json --false-alarms 0.01
+
+TODAY.csv is a table like that of the calibration: the same targets, or the same sockets or
+artefact, in three poses or more, such as the same few every day. Each check is added to
+model.checks.json beside the model, and judged together with all before: measure refuses a model
+whose last check failed, and its uncertainties include the drift since the calibration.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InterimArguments:
+    """Arguments of interim."""
+
+    model: Path = model_argument()
+    data: Path = argument("TODAY.csv", "Measurements of a few poses, as those of the calibration.")
+    station: str | None = option(
+        "Station of the calibration, with whose instrument and target the rows were measured.",
+        metavar="NAME",
+        words="the first one with such readings",
+    )
+    new_station: bool = option(
+        "The instrument was set up anew: its place is taken from the rows, so that a moved base "
+        "does not show.",
+        False,
+    )
+    record: Path | None = option(
+        "Record of all checks.",
+        metavar="FILE.json",
+        type=Output(".json"),
+        words="model.checks.json beside the model",
+    )
+    day: str | None = option("Day of the check.", metavar="YYYY-MM-DD", words="today")
+    false_alarms: float = option(
+        "Probability of any false alarm over the whole life of the calibration, however often it "
+        "is checked.",
+        0.05,
+    )
+    noise: float | None = option(
+        "Noise of one coordinate of the new measurements.",
+        type=LENGTH,
+        words="that of the calibration",
+    )
+    identity: IdentityOptions = group(HEADING)
+    table: TableArguments = group("Tables")
+    general: GeneralOptions = group("General")
+
+
+@verb(InterimArguments, examples=_EXAMPLES, exits=(Exit.INACCURATE,))
+def interim_verb(arguments: InterimArguments) -> Exit:
+    """Check a calibrated robot at intervals, by a few points.
+
+    Tells whether anything has moved since the calibration, and what: the base, the tool, a joint,
+    or all lengths, as by temperature. The noise need not be known, and a base that walks by
+    micrometres a day is drift, which adds to uncertainties, and no alarm. The exit code is 5 after
+    an alarm.
+    """
+    from pincal.calibration.check_record import record_of, record_path
+    from pincal.calibration.fitted_robot import load_model
+    from pincal.cli.inputs import load_table
+    from pincal.fleet.checked_robot import CheckedRobot
+
+    fitted = load_model(arguments.model)
+    notes = list(arguments.identity.of_model(fitted.identity, arguments.model))
+    path = arguments.record or record_path(arguments.model)
+    record, other = record_of(fitted, path)
+    robot = fitted.robot_model().model.chain.robot
+    table = load_table(robot, arguments.data, options=arguments.table.options)
+    checked = CheckedRobot.of(fitted, record).checked(
+        table,
+        arguments.day or date.today().isoformat(),
+        station=arguments.station,
+        is_new_station=arguments.new_station,
+        sigma=arguments.noise,
+        false_alarms=arguments.false_alarms,
+    )
+    checked.record.save(path)
+    last = checked.record.checks[-1]
+    if arguments.general.as_json:
+        print_json(as_plain(last, len(checked.record.checks)))
+    else:
+        for heading, text in lines_of(checked.record):
+            click.echo(f"{heading:10}{text}")
+        click.echo(f"written to {path}")
+    notes += [other] if other is not None else []
+    echo_notes(notes, quiet=arguments.general.quiet)
+    return Exit.INACCURATE if last.has_failed else Exit.DONE
+
+
+def as_plain(check: InterimCheck, number: int) -> dict[str, Any]:
+    """Return a check in JSON types, without its rows."""
+    import msgspec
+
+    found: dict[str, Any] = msgspec.to_builtins(check)
+    rows = found.pop("rows")
+    kept = ("day", "table", "station", "is_new_station")
+    return {"check": number, **{name: rows[name] for name in kept if name in rows}, **found}
+
+
+def lines_of(record: CheckRecord) -> Iterator[tuple[str, str]]:
+    """Yield what the last check of a record shows: headings and lines."""
+    check = record.checks[-1]
+    rows = check.rows
+    placed = "instrument set up anew" if rows.is_new_station else "as calibrated"
+    poses = len(rows.columns["q"])
+    yield "checked", f"{poses} poses of {record.robot} on {check.day}, {placed}"
+    yield "check", f"number {len(record.checks)} since the calibration"
+    scale, unit = (1e3, "mm") if check.unit == "m" else (1.0, check.unit)
+    yield (
+        "error",
+        f"{check.error * scale:.3g} {unit} rms a coordinate, {check.largest * scale:.3g} {unit} at "
+        "most",
+    )
+    yield (
+        "expected",
+        f"U = {check.expanded * scale:.3g} {unit} (k = 2) a coordinate; {check.within} of "
+        f"{check.of} within theirs; noise {check.noise:.2g} times what is stated",
+    )
+    yield (
+        "evidence",
+        f"{odds(check.log_e)} that something has changed; an alarm from {check.limit:.3g} on",
+    )
+    yield "verdict", "ALARM: not as calibrated" if check.has_failed else "no change found"
+    yield "drift", f"u = {check.drift * 1e3:.2g} mm of a coordinate since the calibration"
+    if check.change is not None:
+        yield "moved", moved_words(check.change)
+    yield "next", _next(check)
+
+
+def odds(log_e: float) -> str:
+    """Return evidence as a number.
+
+    Example:
+        >>> odds(-2.0), odds(log(250.0)), odds(60.0)
+        ('0.14', '250', '10^26')
+    """
+    return f"{exp(log_e):.2g}" if log_e < log(1e6) else f"10^{log_e / log(10.0):.0f}"
+
+
+def moved_words(change: CheckedChange) -> str:
+    """Return what has moved in words, with sizes and standard deviations.
+
+    Example:
+        >>> from pincal.calibration.check_record import CheckedChange
+        >>> size = {"offset": (1e-4, 1e-5, "rad")}
+        >>> moved_words(CheckedChange(what="joint_3", since="2026-11-13", sizes=size))
+        'joint_3: offset 0.1 mrad (u 0.01) since 2026-11-13'
+    """
+    sizes = [
+        f"{name} {_readable(value, unit)} (u {_readable(sigma, unit).split()[0]})"
+        for name, (value, sigma, unit) in change.sizes.items()
+    ]
+    about = f": {', '.join(sizes)}" if sizes else ""
+    others = f"; or {', '.join(change.equals[:_NAMED])}" if change.equals else ""
+    return f"{change.what}{about} since {change.since}{others}"
+
+
+def _readable(value: float, unit: str) -> str:
+    if unit == "1":
+        return f"{value * 1e6:.3g} um/m"
+    return f"{value:.3g} K" if unit == "K" else f"{value * 1e3:.3g} m{unit}"
+
+
+def _next(check: InterimCheck) -> str:
+    """Return what to do after a check."""
+    if not check.has_failed:
+        return "measure on; its uncertainties include the drift"
+    return (
+        "repeat the check to exclude a wrong reading; pincal diagnose with ten or more poses tells "
+        "more; then pincal calibrate"
+    )
