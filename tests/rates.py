@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from scipy.special import betainc, betaln
-from scipy.stats import beta, binom
+from scipy.stats import beta, binom, t
 
 # How often a test of a rate fails by chance alone.
 CHANCE = 1e-3
@@ -28,6 +28,35 @@ def interval(hits: int, n: int, *, level: float = 0.95) -> tuple[float, float]:
     tail = (1.0 - level) / 2.0
     low, high = beta.ppf([tail, 1.0 - tail], [hits, hits + 1], [n - hits + 1, n - hits])
     return (float(low) if hits else 0.0), (float(high) if hits < n else 1.0)
+
+
+def interval_of_blocks(hits: Sequence[float], counts: Sequence[float], *, level: float = 0.95) -> tuple[float, float]:
+    """Return the interval of a rate of things that are alike within blocks, such as readings of a region, 0 to 1.
+
+    It is that of Clopper and Pearson for the number of independent things that would scatter as the blocks do, and for
+    how few blocks tell that (Korn and Graubard 1998, Survey Methodology 24, 193-201).
+
+    Example:
+        >>> interval_of_blocks([10, 0, 10, 10], [10, 10, 10, 10])[0] < 0.1 < interval(30, 40)[0]
+        True
+    """
+    each, all_of = np.asarray(hits, float), np.asarray(counts, float)
+    n, blocks = float(all_of.sum()), int(np.count_nonzero(all_of))
+    rate = float(each.sum()) / n
+    effective = float(blocks)
+    if 0.0 < rate < 1.0 and blocks > 1:
+        variance = blocks / (blocks - 1.0) * float(np.sum((each - rate * all_of) ** 2)) / n**2
+        tail = (1.0 - level) / 2.0
+        known = float(t.ppf(tail, n - 1.0) / t.ppf(tail, blocks - 1.0)) ** 2
+        effective = min(known * rate * (1.0 - rate) / max(variance, 1e-12), n)
+    return interval_of_share(rate, effective, level=level)
+
+
+def interval_of_share(rate: float, n: float, *, level: float = 0.95) -> tuple[float, float]:
+    """Return the interval of Clopper and Pearson of a rate of n things, of which n need not be whole."""
+    tail = (1.0 - level) / 2.0
+    low, high = beta.ppf([tail, 1.0 - tail], [rate * n, rate * n + 1.0], [n - rate * n + 1.0, n - rate * n])
+    return (float(low) if rate > 0.0 else 0.0), (float(high) if rate < 1.0 else 1.0)
 
 
 def in_words(hits: int, n: int) -> str:

@@ -39,6 +39,26 @@ def test_a_rate_that_holds_is_seldom_called_exceeded_in_all_looks() -> None:
     assert told[0.01] == 0.0 and told[0.03] > 0.98
 
 
+def test_an_interval_of_blocks_counts_what_is_alike_once() -> None:
+    """Blocks of 30 that are half alike: the interval holds the rate in 95 % of draws, that of independent things in fewer.
+
+    Of blocks of single things it is that of Clopper and Pearson.
+    """
+    rng = np.random.default_rng(0)
+    held = {"blocks": 0, "alone": 0}
+    for _ in range(300):
+        # Rates of 15 blocks, 0.8 on average, scattering so that two of a block are correlated by 0.4.
+        hits = rng.binomial(30, rng.beta(1.2, 0.3, 15))
+        for name, (low, high) in {
+            "blocks": rates.interval_of_blocks(hits.tolist(), [30] * 15),
+            "alone": rates.interval(int(hits.sum()), 450),
+        }.items():
+            held[name] += low < 0.8 < high
+    assert held["blocks"] > 0.92 * 300 and held["alone"] < 0.6 * 300
+    single = rates.interval_of_blocks([1.0] * 180 + [0.0] * 20, [1.0] * 200)
+    assert single == pytest.approx(rates.interval(180, 200), abs=2e-3)
+
+
 def test_only_draws_of_a_claim_that_tell_something_count() -> None:
     draws = [{"claim": "alarm", "wrong": wrong} for wrong in (False, None, True)] + [{"claim": "pair", "wrong": None}]
     ((words, is_exceeded),) = rates.summary(draws)
