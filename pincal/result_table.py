@@ -52,12 +52,14 @@ class Column:
         unit: of all its numbers, shown in the heading; empty where rows differ or have none.
         kind: determines alignment and wrapping.
         show: formats a cell as text.
+        key: entry of the result's file that its cells show, within that of the row; empty for none.
     """
 
     name: str
     unit: str = ""
     kind: Kind = Kind.TEXT
     show: Callable[[Any], str] = show_plainly
+    key: str = ""
 
     @property
     def heading(self) -> str:
@@ -89,6 +91,8 @@ class Table:
         rows: cells as data, one tuple per row, as long as ``columns``.
         notes: remarks on the whole table, one paragraph each.
         tones: emphasis of each row; empty for none.
+        sources: where a page finds the numbers of each row: the JSON pointer (RFC 6901) of its
+            entry in a file, with {} for the key of the column; empty for none.
 
     Example:
         >>> from pincal.units import fixed
@@ -105,6 +109,7 @@ class Table:
     rows: tuple[tuple[Cell, ...], ...]
     notes: tuple[str, ...] = ()
     tones: tuple[RowTone, ...] = ()
+    sources: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -186,8 +191,11 @@ class Table:
         out = [f'<div class="scroll" tabindex="0" role="region" aria-label="{title}"><table>']
         out += [f"<caption>{title}</caption>"] if caption else []
         out.append(_html_row("th", "", self.columns, [column.heading for column in self.columns]))
-        for tone, texts in zip(self.tones or [""] * len(self), self.texts(), strict=True):
-            out.append(_html_row("td", tone, self.columns, texts))
+        blank = [""] * len(self)
+        for texts, tone, source in zip(
+            self.texts(), self.tones or blank, self.sources or blank, strict=True
+        ):
+            out.append(_html_row("td", tone, self.columns, texts, source))
         out.append("</table></div>")
         out += [f'<p class="mute">{html.escape(note)}</p>' for note in self.notes]
         return "\n".join(out)
@@ -226,15 +234,32 @@ def one_line(text: str) -> str:
     return "".join(" " if unicodedata.category(c) in ("Cc", "Cf", "Zl", "Zp") else c for c in text)
 
 
-def _html_row(tag: str, tone: str, columns: Sequence[Column], texts: Sequence[str]) -> str:
+def _html_row(
+    tag: str, tone: str, columns: Sequence[Column], texts: Sequence[str], source: str = ""
+) -> str:
     classes = [_CLASSES.get(column.kind, "") for column in columns]
     if tag == "th":
         classes = ["n" if name == "n" else "" for name in classes]
     marks = [f' class="{name}"' if name else "" for name in classes]
+    if source:
+        marks = [
+            mark + (f' data-from="{html.escape(_pointers(source, column.key))}"' * bool(column.key))
+            for mark, column in zip(marks, columns, strict=True)
+        ]
     cells = "".join(
         f"<{tag}{mark}>{html.escape(text)}</{tag}>" for mark, text in zip(marks, texts, strict=True)
     )
     return f'<tr class="{tone}">{cells}</tr>' if tone else f"<tr>{cells}</tr>"
+
+
+def _pointers(source: str, keys: str) -> str:
+    """Return the pointers of the keys of a cell, one for each of its numbers, with spaces between.
+
+    Example:
+        >>> _pointers("result.json#/parameters/3/{}", "value sigma")
+        'result.json#/parameters/3/value result.json#/parameters/3/sigma'
+    """
+    return " ".join(source.replace("{}", key) for key in keys.split())
 
 
 def _broken_headings(

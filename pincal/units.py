@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pincal.errors import BadInputError
-from pincal.thresholds import Scale
+from pincal.thresholds import Count, Scale
 
 if TYPE_CHECKING:
     import numpy as np
@@ -386,6 +386,10 @@ def fixed(places: int) -> Callable[[Any], str]:
     )
 
 
+# Decimal places beyond which a number is shown with an exponent.
+_MOST_PLACES: Count = 6
+
+
 def show_limits(least: float, largest: float, show: Callable[[float], str]) -> str:
     """Return the range between two limits, of which one may be infinite.
 
@@ -438,6 +442,26 @@ def _scaled(quantity: Quantity | None, *, scaled: str, plain: str) -> str:
     if factor != 1.0:
         return f"{quantity.value * factor:{scaled}}"
     return f"{quantity.value:{plain}}" if quantity.value else "0"
+
+
+def show_measured(value: float, sigma: float | None, unit: Unit) -> str:
+    """Return a value with its standard deviation, both rounded to two digits of the latter (JCGM
+    100, 7.2.6), without the unit.
+
+    Example:
+        >>> show_measured(1.00030512, 3.61e-5, Unit(1e3, "mm"))
+        '1000.305 ± 0.036'
+        >>> show_measured(2.0, None, Unit(1.0, "kg"))
+        '2'
+    """
+    value = value * unit.factor
+    if not sigma or not math.isfinite(sigma):
+        return f"{value:.6g}"
+    digits = f"{sigma * unit.factor:.1e}"
+    places = max(0, 1 - int(digits.partition("e")[2]))
+    if places > _MOST_PLACES:
+        return f"{value:.3g} ± {digits}"
+    return f"{value:z.{places}f} ± {float(digits):.{places}f}"
 
 
 def show_unit(unit: str) -> str:

@@ -103,12 +103,23 @@ def test_it_loads_in_silence_and_by_itself(browser: Any, pages: dict[str, Path],
 @pytest.mark.parametrize("name", ["plain", "hostile", "found"])
 @pytest.mark.parametrize("size", SIZES)
 def test_it_fits_and_can_be_read(browser: Any, pages: dict[str, Path], name: str, size: str) -> None:
-    """The page does not scroll sideways; labels of figures are whole and of a readable size."""
+    """The page does not scroll sideways, folded or not; labels of figures are whole and of a readable size."""
     show(browser, pages[name], size)
-    wide, room = browser.execute_script("return [document.documentElement.scrollWidth, window.innerWidth]")
-    assert wide <= SIZES[size][0] == room
+    for script in ("", "document.querySelectorAll('details').forEach(part => part.open = true);"):
+        wide, room = browser.execute_script(f"{script} return [document.documentElement.scrollWidth, window.innerWidth]")
+        assert wide <= SIZES[size][0] == room
     cut, small = browser.execute_script(LABELS)
     assert cut == [] and small == []
+
+
+@pytest.mark.long
+@ROOMS
+@pytest.mark.parametrize("name", ["plain", "hostile", "found"])
+def test_it_is_short_on_a_phone(browser: Any, pages: dict[str, Path], name: str) -> None:
+    """Under ten screens."""
+    show(browser, pages[name], "phone")
+    length = browser.execute_script("return document.documentElement.scrollHeight")
+    assert length < 10 * SIZES["phone"][1]
 
 
 @pytest.mark.long
@@ -140,11 +151,15 @@ def test_hostile_names_appear_as_text(browser: Any, pages: dict[str, Path]) -> N
 @pytest.mark.long
 @ROOMS
 def test_it_prints_in_light(browser: Any, pages: dict[str, Path]) -> None:
-    """On paper the page is light even for a reader who prefers dark, and no wider than the sheet."""
+    """On paper the page is light even for a reader who prefers dark, and no wider than the sheet; nothing is folded."""
     show(browser, pages["found"], "desk", "dark")
     media = {"media": "print", "features": [{"name": "prefers-color-scheme", "value": "dark"}]}
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
     ground = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+    folded = browser.execute_script(
+        "return [...document.querySelectorAll('details > :not(summary)')].map(e => e.offsetHeight)"
+    )
+    assert folded and all(folded)
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
     assert ground == "rgb(255, 255, 255)"
     printed = browser.execute_cdp_cmd("Page.printToPDF", {"printBackground": True, "paperWidth": 8.27, "paperHeight": 11.69})

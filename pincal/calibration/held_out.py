@@ -347,10 +347,10 @@ def _by_independent_rows(fit: ModelFit) -> ModelFit:
 
 
 def headline_of(errors: Mapping[str, Mapping[str, float]]) -> str:
-    """Return which of the errors of :func:`errors_held_out` is the headline: the way in which
-    predictions are worse.
+    """Return which of the errors of :func:`errors_held_out` is the headline: those of all rows that
+    were held out for good, "test", or the way of the folds in which predictions are worse.
     """
-    ways = [name for name in errors if name in get_args(Way)]
+    ways = [] if "test" in errors else [name for name in errors if name in get_args(Way)]
     return max(ways, key=lambda way: next(iter(errors[way].values())), default="test")
 
 
@@ -382,12 +382,10 @@ class Validated:
 
     @property
     def headline(self) -> Way:
-        """The way in which predictions of the calibrated model are worse."""
-        return self.way_of("calibrated")
-
-    def way_of(self, model: str) -> Way:
-        """Return the way in which predictions of a model are worse."""
-        return cast(Way, headline_of(self.errors(model)))
+        """The way in which predictions of the calibrated model are worse; the errors of all models
+        are stated by it.
+        """
+        return cast(Way, headline_of(self.errors("calibrated")))
 
     @property
     def lead(self) -> list[LeftOutErrors]:
@@ -395,10 +393,8 @@ class Validated:
         return self.leading("calibrated")
 
     def leading(self, model: str) -> list[LeftOutErrors]:
-        """Return the errors of a model in the way in which its predictions are worse, station by
-        station.
-        """
-        return self.of_model[model][self.way_of(model)]
+        """Return the errors of a model in the way of the headline, station by station."""
+        return self.of_model[model][self.headline]
 
     def errors(self, model: str) -> dict[str, dict[str, float]]:
         """Return the statistics of a model, way by way."""

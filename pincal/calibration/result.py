@@ -410,8 +410,8 @@ def _validation(validated: Validated | None, error: Errors) -> ValidationWay | U
 
 
 def _errors(stations: Sequence[AssessedStation]) -> Errors:
-    """Return the errors of all stations together, by model and part; of several ways the worse is
-    "test".
+    """Return the errors of all stations together, by model and part; "test" of every model is the
+    way in which the calibrated one predicts worse.
     """
     fit = stations[0].fit
     validated = stations[0].validated
@@ -425,13 +425,13 @@ def _errors(stations: Sequence[AssessedStation]) -> Errors:
             if validated is None
             else validated.errors(model)
         )
-        of_model = {"train": error_statistics(sizes, shares=shares)} | unseen
-        lead = headline_of(of_model)
+        found[model] = {"train": error_statistics(sizes, shares=shares)} | unseen
+    lead = headline_of(found["calibrated"])
+    for model, of_model in found.items():
         if lead in of_model:
             of_model["test"] = of_model[lead]
         if alone:
             of_model["test"] = error_statistics(one.sizes[model] for one in alone)
-        found[model] = of_model
     return found
 
 

@@ -21,6 +21,8 @@ from pincal.units import (
     Quantity,
     fixed,
     format_readable,
+    readable_unit,
+    show_measured,
     show_plainly,
     show_sigma,
     show_unit,
@@ -50,6 +52,8 @@ _MOST_NAMED: Count = 3
 # them.
 _MOST_POINTS: Count = 24
 _STATISTICS = {"mean": "mean", "median": "median", "rms": "rms", "p95": "95 %", "max": "max"}
+_BRIEF = {"mean": "mean", "p95": "95 %", "max": "max"}
+_IN_TIME = {"nominal": "before", "calibrated": "after"}
 _MODELS = {"nominal": "nominal, base and tool fitted", "calibrated": "calibrated"}
 _TONES: dict[str, RowTone] = {
     "identified": "good",
@@ -193,34 +197,45 @@ def _show_residual(cell: Cell) -> str:
     return f"{cell:.3g}" if isinstance(cell, float) else show_plainly(cell)
 
 
-def error_table(error: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Table:
+def error_table(
+    error: Mapping[str, Mapping[str, Mapping[str, float]]], *, only: Sequence[str] = ()
+) -> Table:
     """Return the table of errors before and after, from ``error`` of ``result.json``, with a row
-    per unit.
+    per unit; ``only`` some units for a page that says what the models are, more briefly.
     """
-    heads = tuple(Column(name, kind=Kind.LABEL) for name in ("model", "poses", "unit"))
-    columns = (
-        *heads,
-        *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in _STATISTICS.values()),
-    )
-    rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (
-            _MODELS.get(model, model),
-            PARTS.get(part, part),
-            unit,
-            *(values[f"{name}_{unit}"] for name in _STATISTICS),
-        )
+    statistics = _BRIEF if only else _STATISTICS
+    models = _IN_TIME if only else _MODELS
+    found = [
+        (model, part, unit, values)
         for model, by_part in error.items()
         for part, values in by_part.items()
-        # The part "test" repeats one of these.
-        if part != "test" or not {"regions", "stretches"} & by_part.keys()
-        for unit in ERROR_UNITS
+        # By cross-validation "test" repeats the way that is stated.
+        if part != "test" or all(values != by_part[way] for way in by_part if way != part)
+        for unit in only or ERROR_UNITS
         if f"mean_{unit}" in values
-    )
-    of_places = any(row[2] == "mm" for row in rows)
+    ]
+    own = () if len(only) == 1 else ("unit",)
+    of_places = any(unit == "mm" for _, _, unit, _ in found)
     return Table(
         "Pose accuracy: distance from predicted to measured target" if of_places else "Errors",
-        columns,
-        rows,
+        (
+            *(Column(name, kind=Kind.LABEL) for name in ("model", "poses", *own)),
+            *(Column(name, "", Kind.NUMBER, fixed(4), key) for key, name in statistics.items()),
+        ),
+        tuple(
+            (
+                models.get(model, model),
+                PARTS.get(part, part),
+                *(unit for _ in own),
+                *(values[f"{name}_{unit}"] for name in statistics),
+            )
+            for model, part, unit, values in found
+        ),
+        () if own else (f"All in {only[0]}.",),
+        sources=tuple(
+            f"result.json#/error/{model}/{part}/{{}}_{unit.replace('/', '~1')}"
+            for model, part, unit, _ in found
+        ),
     )
 
 
@@ -240,7 +255,7 @@ def station_table(stations: Sequence[StationRecord]) -> Table:
     ]
     left_out = ("left out, geometry alone", "left out") if is_left_out else ()
     heads += [
-        Column(name, kind=Kind.NUMBER, show=fixed(4))
+        Column(name, kind=Kind.NUMBER, show=fixed(4), key="" if name in left_out else name)
         for name in ("nominal", *left_out, "calibrated")
     ]
     rows = tuple(
@@ -248,7 +263,13 @@ def station_table(stations: Sequence[StationRecord]) -> Table:
         for station in stations
         for row in _rows_of_station(station, is_left_out=is_left_out, has_unit=not is_in_mm)
     )
-    return Table(f"Mean error at each station{' [mm]' * is_in_mm}", tuple(heads), rows)
+    sources = tuple(
+        f"result.json#/stations/{k}/error/{{}}/{part}/mean_{leading_unit(error).replace('/', '~1')}"
+        for k, station in enumerate(stations)
+        for part, error in station["error"]["calibrated"].items()
+    )
+    title = f"Mean error at each station{' [mm]' * is_in_mm}"
+    return Table(title, tuple(heads), rows, sources=sources)
 
 
 def _rows_of_station(
@@ -461,6 +482,39 @@ def parameter_table(parameters: Sequence[ParameterRow], title: str = "Parameters
     )
 
 
+def rounded_table(parameters: Sequence[ParameterRow], places: Iterable[int]) -> Table:
+    """Return the table of some parameters for a page: values rounded to their standard deviations
+    (JCGM 100, 7.2.6).
+
+    Args:
+        parameters: all parameters, in the order of ``result.json``.
+        places: indices of those in the table.
+    """
+    columns = (
+        Column("parameter", kind=Kind.NAME),
+        Column("nominal", kind=Kind.NUMBER, key="nominal"),
+        Column("value", kind=Kind.NUMBER, key="value sigma"),
+        Column("unit", kind=Kind.LABEL, show=show_unit),
+        Column("status", kind=Kind.STATUS),
+        Column("reason", kind=Kind.REMARK),
+    )
+    chosen = [(k, parameters[k]) for k in places]
+    rows = tuple(
+        (
+            row.name,
+            f"{row.nominal * readable_unit(row.unit).factor:.6g}",
+            show_measured(row.value, row.sigma, readable_unit(row.unit)),
+            row.unit,
+            row.status,
+            str(row.reason),
+        )
+        for _, row in chosen
+    )
+    sources = tuple(f"result.json#/parameters/{k}/{{}}" for k, _ in chosen)
+    tones = tuple(_TONES[row.status] for _, row in chosen)
+    return Table("Parameters", columns, rows, tones=tones, sources=sources)
+
+
 def estimate_table(estimate: Estimate) -> Table:
     """Return the table of nominal value, calibrated value and standard deviation of
     each parameter.
@@ -484,9 +538,13 @@ def _cells(of: ParameterRow | Parameter, *numbers: float | None) -> tuple[Cell, 
 def correlation_table(correlations: Iterable[Mapping[str, Any]]) -> Table:
     """Return the table of strongly correlated parameters."""
     names = tuple(Column(name, kind=Kind.NAME) for name in ("parameter", "with"))
-    columns = (*names, Column("correlation", kind=Kind.NUMBER, show="{:+.3f}".format))
+    columns = (
+        *names,
+        Column("correlation", kind=Kind.NUMBER, show="{:+.3f}".format, key="correlation"),
+    )
     rows = tuple((*pair["parameters"], pair["correlation"]) for pair in correlations)
-    return Table("Strong correlations", columns, rows)
+    sources = tuple(f"result.json#/correlations/{k}/{{}}" for k in range(len(rows)))
+    return Table("Strong correlations", columns, rows, sources=sources)
 
 
 _CHARACTERISTICS = {

@@ -41,6 +41,28 @@ def code(text: object) -> Markup:
     return rich("<code>{}</code>", text)
 
 
+RESULT = "result.json#"
+"""The file of a calibration, before JSON pointers into it."""
+
+
+def sourced(text: str, *pointers: str, times: float = 1.0, over: str = "") -> Markup:
+    """Return text whose numbers are entries of a file beside the page, in the order of the pointers
+    to these (RFC 6901); perhaps multiplied, or over another entry.
+
+    Example:
+        >>> sourced("1.5 mm", "result.json#/error/nominal/test/mean_mm")
+        Markup('<span data-from="result.json#/error/nominal/test/mean_mm">1.5 mm</span>')
+    """
+    factor = rich(' data-times="{:g}"', times) if times != 1.0 else Markup("")
+    below = rich(' data-over="{}"', over) if over else ""
+    return rich('<span data-from="{}"{}{}>{}</span>', " ".join(pointers), factor, below, text)
+
+
+def folded(words: str, *blocks: PageBlock) -> Markup:
+    """Return blocks that are hidden until the reader opens them, under what they are in words."""
+    return rich("<details><summary>{}</summary>\n{}\n</details>", words, merged(blocks, "\n"))
+
+
 def paragraph(text: str, tone: str = "") -> Markup:
     """Return a paragraph; its tone may be "note", "doubt", "mute" or "care"."""
     return rich(f'<p class="{tone}">{{}}</p>' if tone else "<p>{}</p>", text)
@@ -87,7 +109,9 @@ def arranged(kind: str, *blocks: PageBlock) -> Markup:
     return rich(f'<div class="{kind}">\n{{}}\n</div>', merged(blocks, "\n"))
 
 
-def glance(entries: Sequence[tuple[str, tuple[float, float], tuple[str, str]]]) -> Iterator[Markup]:
+def glance(
+    entries: Sequence[tuple[str, tuple[float, float], tuple[str, ...]]],
+) -> Iterator[Markup]:
     """Yield statistics before and after as numbers and as bars of one scale.
 
     Args:
@@ -110,10 +134,11 @@ def glance(entries: Sequence[tuple[str, tuple[float, float], tuple[str, str]]]) 
 
 
 def picture(svg: str, caption: str) -> Markup:
-    """Return a figure with what one sees and how to read it; all text in the drawing is escaped
-    already.
+    """Return a figure with what one sees and how to read it, perhaps nothing; all text in the
+    drawing is escaped already.
     """
-    return rich("<figure>{}<figcaption>{}</figcaption></figure>", Markup(svg), caption)
+    below = rich("<figcaption>{}</figcaption>", caption) if caption else ""
+    return rich("<figure>{}{}</figure>", Markup(svg), below)
 
 
 @dataclass(frozen=True)

@@ -13,15 +13,15 @@ log = logging.getLogger(__name__)
 
 SECTIONS: tuple[Callable[[Subject], Section | None], ...] = (
     sections.summary,
-    sections.setup,
     sections.accuracy,
     sections.stations,
     sections.elsewhere,
     sections.missing,
     sections.where,
-    sections.moments,
     sections.parameters,
     sections.unidentified,
+    sections.moments,
+    sections.setup,
     sections.identity,
     sections.basis,
     sections.glossary,

@@ -124,15 +124,14 @@ def course_drawings(records: Sequence[StationRecord]) -> Iterator[Drawing]:
 
 
 def joint_drawings(evidence: RowErrors) -> Iterator[Drawing]:
-    """Yield the error against the position of each joint."""
+    """Yield the error against the position of each joint; nothing where a curve would have one
+    point.
+    """
+    if not row_figures.has_curve(evidence):
+        return
     for i, name in enumerate(evidence.joint_names):
         title = f"Error against the position of {name}, before and after calibration"
-        low, high = row_figures.median_range(evidence, i)
-        caption = (
-            f"{name}: after calibration the median error varies from {low:.3g} to {high:.3g} "
-            f"{evidence.unit}."
-        )
-        yield row_figures.joint_figure(evidence, i), title, caption
+        yield row_figures.joint_figure(evidence, i), title, ""
 
 
 def workspace_drawings(evidence: RowErrors) -> Iterator[Drawing]:
@@ -182,3 +181,4 @@ def correction_drawings(parameters: Sequence[ParameterRow]) -> Iterator[Drawing]
                 f"Corrections of {what} with their uncertainty",
                 caption,
             )
+            caption = ""

@@ -14,34 +14,39 @@ from msgspec import UNSET
 from pincal.calibration.held_out import StationRows
 from pincal.calibration.result import Result
 from pincal.calibration.result_tables import (
+    ParameterRow,
     clock_table,
     correlation_table,
     error_table,
     improvement_table,
     iso9283_table,
     moved_table,
-    parameter_table,
     repeated_table,
+    rounded_table,
     shown_parameters,
     station_table,
 )
-from pincal.errors import few
+from pincal.errors import counted, few
 from pincal.identify.choices import FoundMoments, found_moments
+from pincal.identify.explain import Status
+from pincal.parameters import FRAME_SYMBOLS, split_name
 from pincal.report.blocks import (
+    RESULT,
     PageBlock,
     Section,
     arranged,
     bullets,
-    card,
     code,
     doubts,
     facts,
+    folded,
     glance,
     heading,
     merged,
     paragraph,
     plain_notes,
     rich,
+    sourced,
 )
 from pincal.report.illustrations import (
     correction_drawings,
@@ -55,12 +60,18 @@ from pincal.report.illustrations import (
 from pincal.report.judgement import judged, next_steps, unidentified_groups
 from pincal.report.report_numbers import REPORT
 from pincal.report.subject import Subject
-from pincal.report.words import TERMS, effect_meaning, elsewhere_words, noise_words
+from pincal.report.words import (
+    TERMS,
+    effect_meaning,
+    elsewhere_words,
+    noise_keys,
+    noise_words,
+)
 from pincal.result_table import Column, Kind, RowTone, Table
 from pincal.robot.robot import Robot
-from pincal.thresholds import Count
+from pincal.thresholds import Count, Scale
 from pincal.units import fixed
-from pincal.validate.accuracy import cycle_words, leading_unit
+from pincal.validate.accuracy import ERROR_UNITS, cycle_words, leading_unit
 from pincal.validate.misfit import Verdict
 from pincal.validate.outcome import StationRecord
 
@@ -72,6 +83,9 @@ REPEATED = Markup(
 )
 """Definition of accuracy and repeatability."""
 
+# Tolerance of the example [mm], and tolerance over U of which a tenth is lost (ISO 14253-2).
+EXAMPLE: Scale = 0.5
+LOST: Scale = 10.0
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 # Number of rejected rows whose lines are listed.
 _LISTED: Count = 12
@@ -79,75 +93,94 @@ _TONES: dict[str, RowTone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "car
 
 
 def summary(subject: Subject) -> Section:
-    """Whether the model is good, what to do next, and the errors at a glance."""
+    """The result in a sentence, what it means for a tolerance, the verdict, and what to do next."""
     result = subject.result
     verdict = judged(subject.result, subject.search)
     tone = _TONES.get(verdict.judgement, "bad")
     tag = rich('<span class="tag {}">{}</span> {}', tone, verdict.judgement, verdict.reason)
     steps = bullets(next_steps(subject.calibration, subject.search))
-    left = arranged(
-        "plain",
+    following = arranged("plain", heading("What to do next"), steps)
+    tolerance = tuple(_worth(subject))
+    columns = (
+        arranged("split", arranged("plain", *tolerance), following) if tolerance else following
+    )
+    blocks = (
         *doubts(result.warnings),
-        paragraph(_headline(subject)),
-        *_elsewhere(subject),
+        paragraph(_headline(subject), "headline"),
         paragraph(tag),
-        *_worth(subject),
+        arranged("glance", *_glance(subject)),
+        columns,
+        paragraph(_stated_by(subject)),
+        *_elsewhere(subject),
         *plain_notes(result.warnings),
     )
-    columns = arranged("split", left, arranged("plain", heading("What to do next"), steps))
-    return Section(
-        "summary", "Summary", (columns, arranged("glance", *_glance(subject))), style="panel"
-    )
+    return Section("summary", "Result", blocks, style="panel")
 
 
 def _headline(subject: Subject) -> Markup:
-    """Return the mean error now and before, and the noise."""
-    result = subject.result
+    """Return the mean error now and before."""
+    errors = subject.result.error
     part = subject.part
-    unit = leading_unit(result.error["calibrated"][part])
-    before, after = (
-        result.error[model][part][f"mean_{unit}"] for model in ("nominal", "calibrated")
-    )
-    rows = (
-        "On set-ups not used by the calibration, each predicted with the model of the others"
-        if result.left_out_mm is not None
-        else _predicted(result)
-        if part == "test"
-        else "No poses were held out, so these are the errors of the fit itself, not of new "
-        "poses: over all poses"
-    )
+    unit = leading_unit(errors["calibrated"][part])
+    key = f"mean_{unit}"
+    before, after = (errors[model][part][key] for model in ("nominal", "calibrated"))
     ratio = before / after if after > 0.0 else 1.0
-    times = f" ({ratio:.1f} times as large)" if ratio >= REPORT.improved else ""
+    at = {model: f"{RESULT}/error/{model}/{part}/{_in_pointer(key)}" for model in errors}
+    shown = (
+        sourced(_size(size, unit), at[model])
+        for model, size in (("calibrated", after), ("nominal", before))
+    )
+    number = sourced(f"{ratio:.1f}", at["nominal"], over=at["calibrated"])
+    times = rich(" ({} times as large)", number) if ratio >= REPORT.improved else ""
+    return rich(
+        "The mean error of the model is <b>{}</b>; before calibration it was <b>{}</b>{}.",
+        *shown,
+        times,
+    )
+
+
+def _stated_by(subject: Subject) -> Markup:
+    """Return at what poses the first errors of the page are, and the noise."""
+    result = subject.result
     noise = (
         "The declared noise of the instrument is"
         if result.noise["source"] == "declared"
         else "The residuals, which contain the noise and all errors that the model omits, have "
         "a standard deviation of"
     )
-    return rich(
-        "{}, the mean error of the model is <b>{}</b>; before calibration it was "
-        "<b>{}</b>{}. {} {}.",
-        *(rows, _size(after, unit), _size(before, unit), times, noise, noise_words(result.noise)),
-    )
+    pointers = (f"{RESULT}/noise/{key}" for key in noise_keys(result.noise))
+    shown = sourced(noise_words(result.noise), *pointers)
+    return rich("{}. {} {}.", _predicted(subject), noise, shown)
 
 
 _APART = {
     "regions": "its region of joint space",
     "stretches": "its stretch of consecutive rows",
     "sessions": "its session",
-    "random": "it",
+    "random": "its random part of the rows",
 }
 
 
-def _predicted(result: Result) -> str:
+def _predicted(subject: Subject) -> Markup:
     """Return at what poses the first errors of the page are."""
+    result = subject.result
+    if result.left_out_mm is not None:
+        return rich(
+            "These are errors on set-ups not used by the calibration, each predicted with the "
+            "model of the others"
+        )
+    if subject.part == "train":
+        return rich(
+            "No poses were held out, so these are the errors of the fit itself, not of new poses"
+        )
+    rows = sourced(str(result.rows["test"]), f"{RESULT}/rows/test")
     validation = result.validation
     if validation is UNSET or validation.way not in _APART:
-        return f"In {result.rows['test']} rows that the calibration has not used"
-    return (
-        f"Where each of {result.rows['test']} rows is predicted by a fit without "
-        f"{_APART[validation.way]}"
-    )
+        return rich("These are errors in {} rows that the calibration has not used", rows)
+    others = len(result.error["calibrated"]) > len(("train", "test", validation.way))
+    worse = ", the way of holding out in which predictions are worse" if others else ""
+    words = "Each of {} rows is predicted by a fit without {}{}"
+    return rich(words, rows, _APART[validation.way], worse)
 
 
 def _elsewhere(subject: Subject) -> Iterator[Markup]:
@@ -155,20 +188,67 @@ def _elsewhere(subject: Subject) -> Iterator[Markup]:
     found = subject.result.elsewhere
     if found is not UNSET:
         words = elsewhere_words(found, subject.result.error["calibrated"][subject.part])
+        pointers = (f"{RESULT}/elsewhere/{name}_mm" for name in ("mean", "worst"))
         meaning = (
             "The model expects this by the uncertainty of its parameters, what it lacks and how "
             "the robot arrives."
         )
-        yield paragraph(rich("Elsewhere: {}. {}", words, meaning))
+        yield paragraph(rich("Elsewhere: {}. {}", sourced(words, *pointers), meaning))
 
 
 def _worth(subject: Subject) -> Iterator[Markup]:
-    """Yield how good predictions are, and what this rests on."""
-    statement = subject.calibration.fit.statement
-    if statement is not None and statement.worth:
-        yield paragraph(
-            rich("The model is {}; this rests on {}.", statement.worth, statement.rests_on)
+    """Yield what the uncertainty means for a tolerance, unless the result is in doubt."""
+    found = subject.result.uncertainty
+    if found is UNSET or subject.result.doubt:
+        return
+    here, anywhere = (f"{RESULT}/uncertainty/{name}_mm" for name in ("here", "anywhere"))
+    yield heading("What this means for a tolerance")
+    errors = subject.result.error["calibrated"][subject.part]
+    items = []
+    if "p95_mm" in errors:
+        within = sourced(
+            _size(errors["p95_mm"], "mm"), f"{RESULT}/error/calibrated/{subject.part}/p95_mm"
         )
+        items.append(
+            rich(
+                "<b>To drill or place</b>: 95 of 100 readings lay within {} of where the model "
+                "predicts, the noise of the instrument included.",
+                within,
+            )
+        )
+    words = (
+        "<b>To measure</b>: U (k = {:.0f}) of a coordinate is {} at these poses, {} anywhere. A "
+        "hole with a tolerance of ± {:g} mm is {} (ISO 14253-1). Only a tenth of the tolerance is "
+        "lost to U from ± {} on."
+    )
+    items.append(
+        rich(
+            words,
+            found.k,
+            sourced(_size(found.here_mm, "mm"), here),
+            sourced(_size(found.anywhere_mm, "mm"), anywhere),
+            EXAMPLE,
+            decided_words(found.here_mm, EXAMPLE),
+            sourced(f"{LOST * found.here_mm:.2g} mm", here, times=LOST),
+        )
+    )
+    yield bullets(items)
+    yield paragraph(rich("This rests on {}.", found.rests_on), "mute")
+
+
+def decided_words(uncertainty: float, tolerance: float) -> str:
+    """Return whether readings of an expanded uncertainty decide on a symmetric tolerance, both in
+    one unit.
+
+    Example:
+        >>> decided_words(0.03, 0.5)
+        'verified, or rejected, unless the reading is nearer than U to a limit'
+        >>> decided_words(0.6, 0.5)
+        'never verified: U is larger'
+    """
+    if uncertainty >= tolerance:
+        return "never verified: U is larger"
+    return "verified, or rejected, unless the reading is nearer than U to a limit"
 
 
 def _size(value: float, unit: str) -> str:
@@ -177,11 +257,12 @@ def _size(value: float, unit: str) -> str:
 
 def _glance(subject: Subject) -> Iterator[Markup]:
     """Yield mean, 95 % and worst error, before and after."""
-    before, after = (
-        subject.result.error[model][subject.part] for model in ("nominal", "calibrated")
-    )
+    part = subject.part
+    before, after = (subject.result.error[model][part] for model in ("nominal", "calibrated"))
+    lead = leading_unit(after)
     in_motion = (("m/s^2", " of acceleration"), ("mrad/s", " of angular rate"))
-    for unit, suffix in (("mm", ""), ("mrad", " of orientation"), *in_motion):
+    others = (("mrad", " of orientation"),) if lead == "mm" else in_motion[1:]
+    for unit, suffix in ((lead, dict(in_motion).get(lead, "")), *others):
         keys = {
             f"{words} error{suffix}": f"{name}_{unit}"
             for name, words in _STATISTICS
@@ -192,11 +273,27 @@ def _glance(subject: Subject) -> Iterator[Markup]:
                 (
                     title,
                     (before[key], after[key]),
-                    (_size(before[key], "").rstrip(), _size(after[key], unit)),
+                    tuple(
+                        sourced(words, f"{RESULT}/error/{model}/{part}/{_in_pointer(key)}")
+                        for model, words in (
+                            ("nominal", _size(before[key], "").rstrip()),
+                            ("calibrated", _size(after[key], unit)),
+                        )
+                    ),
                 )
                 for title, key in keys.items()
             ]
         )
+
+
+def _in_pointer(key: str) -> str:
+    """Return a key as a JSON pointer has it (RFC 6901).
+
+    Example:
+        >>> _in_pointer("mean_m/s^2")
+        'mean_m~1s^2'
+    """
+    return key.replace("~", "~0").replace("/", "~1")
 
 
 def setup(subject: Subject) -> Section:
@@ -205,7 +302,6 @@ def setup(subject: Subject) -> Section:
     result = subject.result
     robot = subject.calibration.robot
     effects = dict.fromkeys(effect.name for effect in calibration.fit.options.effects)
-    p_value = "" if result.chi2_p_value is None else f" (p {result.chi2_p_value:.2g})"
     items = (
         ("robot", _arm(robot)),
         ("joints", merged(map(code, robot.joint_names), ", ")),
@@ -216,13 +312,25 @@ def setup(subject: Subject) -> Section:
         ),
         (
             "fit",
-            f"{result.iterations} iterations, {result.seconds:.2f} s in all; {result.rank} "
-            f"combinations of parameters determined, condition number {result.condition:.2g}; "
-            f"reduced chi-square {result.chi2_reduced:.3f}{p_value}",
+            _fit_words(result),
         ),
         ("3D view", _view(subject)),
     )
     return Section("subject", "Robot, data and model", (facts(items),))
+
+
+def _fit_words(result: Result) -> Markup:
+    """Return how the fit went."""
+    names = ["iterations", "seconds", "rank", "condition", "chi2_reduced"]
+    words = (
+        f"{result.iterations} iterations, {result.seconds:.2f} s in all; {result.rank} "
+        f"combinations of parameters determined, condition number {result.condition:.2g}; "
+        f"reduced chi-square {result.chi2_reduced:.3f}"
+    )
+    if result.chi2_p_value is not None:
+        names.append("chi2_p_value")
+        words += f" (p {result.chi2_p_value:.2g})"
+    return sourced(words, *(f"{RESULT}/{name}" for name in names))
 
 
 def _arm(robot: Robot) -> Markup:
@@ -302,6 +410,7 @@ def accuracy(subject: Subject) -> Section:
             "its prediction. "
             "Most of it is vibration of the arm and noise, which no calibration improves."
         )
+    leading = (leading_unit(result.error["calibrated"]["train"]),)
     blocks: list[PageBlock] = [paragraph(intro)]
     if not result.rows["test"]:
         text = (
@@ -312,11 +421,21 @@ def accuracy(subject: Subject) -> Section:
     if result.clocks is not UNSET:
         blocks += [heading("Clocks", "clocks"), paragraph(_CLOCKS), clock_table(result.clocks)]
     blocks += [
-        error_table(result.error),
-        figures("accuracy", error_drawings(subject.readings)),
+        error_table(result.error, only=leading),
+        figures("accuracy", error_drawings(subject.readings[:1])),
+        *_other_readings(subject, [unit for unit in ERROR_UNITS if unit not in leading]),
         *_replicates(result),
     ]
     return Section("accuracy", "Before and after", tuple(blocks), "Accuracy")
+
+
+def _other_readings(subject: Subject, units: Sequence[str]) -> Iterator[PageBlock]:
+    """Yield the errors of readings that are not the first ones, folded; their units are given."""
+    table = error_table(subject.result.error, only=units)
+    if len(table):
+        names = dict.fromkeys(evidence.name.replace("_", " ") for evidence in subject.readings[1:])
+        drawn = figures("other", error_drawings(subject.readings[1:]))
+        yield folded(f"Errors of {' and '.join(names) or 'other readings'}", table, drawn)
 
 
 def _replicates(result: Result) -> list[PageBlock]:
@@ -359,7 +478,7 @@ def stations(subject: Subject) -> Section | None:
             " Left out: errors of the model of the other stations, with only the placement of this "
             "one fitted. This is the accuracy to expect on another day."
         )
-    shown = [_mean_error(record, subject.part) for record in records]
+    shown = [_mean_error(k, record, subject.part) for k, record in enumerate(records)]
     blocks: list[PageBlock] = [
         paragraph(text),
         arranged("glance", *glance(shown)),
@@ -376,19 +495,24 @@ def stations(subject: Subject) -> Section | None:
 
 
 def _mean_error(
-    record: Mapping[str, Any], part: str
+    k: int, record: Mapping[str, Any], part: str
 ) -> tuple[str, tuple[float, float], tuple[str, str]]:
-    """Return what is shown of a station: its name, the errors before and after, and both in
+    """Return what is shown of the k-th station: its name, the errors before and after, and both in
     words.
     """
-    nominal, calibrated = (
-        by_part.get(part, by_part["train"]) for by_part in record["error"].values()
-    )
+    part = part if part in record["error"]["calibrated"] else "train"
+    nominal, calibrated = (by_part[part] for by_part in record["error"].values())
     # A station that was left out is predicted with the model of the others.
     unit = leading_unit(calibrated)
     before = nominal[f"mean_{unit}"]
     after = record.get("left_out", calibrated)[f"mean_{unit}"]
-    words = (f"{before:.3f}", f"{after:.4f} {unit}")
+    key = _in_pointer(f"mean_{unit}")
+    at = f"{RESULT}/stations/{k}"
+    found = "left_out" if "left_out" in record else f"error/calibrated/{part}"
+    words = (
+        sourced(f"{before:.3f}", f"{at}/error/nominal/{part}/{key}"),
+        sourced(f"{after:.4f} {unit}", f"{at}/{found}/{key}"),
+    )
     return f"{record['name']}: mean error", (before, after), words
 
 
@@ -447,15 +571,20 @@ def where(subject: Subject) -> Section:
     )
     line = "" if is_timed else " No times were recorded, so the line of the table is used instead."
     residual = rich("A <b>residual</b> is the measured minus the predicted value.{}", line)
+    drawn = [*joint_drawings(first)]
+    few_poses = f"{len(first.line)} poses are too few to draw the error by joint position."
+    joints = (
+        (paragraph(rich("{}{}", by_joint, key)), figures("joint", drawn))
+        if drawn
+        else (paragraph(few_poses, "mute"),)
+    )
+    # What a search has found says it more briefly.
+    is_told = subject.search is not None
     blocks = (
-        *(
-            heading("By joint position"),
-            paragraph(rich("{}{}", by_joint, key)),
-            figures("joint", joint_drawings(first)),
-        ),
-        *(heading("Over the workspace"), figures("workspace", workspace_drawings(first))),
-        *(
-            heading("In the order of measurement"),
+        *((folded("By joint position", *joints),) if is_told else joints),
+        folded("Over the workspace", figures("workspace", workspace_drawings(first))),
+        folded(
+            "In the order of measurement",
             paragraph(residual),
             figures("order", order_drawings(first)),
         ),
@@ -516,48 +645,77 @@ def moment_table(found: FoundMoments, where: str) -> Table:
 def parameters(subject: Subject) -> Section:
     """Every parameter with its uncertainty, and the strong correlations."""
     result = subject.result
-    intro = rich(
+    symbols = rich(
         "Symbols follow Denavit and Hartenberg: theta and d are about and along the joint axis, a "
         "and alpha along and about the link; s_x and s_y tilt the axis; x, y, z and rx, ry, rz are "
         "position and rotation of base and tool. k is a <b>compliance</b>, the rotation of a joint "
-        "or bearing per unit of moment. Sigma is the standard deviation. Status: "
+        "or bearing per unit of moment. Behind ± is the standard deviation, to which values are "
+        "rounded. Status: "
         "<b>identified</b>: determined by the data; <b>prior</b>: dominated by prior knowledge; "
         "<b>unidentifiable</b>: these poses cannot determine it by itself, whatever the noise; "
         "predictions at poses like these do not depend on it."
     )
     blocks: list[PageBlock] = [
-        paragraph(intro),
         figures("correction", correction_drawings(result.parameters)),
+        folded("What the symbols mean", paragraph(symbols)),
+        *_parameter_tables(result.parameters),
     ]
-    blocks += [parameter_table(result.parameters), heading("Strong correlations")]
     if result.correlations:
         text = (
             "Each of these pairs is known much better in combination than individually: an error "
             "of one is compensated by the other. Always use both together."
         )
-        blocks += [paragraph(text), correlation_table(result.correlations)]
+        pairs = counted(len(result.correlations), "strong correlation")
+        blocks.append(folded(pairs, paragraph(text), correlation_table(result.correlations)))
     else:
-        blocks.append(paragraph("No two identified parameters have a correlation above 0.9."))
+        blocks.append(
+            paragraph("Strong correlations: none above 0.9 between identified parameters.", "mute")
+        )
     return Section("parameters", "Parameters", tuple(blocks), "Parameters")
+
+
+def _parameter_tables(parameters: Sequence[ParameterRow]) -> Iterator[PageBlock]:
+    """Yield the tables of what was determined of the robot, of what was not, and of the placement
+    of instrument and target.
+    """
+    shown = {id(row) for row in shown_parameters(parameters)}
+    parts: dict[str, list[int]] = {"identified": [], "others": [], "placement": []}
+    for k, row in enumerate(parameters):
+        if id(row) in shown:
+            parts[_part_of(row)].append(k)
+    if parts["identified"]:
+        yield rounded_table(parameters, parts["identified"]).without("status", "reason")
+    if parts["others"]:
+        words = f"{counted(len(parts['others']), 'parameter')} not determined individually"
+        yield folded(words, rounded_table(parameters, parts["others"]))
+    if parts["placement"]:
+        table = rounded_table(parameters, parts["placement"]).without("nominal")
+        yield folded("Base and tool: where instrument and target stand", table)
+    if hidden := len(parameters) - len(shown):
+        yield paragraph(
+            f"The coordinates of {hidden // 3} named points are omitted here; result.json has them."
+        )
+
+
+def _part_of(row: ParameterRow) -> str:
+    if split_name(row.name)[1] in FRAME_SYMBOLS:
+        return "placement"
+    return "identified" if row.status == Status.IDENTIFIED else "others"
 
 
 def unidentified(subject: Subject) -> Section:
     """Parameters that are not identified, by cause, with what to measure."""
-    cards = [
-        card(
-            found.advice.title,
+    groups = [
+        folded(
+            f"{found.advice.title}: {len(found.names)}",
             paragraph(found.advice.text),
-            paragraph(
-                rich("{}: {}", len(found.names), merged(map(code, found.names), ", ")), "mute"
-            ),
+            paragraph(merged(map(code, found.names), ", "), "mute"),
         )
         for found in unidentified_groups(shown_parameters(subject.result.parameters))
     ]
-    blocks: list[PageBlock] = [
-        arranged("cards", *cards) if cards else paragraph("All parameters are identified.")
-    ]
+    blocks: list[PageBlock] = [*groups] or [paragraph("All parameters are identified.")]
     if subject.notes:
-        blocks += [heading("Not included in the calibrated URDF"), bullets(subject.notes)]
+        blocks.append(folded("Not included in the calibrated URDF", bullets(subject.notes)))
     title = "What is not identifiable, and what to measure"
     return Section("unidentified", title, tuple(blocks), "Not identifiable")
 
@@ -578,9 +736,11 @@ def basis(subject: Subject) -> Section:
         (f"input {name}", rich("SHA-256 {}", code(value)))
         for name, value in subject.provenance["inputs"].items()
     ]
-    return Section("basis", "Provenance", (facts(items),), "Provenance")
+    words = "Versions, command and inputs"
+    return Section("basis", "Provenance", (folded(words, facts(items)),), "Provenance")
 
 
 def glossary(subject: Subject) -> Section:
     """The terms of the page."""
-    return Section("glossary", "Glossary", (facts(TERMS),), "Glossary")
+    words = f"{len(TERMS)} terms of this page"
+    return Section("glossary", "Glossary", (folded(words, facts(TERMS)),), "Glossary")

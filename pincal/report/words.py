@@ -90,6 +90,17 @@ def effect_meaning(name: str) -> str:
     return meaning_of(name) or _OTHER.get(name, "an effect of your own")
 
 
+def noise_keys(noise: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the entries of a noise of which :func:`noise_words` tells.
+
+    Example:
+        >>> noise_keys({"sigma_m_s2": 0.01, "sigma_rad_s": 1e-3})
+        ('sigma_m_s2', 'sigma_rad_s')
+    """
+    places = [key for key in ("sigma_px", "sigma_m") if key in noise]
+    return tuple(places[:1]) or tuple(k for k in ("sigma_m_s2", "sigma_rad_s") if k in noise)
+
+
 def noise_words(noise: Mapping[str, Any]) -> str:
     """Return the noise of the first block of readings in words, from its ``sigma_m`` or
     ``sigma_px``.

@@ -41,6 +41,12 @@ def stability_drawings(findings: Findings) -> Iterator[Drawing]:
 
 def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
     """Yield the error step by step, and the residuals without and with each effect."""
+    yield from gap_drawings(discovery)
+    yield from effect_drawings(discovery)
+
+
+def gap_drawings(discovery: Discovery) -> Iterator[Drawing]:
+    """Yield the error step by step."""
     gaps = discovery.gaps
     sizes = {name: [getattr(gap, f"{name}_mm") for gap in gaps] for name in ("mean", "rms", "max")}
     caption = (
@@ -49,6 +55,10 @@ def discovery_drawings(discovery: Discovery) -> Iterator[Drawing]:
     )
     figure = shrinking_figure([gap.name for gap in gaps], sizes, discovery.findings.noise_floor_mm)
     yield figure, "Error on held-out rows after each step", caption
+
+
+def effect_drawings(discovery: Discovery) -> Iterator[Drawing]:
+    """Yield the residuals without and with each effect."""
     for trace in discovery.traces:
         yield from _drawings_of(trace)
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
 from markupsafe import Markup
 
 from pincal.discover.discovery_file import Findings, FoundEffect, FoundParameter, ScatteringJoint
-from pincal.discover.report.found_drawings import discovery_drawings, stability_drawings
-from pincal.discover.report.found_tables import by_reason, location_table, stage_table
+from pincal.discover.report.found_drawings import (
+    effect_drawings,
+    gap_drawings,
+    stability_drawings,
+)
+from pincal.discover.report.found_tables import by_reason, stage_table
 from pincal.discover.report.found_words import (
     HINTS,
     bootstrap_words,
@@ -26,18 +29,24 @@ from pincal.report.blocks import (
     bullets,
     card,
     code,
+    folded,
     heading,
     merged,
     paragraph,
     rich,
+    sourced,
 )
 from pincal.report.illustrations import figures
 from pincal.report.words import effect_meaning
 from pincal.thresholds import Count
-from pincal.units import format_digits, show_chance, small_unit
+from pincal.units import format_digits, show_chance, show_measured, show_percent, small_unit
 
 # An effect with more parameters than this is a curve; its numbers are in discovery.json.
 _FEW: Count = 4
+
+
+FOUND = "discovery.json#"
+"""The file of a search, before JSON pointers into it."""
 
 
 def found_section(discovery: Discovery) -> Section:
@@ -50,23 +59,25 @@ def found_section(discovery: Discovery) -> Section:
         *_named(found),
         *(paragraph(_scattering(entry), "note") for entry in found.scatter),
         heading("How the error decreased"),
-        figures("search", discovery_drawings(discovery)),
+        figures("search", gap_drawings(discovery)),
+        *_pose_by_pose(discovery),
     ]
     text = (
         "Each row starts from the one above; removed effects have their own rows. The shares are "
         "parts of the total reduction of the mean square error, in this order, and add up to 100 "
         "%; where the error grew they are negative."
     )
-    blocks += [stage_table(found.noise_floor_mm, discovery.gaps), paragraph(text, "mute")]
+    table = stage_table(found.noise_floor_mm, discovery.gaps).without("rms over noise")
+    blocks.append(folded("Errors after each change of the model", table, paragraph(text, "mute")))
     n_joints = len(discovery.calibration.fit.problem.chain.robot.joint_names)
     untestable = by_reason(((e.effect, e.joint, e.reason) for e in found.not_testable), n_joints)
     if untestable:
         items = (rich("<b>{}</b>: {}", names, reason) for reason, names in untestable.items())
-        blocks += [heading("What could not be tested"), bullets(items)]
+        blocks.append(folded("What could not be tested", bullets(items)))
     return Section("missing", "What was missing", tuple(blocks), "What was missing")
 
 
-def _of_the_search(discovery: Discovery) -> str:
+def _of_the_search(discovery: Discovery) -> Markup:
     """Return how a search works, and the noise at which it stopped."""
     found = discovery.findings
     is_declared = discovery.calibration.fit.fit.is_declared
@@ -75,12 +86,16 @@ def _of_the_search(discovery: Discovery) -> str:
         if is_declared
         else "The noise, estimated from the residuals of the fitted poses,"
     )
-    beyond = f"; {found.unexplained_mm:.4f} mm rms remain beyond it" if is_declared else ""
-    return (
+    floor = sourced(f"{found.noise_floor_mm:.4f} mm", f"{FOUND}/noise_floor_mm")
+    left = sourced(f"{found.unexplained_mm:.4f} mm", f"{FOUND}/unexplained_mm")
+    return rich(
         "The search starts from a simple model, locates where model and data disagree, names the "
         "effect that explains most, adds it, refits the whole model, and stops when only noise is "
-        f"left. {noise} amounts to {found.noise_floor_mm:.4f} mm rms{beyond}. A named effect fits "
-        "the data; this does not prove it to be the cause."
+        "left. {} amounts to {} rms{}. A named effect fits the data; this does not prove it to be "
+        "the cause.",
+        noise,
+        floor,
+        rich("; {} rms remain beyond it", left) if is_declared else "",
     )
 
 
@@ -94,11 +109,23 @@ def _located(found: Findings) -> list[PageBlock]:
         "one, in sequence, so that nothing is counted twice. Regions show the same error by "
         "location."
     )
-    return [
-        heading("Where model and data disagreed"),
-        location_table(found.where),
-        paragraph(text, "mute"),
-    ]
+    places = (
+        rich(
+            "<b>{}</b>, {}: {}",
+            place.joint or place.region,
+            sourced(show_percent(place.share), f"{FOUND}/where/{k}/share"),
+            place.statement,
+        )
+        for k, place in enumerate(found.where)
+    )
+    return [folded("Where model and data disagreed", bullets(places), paragraph(text, "mute"))]
+
+
+def _pose_by_pose(discovery: Discovery) -> Iterator[Markup]:
+    """Yield the figures of the effects, if there are any."""
+    if drawings := [*effect_drawings(discovery)]:
+        words = "Each effect, pose by pose: without it and with it"
+        yield folded(words, figures("effect", drawings))
 
 
 def _scattering(entry: ScatteringJoint) -> str:
@@ -112,7 +139,7 @@ def _scattering(entry: ScatteringJoint) -> str:
 def _named(found: Findings) -> Iterator[PageBlock]:
     """Yield the effects, hints separately, and in how many subsamples each is found."""
     sure, hints = (
-        tuple(_card(entry) for entry in found.effects if entry.is_hint == is_hint)
+        tuple(_card(k, entry) for k, entry in enumerate(found.effects) if entry.is_hint == is_hint)
         for is_hint in (False, True)
     )
     if sure or not hints:
@@ -130,21 +157,27 @@ def _named(found: Findings) -> Iterator[PageBlock]:
         yield figures("stability", drawings)
 
 
-def _card(entry: FoundEffect) -> Markup:
-    """Return a card of an effect with its parameters, the change of the error, and the
+def _card(k: int, entry: FoundEffect) -> Markup:
+    """Return a card of the k-th effect with its parameters, the change of the error, and the
     alternatives.
     """
     values = entry.parameters
+    at = f"{FOUND}/effects/{k}"
     shown = merged(
         (
-            rich('{} = <span class="nw">{}</span>', code(name), _measured(p))
+            rich(
+                '{} = <span class="nw">{}</span>',
+                code(name),
+                _measured(p, f"{at}/parameters/{name}"),
+            )
             for name, p in values.items()
         ),
         "<br>",
     )
     explained = rich(
         'mean held-out error {}; p-value: <span class="nw">{}</span>',
-        *(gain_words(entry), show_chance(entry.p_value)),
+        sourced(gain_words(entry), *_gain_pointers(at, entry)),
+        sourced(show_chance(entry.p_value), f"{at}/p_value"),
     )
     often = f" The search names it {entry.stability} subsamples." if entry.stability else ""
     blocks = [
@@ -165,10 +198,16 @@ def _card(entry: FoundEffect) -> Markup:
     return card(effect_words(entry), *blocks)
 
 
-def _measured(p: FoundParameter) -> str:
+def _gain_pointers(at: str, entry: FoundEffect) -> list[str]:
+    """Return the pointers to the numbers of :func:`gain_words`."""
+    units = ("mm",) if entry.gap_before_mrad is None else ("mm", "mrad")
+    return [f"{at}/gap_{when}_{unit}" for unit in units for when in ("before", "after")]
+
+
+def _measured(p: FoundParameter, at: str) -> Markup:
     """Return a value with its standard deviation to two digits, in a readable unit."""
-    factor, name = small_unit(p.unit)
+    unit = small_unit(p.unit)
     if not p.sigma:
-        return f"{format_digits(p.value * factor)} {name}"
-    places = max(0, 1 - int(np.floor(np.log10(p.sigma * factor))))
-    return f"{p.value * factor:z.{places}f} ± {p.sigma * factor:.{places}f} {name}"
+        return sourced(f"{format_digits(p.value * unit.factor)} {unit.name}", f"{at}/value")
+    words = show_measured(p.value, p.sigma, unit)
+    return sourced(f"{words} {unit.name}", f"{at}/value", f"{at}/sigma")

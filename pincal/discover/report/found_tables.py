@@ -20,11 +20,16 @@ def location_table(where: Sequence[Disagreement]) -> Table:
     """
     columns = (
         Column("where", kind=Kind.NAME),
-        Column("share of the residual", kind=Kind.NUMBER, show=show_percent),
+        Column("share of the residual", kind=Kind.NUMBER, show=show_percent, key="share"),
         Column("observation", kind=Kind.TEXT),
     )
     rows = tuple((place.joint or place.region, place.share, place.statement) for place in where)
-    return Table("Where model and data disagreed before effects were added", columns, rows)
+    return Table(
+        "Where model and data disagreed before effects were added",
+        columns,
+        rows,
+        sources=tuple(f"discovery.json#/where/{k}/{{}}" for k in range(len(rows))),
+    )
 
 
 def effect_table(effects: Sequence[FoundEffect], title: str = "Effects found") -> Table:
@@ -77,9 +82,12 @@ def stage_table(floor: float, stages: Sequence[Stage]) -> Table:
     turned = ("mean", "rms") if stages and stages[0].mean_mrad is not None else ()
     columns = (
         Column("model", kind=Kind.NAME),
-        *(Column(name, "mm", Kind.NUMBER, fixed(4)) for name in ("mean", "rms", "max")),
-        *(Column(name, "mrad", Kind.NUMBER, fixed(4)) for name in turned),
-        Column("share of the reduction", kind=Kind.NUMBER, show=show_percent),
+        *(
+            Column(name, unit, Kind.NUMBER, fixed(4), f"{name}_{unit}")
+            for unit, names in (("mm", ("mean", "rms", "max")), ("mrad", turned))
+            for name in names
+        ),
+        Column("share of the reduction", kind=Kind.NUMBER, show=show_percent, key="share"),
         Column("rms over noise", kind=Kind.NUMBER, show=fixed(2)),
     )
     rows: list[tuple[Cell, ...]] = [
@@ -95,7 +103,12 @@ def stage_table(floor: float, stages: Sequence[Stage]) -> Table:
     rows.append(("noise alone", "", floor, "", *("" for _ in turned), None, 1.0))
     tones: list[RowTone] = ["" for _ in stages]
     return Table(
-        "Errors on held-out rows after each change", columns, tuple(rows), tones=(*tones, "mute")
+        "Errors on held-out rows after each change",
+        columns,
+        tuple(rows),
+        tones=(*tones, "mute"),
+        # Of the last row only the noise is an entry of its own.
+        sources=(*(f"discovery.json#/chain/{k}/{{}}" for k in range(len(stages))), ""),
     )
 
 

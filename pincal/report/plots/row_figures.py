@@ -75,8 +75,7 @@ def histogram_figure(evidence: RowErrors, *, held: bool = True) -> Figure:
         sizes = evidence.sizes(which)[rows]
         share = 100.0 * np.histogram(np.clip(sizes, low, high), edges)[0] / len(sizes)
         axes.stairs(share, edges, fill=True, color=colour, alpha=0.35)
-        label = f"{which}: mean {sizes.mean():.3g} {evidence.unit}"
-        axes.stairs(share, edges, color=colour, linewidth=1.3, label=label)
+        axes.stairs(share, edges, color=colour, linewidth=1.3, label=which)
     axes.set_ylim(0.0, 1.25 * axes.get_ylim()[1])
     dress(
         axes,
@@ -140,7 +139,7 @@ def joint_figure(evidence: RowErrors, joint: int) -> Figure:
     if not evidence.is_prismatic[joint]:
         x = np.degrees(x)
         unit = "deg"
-    figure, axes = panel(3.0)
+    figure, axes = panel(2.4)
     low, _ = _error_axis(axes, "y", evidence)
     for which, colour in _MODELS:
         centres, least, middle, most = _band(x, np.maximum(evidence.sizes(which), low))
@@ -155,19 +154,20 @@ def joint_figure(evidence: RowErrors, joint: int) -> Figure:
     return figure
 
 
-def median_range(evidence: RowErrors, joint: int) -> tuple[float, float]:
-    """Return the smallest and the largest median that :func:`joint_figure` draws after
-    calibration.
-    """
-    middle = _band(evidence.q[:, joint], evidence.sizes("after"))[2]
-    return float(np.nanmin(middle)), float(np.nanmax(middle))
+def has_curve(evidence: RowErrors) -> bool:
+    """Return whether there are rows enough for more than one point of a curve."""
+    return _bins_of(len(evidence.line)) > 1
+
+
+def _bins_of(rows: int) -> int:
+    return int(np.clip(rows // _FEWEST, 1, _BINS))
 
 
 def _band(x: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return centres, 5 %, median and 95 % in bins of equal width; NaN where there are too few
     rows.
     """
-    count = int(np.clip(len(x) // _FEWEST, 1, _BINS))
+    count = _bins_of(len(x))
     edges = np.linspace(x.min(), x.max(), count + 1)
     place = np.clip(np.digitize(x, edges) - 1, 0, count - 1)
     found = np.full((3, count), np.nan)

@@ -48,6 +48,10 @@ _TOP: Scale = 0.36
 # Height of a row of a figure with a name per row, and width of a letter of a name [in].
 ROW: Scale = 0.22
 LETTER: Scale = 0.082
+# Height that a tick of an upright axis needs [in]; ratio of the ends of an axis beyond which its
+# ticks are powers of ten.
+_PER_TICK: Scale = 0.21
+_MOST_DECADES: Scale = 1500.0
 # Letters of a name that fit a figure.
 _LONGEST: Count = 34
 
@@ -115,13 +119,17 @@ def drawable(text: str, longest: int = _LONGEST) -> str:
 
 
 def log_axis(axes: Axes, which: Literal["x", "y"], low: float, high: float) -> None:
-    """Make an axis logarithmic from ``low`` to ``high`` with ticks at 1, 2, 5, written as plain
-    numbers.
+    """Make an axis logarithmic from ``low`` to ``high`` with ticks at 1, 2, 5, or at powers of ten
+    where that is too many, written as plain numbers.
     """
-    steps = (1.0, 2.0, 5.0) if high < 1500.0 * low else (1.0,)
     decades = 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
-    ticks = np.array([step * decade for decade in decades for step in steps])
-    ticks = ticks[(ticks >= low * 0.999) & (ticks <= high * 1.001)]
+    tall = axes.bbox.height / axes.figure.dpi
+    room = tall / _PER_TICK if which == "y" else np.inf
+    for steps in ((1.0, 2.0, 5.0), (1.0,)):
+        ticks = np.array([step * decade for decade in decades for step in steps])
+        ticks = ticks[(ticks >= low * 0.999) & (ticks <= high * 1.001)]
+        if len(ticks) <= room and high < _MOST_DECADES * low:
+            break
     axes.set(**{f"{which}scale": "log", f"{which}lim": (low, high)})
     axis: Axis = axes.xaxis if which == "x" else axes.yaxis
     axis.set_major_locator(FixedLocator(ticks.tolist()))

@@ -1,0 +1,126 @@
+"""Every number of a report is an entry of the files beside it, and the words around it are true of that entry."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from page_numbers import PageNumbers, disagreements, numbers_without_source
+from report_cases import NOISE, ORIGIN, discovered, kuka_run, measured
+
+from pincal import ELASTIC, GEOMETRIC, Options, Robot, run_calibration
+from pincal.builtin import kuka_urdf_path
+from pincal.calibration.calibration import Calibration
+from pincal.discover.report.search_answer import SearchAnswer
+from pincal.report.html import report_page
+from pincal.report.judgement import judged
+from pincal.report.subject import Subject, evidence_of
+
+# Constants of the page: the tolerance of the example, the norms, limits that a text names.
+CONSTANTS = "ISO 9283, ISO 14253-1, tolerance of ± 0.5 mm, above 0.9"
+
+
+@pytest.fixture(autouse=True)
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave drawings away: these are told in words."""
+    monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")
+
+
+@pytest.fixture(scope="module")
+def runs(kuka: Robot) -> dict[str, Calibration]:
+    """Return calibrations whose errors are stated in different ways."""
+    table = measured(kuka, kuka_urdf_path(), 110)
+    options = Options(effects=GEOMETRIC, sigma=NOISE)
+    return {
+        "folds": run_calibration(kuka, table, options),
+        "held out": run_calibration(kuka, table, options, test_fraction=0.3),
+        "fitted": run_calibration(kuka, table.select(np.arange(60)), options, split="random"),
+        "elastic": run_calibration(kuka, table, Options(effects=ELASTIC)),
+        "poses": kuka_run(kuka, 90, kind="pose"),
+        "stations": run_calibration(
+            kuka, {"a": table.select(np.arange(55)), "b": table.select(np.arange(55, 110))}, options
+        ),
+    }
+
+
+def checked(subject: Subject, files: dict[str, Any]) -> PageNumbers:
+    """Return the numbers of a page, all of which are entries of its files."""
+    page = PageNumbers(report_page(subject))
+    files = json.loads(json.dumps(files))
+    said = json.dumps(files, ensure_ascii=False) + str(judged(subject.result, subject.search).reason) + CONSTANTS
+    assert [*disagreements(page, files)] == []
+    assert numbers_without_source(page, said) == []
+    return page
+
+
+@pytest.mark.parametrize("name", ["folds", "held out", "fitted", "elastic", "poses", "stations"])
+def test_every_number_of_a_calibration_is_in_its_result(runs: dict[str, Calibration], name: str) -> None:
+    """To the digits that are shown, in the unit that is shown; at least as many as there are parameters."""
+    run = runs[name]
+    page = checked(Subject(run, ORIGIN), {"result.json": run.result.to_dict()})
+
+    assert len(page.shown) > len(run.result.parameters)
+
+
+def test_every_number_of_a_search_is_in_its_result() -> None:
+    """Those of the calibration in result.json, those of what was found in discovery.json."""
+    found = discovered()
+    files = {"result.json": found.calibration.result.to_dict(), "discovery.json": found.report}
+    page = checked(Subject(found.calibration, ORIGIN, search=SearchAnswer(found)), files)
+
+    assert any(pointer.startswith("discovery.json#/effects/0/") for of in page.shown for pointer in of.pointers)
+
+
+def test_a_wrong_number_is_noticed(runs: dict[str, Calibration]) -> None:
+    """One more in the last digit that is shown."""
+    run = runs["folds"]
+    text = report_page(Subject(run, ORIGIN))
+    mean = f"{run.result.error['calibrated']['test']['mean_mm']:.4f}"
+    wrong = f"{float(mean) + 1e-4:.4f}"
+    page = PageNumbers(text.replace(f">{mean} mm<", f">{wrong} mm<", 1))
+
+    assert len([*disagreements(page, {"result.json": run.result.to_dict()})]) == 1
+
+
+def test_before_and_after_are_stated_at_the_same_rows(runs: dict[str, Calibration]) -> None:
+    """The way in which the calibrated model predicts worse is that of the nominal one, too."""
+    for name in ("folds", "stations", "elastic"):
+        result = runs[name].result
+        way = result.validation.way  # type: ignore[union-attr]
+        for model, by_part in result.error.items():
+            assert by_part["test"] == by_part[way], (name, model)
+        calibrated = result.error["calibrated"]
+        assert calibrated["test"]["mean_mm"] == max(calibrated[part]["mean_mm"] for part in ("regions", "stretches"))
+
+
+@pytest.mark.parametrize("name", ["folds", "held out"])
+def test_the_first_sentence_is_of_the_rows_that_are_drawn(runs: dict[str, Calibration], name: str) -> None:
+    """The mean of the sizes of the errors that the histogram beside it shows; counted one by one."""
+    run = runs[name]
+    (evidence,) = evidence_of(run)
+    rows = evidence.part(held=True) & ~evidence.is_outlier
+    for which, model in (("before", "nominal"), ("after", "calibrated")):
+        error = run.result.error[model]["test"]["mean_mm"]
+        assert evidence.sizes(which)[rows].mean() == pytest.approx(error, rel=1e-9)  # type: ignore[arg-type]
+    assert rows.sum() == run.result.rows["test"]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("folds", "is predicted by a fit without its (region of joint space|stretch of consecutive rows)"),
+        ("held out", "errors in [0-9]+ rows that the calibration has not used"),
+    ],
+)
+def test_the_way_of_holding_out_is_named(runs: dict[str, Calibration], name: str, words: str) -> None:
+    """By the way that result.json has."""
+    run = runs[name]
+    page = " ".join(re.sub("<[^>]*>", "", report_page(Subject(run, ORIGIN)).partition("</style>")[2]).split())
+
+    assert re.search(words, page)
+    if name == "folds":
+        (way,) = (way for way in ("regions", "stretches") if way == run.result.validation.way)  # type: ignore[union-attr]
+        assert f"a fit without its {way[:-1] if way == 'regions' else 'stretch'}" in page
