@@ -15,6 +15,7 @@ from pincal.identify.jacobian import Jacobian, SharedColumns
 from pincal.identify.posterior import Posterior
 from pincal.identify.problem import extended
 from pincal.identify.quadratic import Form
+from pincal.identify.whitening import Serial
 from pincal.model.catalogue.drives import GearEccentricity
 from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.catalogue.unnamed import Unnamed
@@ -171,11 +172,16 @@ def test_tests_without_an_effect_follow_from_those_with_it(blocks: int) -> None:
     assert found.score([0], 1).gain == pytest.approx(direct.score([0], 1).gain, rel=0.01)
 
 
-def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_for() -> None:
+@pytest.mark.parametrize("phi", [None, 0.9], ids=["independent rows", "correlated rows, some columns at once"])
+def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_for(
+    phi: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Those of dense columns, of curves in the model and beside it, of effects that share a coordinate, and of others.
 
     A candidate that the model takes in keeps them, and moves the rows as before.
     """
+    monkeypatch.setattr("pincal.discover.score_tests._MOST_NUMBERS", 30 * 270)
+    monkeypatch.setattr("pincal.identify.station._MOST_NUMBERS", 7 * 270)
     rng = np.random.default_rng(6)
     q = ROBOT.random_configurations(90, rng)
     tips = ROBOT.forward_kinematics(q + 1e-3 * np.sin(q))
@@ -186,11 +192,15 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
     waves = [Unnamed(f"joint_{1 + i}", "drive", "joint_2", "waves", order=order) for order in (1, 2, 3) for i in (0, 2)]
     tilted = Unnamed("joint_4", "s_x", "joint_4", "waves", order=3)
     candidates = [*waves, *(TransmissionError.over(f"joint_{i}", q[:, i - 1], 24) for i in (3, 5)), tilted]
-    tests = score_test(fit.fit, candidates)
-    problem, known = extended(fit.problem, candidates)
+    serial = None if phi is None else Serial(np.full(3, phi), np.full(3, 0.8), np.arange(90.0), np.ones(90, bool))
+    weighed = fit.fit.over([replace(fit.fit.station, serial=serial)])
+    tests = score_test(weighed, candidates)
+    problem, known = extended(weighed.problem, candidates)
     values, free = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
     values[known], free[known] = fit.values, fit.solution.free
     ((_, residuals, jacobian),) = problem.stations[0].linearise(values, free)
+    if serial is not None:
+        residuals, jacobian = serial.innovations(residuals[None])[0], serial.innovations(jacobian)
     A, r = (of.reshape(*of.shape[:-2], -1) / fit.solution.estimated[0] for of in (jacobian, residuals))
     scale = np.sqrt(np.diag(A @ A.T))
     cross = tests.cross
@@ -204,8 +214,8 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
         np.testing.assert_allclose(
             tests.within(which)[1], tests.within(range(len(candidates)))[1][np.ix_(*[tests.places(which)] * 2)], rtol=1e-6
         )
-    fewer = tests.among([5, 1, 7], fit.fit.names_of([own[0]]))
-    told = whole.among([5, 1, 7], fit.fit.names_of([own[0]]))
+    fewer = tests.among([5, 1, 7], weighed.names_of([own[0]]))
+    told = whole.among([5, 1, 7], weighed.names_of([own[0]]))
     np.testing.assert_allclose(fewer.inner, told.inner, rtol=1e-9, atol=1e-9)
     n, m = cross.shape
     for i in (1, 6):

@@ -12,6 +12,7 @@ import numpy as np
 
 from pincal.identify.jacobian import Jacobian
 from pincal.identify.quadratic import Factor, Form
+from pincal.identify.station import Station
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +73,31 @@ class Information:
         return found
 
 
+class Whitening(NamedTuple):
+    """How residuals and columns of some rows of a station become white, in units of the noise.
+
+    Attributes:
+        station: the station.
+        piece: its rows.
+        scale: shape (m, n), factors on the readings, independent between rows.
+    """
+
+    station: Station
+    piece: slice
+    scale: np.ndarray
+
+    def whitened(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns, shape (D, m, n), whitened."""
+        return np.asarray(self.station.uncorrelated(columns, self.piece) * self.scale)
+
+    def jacobian(self, jacobian: Jacobian) -> Jacobian:
+        """Return a Jacobian whitened; if rows are correlated, with a column for each parameter."""
+        return self.station.uncorrelated_jacobian(jacobian, self.piece).weighted(self.scale)
+
+
 class RowPart(NamedTuple):
-    """Some rows of a station, with whitened residuals and columns.
+    """Some rows of a station, with whitened residuals, and columns that are whitened when they are
+    used.
 
     Attributes:
         rows: shape (n,), their indices among all rows of the fit.
@@ -82,6 +106,7 @@ class RowPart(NamedTuple):
         candidates: the station's columns of the candidates.
         at: indices of the model's and then the candidates' columns among all columns; -1 for
             removed ones.
+        whitening: of the columns.
     """
 
     rows: np.ndarray
@@ -89,6 +114,7 @@ class RowPart(NamedTuple):
     model: Jacobian
     candidates: Jacobian
     at: np.ndarray
+    whitening: Whitening
 
     def moved(self, steps: np.ndarray) -> np.ndarray:
         """Return how R steps of the parameters of all columns, shape (N + C, R), move the rows,
@@ -99,7 +125,7 @@ class RowPart(NamedTuple):
         n = self.model.size
         some = np.flatnonzero(steps[self.at[n:]].any(axis=1))
         added = self.candidates.only(some).along(steps[self.at[n + some]])
-        return np.asarray(self.model.along(steps[self.at[:n]]) + added)
+        return self.whitening.whitened(self.model.along(steps[self.at[:n]]) + added)
 
     def products(self, some: np.ndarray, others: np.ndarray) -> np.ndarray:
         """Return the products of J columns of candidates with K others, by index among all, shape
@@ -109,7 +135,8 @@ class RowPart(NamedTuple):
         (here, mine), (there, theirs) = pairs
         own = np.zeros((len(here), len(there)))
         found = np.zeros((len(some), len(others)))
-        self.candidates.only(mine).add_products(self.candidates.only(theirs), own)
+        white = self.whitening.jacobian
+        white(self.candidates.only(mine)).add_products(white(self.candidates.only(theirs)), own)
         found[np.ix_(here, there)] = own
         return found
 

@@ -14,7 +14,7 @@ import numpy as np
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_features
 from pincal.discover.policy import TESTING
-from pincal.discover.products import Information, RowPart
+from pincal.discover.products import Information, RowPart, Whitening
 from pincal.identify.beliefs import priors_of
 from pincal.identify.fit import ModelFit
 from pincal.identify.jacobian import Jacobian, block, span
@@ -25,24 +25,33 @@ from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
 from pincal.model.conditions import part_of
 from pincal.model.effect import Effect, Family
+from pincal.thresholds import Count
+
+# Numbers of correlated columns that are multiplied at once (64 MB).
+_MOST_NUMBERS: Count = 8_000_000
 
 
 class _Piece(NamedTuple):
-    """Some rows of a station, sorted by their blocks, with the whitened Jacobian of the model.
+    """Some rows of a station, sorted by their blocks, with the Jacobian of the model.
 
     Attributes:
         rows: shape (n,), their indices among all rows of the fit.
         blocks: the blocks of rows in the piece, and their slices.
-        whitening: shape (m, n).
+        whitening: of the rows.
         residuals: shape (m, n), whitened.
-        jacobian: by the station's columns.
+        jacobian: by the station's columns, not whitened.
     """
 
     rows: np.ndarray
     blocks: list[tuple[int, slice]]
-    whitening: np.ndarray
+    whitening: Whitening
     residuals: np.ndarray
     jacobian: Jacobian
+
+    @property
+    def whitened(self) -> Jacobian:
+        """The Jacobian, whitened."""
+        return self.whitening.jacobian(self.jacobian)
 
 
 class _StationColumns(NamedTuple):
@@ -86,12 +95,14 @@ class _StationColumns(NamedTuple):
         H = np.zeros((n_blocks, size, size))
         g = np.zeros((n_blocks, size))
         pieces = list[_Piece]()
-        for piece, residuals, jacobian in station.linearise_shared(*local):
-            scale = weights[:, piece]
+        for piece, residuals, jacobian in station.linearise_correlated(*local):
+            white = Whitening(station, piece, weights[:, piece])
             parts = list(_blocks(blocks[order][piece]))
-            part = _Piece(numbers[piece], parts, scale, residuals * scale, jacobian.weighted(scale))
+            residuals = white.whitened(residuals[None])[0]
+            part = _Piece(numbers[piece], parts, white, residuals, jacobian)
+            whitened = part.whitened
             for k, some in parts:
-                part.jacobian.poses(some).add_gram(part.residuals[:, some], H[k], g[k])
+                whitened.poses(some).add_gram(residuals[:, some], H[k], g[k])
             pieces.append(part)
         if (facts := believed(station, *local)) is not None:
             H = H + facts.H / n_blocks
@@ -241,12 +252,12 @@ class Tangent:
             ours = of_tested[local[free[local]]]
             products = _Products.none(n_blocks, len(mine), len(ours))
             ordered = _sorted(station, self.orders[i])
-            linearised = ordered.linearise_shared(values[local], free[local])
-            for piece, (_, _, jacobian) in zip(self.pieces[i], linearised, strict=True):
-                added = jacobian.weighted(piece.whitening)
+            linearised = ordered.linearise_correlated(values[local], free[local])
+            at = np.append(mine, n_model + ours)
+            for piece, (_, _, added) in zip(self.pieces[i], linearised, strict=True):
                 products.add(piece, added, candidate[ours])
-                at = np.append(mine, n_model + ours)
-                parts.append(RowPart(piece.rows, piece.residuals, piece.jacobian, added, at))
+                part = (piece.rows, piece.residuals, piece.jacobian, added, at, piece.whitening)
+                parts.append(RowPart(*part))
             g[:, ours] += products.g
             _add(products.cross, mine, ours, H)
             _add(products.inner, n_model + ours, ours, H)
@@ -284,10 +295,48 @@ class _Products:
 
     def add(self, piece: _Piece, added: Jacobian, groups: np.ndarray) -> None:
         """Add a piece of the rows in place; columns of different groups need no products."""
+        model = piece.whitened
+        for columns in _at_once(piece, groups):
+            part = piece.whitening.jacobian(
+                added if len(columns) == added.size else added.only(columns)
+            )
+            self._add(piece, model, part, groups[columns], columns)
+
+    def _add(
+        self, piece: _Piece, model: Jacobian, added: Jacobian, groups: np.ndarray, at: np.ndarray
+    ) -> None:
+        """Add a piece of the rows with some columns, at these indices, all whitened."""
+        p = model.size
+        c = len(at)
         for k, some in piece.blocks:
             part = added.poses(some)
-            part.add_gram(piece.residuals[:, some], self.inner[k], self.g[k], groups)
-            piece.jacobian.poses(some).add_products(part, self.cross[k])
+            inner, g, cross = np.zeros((c, c)), np.zeros(c), np.zeros((p, c))
+            part.add_gram(piece.residuals[:, some], inner, g, groups)
+            model.poses(some).add_products(part, cross)
+            columns = span(at)
+            self.inner[k][block(columns, columns)] += inner
+            self.g[k][columns] += g
+            self.cross[k][:, columns] += cross
+
+
+def _at_once(piece: _Piece, groups: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the indices of columns, those of a group together, that are whitened at once.
+
+    Correlated columns need an array each while they are multiplied.
+    """
+    most = _MOST_NUMBERS // max(piece.residuals.size, 1)
+    if not piece.whitening.station.is_correlated or len(groups) <= most:
+        yield np.arange(len(groups))
+        return
+    found = np.zeros(0, int)
+    for group in np.unique(groups):
+        own = np.flatnonzero(groups == group)
+        if len(found) and len(found) + len(own) > most:
+            yield np.sort(found)
+            found = own
+        else:
+            found = np.append(found, own)
+    yield np.sort(found)
 
 
 def _sorted(station: Station, order: np.ndarray | slice) -> Station:

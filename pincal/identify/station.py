@@ -28,6 +28,8 @@ from pincal.thresholds import Count
 
 # Rows worked on at once: with 60 parameters a piece is about 6 MB.
 PIECE: Count = 4096
+# Numbers of correlated columns that are whitened at once (16 MB), as that takes several copies.
+_MOST_NUMBERS: Count = 2_000_000
 
 
 # Columns of each joint in units of its position; the approach direction, in contrast, is that of
@@ -318,12 +320,22 @@ class Station:
         """
         # Nothing of a piece is held here while it is processed.
         for piece in self._pieces():
-            yield piece, *self._shared(self._part(piece), piece, values, free)
+            yield piece, *self._uncorrelated_shared(*self._shared(piece, values, free), piece)
+
+    def linearise_correlated(
+        self, values: np.ndarray, free: np.ndarray
+    ) -> Iterator[tuple[slice, np.ndarray, Jacobian]]:
+        """Yield what :meth:`linearise_shared` does, still correlated between rows: a curve is a
+        basis times a column, which takes far less memory.
+        """
+        for piece in self._pieces():
+            yield piece, *self._shared(piece, values, free)
 
     def _shared(
-        self, part: Station, piece: slice, values: np.ndarray, free: np.ndarray
+        self, piece: slice, values: np.ndarray, free: np.ndarray
     ) -> tuple[np.ndarray, Jacobian]:
-        """Return residuals and Jacobian of a piece of the rows."""
+        """Return residuals and Jacobian of a piece of the rows, correlated between rows."""
+        part = self._part(piece)
         of_model, own = self.split(values)
         model_free, own_free = self.split(free)
         model_free = model_free & part.model.affects_tip
@@ -348,10 +360,7 @@ class Station:
             SharedColumns(column_of[places], basis, columns[n_apart + i])
             for places, basis, i in curves
         )
-        jacobian = Jacobian(int(free.sum()), column_of[apart], dense, families)
-        if not self.is_correlated:
-            return residuals, jacobian
-        return self._uncorrelated_shared(residuals, jacobian, piece)
+        return residuals, Jacobian(int(free.sum()), column_of[apart], dense, families)
 
     def _motion_shared(
         self, of_model: np.ndarray, free: np.ndarray
@@ -370,10 +379,22 @@ class Station:
         self, residuals: np.ndarray, jacobian: Jacobian, piece: slice
     ) -> tuple[np.ndarray, Jacobian]:
         """Return residuals and Jacobian of a piece of the rows, uncorrelated between rows."""
+        if not self.is_correlated:
+            return residuals, jacobian
+        apart = self.uncorrelated_jacobian(jacobian, piece)
+        return self.uncorrelated(residuals[None], piece)[0], apart
+
+    def uncorrelated_jacobian(self, jacobian: Jacobian, piece: slice) -> Jacobian:
+        """Return a Jacobian of a piece of the rows with the correlation of rows removed."""
+        if not self.is_correlated:
+            return jacobian
         # The effect of a curve at one row reaches others, too.
         columns, places = jacobian.dense_columns()
-        apart = Jacobian(jacobian.size, places, self.uncorrelated(columns, piece))
-        return self.uncorrelated(residuals[None], piece)[0], apart
+        size = max(_MOST_NUMBERS // max(columns[0].size, 1), 1) if len(columns) else 1
+        for start in range(0, len(columns), size):
+            some = slice(start, start + size)
+            columns[some] = self.uncorrelated(columns[some], piece)
+        return Jacobian(jacobian.size, places, columns)
 
     def _pieces(self) -> Iterator[slice]:
         is_whole = self.sensor.is_whole or (
