@@ -142,7 +142,7 @@ class Case:
     """A robot's measured rows and what is hidden in them.
 
     ``strength`` is lambda over all rows; ``seen`` what is left of it on the training rows, beside masses known to 5 %, of
-    the weakest effect. ``clean`` are the positions without noise, shape (N, 3).
+    the weakest effect. ``clean`` are the positions without noise, shape (N, 3), ``sound`` those without what is hidden.
     """
 
     kind: str
@@ -156,6 +156,7 @@ class Case:
     elastic: bool
     arm: str
     clean: np.ndarray
+    sound: np.ndarray
     moment_frame: MomentFrame
 
     @property
@@ -357,12 +358,38 @@ def _foreign(kind: str, rng: np.random.Generator, names: tuple[str, ...], q: np.
         shape = lambda poses, j: np.exp(-0.5 * ((poses.q[:, other] - middle) / width) ** 2)  # noqa: E731
     elif kind == "other_wave":
         shape = lambda poses, j: np.sin(2.0 * poses.q[:, other] + 0.5)  # noqa: E731
+    elif kind in INTERACTIONS:
+        shape = _of_two(kind, rng, q, i, other)
     else:
         raise ValueError(kind)
     return Foreign(joint=names[i], size=1e-4, shape=shape, acts_on=acts_on)
 
 
+def _of_two(kind: str, rng: np.random.Generator, q: np.ndarray, i: int, other: int) -> Callable[[Poses, int], np.ndarray]:
+    """Return a smooth function of joint i's position and another's, or of the other's alone in fine waves."""
+    both = q[:, [i, other]]
+    if kind == "two_waves":
+        orders, phases = rng.integers(1, 4, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
+        return lambda poses, j: np.prod(np.sin(poses.q[:, [j, other]] * orders + phases), axis=1)
+    if kind == "oblique_wave":
+        (own, of_other), phase = rng.uniform(0.5, 3.5, 2), rng.uniform(0.0, 2.0 * np.pi)
+        of_other *= rng.choice([-1.0, 1.0])
+        return lambda poses, j: np.sin(own * poses.q[:, j] + of_other * poses.q[:, other] + phase)
+    if kind == "fine_wave":
+        order, phase = rng.uniform(2.0, 5.5), rng.uniform(0.0, 2.0 * np.pi)
+        return lambda poses, j: np.sin(order * poses.q[:, other] + phase)
+    if kind == "bump":
+        middle = np.quantile(both, rng.uniform(0.25, 0.75), axis=0)
+        scale = rng.uniform(0.15, 0.3, 2) * np.ptp(both, axis=0)
+        return lambda poses, j: np.exp(-0.5 * np.sum(((poses.q[:, [j, other]] - middle) / scale) ** 2, axis=1))
+    # Waves of random directions, of about two thirds of a period over both ranges (one standard deviation).
+    steep, phases = rng.normal(0.0, 4.0, (40, 2)) / np.ptp(both, axis=0), rng.uniform(0.0, 2.0 * np.pi, 40)
+    return lambda poses, j: np.mean(np.cos(poses.q[:, [j, other]] @ steep.T + phases), axis=1)
+
+
 FOREIGN = ("step", "kink", "product", "cubed_tilt", "other_joint", "other_wave")
+# Errors of one joint's drive that follow its own position and another joint's together, or the other's in fine waves.
+INTERACTIONS = ("two_waves", "oblique_wave", "fine_wave", "bump", "field")
 NAMED = (
     "gear_eccentricity",
     "transmission_error",
@@ -484,7 +511,8 @@ def draw_case(
     """Draw a case.
 
     Args:
-        kind: "null", a name of ``NAMED`` or ``FOREIGN``, "measurement_scale", or two names of ``NAMED`` with a plus.
+        kind: "null", a name of ``NAMED``, ``FOREIGN`` or ``INTERACTIONS``, "measurement_scale", or two names of ``NAMED``
+            with a plus.
         seed: of everything.
         strength: lambda of each effect; from 60 to 300 unless given.
         n: rows; from 150 to 500 unless given.
@@ -529,7 +557,7 @@ def draw_case(
                 hidden.append(sim.hidden_effect(part, size=4e-5))
                 continue
             assert absorber is not None
-            foreign = part in FOREIGN
+            foreign = part in (*FOREIGN, *INTERACTIONS)
             effect = _foreign(part, rng, setting.machine.names, setting.q) if foreign else _named(part, rng, setting)
             wanted = float(np.exp(rng.uniform(np.log(60.0), np.log(300.0)))) if strength is None else strength
             effect, got, raw_one = _scaled(effect, wanted, setting, absorber)
@@ -544,7 +572,8 @@ def draw_case(
         raise ValueError(f"{kind}: no arm on which it is seen without moving the tool by {_RAW} m")
     clean = setting.positions(*hidden)
     rows = _table(setting, clean + _noise(noise, clean.shape, rng))
-    return Case(kind, seed, setting.robot, rows, options, tuple(hidden), got, seen, elastic, arm, clean, moment_frame)
+    parts_of_machine = setting.robot, rows, options, tuple(hidden)
+    return Case(kind, seed, *parts_of_machine, got, seen, elastic, arm, clean, setting.positions(), moment_frame)
 
 
 def _noise(noise: str, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
@@ -577,11 +606,12 @@ def gap_over_oracle(case: Case, trail: History) -> float:
         fits = [calibrate(case.robot, training, replace(case.plain, moment_frame=frame)).fit]
         for hidden in case.hidden if not case.is_soft else ():
             fits = [refit(fit, [*fit.options.effects, effect]) for fit in fits for effect in _known_forms(hidden, fit)]
-        told.append(min(fits, key=lambda fit: _gap(fit, held, clean)))
-    return _gap(trail.final, held, clean) / _gap(min(told, key=fit_cost), held, clean)
+        told.append(min(fits, key=lambda fit: gap(fit, held, clean)))
+    return gap(trail.final, held, clean) / gap(min(told, key=fit_cost), held, clean)
 
 
-def _gap(fit: ModelFit, held: Measurements, clean: np.ndarray) -> float:
+def gap(fit: ModelFit, held: Measurements, clean: np.ndarray) -> float:
+    """Return the error of a fit on held-out rows without noise, root mean square [m]."""
     problem = fit.readings(held)
     poses = problem.model.predict(problem.model.own(fit.values), problem.conditions)
     return float(np.sqrt(np.mean(np.sum((poses[:, :, 3] - clean) ** 2, axis=1))))

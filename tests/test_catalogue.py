@@ -145,6 +145,7 @@ EFFECTS: dict[str, Make] = {
     "unnamed": lambda j: Unnamed(j[1], "gamma_x", j[2]),
     "unnamed waves": lambda j: Unnamed(j[1], "drive", j[2], "waves", order=3),
     "unnamed product": lambda j: Unnamed(j[1], "drive", j[2], "product"),
+    "unnamed wave of two joints": lambda j: Unnamed(j[1], "drive", j[2], "product", order=2.5, own_order=1.4),
     "unnamed map": lambda j: Unnamed(j[1], "drive", j[2], "map", size=4),
     "unnamed step": lambda j: Unnamed(j[2], "drive", j[2], "step", place=0.1),
     "unnamed kink": lambda j: Unnamed(j[2], "drive", j[2], "kink", place=0.1),
@@ -748,6 +749,7 @@ UNNAMED = {
     "curve of time": lambda j: Unnamed(j[2], "drive", "time", lower=0.0, upper=3e4),
     "waves": lambda j: Unnamed(j[3], "gamma_y", j[0], "waves", order=2),
     "product": lambda j: Unnamed(j[3], "drive", j[2], "product"),
+    "wave of two joints": lambda j: Unnamed(j[3], "drive", j[2], "product", order=2.5, own_order=1.4),
     "step": lambda j: Unnamed(j[0], "drive", j[0], "step", place=0.3),
     "kink": lambda j: Unnamed(j[0], "drive", j[0], "kink", place=-0.2),
 }

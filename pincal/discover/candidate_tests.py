@@ -20,6 +20,7 @@ from pincal.discover.decisions import (
     standard_errors,
 )
 from pincal.discover.first_order import ScoreTests
+from pincal.discover.joint_pairs import likely_waves_of_two
 from pincal.discover.levers import (
     likely_maps,
     missing_compliances,
@@ -57,7 +58,8 @@ class Search:
         first: the fit to start from, with all rows.
         groups: shape (N,), blocks of the rows from which effects are selected.
         frames: moment frames to choose from.
-        nameless: identities of the unnamed dependences that are candidates; default: all.
+        nameless: kinds of the unnamed dependences that are candidates, see :func:`nameless_kind`;
+            default: all.
     """
 
     policy: Policy
@@ -72,8 +74,18 @@ class Search:
         return [
             effect
             for effect in nameless
-            if self.nameless is None or effect.identity in self.nameless
+            if self.nameless is None or nameless_kind(effect) in self.nameless
         ]
+
+
+def nameless_kind(effect: Effect) -> object:
+    """Return the identity of an unnamed dependence without its orders, which differ a little from
+    table to table where they were selected among many.
+    """
+    name, locus = effect.identity
+    if effect.trials > 1.0:
+        return name, replace(locus, order=None, own_order=None)
+    return name, locus
 
 
 def choose(fit: ModelFit, search: Search) -> Decision | None:
@@ -372,7 +384,8 @@ def unnamed_given(fit: ModelFit, names: Sequence[Effect], search: Search) -> lis
         chain, conditions, [joint for joint in joints if joint in {of for of, *_ in likes}]
     )
     further = (effect for effect in beyond if _place(effect) in likes)
-    every = [*nameless_candidates(chain, conditions, near), *further, *likely_maps(fit, near)]
+    both = [*likely_maps(fit, near), *likely_waves_of_two(fit, near)]
+    every = [*nameless_candidates(chain, conditions, near), *further, *both]
     return search.taking_part(missing_from(fit, every))
 
 

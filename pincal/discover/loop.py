@@ -75,7 +75,8 @@ def discover_effects(
             another fits significantly better.
         extra: effects of the user, candidates like those of the catalogue.
         policy: thresholds and limits.
-        nameless: identities of the unnamed dependences that are candidates; default: all.
+        nameless: kinds of the unnamed dependences that are candidates (``nameless_kind``); default:
+            all.
     """
 
     def searched(first: ModelFit) -> History:

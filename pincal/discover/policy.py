@@ -33,6 +33,7 @@ _JOINT_NOISE = "test_joint_noise.py::test_noise_of_the_joints_is_found_with_its_
 _STAGE = "test_tones.py::test_a_stage_is_found_at_its_order"
 _QUIET = "test_tones.py::test_sound_residuals_show_no_wave"
 _LINE = "test_tones.py::test_what_the_span_does_not_tell_apart_is_one_line"
+_OF_TWO = "test_joint_pairs.py::test_a_wave_of_two_joints_is_found_with_its_orders"
 _FINER = "test_smooth_curves.py::test_intervals_hold_a_curve_as_rough_as_it_is_believed"
 _SMOOTH = "test_smooth_curves.py::test_a_smooth_curve_is_closer_to_the_true_one"
 _LIKELIEST = "test_smooth_curves.py::test_roughness_is_where_the_readings_are_likeliest"
@@ -441,6 +442,20 @@ class WaveNumbers:
         "test_maps.py::test_a_function_of_two_joints_is_found_with_both",
         "fraction of the largest diagonal below which a cell of a map has no pose",
         "a thousandth of the largest lever",
+    )
+    smooth: float = _number(
+        6.0,
+        "cycles per revolution",
+        _OF_TWO,
+        "of each of two joints, up to which their waves count as smooth",
+        "a period is 60 degrees; a table of some hundreds of poses has several in it",
+    )
+    pair_step: float = _number(
+        0.5,
+        "periods over the whole range",
+        _OF_TWO,
+        "steps of the search for waves of two joints",
+        "the highest is then seen at three quarters of its square or more, and refined",
     )
     periods: float = _number(
         1.8,

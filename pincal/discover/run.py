@@ -33,7 +33,7 @@ from pincal.calibration.result import result_of
 from pincal.calibration.stated import stated
 from pincal.calibration.validation import Validation
 from pincal.calibration.visit_findings import is_shifted
-from pincal.discover.candidate_tests import sampled
+from pincal.discover.candidate_tests import nameless_kind, sampled
 from pincal.discover.discovery_file import (
     Bootstrap,
     EffectName,
@@ -427,7 +427,7 @@ def begin_subsamples(
     )[rows]
     parts = [np.unique(joined[span]) for span in few.problem.rows]
     found = [effect for step in trail.steps for effect in (*step.effects, *step.equivalent)]
-    nameless = frozenset(effect.identity for effect in found if effect.is_nameless)
+    nameless = frozenset(nameless_kind(effect) for effect in found if effect.is_nameless)
     # Names do not depend on the final resolution of curves.
     run = partial(
         _names_in_half, few, joined, trail.extra, replace(trail.policy, finer=1.0), nameless

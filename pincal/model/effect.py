@@ -95,6 +95,7 @@ class Locus:
         station: name of the only station that has it, if there are several; None for all of them.
         cause: name of the effect of which it is an instance, if not its own.
         span: observed range of the variable, beyond which the effect is constant.
+        own_order: cycles per revolution of its joint, of a function of two joints.
     """
 
     joint: str | None = None
@@ -107,6 +108,7 @@ class Locus:
     station: str | None = None
     cause: str = ""
     span: tuple[float, float] | None = None
+    own_order: float | None = None
 
     @property
     def source(self) -> str | None:

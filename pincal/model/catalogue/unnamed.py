@@ -54,13 +54,16 @@ class Unnamed(Resolvable):
         depends_on: name of a joint, for its position, or "time", "temperature", "payload", or
             "move", the joint's last move.
         shape: "curve" (a cubic spline), "waves" (sine and cosine of ``order``), "product" (of sine
-            or cosine of the joint's own angle and of the other's), "map" (products of cubic splines
-            of both), "step" (at ``place``), or "kink" (a change of slope there).
+            or cosine of the joint's own angle and of the other's, times ``own_order`` and
+            ``order``), "map" (products of cubic splines of both), "step" (at ``place``), or "kink"
+            (a change of slope there).
         lower, upper: the measured range; outside it a curve keeps its end value.
         size: number of basis functions of a curve, and of a map along each joint.
-        order: cycles per revolution.
+        order: cycles per revolution; of a product default 1.
         place: breakpoint [rad or m].
         own_lower, own_upper: the range of the joint's own position, of a map.
+        own_order: cycles per revolution of the joint itself, of a product; default: 1.
+        chosen_among: number of independent orders and joints among which these were selected.
     """
 
     joint: str
@@ -70,10 +73,12 @@ class Unnamed(Resolvable):
     lower: float = -np.pi
     upper: float = np.pi
     size: int = 8
-    order: int | None = None
+    order: float | None = None
     place: float | None = None
     own_lower: float = -np.pi
     own_upper: float = np.pi
+    own_order: float | None = None
+    chosen_among: float = 1.0
     name: ClassVar[str] = "unnamed"
     meaning: ClassVar[str] = "a significant effect that is not in the catalogue"
     family: ClassVar[Family] = Family.NAMELESS
@@ -96,12 +101,13 @@ class Unnamed(Resolvable):
             shape=self.shape,
             place=self.place,
             span=span,
+            own_order=self.own_order,
         )
 
     @property
     def trials(self) -> float:
-        """Number of maps among which it was selected."""
-        return ORIGIN.pairs if self.shape == "map" else 1.0
+        """Number of maps, or of waves of two joints, among which it was selected."""
+        return ORIGIN.pairs if self.shape == "map" else self.chosen_among
 
     @property
     def n_functions(self) -> int:
@@ -130,7 +136,8 @@ class Unnamed(Resolvable):
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Coefficients of the basis functions [rad]."""
-        shape = "" if self.shape == "curve" else f"_{self.shape}{self.order or ''}"
+        orders = "x".join(f"{k:g}" for k in (self.own_order, self.order) if k is not None)
+        shape = "" if self.shape == "curve" else f"_{self.shape}{orders}".replace(".", "_")
         stem = f"{self.joint}.{self.acts_on}_of_{self.depends_on}{shape}"
         return tuple(
             Parameter(f"{stem}_{i + 1}", "rad", self.name, 0.0, _SIZE)
@@ -157,10 +164,11 @@ class Unnamed(Resolvable):
         """Return the basis functions, shape (n_functions, N)."""
         if self.shape == "curve":
             return spline_basis(x, self.lower, self.upper, self.size)
+        if self.shape == "product":
+            of_own, of_other = (1.0 if k is None else k for k in (self.own_order, self.order))
+            return np.stack([f * g for f in waves(of_own * own) for g in waves(of_other * x)])
         if self.order is not None:
             return np.stack(waves(self.order * x))
-        if self.shape == "product":
-            return np.stack([f * g for f in waves(own) for g in waves(x)])
         if self.shape == "map":
             along = spline_basis(own, self.own_lower, self.own_upper, self.size)
             return np.stack(
@@ -229,6 +237,20 @@ def maps_of(situation: PoseSet, joint: str) -> Iterator[Unnamed]:
             own_lower=first,
             own_upper=last,
         )
+
+
+def wave_of_two(
+    joint: str, other: str, orders: tuple[float, float], chosen_among: float
+) -> Unnamed:
+    """Return a wave of a joint's own position and another joint's, of orders selected among some;
+    of the other's alone if the own order is 0.
+    """
+    own, order = orders
+    if not own:
+        return Unnamed(joint, "drive", other, "waves", order=order, chosen_among=chosen_among)
+    return Unnamed(
+        joint, "drive", other, "product", order=order, own_order=own, chosen_among=chosen_among
+    )
 
 
 def _of_two_joints(joint: str, source: str) -> Iterator[Unnamed]:
