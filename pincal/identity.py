@@ -172,8 +172,9 @@ class Identity(msgspec.Struct, frozen=True, omit_defaults=True):
         """
         if not self.is_of(known):
             raise BadInputError(
-                f"{file}: is of robot {known.robot}, and --set id.robot={self.robot} expects "
-                f"another one; choose the file of robot {self.robot}, or correct the serial number"
+                f"{file}: is of robot {known.robot}, and id.robot={self.robot}, of --set or the "
+                f"cell file, expects another one; choose the file of robot {self.robot}, or "
+                "correct the serial number"
             )
 
     def is_of(self, other: Identity) -> bool:

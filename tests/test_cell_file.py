@@ -261,3 +261,25 @@ def test_a_cell_that_is_no_file_is_refused(tmp_path: Path) -> None:
     """From Python, too."""
     with pytest.raises(BadInputError, match=r"can't be read .*expected a cell file in TOML"):
         CellFile.read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["calibrate", "results/calibrated.urdf", "tracker.csv"],
+        ["update", "updated/model.json", "tracker.csv"],
+        ["diagnose", "diagnosis/model.json", "tracker.csv"],
+    ],
+)
+def test_a_folder_of_results_that_are_read_is_not_replaced(
+    words: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where --out is not given either: the model would be lost to what was made of it."""
+    source = Path(words[1])
+    source.parent.mkdir()
+    source.write_text("read")
+
+    assert run(*words) == 3
+    told = " ".join(capsys.readouterr().err.split())
+    assert f"--out {source.parent} with {source}: is read by this command" in told
+    assert [path.name for path in source.parent.iterdir()] == [source.name] and source.read_text() == "read"

@@ -168,6 +168,10 @@ class Output(_Place):
         super().__init__()
         self._endings = endings
 
+    def replaces(self, path: Path, source: Path) -> bool:
+        """Return whether writing to this path would replace a file that there is."""
+        return path.is_file() and path.samefile(source)
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path."""
         path = super().convert(value, param, ctx)
@@ -458,26 +462,26 @@ def _keep_inputs(parameters: Sequence[_Described], given: Mapping[str, Any]) -> 
         OutputError: with both names.
     """
     read = list[Path]()
-    written = list[tuple[str, Path]]()
+    written = list[tuple[str, Output, Path]]()
     for _, parameter, _ in parameters:
         value = given[str(parameter.name)]
         paths = [
-            each for each in (value if isinstance(value, tuple) else (value,)) if _is_file(each)
+            Path(each)
+            for each in (value if isinstance(value, tuple) else (value,))
+            if isinstance(each, Path) or (parameter.name == "robot" and isinstance(each, str))
         ]
         if isinstance(parameter.type, Output):
-            written += [(parameter.opts[0], path) for path in paths]
+            written += [(parameter.opts[0], parameter.type, path) for path in paths]
         else:
-            read += paths
-    for name, path in written:
-        if any(path.samefile(source) for source in read):
-            raise OutputError(
-                f"{name} {path}: is read by this command and would be replaced; choose another name"
-            )
-
-
-def _is_file(value: Any) -> bool:
-    """Return whether a value is the path of a file that exists."""
-    return isinstance(value, Path) and value.is_file()
+            read += [path for path in paths if path.is_file()]
+    for name, kind, path in written:
+        for source in read:
+            if kind.replaces(path, source):
+                place = path if path.is_file() else f"{path} with {source}"
+                raise OutputError(
+                    f"{name} {place}: is read by this command and would be replaced; choose "
+                    "another name"
+                )
 
 
 def _filled(arguments: type[A], given: Mapping[str, Any]) -> A:

@@ -6,6 +6,16 @@ from pathlib import Path
 from typing import Any
 
 from pincal.cli.arguments import Output, option
+from pincal.io.result_folder import MODEL, RESULTS
+
+
+class ResultFolder(Output):
+    """A folder for all results of a run, which replace those of an earlier one."""
+
+    def replaces(self, path: Path, source: Path) -> bool:
+        """Return whether a file is one of the results in the folder."""
+        files = (path / name for name in (MODEL, *RESULTS))
+        return any(file.is_file() and file.samefile(source) for file in files)
 
 
 def results_option(name: str) -> Any:
@@ -14,4 +24,4 @@ def results_option(name: str) -> Any:
     Args:
         name: of the folder if none is given.
     """
-    return option("Folder for the results.", Path(name), metavar="DIR", type=Output())
+    return option("Folder for the results.", Path(name), metavar="DIR", type=ResultFolder())
