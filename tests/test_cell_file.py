@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 import pytest
 from test_calibrate import paper_table
 from test_cli import URDF, columns_of, run
@@ -283,3 +284,24 @@ def test_a_folder_of_results_that_are_read_is_not_replaced(
     told = " ".join(capsys.readouterr().err.split())
     assert f"--out {source.parent} with {source}: is read by this command" in told
     assert [path.name for path in source.parent.iterdir()] == [source.name] and source.read_text() == "read"
+
+
+@pytest.mark.long
+def test_a_column_sigma_stands_above_the_noise_of_the_cell_in_a_diagnosis(
+    folder: Path, kuka: Robot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A noise on the command line stands above both; rows without a column have that of the cell."""
+    cell('robot = "robot.urdf"\nnoise = "0.05mm"\n')
+    assert run("calibrate", "tracker.csv", "--model", "geometric", "--quiet") == 0
+    new = columns_of(paper_table(kuka, 20, 1, 5e-5))
+    write_table("bare.csv", new)
+    write_table("each.csv", new | {"sigma": np.full(20, 4e-3)})
+
+    def p_value(*words: str) -> float:
+        assert run("diagnose", "results/model.json", *words, "--json", "--quiet") in (0, 6)
+        capsys.readouterr()
+        return float(json.loads(Path("diagnosis/diagnosis.json").read_text())["p_value"])
+
+    cell('noise = "2mm"\n')
+    assert p_value("bare.csv") == p_value("bare.csv", "--cell", "none", "--noise", "2mm")
+    assert p_value("each.csv") == p_value("each.csv", "--cell", "none") != p_value("each.csv", "--noise", "2mm")
