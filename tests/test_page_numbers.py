@@ -12,9 +12,13 @@ from page_numbers import PageNumbers, disagreements, numbers_without_source
 from report_cases import NOISE, ORIGIN, discovered, kuka_run, measured
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, run_calibration
+from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
+from pincal.diagnosis.diagnosis_page import diagnosis_page, excluded_table
+from pincal.diagnosis.robot_diagnosis import Diagnosis, diagnose
 from pincal.discover.report.search_answer import SearchAnswer
+from pincal.measure.table import measurements_from_arrays
 from pincal.report.html import report_page
 from pincal.report.judgement import judged
 from pincal.report.subject import Subject, evidence_of
@@ -124,3 +128,38 @@ def test_the_way_of_holding_out_is_named(runs: dict[str, Calibration], name: str
     if name == "folds":
         (way,) = (way for way in ("regions", "stretches") if way == run.result.validation.way)  # type: ignore[union-attr]
         assert f"a fit without its {way[:-1] if way == 'regions' else 'stretch'}" in page
+
+
+@pytest.mark.rooms("pincal/diagnosis", "pincal/report")
+def test_what_has_changed_is_not_said_to_be_unobservable(kuka: Robot) -> None:
+    """The page names the change, its alternatives and what would have been noticed; its numbers are those of the file."""
+    found = drifted(kuka)
+    page = PageNumbers(diagnosis_page(found, version="0"))
+    files = {"diagnosis.json": json.loads(json.dumps(found.report))}
+    assert [*disagreements(page, files)] == []
+
+    (change,) = found.found.changes
+    table = excluded_table(found.found, kuka.joint_names)
+    cells = {str(row[0]): dict(zip((c.name for c in table.columns), row, strict=True)) for row in table.rows}
+    assert cells[change.effect][change.joint or ""] == "changed"
+    for rival in change.equivalent:
+        rows = [row for name, row in cells.items() if name.partition(" ")[0] == rival.effect]
+        assert all(row.get(rival.joint or "whole arm", "alternative") == "alternative" for row in rows)
+    largest = max(
+        entry.tip_mm for entry in found.found.excluded if entry.effect == "gear_ratio" and entry.joint == "joint_2"
+    )
+    assert cells["gear_ratio"]["joint_2"] == largest
+
+
+def drifted(kuka: Robot) -> Diagnosis:
+    """Return the diagnosis of an arm whose second zero has moved by half a milliradian."""
+    model = run_calibration(kuka, measured(kuka, kuka_urdf_path(), 80), Options(effects=GEOMETRIC, sigma=NOISE)).fit
+    rng = np.random.default_rng(0)
+    # The machine of the calibration is the first that is drawn.
+    machine = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip=kuka.tip, base=kuka.base)
+    machine = machine.draw_errors(rng, sigma_length=5e-4, sigma_angle=5e-4)
+    q = kuka.random_configurations(40, rng)
+    tracker = sim.Instrument(targets=(0.1, 0.0, 0.2), sigma=NOISE)
+    read = tracker.measure(machine, q + 5e-4 * np.eye(6)[1], rng=rng)
+    place = np.column_stack([read[name] for name in "xyz"])
+    return diagnose(model.at(), measurements_from_arrays(kuka.joint_names, q, position=place))

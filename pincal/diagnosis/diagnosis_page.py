@@ -7,7 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from markupsafe import Markup
 
-from pincal.diagnosis.diagnosis_file import ChangeEntry, ChangeName, CurvesEntry, DiagnosisFile
+from pincal.diagnosis.diagnosis_file import (
+    ChangedParameter,
+    ChangeEntry,
+    ChangeName,
+    CurvesEntry,
+    DiagnosisFile,
+)
 from pincal.diagnosis.robot_diagnosis import Diagnosis
 from pincal.parameters import split_name
 from pincal.report.blocks import (
@@ -22,14 +28,18 @@ from pincal.report.blocks import (
     paragraph,
     plain_notes,
     rich,
+    sourced,
 )
 from pincal.report.html import render
 from pincal.report.words import effect_meaning
 from pincal.result_table import Cell, Column, Kind, Table
 from pincal.thresholds import Count, Scale
-from pincal.units import fixed, format_small, show_chance
+from pincal.units import fixed, format_small, readable_unit, show_chance, show_measured
 
 _STATISTICS = {"mean_mm": "mean", "p95_mm": "95 %", "max_mm": "worst"}
+_FILE = "diagnosis.json#"
+_CHANGED = "changed"
+_RIVAL = "alternative"
 # Number of parameters that are named in a line.
 _SHOWN: Count = 3
 _ARCSEC: Scale = 180.0 * 3600.0 / np.pi
@@ -119,23 +129,31 @@ def change_table(changes: Iterable[ChangeEntry]) -> Table:
 
 
 def moved_parameters(changes: Iterable[ChangeEntry]) -> Table:
-    """Return the parameters of all changes, before and after."""
+    """Return the parameters of all changes, before and after, rounded to the standard deviation of
+    the change.
+    """
     columns = (
         Column("parameter", kind=Kind.NAME),
-        Column("before", kind=Kind.NUMBER),
-        Column("after", kind=Kind.NUMBER),
-        Column("change", kind=Kind.NUMBER),
-        Column("sigma", kind=Kind.NUMBER),
+        Column("before", kind=Kind.NUMBER, key="before"),
+        Column("after ± sigma", kind=Kind.NUMBER, key="after sigma"),
+        Column("unit", kind=Kind.LABEL),
     )
-    moved = (
-        (name, p.before, p.after, p.after - p.before, p.sigma, p.unit)
-        for c in changes
-        for name, p in c.parameters.items()
+    moved = [
+        (f"{_FILE}/changes/{k}/parameters/{name}", name, p)
+        for k, change in enumerate(changes)
+        for name, p in change.parameters.items()
+    ]
+    rows = tuple((name, *_before_and_after(p), readable_unit(p.unit).name) for _, name, p in moved)
+    sources = tuple(f"{at}/{{}}" for at, _, _ in moved)
+    return Table("Parameters before and after the change", columns, rows, sources=sources)
+
+
+def _before_and_after(p: ChangedParameter) -> tuple[str, str]:
+    """Return both values to the digits that the standard deviation of the change has."""
+    before, after = (
+        show_measured(value, p.sigma, readable_unit(p.unit)) for value in (p.before, p.after)
     )
-    rows = tuple(
-        (name, *(format_small(value, unit) for value in values)) for name, *values, unit in moved
-    )
-    return Table("Parameters before and after the change", columns, rows)
+    return before.partition(" ±")[0], after
 
 
 def curve_table(found: CurvesEntry) -> Table:
@@ -179,13 +197,19 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
         # hardest to detect.
         where = entry.joint or "whole arm"
         sizes_on[where] = max(entry.tip_mm, sizes_on.get(where, 0.0))
-    columns = (Column("change"), *(Column(joint, "mm", Kind.NUMBER, fixed(2)) for joint in joints))
+    happened = _named_above(found.changes)
+    columns = (Column("change"), *(Column(joint, "", Kind.NUMBER, fixed(2)) for joint in joints))
     rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (name, *(on.get(joint) for joint in joints)) for name, on in smallest.items()
+        (
+            name,
+            *(happened.get((name.partition(" ")[0], joint), on.get(joint)) for joint in joints),
+        )
+        for name, on in smallest.items()
     )
     notes = (
-        "Dash: not observable in these poses, or not on this joint. Sizes in SI units are "
-        "in diagnosis.json.",
+        f"In mm. {_CHANGED}: found, see above. {_RIVAL}: could be the cause instead, see above. "
+        "Dash: not observable in these poses, or not on this joint. Sizes in SI units are in "
+        "diagnosis.json.",
     )
     return Table(
         "Smallest change detected with a probability of 90 %, as motion of the target",
@@ -193,6 +217,16 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
         rows,
         notes,
     )
+
+
+def _named_above(changes: Iterable[ChangeEntry]) -> dict[tuple[str, str], str]:
+    """Return what has changed, and what could have instead, by effect and joint."""
+    named: dict[tuple[str, str], str] = {}
+    for change in changes:
+        rivals = ((rival, _RIVAL) for rival in change.equivalent)
+        for one, word in (*rivals, (change, _CHANGED)):
+            named[one.effect, one.joint or "whole arm"] = word
+    return named
 
 
 def set_up_words(found: DiagnosisFile) -> str:
@@ -270,32 +304,35 @@ def _answer(found: DiagnosisFile) -> Section:
     tag = judged if found.is_judged else "not judged"
     tone = "good" if tag == "not changed" else "bad"
     answer = rich('<span class="tag {}">{}</span> {}', tone, tag, headline(found))
-    left = arranged(
-        "plain", *doubts(found.warnings), paragraph(answer), *plain_notes(found.warnings)
-    )
-    columns = arranged(
-        "split", left, arranged("plain", heading("What to do next"), bullets(_next_steps(found)))
+    first = (*doubts(found.warnings), paragraph(answer, "headline"))
+    then = (
+        heading("What to do next"),
+        bullets(_next_steps(found)),
+        *plain_notes(found.warnings),
     )
     before = found.gap["before"]
     after = found.gap["after"]
     if not found.changed:
         errors = facts(
-            (f"{words} error", f"{before[key]:.4f} mm") for key, words in _STATISTICS.items()
+            (f"{words} error", sourced(f"{before[key]:.4f} mm", f"{_FILE}/gap/before/{key}"))
+            for key, words in _STATISTICS.items()
         )
-        return Section("answer", "Has it changed?", (columns, errors), style="panel")
+        return Section("answer", "Has it changed?", (*first, errors, *then), style="panel")
     shown = glance(
         [
             (
                 f"{words} error",
                 (before[key], after[key]),
-                (f"{before[key]:.4f}", f"{after[key]:.4f} mm"),
+                (
+                    sourced(f"{before[key]:.4f}", f"{_FILE}/gap/before/{key}"),
+                    sourced(f"{after[key]:.4f} mm", f"{_FILE}/gap/after/{key}"),
+                ),
             )
             for key, words in _STATISTICS.items()
         ]
     )
-    return Section(
-        "answer", "Has it changed?", (columns, arranged("glance", *shown)), style="panel"
-    )
+    blocks = (*first, arranged("glance", *shown), *then)
+    return Section("answer", "Has it changed?", blocks, style="panel")
 
 
 def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
@@ -329,7 +366,9 @@ def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:
 
 def _changes(found: DiagnosisFile) -> Section | None:
     if found.changes:
-        blocks = (change_table(found.changes), moved_parameters(found.changes))
+        # How to distinguish them is said first.
+        table = change_table(found.changes).without("distinguished by")
+        blocks = (table, moved_parameters(found.changes))
         return Section("changes", "What has changed", blocks, label="What has changed")
     if not found.is_judged:
         return None
