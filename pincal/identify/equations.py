@@ -38,8 +38,11 @@ from pincal.thresholds import Count
 _Key = tuple[int, bytes, bytes]
 _Sums = tuple[tuple[Form, Eliminated], StationSquares]
 
-# Largest size of the normal equations of single stations that is kept at one point [bytes].
+# Largest size of the normal equations of single stations that is kept at one point, and of few
+# stations, whose rows take long to sum again for another noise [bytes].
 _MOST_KEPT: Count = 2_000_000
+_MOST_OF_FEW: Count = 64_000_000
+_FEW: Count = 10
 # Size of the normal equations of folds that are summed in one pass over the rows [bytes].
 _MOST_AT_ONCE: Count = 200_000_000
 
@@ -110,7 +113,8 @@ class Linearised:
         stations = len(self.problem.stations)
         blocks = len(self.problem.blocks)
         n_free = np.count_nonzero(self.free[self.problem.places[0]])
-        return stations == 1 or 8 * blocks * int(n_free) ** 2 <= _MOST_KEPT
+        most = _MOST_OF_FEW if stations <= _FEW and self.executor is None else _MOST_KEPT
+        return stations == 1 or 8 * blocks * int(n_free) ** 2 <= most
 
     @cached_property
     def _batches(self) -> list[Batch]:
