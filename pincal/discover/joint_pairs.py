@@ -26,9 +26,10 @@ from pincal.identify.fit import ModelFit
 from pincal.model.catalogue.ripple import independent_orders, resolution_of
 from pincal.model.catalogue.unnamed import wave_of_two
 from pincal.model.effect import Effect
+from pincal.thresholds import Count
 
 # Parameters of a wave of two joints.
-_FUNCTIONS = 4
+_FUNCTIONS: Count = 4
 
 
 @dataclass(frozen=True, eq=False)
