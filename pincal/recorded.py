@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, get_type_hints
+from typing import Annotated, Any, Protocol, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -157,6 +157,18 @@ class Recorded:
         return {name: getattr(self, name) for name in RECORDED}
 
 
+class ArmCourse(Protocol):
+    """The course of an arm in motion from which rows of a table were taken."""
+
+    def with_steps(self, table: Any, steps: Sequence[tuple[float, float]]) -> Any:
+        """Return a table of its rows, with the joints where they were if the instrument's clock
+        also steps: at the stamp of the first reading after each step [s], by a size [s].
+
+        Rows too near a step to be of either side are left out.
+        """
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Moving:
     """Motion of an arm about the times of N poses, as far as readings depend on it.
@@ -173,6 +185,9 @@ class Moving:
         delay: time by which an IMU's stamps of rates were assumed to be too early [s].
         scatter: noise of an IMU's forces [m/s^2] and rates [rad/s] by their scatter within the
             windows of rows.
+        steps: of the instrument's clock, the stamp of the first reading after each and the time
+            added to the stamps from there on [s].
+        course: from which the rows were taken; None where it is not known.
     """
 
     inertial: np.ndarray | None = None
@@ -182,6 +197,8 @@ class Moving:
     clock: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay: float = 0.0
     scatter: tuple[float, ...] = ()
+    steps: tuple[tuple[float, float], ...] = ()
+    course: ArmCourse | None = None
 
     @property
     def middle(self) -> float:
@@ -202,6 +219,7 @@ class Moving:
         """Return the motion with its joints in another order, given by their indices."""
         return replace(
             self,
+            course=None,
             inertial=None if self.inertial is None else self.inertial[:, order],
             q=None if self.q is None else self.q[:, :, order],
             velocity=None if self.velocity is None else self.velocity[:, :, order],
@@ -211,10 +229,11 @@ class Moving:
     def joined(self, others: Sequence[Moving]) -> Moving:
         """Return this motion concatenated with others of the same session."""
         parts = zip(*(each._arrays for each in (self, *others)), strict=True)
+        course = self.course if all(other.course is self.course for other in others) else None
         inertial, q, velocity, loads = (
             None if part[0] is None else np.concatenate(part) for part in parts
         )
-        return replace(self, inertial=inertial, q=q, velocity=velocity, loads=loads)
+        return replace(self, inertial=inertial, q=q, velocity=velocity, loads=loads, course=course)
 
 
 _HINTS = get_type_hints(Recorded, include_extras=True)

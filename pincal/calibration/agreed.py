@@ -62,11 +62,12 @@ def fit_agreed(
         corrected robot.
 
     Raises:
-        MeasurementError: if a clock jumps, or the tables are not of this robot.
+        SteppingClocksError: if a clock jumps.
+        MeasurementError: if one jumps too often, or the tables are not of this robot.
     """
     rows = admitted if trained is None else trained
     fit = fit_tables(robot, rows, options, executor=executor)
-    check_clocks(tuple(admitted.values()), fit)
+    check_clocks(admitted, fit)
     corrected = list[Correction]()
     # The description may be wrong in more than one way.
     found = _checked(robot, admitted, fit, ())

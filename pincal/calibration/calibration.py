@@ -29,6 +29,7 @@ from pincal.calibration.result import Result, result_of
 from pincal.calibration.result_tables import error_table
 from pincal.calibration.screened import screened
 from pincal.calibration.stated import stated
+from pincal.calibration.stepping import step_notes, with_steps
 from pincal.errors import BadInputError, warn
 from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.fit import ModelFit
@@ -41,6 +42,7 @@ from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
 from pincal.sensors.setup import Setup
 from pincal.validate.accuracy import leading_unit
+from pincal.validate.clock_jumps import SteppingClocksError
 
 log = logging.getLogger(__name__)
 
@@ -231,19 +233,32 @@ def fit_admitted(
             else with_holdout(robot, admitted.tables, holdout, setup_of)
         )
     trained = {part.name: part.measured[0] for part in parts}
-    agreed = fit_agreed(robot, admitted.tables, options, trained=trained)
+    try:
+        agreed = fit_agreed(robot, admitted.tables, options, trained=trained)
+    except SteppingClocksError as found:
+        return fit_admitted(
+            robot,
+            with_steps(tables, found),
+            options,
+            test_fraction=test_fraction,
+            split=split,
+            seed=seed,
+            holdout=holdout,
+        )
     fit = agreed.fit
-    for text in agreed.notes:
+    steps = tuple(step_notes(tables))
+    for text in (*agreed.notes, *steps):
         warn(text)
     pairs = zip(screened(fit, parts), fit.problem.stations, strict=True)
     rows = tuple(replace(part, name=at.name) for part, at in pairs)
-    notes = [*agreed.notes, *agreed.robot.notes]
+    notes = [*agreed.notes, *steps, *agreed.robot.notes]
     notes += [*dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
     notes += [*unobservable(trained, options), *_on_moment_frame(fit, options.first_frame)]
     divides = holdout is None and not test_fraction
     folds = Folds.of(fit.problem, WAYS[split], seed=seed) if divides else None
-    found = doubts_first(notes)
-    return FittedTables(agreed.robot, rows, fit, found, folds, admitted.tables, options)
+    return FittedTables(
+        agreed.robot, rows, fit, doubts_first(notes), folds, admitted.tables, options
+    )
 
 
 def _setups(options: Options) -> Callable[[str], Setup]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from pincal.calibration.agreed import AgreedFit, fit_agreed
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.calibration.stepping import step_notes, with_steps
 from pincal.errors import BadInputError, warn
 from pincal.identify.calibrate import Tables, fit_tables, tables_of
 from pincal.identify.options import Options
@@ -20,6 +21,7 @@ from pincal.measure.log_reader import LogReader, reader_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, stations_of
 from pincal.robot.robot import Robot
+from pincal.validate.clock_jumps import SteppingClocksError
 
 log = logging.getLogger(__name__)
 
@@ -93,8 +95,11 @@ def _checked(
     options = Options() if options is None else options
     tables = tables_of(_tables(robot, measurements))
     admitted = admit(robot, tables, lambda name: options.at(name).setup)
-    agreed = fit_agreed(robot, admitted.tables, options, executor=executor)
-    for text in (*admitted.notes, *admitted.idle, *agreed.notes):
+    try:
+        agreed = fit_agreed(robot, admitted.tables, options, executor=executor)
+    except SteppingClocksError as found:
+        return _checked(robot, with_steps(tables, found), options, executor=executor)
+    for text in (*admitted.notes, *admitted.idle, *agreed.notes, *step_notes(tables)):
         warn(text)
     return agreed
 

@@ -4,7 +4,7 @@ after; reservations.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -46,11 +46,13 @@ from pincal.identify.explain import Cause
 from pincal.identify.fit import ModelFit, Solution
 from pincal.identify.prior_scale import has_instrument
 from pincal.notes import Note, doubts_first, doubts_of
+from pincal.recorded import Moving
 from pincal.thresholds import Count
 from pincal.validate.accuracy import error_statistics
 from pincal.validate.misfit import NoiseTest, Verdict, is_informative, judge
 from pincal.validate.outcome import (
     ClockRecord,
+    ClockStep,
     Correlation,
     Errors,
     Improvement,
@@ -474,7 +476,21 @@ def _clocks(fit: ModelFit, rows: Sequence[StationRows]) -> Iterator[ClockRecord]
                 None if late is None else moving.delay + float(late),
                 None if sigma is None else float(sigma),
             ),
+            _steps(moving, values, mark),
         )
+
+
+def _steps(
+    moving: Moving, values: Mapping[str, tuple[float, float]], mark: str
+) -> tuple[ClockStep, ...]:
+    """Return the steps of a clock: as laid out plus fitted correction; ``values`` are those of
+    parameters with their standard deviations, ``mark`` begins the names of a station's.
+    """
+    found = list[ClockStep]()
+    for number, (at, size) in enumerate(moving.steps, 1):
+        more, sigma = values[f"{mark}clock.step_{number}"]
+        found.append(ClockStep(at, size + float(more), float(sigma)))
+    return tuple(found)
 
 
 def _correlations(fit: ModelFit, rows: tuple[ParameterRow, ...]) -> tuple[Correlation, ...]:

@@ -300,7 +300,15 @@ def clock_words(clock: ClockRecord) -> str:
             f"; its gyroscope {1e3 * clock.gyro_early_s:+.2f} +- "
             f"{1e3 * INTERVAL * clock.gyro_early_sigma_s:.2g} ms"
         )
+    words += "".join(f"; {words_of_step}" for words_of_step in _step_words(clock))
     return f"{clock.station}: {words}" if clock.station else words
+
+
+def _step_words(clock: ClockRecord) -> Iterator[str]:
+    """Yield the steps of a clock with 95 % intervals, in words."""
+    for step in clock.steps:
+        half = 1e3 * INTERVAL * step.size_sigma_s
+        yield f"from {step.at_s:.6g} s on {1e3 * step.size_s:+.2f} +- {half:.2g} ms"
 
 
 def clock_table(clocks: Sequence[ClockRecord]) -> Table:
@@ -330,7 +338,12 @@ def clock_table(clocks: Sequence[ClockRecord]) -> Table:
         "correction to the time stamps of a station at the middle of its session; for a gyroscope "
         "in addition to its accelerometer's; +- 95 %"
     )
-    return Table("Clocks relative to that of the joints", columns, tuple(rows), (note,))
+    steps = (
+        f"stamps of {at.station or 'the instrument'} {words}, where its clock or the joints' steps"
+        for at in clocks
+        for words in _step_words(at)
+    )
+    return Table("Clocks relative to that of the joints", columns, tuple(rows), (note, *steps))
 
 
 def improvement_table(regions: Sequence[Improvement]) -> Table:

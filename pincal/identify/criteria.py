@@ -825,8 +825,8 @@ class MidwayNumbers:
     clock: float = number(
         1e-3,
         "s",
-        "test_motion_stations.py::test_a_clock_that_slips_is_refused_with_the_row",
-        "jump of a clock above which a calibrated arm in motion refuses it",
+        "test_motion_stations.py::test_a_clock_that_slips_has_a_step_with_its_uncertainty",
+        "jump of a clock, above which it is estimated by a calibrated arm in motion",
         "neither an error of an arm nor a sound clock makes one",
     )
 

@@ -287,7 +287,9 @@ def _candidates(
         ToolFrame(rows.sensor.tool_symbols),
     )
     if measurements.moving is not None:
-        frames += (InstrumentClock(measurements.moving.middle),)
+        moving = measurements.moving
+        stamps = tuple(at for at, _ in moving.steps)
+        frames += (InstrumentClock(moving.middle, steps=stamps),)
     whole = rows.with_model(models.same(arm.with_effects([*frames, *arm.effects])))
     deviations = dict(zip(arm.names, values, strict=True))
     return [_at(whole, placement, deviations) for placement in candidates]

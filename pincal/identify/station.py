@@ -520,7 +520,9 @@ def conditions_of(
         payload_centre=np.asarray(payload_centre, float),
         sighted=measurements.position,
         inertial=None if moving is None else moving.inertial,
-        around=moving if moving is not None and moving.q is not None else None,
+        around=replace(moving, course=None)
+        if moving is not None and moving.q is not None
+        else None,
         **recorded,
     )
 

@@ -36,6 +36,7 @@ _PLACEHOLDERS = "test_table_forms.py::test_numbers_in_place_of_readings_by_hand"
 _CUT = "test_joined.py::test_a_log_is_cut_where_the_arm_moves"
 _SURE_JUMP = "test_motion_numbers.py::test_a_jump_of_a_clock_is_six_standard_deviations"
 _JUMP = "test_motion.py::test_a_jump_of_a_clock_is_found_to_the_row"
+_STEPS = "test_stepping_clocks.py::test_more_steps_than_a_clock_has_are_refused"
 
 
 # fmt: off
@@ -154,6 +155,9 @@ class ClockJumpNumbers:
         "of a jump, or of a slip of a mount", "chosen: beyond chance at any of the rows tried")
     either_side: int = number(3, "blocks", _JUMP,
         "of rows on either side of a jump, at least", "chosen")
+    most: int = number(12, "jumps", _STEPS,
+        "of a clock in a session, at most",
+        "chosen: more are stamps of another kind, such as those of arrival")
 
 
 # fmt: on

@@ -11,7 +11,7 @@ refines them (:class:`pincal.model.catalogue.InstrumentClock`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,6 +19,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.measure.clock_jump import Jump, likeliest_jump
+from pincal.measure.reading_numbers import JUMPS
 from pincal.motion.motion_numbers import CLOCKS
 from pincal.thresholds import Count, Scale
 
@@ -40,31 +41,55 @@ _STEP: Scale = 1e-3
 @dataclass(frozen=True)
 class Clock:
     """A clock relative to the joints' clock: its stamp t is their time t + offset + drift (t -
-    middle).
+    middle), and steps later where one of the clocks was set or a count was lost.
 
     Attributes:
         offset: [s].
         drift: [1].
         middle: stamp at which the offset holds [s].
         sigma: standard deviations of offset [s] and drift [1], infinite for guesses.
+        steps: stamp of the first reading after each step, and what it adds to times from there on
+            [s].
 
     Example:
         >>> Clock(0.5, 1e-3, 100.0).to_joints(np.array([100.0, 200.0])).tolist()
         [100.5, 200.6]
+        >>> Clock(0.5, steps=((150.0, 8e-3),)).to_joints(np.array([100.0, 200.0])).tolist()
+        [100.5, 200.508]
     """
 
     offset: float = 0.0
     drift: float = 0.0
     middle: float = 0.0
     sigma: tuple[float, float] = (np.inf, np.inf)
+    steps: tuple[tuple[float, float], ...] = ()
 
     def to_joints(self, time: np.ndarray) -> np.ndarray:
         """Return stamps as times of the joints' clock, shape (N,) [s]."""
-        return np.asarray(time + self.offset + self.drift * (time - self.middle))
+        stepped = sum((size * (time >= at) for at, size in self.steps), np.zeros(np.shape(time)))
+        return np.asarray(time + self.offset + self.drift * (time - self.middle) + stepped)
 
-    def moved(self, offset: float, drift: float) -> Clock:
-        """Return the clock with a change of offset [s] and drift [1]."""
-        return replace(self, offset=self.offset + offset, drift=self.drift + drift)
+    def moved(self, offset: float, drift: float, steps: Sequence[float] = ()) -> Clock:
+        """Return the clock with a change of offset [s], drift [1] and of each step [s]."""
+        more = steps or np.zeros(len(self.steps)).tolist()
+        changed = tuple((at, size + by) for (at, size), by in zip(self.steps, more, strict=True))
+        return replace(self, offset=self.offset + offset, drift=self.drift + drift, steps=changed)
+
+    def about(self, middle: float) -> Clock:
+        """Return the same clock with the offset at another stamp [s], as a guess."""
+        offset = self.offset + self.drift * (middle - self.middle)
+        return Clock(offset, self.drift, middle, steps=self.steps)
+
+    def stepping(self, jump: Jump) -> Clock:
+        """Return the clock with one step more."""
+        return replace(self, steps=tuple(sorted((*self.steps, (jump.time, jump.size)))))
+
+    def is_clear(self, time: np.ndarray, margin: float) -> np.ndarray:
+        """Return which stamps, shape (N,), are farther than a margin from all steps [s]."""
+        found = np.ones(np.shape(time), bool)
+        for at, _ in self.steps:
+            found &= np.abs(time - at) > margin
+        return found
 
 
 @dataclass(frozen=True)
@@ -174,7 +199,8 @@ def aligned(
     *,
     source: str,
 ) -> Alignment:
-    """Return the clock by which readings are linear in features of the motion.
+    """Return the clock by which readings are linear in features of the motion, with the steps that
+    no error of a nominal arm looks like.
 
     Args:
         time: stamps of the readings, shape (N,) [s].
@@ -189,14 +215,32 @@ def aligned(
     Raises:
         MeasurementError: if the joints' path is known at none of the readings.
     """
-    clock = start
+    found = _whole(time, readings, features, covers, start, source=source)
+    while found.jump.is_sure(CLOCKS.nominal_jump) and len(found.clock.steps) < JUMPS.most:
+        clock = found.clock.stepping(found.jump)
+        found = _whole(time, readings, features, covers, clock, source=source)
+    return found
+
+
+def _whole(
+    time: np.ndarray,
+    readings: np.ndarray,
+    features: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    covers: Callable[[np.ndarray], np.ndarray],
+    start: Clock,
+    *,
+    source: str,
+) -> Alignment:
+    """Return the clock of readings, with as many steps as the start has; arguments as for
+    :func:`aligned`.
+    """
     known = covers(start.to_joints(time))
     refuse_uncovered(known, source=source)
     begin = time[known].min()
     end = time[known].max()
     middle = 0.5 * (begin + end)
     first = _FIRST if np.isinf(start.sigma[1]) else np.inf
-    clock = Clock(float(clock.to_joints(np.array(middle)) - middle), clock.drift, float(middle))
+    clock = start.about(float(middle))
     half = 0.5 * first
     while True:
         is_whole = half >= 0.5 * (end - begin)
@@ -228,12 +272,18 @@ def _aligned(
         seen = rows[covers(clock.to_joints(time[rows]))]
         refuse_uncovered(seen, source=source)
         since = time[seen] - clock.middle
-        found = _Projected.of(readings[seen], clock.to_joints(time[seen]), since, seen, features)
+        shapes = [np.ones(len(since)), since, *(time[seen] >= at for at, _ in clock.steps)]
+        found = _Projected.of(readings[seen], clock.to_joints(time[seen]), shapes, seen, features)
         J = found.jacobian
         H = J.T @ J
+        # A step outside of the rows is not seen.
+        H[np.diag_indices_from(H)] += 1e-12 * H[0, 0]
         step = np.linalg.solve(H, J.T @ (found.rest * found.weights).ravel())
         sigma = np.sqrt(np.diag(np.linalg.inv(H)))
-        clock = replace(clock.moved(*step.tolist()), sigma=(float(sigma[0]), float(sigma[1])))
+        clock = replace(
+            clock.moved(float(step[0]), float(step[1]), step[2:].tolist()),
+            sigma=(float(sigma[0]), float(sigma[1])),
+        )
         if abs(step[0]) < _SETTLED and abs(step[1]) * np.ptp(since) < _SETTLED:
             break
     jump = likeliest_jump(
@@ -241,6 +291,7 @@ def _aligned(
         found.rest * found.weights,
         found.rate * found.weights,
         found.unexplained,
+        [at for at, _ in clock.steps],
     )
     solution = found.solution
     return Alignment(clock, solution[:-1].T, solution[-1], found.scatter, jump)
@@ -257,7 +308,8 @@ class _Projected:
         rate: shape (N, m), derivatives of the linear part by time.
         scatter: shape (m,), standard deviation of the residuals.
         weights: shape (m,), their inverse.
-        jacobian: shape (N m, 2), weighted derivatives by offset and drift of the clock.
+        jacobian: shape (N m, 2 + steps), weighted derivatives by offset, drift and steps of the
+            clock.
     """
 
     basis: np.ndarray
@@ -273,12 +325,12 @@ class _Projected:
         cls,
         y: np.ndarray,
         at: np.ndarray,
-        since: np.ndarray,
+        shapes: Sequence[np.ndarray],
         seen: np.ndarray,
         features: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ) -> _Projected:
-        """Return the readings ``y`` of the rows ``seen`` at times of the joints' clock, and times
-        since the middle by their own, shape (N,) [s].
+        """Return the readings ``y`` of the rows ``seen`` at times of the joints' clock, shape (N,)
+        [s]; ``shapes``, shape (N,) each, are derivatives of these by what is unknown of the clock.
         """
         A, ahead, behind = (
             np.column_stack([features(at + s, seen), np.ones(len(at))])
@@ -288,7 +340,8 @@ class _Projected:
         solution = np.linalg.lstsq(A, y, rcond=1e-12)[0]
         rest = y - A @ solution
         rate = ((ahead - behind) / (2.0 * _STEP)) @ solution
-        columns = [change - Q @ (Q.T @ change) for change in (rate, rate * since[:, None])]
+        changes = (rate * shape[:, None] for shape in shapes)
+        columns = [change - Q @ (Q.T @ change) for change in changes]
         scatter = np.sqrt(np.sum(rest**2, axis=0) / max(len(y) - A.shape[1] - 1, 1))
         weights = 1.0 / np.maximum(scatter, 1e-12 * np.abs(y).max(initial=1e-300))
         J = np.column_stack([(column * weights).ravel() for column in columns])
@@ -300,7 +353,7 @@ class _Projected:
 
     def unexplained(self, steps: np.ndarray) -> np.ndarray:
         """Return columns, shape (N, m, K), projected onto the complement of the linear part, and of
-        offset and drift.
+        offset, drift and steps.
         """
         Q = self.basis
         clocks = self._clock_basis

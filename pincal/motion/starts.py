@@ -16,6 +16,7 @@ import numpy as np
 
 from pincal.errors import MeasurementError, warn
 from pincal.hypotheses.hypothesis import Hypothesis, explaining
+from pincal.measure.clock_jump import OFTEN
 from pincal.measure.reading_numbers import JUMPS
 from pincal.motion.clocks import (
     Alignment,
@@ -431,12 +432,14 @@ def _features(tips: np.ndarray) -> np.ndarray:
 
 
 def check_clock(stream: Stream, found: Alignment) -> None:
-    """Refuse a clock that jumps, and warn of one with a drift larger than that of crystals."""
+    """Refuse a clock that jumps more often than one does, and warn of one with a drift larger than
+    that of crystals.
+    """
     clock = found.clock
     jump = found.jump
     if jump.is_sure(CLOCKS.nominal_jump):
         line = stream.lines[np.searchsorted(stream.time, jump.time)]
-        raise MeasurementError(f"{stream.name}, about line {line}: {jump}")
+        raise MeasurementError(f"{stream.name}, about line {line}: {jump}, {OFTEN}")
     if abs(clock.drift) > max(CLOCKS.drift, 5.0 * clock.sigma[1]):
         runs = "slowly" if clock.drift > 0.0 else "fast"
         warn(

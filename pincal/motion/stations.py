@@ -10,17 +10,18 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.hypotheses.hypothesis import Hypothesis, exchange_order, explaining
 from pincal.measure.measurements import Measurements, measurements
+from pincal.model.conditions import Conditions
 from pincal.motion.clocks import Clock, refuse_uncovered
 from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
-from pincal.motion.motion_numbers import FOLLOWING
+from pincal.motion.motion_numbers import FOLLOWING, ON_PATH
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.reading_starts import start_readings
 from pincal.motion.sessions import Session
@@ -183,6 +184,7 @@ def _imu_table(
     clock = start.clock.moved(-delay, 0.0)
     at = clock.to_joints(rows.time)
     inside = arm.path.covers(at, 4.0 * WIDTH)
+    inside &= clock.is_clear(rows.time, _around_steps(arm, 4.0 * WIDTH))
     refuse_uncovered(inside, source=imu.name)
     rows = rows.select(inside)
     at = at[inside]
@@ -247,7 +249,7 @@ def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
             ~steady(values.reshape(len(values), -1)), "are outliers: readings of something else"
         )
     at = clock.to_joints(tracker.time)
-    inside = arm.path.covers(at)
+    inside = arm.path.covers(at) & clock.is_clear(tracker.time, _around_steps(arm))
     refuse_uncovered(inside, source=tracker.name)
     readings = {name: values[inside] for name, values in tracker.readings.items()}
     lines = tracker.lines[inside]
@@ -286,6 +288,74 @@ def _without_stale(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """The course of an arm, as readings of a stream depend on it.
+
+    Attributes:
+        arm: the arm on its path.
+        offsets: times relative to that of a row on which its reading depends, shape (K,) [s]; None
+            for instantaneous ones.
+    """
+
+    arm: MovingArm
+    offsets: np.ndarray | None
+
+    def with_steps(self, table: Measurements, steps: Sequence[tuple[float, float]]) -> Measurements:
+        """Return a table of its rows with other steps of its clock, see
+        :class:`pincal.recorded.ArmCourse`.
+        """
+        before = table.moving
+        assert before is not None
+        assert table.time is not None
+        clock = Clock(*before.clock, steps=tuple(sorted(steps)))
+        margin = 0.0 if self.offsets is None else float(np.abs(self.offsets).max())
+        at = clock.to_joints(table.time)
+        inside = self.arm.path.covers(at, margin)
+        inside &= clock.is_clear(table.time, _around_steps(self.arm, margin))
+        refuse_uncovered(inside, source=table.source)
+        kept = table.select(inside)
+        here, moving = _laid(self, at[inside])
+        return replace(
+            kept,
+            q=self.arm.robot.as_reported(here.q),
+            velocity=here.velocity,
+            moving=replace(
+                moving,
+                clock=before.clock,
+                steps=clock.steps,
+                delay=before.delay,
+                scatter=before.scatter,
+            ),
+        )
+
+
+def _around_steps(arm: MovingArm, margin: float = 0.0) -> float:
+    """Return the time on either side of a step of a clock within which a row belongs to neither
+    side [s].
+
+    If it is the joints' clock that steps, their path is not known there, as at its ends.
+    """
+    return margin + ON_PATH.ends * arm.path.spacing
+
+
+def _laid(course: _Course, at: np.ndarray) -> tuple[Conditions, Moving]:
+    """Return the conditions of rows at times of the joints' clock, shape (N,) [s], and the motion
+    on which their readings depend.
+    """
+    arm = course.arm
+    here = arm.conditions(at)
+    moving = Moving(inertial=here.inertial, course=course)
+    if course.offsets is None:
+        return here, moving
+    there = arm.conditions(at, course.offsets)
+    assert there.velocity is not None
+    shape = (len(at), len(course.offsets), arm.robot.n_joints)
+    loads = None if there.inertial is None else there.inertial.reshape(*shape, 6)
+    velocity = there.velocity.reshape(shape)
+    return here, replace(moving, q=there.q.reshape(shape), velocity=velocity, loads=loads)
+
+
 def _table(
     arm: MovingArm,
     stream: Stream,
@@ -302,16 +372,8 @@ def _table(
     """
     n = len(time)
     robot = arm.robot
-    here = arm.conditions(at)
-    moving = Moving(clock=(clock.offset, clock.drift, clock.middle), inertial=here.inertial)
-    if offsets is not None:
-        there = arm.conditions(at, offsets)
-        assert there.velocity is not None
-        shape = (n, len(offsets), robot.n_joints)
-        loads = None if there.inertial is None else there.inertial.reshape(*shape, 6)
-        moving = replace(
-            moving, q=there.q.reshape(shape), velocity=there.velocity.reshape(shape), loads=loads
-        )
+    here, moving = _laid(_Course(arm, offsets), at)
+    moving = replace(moving, clock=(clock.offset, clock.drift, clock.middle), steps=clock.steps)
     table = measurements(
         robot,
         robot.as_reported(here.q),

@@ -165,9 +165,23 @@ class ValidationWay:
 
 
 @dataclass(frozen=True)
+class ClockStep:
+    """A step of a clock.
+
+    Attributes:
+        at_s: stamp of the first reading after it [s].
+        size_s, size_sigma_s: what it adds to stamps from there on, and its standard deviation [s].
+    """
+
+    at_s: float
+    size_s: float
+    size_sigma_s: float
+
+
+@dataclass(frozen=True)
 class ClockRecord:
     """Clock of an instrument that reads an arm in motion: its stamp t is the joints' time t +
-    offset + drift (t - middle).
+    offset + drift (t - middle), and the steps before t more.
 
     Attributes:
         station: name of the station, "" for a single one.
@@ -176,6 +190,7 @@ class ClockRecord:
         middle_s: stamp at which the offset holds [s].
         gyro_early_s, gyro_early_sigma_s: lead of an IMU's rate stamps over acceleration stamps of
             the same moment [s]; else null.
+        steps: where it or the joints' clock steps.
     """
 
     station: str
@@ -186,6 +201,7 @@ class ClockRecord:
     middle_s: float
     gyro_early_s: float | None = None
     gyro_early_sigma_s: float | None = None
+    steps: tuple[ClockStep, ...] = ()
 
 
 @dataclass(frozen=True)

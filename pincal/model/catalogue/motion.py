@@ -35,6 +35,8 @@ class InstrumentClock(Effect):
     A reading at time t belongs to the joints at :math:`t + \tau_0 + \tau_1 (t - t_m)`, so that
     :math:`\dot q_j` times the difference is added to every drive, to first order: the times are
     synchronised to a millisecond beforehand. Like the pose of the instrument it is unconstrained.
+    Where one of the clocks steps, as when a counted sample is lost, later readings belong to times
+    that are later by each step.
 
     Distinguished by:
         motions that start and stop. An offset equals the same lag of all joints.
@@ -46,10 +48,12 @@ class InstrumentClock(Effect):
         middle: time t_m about which the clock drifts [s]; the middle of a session is well
             conditioned.
         drifts: whether it also runs at another rate.
+        steps: stamps of the first readings after steps of one of the clocks [s].
     """
 
     middle: float = 0.0
     drifts: bool = True
+    steps: tuple[float, ...] = ()
     name: ClassVar[str] = "instrument_clock"
     meaning: ClassVar[str] = "the instrument's clock differs from that of the joints"
     family: ClassVar[Family] = Family.EXTRINSICS
@@ -57,8 +61,9 @@ class InstrumentClock(Effect):
     locus: ClassVar[Locus] = Locus(acts_on="clock", follows="velocity")
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Offset [s] and drift [1]."""
-        symbols = (("offset", "s"), ("drift", "1"))[: 1 + self.drifts]
+        """Offset [s], drift [1] and steps [s]."""
+        symbols = [("offset", "s"), ("drift", "1")][: 1 + self.drifts]
+        symbols += [(f"step_{k}", "s") for k in range(1, len(self.steps) + 1)]
         return tuple(
             Parameter(f"clock.{symbol}", unit, self.name, 0.0, ANYWHERE) for symbol, unit in symbols
         )
@@ -71,6 +76,8 @@ class InstrumentClock(Effect):
         since = [np.ones(len(conditions))]
         if self.drifts:
             since.append(recorded(self, "time", conditions.time) - self.middle)
+        for step in self.steps:
+            since.append((recorded(self, "time", conditions.time) >= step).astype(float))
         pairs = zip(chain.drives.tolist(), conditions.velocity.T, strict=True)
         return tuple(
             Term(p, k, way * t) for k, way in pairs for p, t in enumerate(since) if way.any()
