@@ -26,7 +26,6 @@ from pincal.cli.cell_file import (
 )
 from pincal.errors import BadInputError, OutputError, nearest_first
 from pincal.identity import Identity
-from pincal.measure.log_reader import joints_of_log
 from pincal.measure.table_schema import TABLE_ENDINGS
 from pincal.thresholds import Count
 
@@ -333,6 +332,8 @@ def _is_table(word: str) -> bool:
     path = Path(word)
     ending = path.suffix.lower()
     if path.is_dir():
+        from pincal.measure.log_reader import joints_of_log
+
         return joints_of_log(path) is not None
     return ending in TABLE_ENDINGS or (path.is_file() and ending not in ("", *_NO_TABLES))
 
