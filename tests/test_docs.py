@@ -174,6 +174,8 @@ def code_of(page: str) -> list[str]:
 def test_pages_show_what_is_printed(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every block runs in an empty folder, and prints the words that it shows and, nearly, the numbers."""
     monkeypatch.chdir(tmp_path)
+    # The pages show what the cell file saves.
+    monkeypatch.delenv("PINCAL_CELL", raising=False)
     shown = page.read_text(encoding="utf-8")
     (words, numbers), (words_now, numbers_now) = told(shown), told(transcripts.played(shown))
 
