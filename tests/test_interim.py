@@ -318,6 +318,19 @@ def test_the_command_keeps_a_record_and_tells_an_alarm(folder: Path, capsys: pyt
     assert [check.has_failed for check in load_record(folder / "model.checks.json").checks] == [False, False, True]
 
 
+def test_the_record_of_an_earlier_calibration_is_kept(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Beside the new one: a calibration into the same folder begins anew."""
+    five_days().record.save(tmp_path / "model.checks.json")
+    checked_arm(2).fitted.save(tmp_path / "model.json")
+    assert run("interim", str(tmp_path / "model.json"), str(folder / "mon.csv"), "--day", "2026-01-05") in (0, 5)
+    assert "of another calibration" in capsys.readouterr().err
+    assert len(load_record(tmp_path / "model.checks.json").checks) == 1
+    mark = five_days().record.model[:8]
+    assert load_record(tmp_path / f"model.checks.{mark}.json") == five_days().record
+
+
 def test_a_record_may_stand_elsewhere(folder: Path) -> None:
     """And is no other file of the command."""
     model = str(folder / "model.json")

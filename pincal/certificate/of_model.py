@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from msgspec import UNSET
 
+from pincal.calibration.check_record import InterimCheck, record_of, record_path
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.model_statement import COVERAGE_FACTOR
 from pincal.calibration.result import ResultFile
@@ -87,9 +89,9 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
         item=robot.model.chain.robot.name,
         identity=stated.over(fitted.identity),
         ranges=tuple(_ranges(robot)),
-        facts=_facts(fitted, of.result) | of.searched | lacking,
+        facts=_facts(fitted, of.result) | of.searched | of.checked | lacking,
         verdict=of.verdict.value,
-        doubts=of.doubts,
+        doubts=(*of.doubts, *of.alarms),
         groups=tuple(_groups(of.result, budget)),
         budget=budget,
         files=of.files,
@@ -156,8 +158,32 @@ class _Calibrated:
     def files(self) -> dict[str, str]:
         """Checksums of the files read, and of what the robot was calibrated from."""
         names = [self.path.name, _RESULT, *([] if self.search is None else [_DISCOVERY])]
+        checks = record_path(self.path)
+        names += [] if self._last is None else [checks.name]
         own = {name: file_hash(self.path.with_name(name)) for name in names}
         return own | checksums_of_inputs(self.fitted.provenance)
+
+    @cached_property
+    def _last(self) -> InterimCheck | None:
+        record, _ = record_of(self.fitted, record_path(self.path))
+        return None if record is None else record.last
+
+    @property
+    def checked(self) -> dict[str, str]:
+        """The last interim check, if there was one."""
+        last = self._last
+        if last is None:
+            return {"interim checks": "none"}
+        drift = f"drift since the calibration u = {last.drift * 1e3:.2g} mm a coordinate"
+        return {"interim checks": f"{last.words}; {drift}"}
+
+    @property
+    def alarms(self) -> tuple[str, ...]:
+        """The doubt of a last check that raised an alarm."""
+        last = self._last
+        if last is None or not last.has_failed:
+            return ()
+        return (f"the last interim check raised an alarm: {last.words}",)
 
     @property
     def searched(self) -> dict[str, str]:

@@ -98,10 +98,12 @@ class _AtPlace:
             BadInputError: if it is of another robot than stated; further as for
                 :func:`pincal.cli.inputs.find_place`.
         """
+        from pincal.cli.checked import said_by_checks
         from pincal.cli.inputs import find_place
 
         place = find_place(self.model, self.place, self.table.options)
-        return place.stated(self.identity.of_model(place.model.identity, self.model))
+        notes = self.identity.of_model(place.model.identity, self.model)
+        return place.stated([*notes, *said_by_checks(self.model)])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -120,6 +120,7 @@ class ExportArguments:
 )
 def export(arguments: ExportArguments) -> Exit:
     """Write the calibrated robot in other formats."""
+    from pincal.cli.checked import said_by_checks
     from pincal.export import FORMATS, export_model
 
     registered = FORMATS.registered()
@@ -128,6 +129,7 @@ def export(arguments: ExportArguments) -> Exit:
     calibrated = _model(arguments, is_of_robot=is_of_robot)
     unchecked = tuple(arguments.identity.of_model(calibrated.identity, arguments.model))
     said = [] if calibrated.statement is None else list(calibrated.statement.notes())
+    said += said_by_checks(arguments.model)
     contents: dict[str, Any] = {}
     lines: list[str] = []
     for name, place in places.items():

@@ -16,15 +16,18 @@ from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, provenance
 from pincal.cli.quantities import LENGTH, NoiseType
 from pincal.cli.result_place import results_option
-from pincal.errors import Exit
+from pincal.errors import BadInputError, Exit
 from pincal.features.decision_numbers import DECISION
 from pincal.io.result_folder import output_folder
 
 if TYPE_CHECKING:
+    from pincal.calibration.check_record import InterimCheck
+    from pincal.calibration.fitted_robot import FittedRobot
     from pincal.features.decision import DecisionRule
     from pincal.features.flange_sensor import FlangeSensor
     from pincal.features.measured_file import MeasuredFile
     from pincal.features.mounted_sensor import Reservations
+    from pincal.notes import Note
 
 _EXAMPLES = """
 Examples:
@@ -78,9 +81,19 @@ class MeasureArguments:
         in_cell=True,
     )
     drift: float | None = option(
-        "Standard uncertainty of a position by drift since the calibration, as of interim checks.",
+        "Standard uncertainty of a position by drift since the calibration; at least that of the "
+        "interim checks.",
         type=LENGTH,
-        words="none",
+        words="that of the interim checks",
+    )
+    checks: Path | None = option(
+        "Record of the interim checks of the model.",
+        metavar="FILE.json",
+        words="model.checks.json beside the model",
+    )
+    despite_check: bool = option(
+        "Measure although the last interim check of the model raised an alarm; a doubt says so.",
+        False,
     )
     decision: Literal["guarded", "simple"] = option(
         "Rule: with U as guard band at both sides of a limit (ISO 14253-1), or simple acceptance.",
@@ -136,6 +149,7 @@ def measure_verb(arguments: MeasureArguments) -> Exit:
 
 def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
     """Measure the part, write the results into a folder, and return them."""
+    from pincal.calibration.check_record import record_path
     from pincal.calibration.fitted_robot import load_model
     from pincal.calibration.placing import without_absent
     from pincal.features.measured_page import measured_page
@@ -143,7 +157,9 @@ def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
     from pincal.features.part import Part
     from pincal.features.readings import read_readings
 
-    fitted = load_model(arguments.model).at(arguments.station)
+    whole = load_model(arguments.model)
+    check, of_record = _checked(arguments, whole)
+    fitted = whole.at(arguments.station)
     identity = arguments.identity
     said = tuple(identity.of_model(fitted.identity, arguments.model))
     part = Part.from_toml(arguments.features)
@@ -157,17 +173,23 @@ def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
         part,
         sensor=_sensor(arguments),
         frame=arguments.frame,
-        reservations=_reservations(arguments),
+        reservations=_reservations(arguments, check),
         rule=_rule(arguments),
         stated=identity.given,
     )
-    inputs = (arguments.model, arguments.readings, arguments.features, arguments.sensor)
+    inputs = (
+        arguments.model,
+        arguments.readings,
+        arguments.features,
+        arguments.sensor,
+        arguments.checks or record_path(arguments.model),
+    )
     origin = provenance([path for path in inputs if path is not None])
     # Single rows are for the terminal; what they amount to belongs to the result.
     lines = [note for note in beyond if note.startswith("line ")]
     echo_notes(lines, quiet=arguments.general.quiet)
-    whole = [note for note in beyond if note not in lines]
-    measured = measured.completed(origin, (*said, *absent, *whole))
+    others = [note for note in beyond if note not in lines]
+    measured = measured.completed(origin, (*of_record, *said, *absent, *others))
     measured.write(folder)
     page = measured_page(measured.found, robot=robot.name, version=origin["pincal"])
     (folder / "report.html").write_text(page, encoding="utf-8")
@@ -187,7 +209,30 @@ def _sensor(arguments: MeasureArguments) -> FlangeSensor:
     return declared.with_noise(size, unit)
 
 
-def _reservations(arguments: MeasureArguments) -> Reservations:
+def _checked(
+    arguments: MeasureArguments, fitted: FittedRobot
+) -> tuple[InterimCheck | None, tuple[Note | str, ...]]:
+    """Return the last interim check of the model, and what it says.
+
+    Raises:
+        BadInputError: if it raised an alarm, unless the user wants to measure nevertheless.
+    """
+    from pincal.cli.checked import failed_words, last_check
+    from pincal.notes import Note, Severity
+
+    check, notes = last_check(arguments.model, arguments.checks, fitted)
+    if check is None:
+        return None, notes
+    if not check.has_failed:
+        return check, (*notes, f"interim check of {check.words}; its drift is in the budget")
+    if not arguments.despite_check:
+        raise BadInputError(
+            f"{arguments.model}: {failed_words(check)}; --despite-check measures nevertheless"
+        )
+    return check, (*notes, Note(Severity.DOUBT, failed_words(check)))
+
+
+def _reservations(arguments: MeasureArguments, check: InterimCheck | None) -> Reservations:
     """Return what the calibration itself does not know of its errors."""
     from pincal.features.mounted_sensor import Reservations
     from pincal.measure.instruments import InstrumentNoise
@@ -195,7 +240,8 @@ def _reservations(arguments: MeasureArguments) -> Reservations:
     scale = 0.0
     if arguments.instrument is not None:
         scale = InstrumentNoise.of(arguments.instrument).along_per_m
-    return Reservations(scale=scale, drift=arguments.drift or 0.0)
+    seen = 0.0 if check is None else check.drift
+    return Reservations(scale=scale, drift=max(arguments.drift or 0.0, seen))
 
 
 def _rule(arguments: MeasureArguments) -> DecisionRule:

@@ -22,6 +22,8 @@ from pincal.thresholds import Count
 if TYPE_CHECKING:
     from pincal.calibration.check_record import CheckedChange, CheckRecord, InterimCheck
 
+# Characters of a calibration's fingerprint in the name of its record.
+_MARK: Count = 8
 # Other explanations that are named.
 _NAMED: Count = 4
 _EXAMPLES = """
@@ -103,6 +105,8 @@ def interim_verb(arguments: InterimArguments) -> Exit:
         sigma=arguments.noise,
         false_alarms=arguments.false_alarms,
     )
+    if other is not None:
+        notes.append(f"{other}; kept as {kept_aside(path)}")
     checked.record.save(path)
     last = checked.record.checks[-1]
     if arguments.general.as_json:
@@ -111,9 +115,18 @@ def interim_verb(arguments: InterimArguments) -> Exit:
         for heading, text in lines_of(checked.record):
             click.echo(f"{heading:10}{text}")
         click.echo(f"written to {path}")
-    notes += [other] if other is not None else []
     echo_notes(notes, quiet=arguments.general.quiet)
     return Exit.INACCURATE if last.has_failed else Exit.DONE
+
+
+def kept_aside(path: Path) -> Path:
+    """Copy the record of another calibration to a name of its own, and return it."""
+    from pincal.calibration.check_record import load_record
+
+    found = load_record(path)
+    place = path.with_name(f"{path.stem}.{found.model[:_MARK]}.json")
+    found.save(place)
+    return place
 
 
 def as_plain(check: InterimCheck, number: int) -> dict[str, Any]:
