@@ -130,7 +130,7 @@ def _pairs_within(group: np.ndarray, rng: np.random.Generator) -> Iterator[np.nd
 
 
 class Totals:
-    """Rates of several calibrations together: what one calibration says is one thing."""
+    """Rates of several calibrations together, of which each is one block."""
 
     def __init__(self) -> None:
         self.of: dict[str, list[Held]] = {}
@@ -144,11 +144,12 @@ class Totals:
         for name, parts in self.of.items():
             rates = []
             for span in SPANS:
-                each = [float(np.mean(part.hits(span))) for part in parts]
-                # Each calibration counts once, however many rows it predicts.
-                low, high = interval_of_blocks(each, [1.0] * len(each))
-                mean, least, most = (100.0 * of for of in (np.mean(each), min(each), max(each)))
-                rates.append(f"{mean:.1f} ({100.0 * low:.0f} to {100.0 * high:.0f}; each {least:.0f} to {most:.0f})")
+                hits = [float(np.sum(part.hits(span))) for part in parts]
+                counts = [float(len(part.off)) for part in parts]
+                low, high = interval_of_blocks(hits, counts)
+                each = np.array(hits) / counts
+                mean, least, most = (100.0 * float(of) for of in (np.mean(each), min(each), max(each)))
+                rates.append(f"{mean:.1f} ({100.0 * low:.1f} to {100.0 * high:.1f}; each {least:.1f} to {most:.1f})")
             widths = [part.width for part in parts]
             width = f"{np.exp(np.mean(np.log(widths))):.2f} ({min(widths):.2f} to {max(widths):.2f})"
             alone = [part.alone for part in parts]

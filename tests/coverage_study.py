@@ -8,7 +8,7 @@ not describe; ``rows`` the kinds of tables of ``rows_study.py``.
 
 A coordinate counts as held if it is within 1.96 (95 %) or 1.0 (68 %) standard uncertainties of its prediction. Rates of one
 calibration have the exact interval (Clopper and Pearson) for as many independent coordinates as blocks of rows show (Korn
-and Graubard 1998); those of several count each calibration once.
+and Graubard 1998); in those of several each calibration is one block.
 """
 
 import argparse
@@ -30,6 +30,7 @@ import pincal
 from pincal import Measurements, Robot, read_measurements, run_calibration
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import place_station
+from pincal.errors import PincalError
 from pincal.identify.options import Options
 from pincal.measure.measurements import concatenate
 from pincal.model.chain import MomentFrame
@@ -190,7 +191,11 @@ def rows(arguments: argparse.Namespace) -> Iterator[Case]:
     for kind in ROW_KINDS:
         for seed in range(arguments.seeds):
             case = draw_rows_case(kind, seed)
-            found = run_calibration(case.robot, case.rows, replace(case.options, effects=Options().effects))
+            try:
+                found = run_calibration(case.robot, case.rows, replace(case.options, effects=Options().effects))
+            except PincalError as error:
+                print(f"{kind} {seed}: refused: {error}", flush=True)
+                continue
             table, clean = case.fresh(FRESH)
             conditions = found.fit.readings(table).conditions
             off = clean - found.fit.predict(conditions)[:, :, 3]

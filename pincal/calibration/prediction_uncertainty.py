@@ -146,9 +146,12 @@ class PredictionUncertainty:
     @cached_property
     def _root(self) -> np.ndarray:
         """A root of the covariance of the parameters, shape (P, r)."""
-        variances, axes = np.linalg.eigh(self.covariance)
+        known = np.flatnonzero(np.diag(self.covariance) > 0.0)
+        variances, axes = np.linalg.eigh(self.covariance[np.ix_(known, known)])
         some = variances > 0.0
-        return np.asarray(axes[:, some] * np.sqrt(variances[some]))
+        root = np.zeros((len(self.covariance), int(some.sum())))
+        root[known] = axes[:, some] * np.sqrt(variances[some])
+        return root
 
     @cached_property
     def _moving(self) -> Model:
@@ -168,7 +171,10 @@ class PredictionUncertainty:
 
     def _along(self, J: np.ndarray) -> np.ndarray:
         """Return the variances by the parameters through J, shape (N, m, P), as shape (N, m)."""
-        return np.asarray(np.maximum(np.einsum("nip,nip->ni", J @ self.covariance, J), 0.0))
+        # In the order in which a Jacobian is made, so that nothing is copied.
+        by_parameter = J.transpose(2, 1, 0).reshape(J.shape[2], -1)
+        along = self._root.T @ by_parameter
+        return np.asarray(np.einsum("rk,rk->k", along, along).reshape(J.shape[1::-1]).T)
 
     def _motion_of(
         self, conditions: Conditions, offsets: np.ndarray
