@@ -57,10 +57,13 @@ def check(arguments: CheckArguments) -> Exit:
     else:
         from pincal.cli.progress import console
         from pincal.cli.screen import print_brief_check, print_precheck
+        from pincal.report.words import noise_to_state
 
         if arguments.verbose or arguments.report:
             print_precheck(found, console())
         else:
-            command = shlex.join(["pincal", "calibrate", *words_given(), "--out", "results"])
+            words = shlex.join(["pincal", "calibrate", *words_given(), "--out", "results"])
+            ask = noise_to_state(found.noise)
+            command = f"{words} {ask}  # your instrument's" if ask else words
             print_brief_check(found, prepared.robot, console(), command=command)
     return Exit.DONE

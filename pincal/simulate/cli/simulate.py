@@ -517,13 +517,13 @@ def _hidden_lines(truth: dict[str, Any]) -> Iterator[str]:
 
 
 def _next_command(arguments: SimulateArguments, setup: SensorSetup) -> str:
-    """Return the command that discovers the effects from the table, or measures the part."""
+    """Return the command that checks the table, or measures the part."""
     if arguments.part.features is not None:
         part = f"--features {arguments.part.features}"
         return f"pincal measure results/model.json {arguments.out} {part} --out measured"
     machine = arguments.machine
     given = arguments.sensor
-    words = [f"{_of_arm('discover', arguments)} --out results"]
+    words = [_of_arm("check", arguments)]
     words += [f"--noise {_noise(setup)}"] if setup.sigma else []
     angle = setup.truth()["noise"]["sigma_rad"]
     words += [f"--noise-angle {angle * 1e3:g}mrad"] if angle else []
