@@ -15,6 +15,7 @@ import click
 import numpy as np
 
 from pincal.cli.arguments import Output, group, option, verb, words_given
+from pincal.cli.check import DRY, run_check
 from pincal.cli.common import (
     CalibrationOptions,
     GeneralOptions,
@@ -93,13 +94,29 @@ class FitArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(FitArguments, examples=_CALIBRATE_EXAMPLES, exits=FIT_EXITS)
-def calibrate_verb(arguments: FitArguments) -> Exit:
+@dataclass(frozen=True, kw_only=True)
+class CalibrateArguments(FitArguments):
+    """Arguments of calibrate."""
+
+    dry: bool = option(
+        "Fit and write nothing; print what the tables can identify, as check does.", False, name=DRY
+    )
+
+
+@verb(CalibrateArguments, examples=_CALIBRATE_EXAMPLES, exits=FIT_EXITS)
+def calibrate_verb(arguments: CalibrateArguments) -> Exit:
     """Calibrate a robot from a table of measured poses.
 
     All rows are fitted; errors are stated by cross-validation, each pose predicted by a fit without
     it.
     """
+    if arguments.dry:
+        return run_check(
+            arguments.source,
+            arguments.chosen,
+            as_json=arguments.general.as_json,
+            is_full=arguments.verbose,
+        )
     from pincal.calibration.calibration import run_calibration
 
     with workers(
