@@ -51,9 +51,9 @@ class FitOutput:
     def write(self, folder: Path) -> None:
         """Write the files that a calibration does not have."""
 
-    def found(self) -> str:
-        """Return what was found, for the summary; empty for a calibration."""
-        return ""
+    def found(self) -> tuple[str, ...]:
+        """Return what was found, for the summary, in full and shorter; empty for a calibration."""
+        return ()
 
     def print_all(self, out: Console) -> None:
         """Print everything that ``--verbose`` shows, but the notes on files."""

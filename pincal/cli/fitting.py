@@ -4,6 +4,7 @@ share with it.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -13,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from pincal.cli.arguments import group, option, verb
+from pincal.cli.arguments import group, option, verb, words_given
+from pincal.cli.check import DRY, run_check
 from pincal.cli.common import (
     CalibrationOptions,
     GeneralOptions,
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     from pincal.calibration.result import Result
     from pincal.cli.inputs import Prepared
     from pincal.measure.measurements import Measurements
+    from pincal.report.judgement import Act
 
 # The view in three dimensions that accompanies the report.
 VIEW = "view3d.html"
@@ -105,18 +108,34 @@ class FitArguments:
     general: GeneralOptions = group("General")
 
 
+@dataclass(frozen=True, kw_only=True)
+class CalibrateArguments(FitArguments):
+    """Arguments of calibrate."""
+
+    dry: bool = option(
+        "Fit and write nothing; print what the tables can identify, as check does.", False, name=DRY
+    )
+
+
 @verb(
-    FitArguments,
+    CalibrateArguments,
     examples=_CALIBRATE_EXAMPLES,
     exits=FIT_EXITS,
     shown=(*FIT_SHOWN, "holdout", "view"),
 )
-def calibrate_verb(arguments: FitArguments) -> Exit:
+def calibrate_verb(arguments: CalibrateArguments) -> Exit:
     """Calibrate a robot from a table of measured poses.
 
     All rows are fitted; errors are stated by cross-validation, each pose predicted by a fit without
     it.
     """
+    if arguments.dry:
+        return run_check(
+            arguments.source,
+            arguments.chosen,
+            as_json=arguments.general.as_json,
+            is_full=arguments.verbose,
+        )
     from pincal.calibration.calibration import run_calibration
 
     with workers(
@@ -235,8 +254,8 @@ def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
 
 def _print_fit(arguments: FitArguments, output: FitOutput, notes: tuple[str, ...]) -> None:
     """Print the output of a fit, briefly or in full; ``notes`` are on what the URDF lacks."""
+    from pincal.cli.brief import print_brief
     from pincal.cli.progress import console
-    from pincal.cli.screen import print_brief
 
     if arguments.verbose:
         output.print_all(console())
@@ -250,7 +269,25 @@ def _print_fit(arguments: FitArguments, output: FitOutput, notes: tuple[str, ...
         search=output.search,
         found=output.found(),
         notes=notes,
+        commands=_commands(arguments, output.calibration.result),
     )
+
+
+def _commands(arguments: FitArguments, result: Result) -> dict[Act, str]:
+    """Return what to type next: the same with the noise of the instrument, a search of the same
+    tables, or a program to correct.
+    """
+    from pincal.report.judgement import Act, noise_option
+
+    verb = click.get_current_context().info_name
+    words = shlex.join(words_given())
+    model = shlex.quote(str(arguments.out / "model.json"))
+    noise = f"pincal {verb} {words} {noise_option(result)}"
+    return {
+        Act.DECLARE: f"{noise}  # your instrument's",
+        Act.SEARCH: f"pincal discover {words}",
+        Act.USE: f"pincal compensate {model} program.csv --out new.csv  # or measure, predict",
+    }
 
 
 def _require_usable(result: Result, arguments: FitArguments) -> None:

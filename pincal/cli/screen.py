@@ -12,13 +12,11 @@ from msgspec import UNSET
 from rich.console import Console
 
 from pincal.calibration import result_tables
-from pincal.calibration.calibration import Calibration
 from pincal.calibration.precheck import DataReport
 from pincal.calibration.result import Result
 from pincal.errors import counted
 from pincal.notes import Note, doubts_first, doubts_of
 from pincal.report import precheck_tables
-from pincal.report.judgement import SearchReport, judged, next_steps
 from pincal.report.words import (
     elsewhere_words,
     noise_origin,
@@ -28,70 +26,13 @@ from pincal.report.words import (
 from pincal.result_table import hanging, one_line
 from pincal.robot.robot import Robot
 from pincal.sensors.registry import blocks_of
-from pincal.thresholds import Count
 from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.lack_of_fit import LackOfFit
 
 # Observability indices that are printed; the others are in --json.
 _SHOWN = ("O1", "O2")
-# Number of effects that are listed individually.
-_EFFECTS: Count = 3
 # Dimension -> mean distance of independent errors of standard deviation 1 (chi distribution).
 _MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8.0 / np.pi)}
-
-
-def print_brief(
-    calibration: Calibration,
-    out: Console,
-    *,
-    more: str,
-    search: SearchReport | None = None,
-    found: str = "",
-    notes: Sequence[str] = (),
-) -> None:
-    """Print the summary of a calibration, and what a search for missing effects found.
-
-    Args:
-        calibration: the calibration.
-        out: where to print.
-        more: names further output.
-        search: what the search says of the calibration; default: there was none.
-        found: the effects that it found, in words.
-        notes: on the files that were written.
-    """
-    result = calibration.result
-    print_doubts(result.warnings, out)
-    print_left_out(result, out)
-    rows = f"{result.rows['train']} rows fitted, {held_out_words(result)}"
-    _line(out, "robot", f"{_arm(calibration.robot)}; {rows}")
-    for name, model in (("before", "nominal"), ("after", "calibrated")):
-        _line(out, name, _errors(result.error[model], name))
-    print_elsewhere(result, out)
-    kinds = " and ".join(dict.fromkeys(rows.train.kind for rows in calibration.stations))
-    _line(out, "noise", f"{_noise_of(result.noise, kinds)} ({noise_origin(result.noise)})")
-    for clock in () if result.clocks is UNSET else result.clocks:
-        _line(out, "clock", result_tables.clock_words(clock))
-    if result.stations is not UNSET and (moved := result_tables.station_changes(result.stations)):
-        _line(out, "moved", moved)
-    if found:
-        _line(out, "found", found)
-    verdict = judged(result, search)
-    _line(
-        out,
-        "verdict",
-        f"{verdict.judgement}. {verdict.reason}{worth_words(calibration, verdict.reason)}",
-    )
-    _line(out, "next", next_steps(calibration, search)[0])
-    print_first_notes([*result.warnings, *notes], out)
-    _line(out, "more", more)
-
-
-def worth_words(calibration: Calibration, reason: str) -> str:
-    """Return how good predictions are, to stand behind the reason of a verdict; "" if unknown."""
-    statement = calibration.fit.statement
-    worth = "" if statement is None else statement.worth
-    end = "" if reason.endswith(".") else "."
-    return f"{end} {worth[0].upper()}{worth[1:]}" if worth else ""
 
 
 def print_elsewhere(result: Result, out: Console) -> None:
@@ -106,10 +47,10 @@ def print_elsewhere(result: Result, out: Console) -> None:
 def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command: str) -> None:
     """Print the summary of what a table can identify."""
     print_doubts(found.warnings, out)
-    _line(out, "robot", _arm(robot))
+    _line(out, "robot", arm_words(robot))
     _line(out, "rows", f"{found.rows} {found.kind} measurements")
     _line(out, "before", f"{_nominal(found)}: nominal robot, base and tool fitted")
-    _line(out, "noise", f"{_noise_of(found.noise, found.kind)} ({noise_origin(found.noise)})")
+    _line(out, "noise", noise_line(found.noise, found.kind))
     shares = {
         joint.joint: share
         for joint in found.joints
@@ -127,7 +68,7 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
         rank_words(statuses, rank=found.rank, why="why: --verbose").removeprefix("these poses "),
     )
     print_first_notes(found.warnings, out)
-    _line(out, "next", command)
+    out.print(f"next     {one_line(command)}", markup=False, soft_wrap=True)
     _line(
         out,
         "more",
@@ -153,6 +94,11 @@ def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
         out.print(hanging("note:   ", f"{notes[0]}{rest}"), style="yellow")
 
 
+def noise_line(noise: Mapping[str, Any], kind: str) -> str:
+    """Return the noise as a mean distance and per coordinate, with its origin."""
+    return f"{_noise_of(noise, kind)} ({noise_origin(noise)})"
+
+
 def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
     """Return the noise as a mean distance, and per coordinate.
 
@@ -168,35 +114,12 @@ def _noise_of(noise: Mapping[str, Any], kind: str) -> str:
     return f"mean {1e3 * noise['sigma_m'] * _MEAN_DISTANCE[size]:.4f} mm, {noise_words(noise)}"
 
 
-def _arm(robot: Robot) -> str:
+def arm_words(robot: Robot, option: str = " (--tip takes another link)") -> str:
     """Return the arm in words, with the option that selects another."""
     ways = "; ".join(
         f"{start} to {tip}" for start, tip in ((robot.path.start, robot.tip), *robot.links)
     )
-    return f"{robot.name}, {robot.n_joints} joints from {ways} (--tip takes another link)"
-
-
-def _errors(by_part: Mapping[str, Mapping[str, float]], name: str) -> str:
-    part = "test" if "test" in by_part else "train"
-    values = by_part[part]
-    unit = leading_unit(values)
-    words = (
-        f"mean {values[f'mean_{unit}']:.4f} {unit}, 95 % {values[f'p95_{unit}']:.4f}, max "
-        f"{values[f'max_{unit}']:.4f}"
-    )
-    model = "nominal, base and tool fitted" if name == "before" else "calibrated"
-    named = result_tables.PARTS
-    ways = [way for way in by_part if way not in ("train", "test")]
-    lead = next((way for way in ways if by_part[way] == values), part)
-    others = [
-        f"; {named[way]} {by_part[way][f'mean_{unit}']:.4f}"
-        for way in ways
-        if way != lead and name != "before"
-    ]
-    return (
-        f"{words}: {model}, "
-        f"{'no rows held out' if lead == 'train' else named[lead]}{''.join(others)}"
-    )
+    return f"{robot.name}, {robot.n_joints} joints from {ways}{option}"
 
 
 def _line(out: Console, name: str, text: str) -> None:
@@ -261,7 +184,8 @@ def _summary(result: Result) -> str:
         (row.status for row in result.parameters), rank=result.rank, condition=result.condition
     )
     return (
-        f"{result.rows['train']} rows fitted, {held_out_words(result)}; "
+        f"{result.rows['train']} rows fitted, "
+        f"{held_out_words(result) or 'errors by cross-validation'}; "
         f"{result.iterations} iterations, "
         f"{result.seconds:.2f} s\nnoise {noise_words(result.noise)} "
         f"({noise_origin(result.noise)}){chi2}\n{rank}"
@@ -269,7 +193,9 @@ def _summary(result: Result) -> str:
 
 
 def held_out_words(result: Result) -> str:
-    """Return how errors at rows that were not fitted were found, in words."""
+    """Return how many rows or stations were held out; "" for cross-validation, whose errors name
+    their rows.
+    """
     turns = (
         0 if result.stations is UNSET else sum("left_out" in station for station in result.stations)
     )
@@ -277,7 +203,7 @@ def held_out_words(result: Result) -> str:
         return f"{turns} stations held out in turn"
     if result.validation is UNSET or not result.validation.folds:
         return f"{result.rows['test']} held out"
-    return "errors by cross-validation"
+    return ""
 
 
 def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out: Console) -> None:

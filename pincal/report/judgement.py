@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -18,6 +19,7 @@ from pincal.identify.explain import Cause, Status
 from pincal.notes import Note
 from pincal.report.blocks import Section
 from pincal.report.report_numbers import REPORT
+from pincal.report.words import noise_example
 from pincal.thresholds import Count
 from pincal.validate.accuracy import leading_unit
 from pincal.validate.misfit import Verdict, is_informative
@@ -32,6 +34,23 @@ class Judged:
 
     judgement: Verdict
     reason: str
+
+
+class Act(StrEnum):
+    """What is done next, where a command does it: state the noise of the instrument, search for
+    missing effects, or use the model.
+    """
+
+    DECLARE = "declare"
+    SEARCH = "search"
+    USE = "use"
+
+
+class NextStep(NamedTuple):
+    """A thing to do next in words, and the command that does it, if there is one."""
+
+    text: str
+    act: Act | None = None
 
 
 class SearchReport(Protocol):
@@ -83,14 +102,28 @@ def _explained(result: Result, verdict: Verdict) -> str:
             "There are too few poses to judge whether it is complete; see the doubt stated first."
         )
     if verdict is Verdict.NOT_JUDGED:
-        return (
-            "The noise of the instrument was estimated from the residuals, so they cannot show "
-            "whether the model is complete: declare the noise (--noise), measure some poses again, "
-            "or let pincal discover search for missing effects."
-        )
+        return f"{unjudged(result)}."
     assert compared is not None
     size = relative_to_noise(compared.ratio, compared.noise, is_misfit=False)
     return f"The residuals are {size}."
+
+
+def unjudged(result: Result) -> str:
+    """Return why a model whose noise was estimated is not judged, and what would judge it."""
+    option = noise_option(result)
+    cure = (
+        f"state the instrument's own ({option}), or measure ten poses three times"
+        if option
+        else "measure ten poses with an instrument of known noise as well"
+    )
+    return f"Noise estimated from the residuals can't show whether effects are missing: {cure}"
+
+
+def noise_option(result: Result) -> str:
+    """Return the option that states the noise of a calibration's instrument, with an example of its
+    value; "" where its readings are neither lengths nor pixels.
+    """
+    return noise_example(result.noise)
 
 
 def see_doubts(doubts: Sequence[Note]) -> str:
@@ -124,29 +157,50 @@ def next_steps(calibration: Calibration, search: SearchReport | None = None) -> 
     """Return what to do next after a calibration, with or without a search for missing effects, the
     most pressing first.
     """
+    return [step.text for step in steps_after(calibration, search)]
+
+
+def steps_after(calibration: Calibration, search: SearchReport | None = None) -> list[NextStep]:
+    """Return what to do next, the most pressing first, each with its command where it has one.
+
+    What has to be mended comes first, then what judges or completes the model, then its use; what
+    would improve it further comes last.
+    """
     result = calibration.result
     if result.doubt:
-        return [f"First find out what is wrong: {result.doubt}."]
-    judgement = judged(result, search).judgement
+        return [NextStep(f"First find out what is wrong: {result.doubt}.")]
     steps = [
-        *_of_the_fit(result),
-        *_of_the_model(calibration, search, judgement),
-        *_of_the_rows(result),
-        *_of_held_out_rows(result),
+        *map(NextStep, [*_of_the_fit(result), *_of_no_gain(result)]),
+        *_of_the_model(calibration, search, judged(result, search).judgement),
     ]
+    if not steps:
+        is_adequate = judged(result, search).judgement is not Verdict.NOT_ADEQUATE
+        within = "" if is_adequate else " where its uncertainty suffices"
+        steps.append(NextStep(f"Use it{within}: {_USE}", Act.USE))
+    steps += map(NextStep, _improvements(calibration, search))
+    return steps
+
+
+_USE = (
+    "pincal predict, compensate and measure take model.json, other programs calibrated.urdf; in a "
+    "few months pincal diagnose tells whether the robot has changed."
+)
+
+
+def _improvements(calibration: Calibration, search: SearchReport | None) -> Iterator[str]:
+    """Yield what would improve a model that is in use, or tell more of it."""
+    result = calibration.result
+    yield from _of_the_rows(result)
+    yield from _of_held_out_rows(result)
+    if search is not None:
+        yield from search.next_steps()
     if narrow := ", ".join(
         f"{name} ({100 * share:.0f} %)" for name, share in narrow_joints(calibration)
     ):
-        steps.append(
+        yield (
             f"These joints moved through little of their range: {narrow}. Outside it the "
             "model is not validated."
         )
-    if judgement is not Verdict.NOT_ADEQUATE or not steps:
-        steps.append(
-            "Use it: pincal predict, compensate and measure take model.json, other programs "
-            "calibrated.urdf; in a few months pincal diagnose tells whether the robot has changed."
-        )
-    return steps
 
 
 def _of_the_fit(result: Result) -> Iterator[str]:
@@ -172,20 +226,27 @@ def _of_the_fit(result: Result) -> Iterator[str]:
 
 def _of_the_model(
     calibration: Calibration, search: SearchReport | None, judgement: Verdict
-) -> Iterator[str]:
-    """Yield what to do about effects that the model lacks."""
+) -> Iterator[NextStep]:
+    """Yield what would judge a model, and what to do about effects that it lacks."""
     result = calibration.result
     is_open = result.converged and not result.is_kept and is_informative(result.degrees)
-    if search is not None:
-        yield from search.next_steps()
-    elif not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
-        yield (
+    if not any(station.sensor.reads_place for station in calibration.fit.problem.stations):
+        yield NextStep(
             "Measure six to ten poses with an instrument, or in sockets, and calibrate "
             "with both: an IMU gives no lengths."
         )
-    elif is_open and judgement is not Verdict.ADEQUATE:
-        yield (
-            "Run pincal discover on the same data: it identifies the effects that the model lacks."
+    elif search is not None or not is_open or judgement is Verdict.ADEQUATE:
+        return
+    elif judgement is Verdict.NOT_JUDGED and (option := noise_option(result)):
+        yield NextStep(
+            f"Calibrate again with the noise of the instrument ({option}, the standard deviation "
+            "of one coordinate by its data sheet): it decides whether effects are missing.",
+            Act.DECLARE,
+        )
+    else:
+        yield NextStep(
+            "Run pincal discover on the same data: it identifies the effects that the model lacks.",
+            Act.SEARCH,
         )
 
 
@@ -205,6 +266,19 @@ def _of_the_rows(result: Result) -> Iterator[str]:
         )
 
 
+def _of_no_gain(result: Result) -> Iterator[str]:
+    """Yield what to do where poses that were held out are not predicted better than before."""
+    after = result.error["calibrated"].get("test")
+    if after is None:
+        return
+    rms = f"rms_{leading_unit(after)}"
+    if after[rms] > result.error["nominal"]["test"][rms]:
+        yield (
+            "Held-out poses are predicted no better than by the URDF: measure more "
+            "poses, or with less noise."
+        )
+
+
 def _of_held_out_rows(result: Result) -> Iterator[str]:
     """Yield what to do by the errors at rows that were held out, if any were."""
     error = result.error["calibrated"]
@@ -219,12 +293,10 @@ def _of_held_out_rows(result: Result) -> Iterator[str]:
     ways = [error[way][rms] for way in error if way not in ("train", "test")] or [
         error["test"][rms]
     ]
-    if error["test"][rms] > result.error["nominal"]["test"][rms]:
-        yield (
-            "Held-out poses are predicted no better than by the URDF: measure more "
-            "poses, or with less noise."
-        )
-    elif np.sqrt(np.mean(np.square(ways))) > REPORT.overfitted * error["train"][rms]:
+    if (
+        not any(_of_no_gain(result))
+        and np.sqrt(np.mean(np.square(ways))) > REPORT.overfitted * error["train"][rms]
+    ):
         yield (
             "Held-out errors exceed fitted ones: measure more poses, spread over the "
             "whole range of use."

@@ -121,6 +121,27 @@ def noise_words(noise: Mapping[str, Any]) -> str:
     return f"{sigma:{form}} {name} per coordinate"
 
 
+def noise_example(noise: Mapping[str, Any]) -> str:
+    """Return the option that states the noise of an instrument, with an example of its value; ""
+    where readings are neither lengths nor pixels.
+
+    Example:
+        >>> noise_example({"sigma_px": 0.3}), noise_example({"sigma_m_s2": 0.02})
+        ('--noise 0.1px', '')
+    """
+    examples = {"sigma_m": "0.05mm", "sigma_px": "0.1px"}
+    value = next((value for name, value in examples.items() if name in noise), "")
+    return f"--noise {value}" if value else ""
+
+
+def noise_to_state(noise: Mapping[str, Any]) -> str:
+    """Return the option by which noise is still to be stated; "" if it was, or if repeated poses
+    show it.
+    """
+    shown = any(name.startswith("repeated_") for name in noise)
+    return "" if shown or noise["source"] == "declared" else noise_example(noise)
+
+
 def noise_origin(noise: Mapping[str, Any]) -> str:
     """Return where the noise that :func:`noise_words` states comes from, and what the readings
     themselves show where it was declared.
@@ -175,8 +196,7 @@ def elsewhere_words(found: Elsewhere, error: Mapping[str, float]) -> str:
         >>> elsewhere_words(Elsewhere(0.01, 0.02, "", 40, "task.csv"), {"mean_mm": 0.05})
         'mean 0.0100 mm expected at the poses of task.csv, worst 0.0200'
     """
-    poses = f"at the poses of {found.over}" if found.over else "within the joint limits"
-    words = f"mean {found.mean_mm:.4f} mm expected {poses}, worst {found.worst_mm:.4f}"
+    words = elsewhere_size(found)
     if not is_worse_elsewhere(found, error):
         return words
     where = (
@@ -185,6 +205,12 @@ def elsewhere_words(found: Elsewhere, error: Mapping[str, float]) -> str:
         else "in combinations of joints that were not measured"
     )
     return f"{words}, {where}; pincal design plans poses for it"
+
+
+def elsewhere_size(found: Elsewhere) -> str:
+    """Return what error the model expects elsewhere."""
+    poses = f"at the poses of {found.over}" if found.over else "within the joint limits"
+    return f"mean {found.mean_mm:.4f} mm expected {poses}, worst {found.worst_mm:.4f}"
 
 
 def rank_words(

@@ -325,7 +325,7 @@ def _print_calibration(runs: dict[str, Calibration], screen: Console) -> None:
 
 
 def _print_hidden(found: Discovery, screen: Console, *, folder: Path) -> None:
-    from pincal.cli.screen import print_brief
+    from pincal.cli.brief import print_brief
     from pincal.discover.cli.search_output import SearchOutput
 
     size = f"{_SIZE * 1e3:g} mrad"

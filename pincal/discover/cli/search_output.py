@@ -49,8 +49,8 @@ class SearchOutput(FitOutput):
 
         write_json(folder / "discovery.json", self.discovery.report)
 
-    def found(self) -> str:
-        """Return the first effects that were found."""
+    def found(self) -> tuple[str, ...]:
+        """Return all effects that were found, in full, without the evidence, and counted."""
         from pincal.discover.cli.search_screen import summary_of_search
 
         return summary_of_search(self.discovery)

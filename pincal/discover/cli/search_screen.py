@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.console import Console
 
 from pincal.cli.screen import print_doubts, print_elsewhere, print_left_out
@@ -17,36 +19,53 @@ from pincal.discover.report.found_words import (
 )
 from pincal.discover.report.search_answer import SearchAnswer
 from pincal.discover.run import Discovery
+from pincal.errors import counted
 from pincal.model.effect import Family
 from pincal.model.effect_registry import EFFECTS
 from pincal.report.judgement import judged
 from pincal.result_table import hanging, one_line
-from pincal.thresholds import Count
 from pincal.units import show_chance
 
-# Number of effects that are listed individually.
-_EFFECTS: Count = 3
 
-
-def summary_of_search(discovery: Discovery) -> str:
-    """Return the first effects that were found, in words."""
+def summary_of_search(discovery: Discovery) -> tuple[str, ...]:
+    """Return all effects that were found in words: with their evidence, without, and counted."""
     effects = discovery.findings.effects
     if not effects:
-        return "these data show no missing effect"
+        return ("these data show no missing effect",)
     # Elasticity, which every arm has, comes after other effects, and hints come last.
     elastic = [name for name, cls in EFFECTS.known().items() if cls.family is Family.ELASTICITY]
-    named = [
-        _named(entry)
-        for entry in sorted(effects, key=lambda e: (e.is_hint, e.effect in elastic))[:_EFFECTS]
-    ]
-    more = len(effects) - _EFFECTS
-    return ", ".join([*named, *([f"{more} more"] if more > 0 else [])])
+    named = sorted(effects, key=lambda e: (e.is_hint, e.effect in elastic))
+    return (
+        _listed(named, _evidence(named)),
+        _listed(named, [""] * len(named)),
+        f"{counted(len(named), 'effect')}, listed in the report",
+    )
 
 
-def _named(entry: FoundEffect) -> str:
-    chance = f"p {show_chance(entry.p_value)}"
-    words = chance if entry.stability is None else f"{entry.stability} subsamples, {chance}"
-    return f"{'perhaps ' if entry.is_hint else ''}{effect_words(entry)} ({words})"
+def _listed(named: Sequence[FoundEffect], evidence: Sequence[str]) -> str:
+    """Return effects in words, those of one kind together."""
+    groups: dict[str, list[str]] = {}
+    for entry, known in zip(named, evidence, strict=True):
+        doubtful = "perhaps " if entry.is_hint else ""
+        is_plain = bool(entry.joint) and effect_words(entry) == f"{entry.effect} of {entry.joint}"
+        group = f"{doubtful}{entry.effect} of " if is_plain else f"{doubtful}{effect_words(entry)}"
+        groups.setdefault(group, []).append(f"{entry.joint if is_plain else ''}{known}")
+    return "; ".join(f"{group}{', '.join(places)}" for group, places in groups.items())
+
+
+def _evidence(named: Sequence[FoundEffect]) -> list[str]:
+    """Return by what each effect is known, shortly: in how many subsamples it was found, or else
+    its chance.
+    """
+    words: list[str] = []
+    for entry in named:
+        if entry.stability is None:
+            words.append(f" (p {show_chance(entry.p_value)})")
+        elif words:
+            words.append(f" ({entry.stability.named})")
+        else:
+            words.append(f" (in {entry.stability.named} of {entry.stability.of} subsamples)")
+    return words
 
 
 def print_discovery(found: Discovery, out: Console) -> None:

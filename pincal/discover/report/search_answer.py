@@ -79,9 +79,8 @@ def _why_not_judged(found: Findings, *, is_of_arrivals: bool) -> str:
             "unevenly, and hides smaller errors of the model: measure ten poses three times each"
         )
     return (
-        "nothing more is detected, but the noise was estimated from the residuals, so "
-        "they cannot show whether the "
-        "model is complete: declare the noise (--noise), or measure some poses again"
+        "nothing more is detected, but noise estimated from the residuals can't show whether "
+        "that is all: state the instrument's own (--noise), or measure ten poses three times"
     )
 
 

@@ -1,0 +1,196 @@
+"""The summary of a calibration: fourteen lines that say all that was found, and one thing to do next."""
+
+import json
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from placed_arms import run
+from rich.console import Console
+
+from pincal import Options, Robot, read_measurements, run_calibration
+from pincal.builtin import kuka_urdf_path
+from pincal.calibration.calibration import Calibration
+from pincal.cli.brief import print_brief
+from pincal.discover.cli.search_screen import _listed
+from pincal.discover.discovery_file import FoundEffect, Stability
+from pincal.notes import Note, Severity
+from pincal.report.judgement import Act, steps_after
+
+URDF = kuka_urdf_path()
+MOST = 14
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the tables of README.md, and another of a tracker that was moved twice."""
+    folder = tmp_path_factory.mktemp("tables")
+    words = ("simulate", URDF, "--seed", "1", "--quiet")
+    assert run(*words, "--poses", "60", "--out", folder / "tracker.csv") == 0
+    for day in (2, 3, 4):
+        assert run(*words, "--poses", "40", "--pose-seed", day, "--out", folder / f"day{day}.csv") == 0
+    return folder
+
+
+def printed(capsys: Capture, *words: object) -> list[str]:
+    """Return the lines that a verb prints, none of which is wider than a hundred columns but those of paths."""
+    capsys.readouterr()
+    assert run(*words, "--quiet") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= MOST and lines[-1].startswith("written to ")
+    assert max(len(line) for line in lines if not line.startswith(("next ", "more ", "written to "))) <= 100
+    assert sum(line.startswith("next ") for line in lines) == 1
+    return lines
+
+
+def said(lines: list[str], head: str) -> str:
+    """Return what a part of a summary says, on one line."""
+    begin = next(k for k, line in enumerate(lines) if line.startswith(f"{head} "))
+    more = []
+    for line in lines[begin + 1 :]:
+        if not line.startswith("   "):
+            break
+        more.append(line.strip())
+    return " ".join([lines[begin].split(" ", 1)[1].strip(), *more])
+
+
+def test_without_a_declared_noise_it_is_asked_for(tables: Path, tmp_path: Path, capsys: Capture) -> None:
+    """By check and by calibrate, with what to write; with it the verdict is given, and the model is used."""
+    table, out = tables / "tracker.csv", tmp_path / "results"
+    assert run("check", URDF, table, "--quiet") == 0
+    first = said(capsys.readouterr().out.splitlines(), "next")
+    assert first.startswith(f"pincal calibrate {URDF} {table}") and "--noise 0.05mm" in first
+
+    lines = printed(capsys, "calibrate", URDF, table, "--out", out)
+    assert said(lines, "verdict").startswith("not judged. ") and "(--noise 0.05mm)" in said(lines, "verdict")
+    words, _, why = said(lines, "next").partition("  # ")
+    assert why == "your instrument's"
+    pincal, verb, *rest = shlex.split(words)
+    assert (pincal, verb) == ("pincal", "calibrate")
+
+    capsys.readouterr()
+    assert run(verb, *rest) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert said(lines, "verdict").startswith("adequate. ")
+    assert said(lines, "next").startswith(f"pincal compensate {out / 'model.json'} program.csv")
+
+
+def test_a_dry_calibration_is_a_check(tables: Path, tmp_path: Path, capsys: Capture) -> None:
+    """The same text, also for programs; nothing is written, also where something was."""
+    out = tmp_path / "results"
+    for more in [(), ("--verbose",), ("--json",)]:
+        words = (URDF, tables / "tracker.csv", *more, "--quiet")
+        capsys.readouterr()
+        assert run("check", *words) == 0
+        checked = capsys.readouterr().out
+        assert run("calibrate", *words, "--dry", "--out", out) == 0
+        assert capsys.readouterr().out.replace(str(out), "results") == checked
+        assert not out.exists()
+
+
+@pytest.mark.parametrize("more", [(), ("--split", "station")])
+def test_three_stations_take_fourteen_lines(tables: Path, tmp_path: Path, more: tuple[str, ...], capsys: Capture) -> None:
+    """With or without leaving each out."""
+    days = (tables / f"day{day}.csv" for day in (2, 3, 4))
+    printed(capsys, "calibrate", URDF, *days, "--noise", "0.05mm", "--out", tmp_path / "out", *more)
+
+
+REAL = {
+    "ur5": ("ur5", "ur5_tracker/grid.csv"),
+    "panda": ("panda", "panda_sockets/panda_3.csv"),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("verb", ["calibrate", "discover"])
+@pytest.mark.parametrize("name", REAL)
+def test_real_tables_take_fourteen_lines(name: str, verb: str, shared_data: Path, tmp_path: Path, capsys: Capture) -> None:
+    """Every effect found is named with its joint."""
+    robot, file = REAL[name]
+    out = tmp_path / "out"
+    more = ("--stability", "0") if verb == "discover" else ()
+    lines = printed(capsys, verb, robot, shared_data / file, "--out", out, *more)
+    if verb == "discover":
+        found = json.loads((out / "discovery.json").read_text())["effects"]
+        assert found and all(entry["joint"] in said(lines, "found") for entry in found if entry["joint"])
+        assert said(lines, "next").startswith(f"pincal compensate {out / 'model.json'}")
+
+
+@pytest.mark.long
+def test_a_hidden_effect_of_the_demo_takes_fourteen_lines(tmp_path: Path, capsys: Capture) -> None:
+    """The table of its second act, with the elliptical gear wheel."""
+    table = tmp_path / "m.csv"
+    hidden = ("--effect", "gear_eccentricity:joint_1:size=2e-4,order=2")
+    assert run("simulate", URDF, "--poses", "300", *hidden, "--seed", "1", "--out", table, "--quiet") == 0
+    lines = printed(capsys, "discover", URDF, table, "--noise", "0.05mm", "--stability", "4", "--out", tmp_path / "out")
+    assert "gear_eccentricity of joint_1" in said(lines, "found") and "of 4 subsamples" in said(lines, "found")
+
+
+@pytest.fixture(scope="module")
+def calibrated(tables: Path) -> Calibration:
+    """Return a calibration without a declared noise."""
+    robot = Robot.from_urdf(URDF)
+    return run_calibration(robot, read_measurements(tables / "tracker.csv", robot.joint_names), Options())
+
+
+def shown(run_: Calibration, **more: object) -> list[str]:
+    """Return the lines of a summary."""
+    with (out := Console(width=100, highlight=False)).capture() as held:
+        print_brief(run_, out, more="report.html", **more)  # type: ignore[arg-type]
+    return held.get().splitlines()
+
+
+def test_whatever_is_told_fits(calibrated: Calibration) -> None:
+    """Many long doubts, notes and effects: the first doubt is first, the others and the notes are counted."""
+    doubts = [Note(Severity.DOUBT, f"doubt {k} " + "of some length " * 30, ()) for k in range(4)]
+    notes = [Note(Severity.NOTE, f"note {k} " + "and more " * 20, ()) for k in range(9)]
+    crowded = replace(calibrated, result=replace(calibrated.result, warnings=(*doubts, *notes)))
+    effects = "; ".join(f"gear_eccentricity of joint_{k} (in 20 of 20 subsamples)" for k in range(30))
+    lines = shown(crowded, found=(effects, effects.replace(" (in 20 of 20 subsamples)", ""), "30 effects"))
+
+    assert len(lines) < MOST
+    assert lines[0].startswith("doubt: doubt 0 of some length") and "(3 more doubts in the report)" in said(
+        ["doubt: " + lines[0], *lines[1:]], "doubt:"
+    )
+    assert lines[-1].startswith("more     9 notes")
+    assert said(lines, "found") == "30 effects"
+
+
+def test_what_is_short_is_said_in_full(calibrated: Calibration) -> None:
+    """All effects with their evidence, where there is room."""
+    assert said(shown(calibrated, found=("a of b (20)", "a of b", "1 effect")), "found") == "a of b (20)"
+
+
+def test_effects_of_a_kind_stand_together() -> None:
+    """The joints behind one name; what is no more than a hint is set apart."""
+
+    def entry(effect: str, joint: str, **more: object) -> FoundEffect:
+        plain = {"parameters": {}, "p_value": 1e-9, "gap_before_mm": 1.0, "gap_after_mm": 0.5}
+        plain |= {"equivalent": (), "tell_apart": ""}
+        return FoundEffect(effect=effect, joint=joint, stability=Stability(9, 10), **(plain | more))  # type: ignore[arg-type]
+
+    named = [entry("backlash", "a"), entry("gear_ripple", "b", order=20), entry("backlash", "c")]
+    words = _listed(named, [" (in 9 of 10 subsamples)", " (9)", " (8)"])
+
+    assert words == "backlash of a (in 9 of 10 subsamples), c (8); gear_ripple of b order 20 (9)"
+
+
+def test_the_first_step_is_the_act_that_the_verdict_asks_for(calibrated: Calibration) -> None:
+    """To state the noise, to search where it shows too little, or to use what is adequate."""
+    result = calibrated.result
+    acts = {
+        None: Act.DECLARE,
+        1e-9: Act.SEARCH,
+        0.4: Act.USE,
+    }
+    for p_value, act in acts.items():
+        noise = {**result.noise, "source": "estimated" if p_value is None else "declared"}
+        given = replace(calibrated, result=replace(result, chi2_p_value=p_value, noise=noise, warnings=()))
+        assert steps_after(given)[0].act is act
+    lost = {
+        part: {**errors, "rms_mm": 1e9 if part == "test" else 1.0} for part, errors in result.error["calibrated"].items()
+    }
+    worse = replace(calibrated, result=replace(result, chi2_p_value=0.4, error={**result.error, "calibrated": lost}))
+    assert steps_after(worse)[0].act is None and "no better than by the URDF" in steps_after(worse)[0].text
