@@ -341,6 +341,36 @@ def test_a_dropped_file_is_shown_and_saved(made: Made, tmp_path: Path) -> None:
     assert told[3] == "Save weld-corrected.csv" and told[4].encode("latin-1") == found and told[5]
 
 
+@pytest.mark.long
+@ROOMS
+def test_all_joints_are_in_view_and_named(made: Made, tmp_path: Path) -> None:
+    """At the start and along a program, from each side: names within the picture, none over another, the arm large."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here: nothing to open a page with")
+    given = json.dumps(joints_table(made).decode("latin-1"))
+    pictures = answered(
+        made.page,
+        "const pictures = []; let names = [];"
+        "CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {"
+        "  names.push([text, x, y, this.measureText(text).width]); };"
+        "const look = () => { for (const turn of [-0.9, 0.6, 2.5]) {"
+        "  names = []; eye.turn = turn; draw(); const { width, height } = $('view').getBoundingClientRect();"
+        "  pictures.push([[width, height], names]); names = []; } };"
+        f"look(); const bytes = Uint8Array.from({given}, (c) => c.charCodeAt(0));"
+        "await take([new File([bytes], 'weld.csv')]);"
+        "for (const row of [0, 9, 19]) { show(row); look(); } return pictures;",
+        tmp_path,
+    )
+    assert len(pictures) == 12
+    for k, (box, names) in enumerate(pictures):
+        assert [name for name, *_ in names] == [f"J{i + 1}" for i in range(len(names))] and len(names) == 6
+        assert all(x >= 0 and x + wide <= box[0] and 0 <= y <= box[1] for _, x, y, wide in names)
+        for i, (_, x, y, wide) in enumerate(names):
+            assert all(abs(y - b) >= 14 or x > a + w or a > x + wide for _, a, b, w in names[:i])
+        places = np.array([name[1:3] for name in names])
+        assert k >= 3 or np.ptp(places, axis=0).max() > 0.4 * min(box)
+
+
 def test_names_of_a_robot_are_no_code_in_the_page(kuka: Robot, tmp_path: Path) -> None:
     """Names that would end a script or a comment stay names."""
     from pincal.builtin import kuka_urdf_path

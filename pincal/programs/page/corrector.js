@@ -197,18 +197,45 @@ function armAt(q, target) {
   points.push([tip[3], tip[7], tip[11]], target);
   return { points, axes };
 }
+const upright = (p) => [0, 1, 2].map((i) => UP[3 * i] * p[0] + UP[3 * i + 1] * p[1] + UP[3 * i + 2] * p[2]);
+// The sphere about all that is to be seen: the arm from its base to the target, at the points of the program if there is one.
+const SEEN = { of: undefined };
+function bounds() {
+  if (SEEN.of === result && SEEN.start === String(options.start)) return SEEN;
+  const rows = result ? result.rows.filter((row) => row.wanted) : [], step = Math.ceil(rows.length / 200) || 1;
+  const arms = rows.length ? rows.filter((_, i) => i % step === 0).map((row) => [row.q, row.wanted]) : [[options.start, null]];
+  const points = arms.flatMap(([q, pose]) => {
+    const at = pose ?? nominal({ ...options, q })[0];
+    return armAt(q, [at[3], at[7], at[11]]).points.map(upright);
+  });
+  const ends = [Math.min, Math.max].map((end) => [0, 1, 2].map((i) => points.reduce((most, p) => end(most, p[i]), points[0][i])));
+  const middle = [0, 1, 2].map((i) => (ends[0][i] + ends[1][i]) / 2);
+  const radius = points.reduce((most, p) => Math.max(most, Math.hypot(...p.map((v, i) => v - middle[i]))), 0.05 * ABOUT.reach);
+  return Object.assign(SEEN, { of: result, start: String(options.start), middle, radius });
+}
+// Write the names of joints beside these, none over another.
+function label(ctx, places, paint) {
+  const taken = [], names = JOINTS.length <= 9 ? JOINTS.map((_, i) => `J${i + 1}`) : JOINTS;
+  Object.assign(ctx, { font: "600 12px system-ui, sans-serif", fillStyle: paint, textBaseline: "middle" });
+  places.forEach(([x, y], i) => {
+    const text = ABOUT.follows.length === JOINTS.length ? names[i] : JOINTS[ABOUT.follows[i][0]], wide = ctx.measureText(text).width;
+    let at = y;
+    while (taken.some(([left, top, w]) => Math.abs(top - at) < 14 && x < left + w + 4 && left < x + wide + 4)) at += 14;
+    taken.push([x, at, wide]);
+    ctx.fillText(text, x, at);
+  });
+}
 function draw() {
   const canvas = $("view"), box = canvas.getBoundingClientRect(), ratio = window.devicePixelRatio || 1, ctx = canvas.getContext("2d");
   canvas.width = box.width * ratio;
   canvas.height = box.height * ratio;
   ctx.scale(ratio, ratio);
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-  const reach = ABOUT.reach, size = 0.52 * Math.min(box.width, box.height) * eye.zoom / reach, [ct, st, cp, sp] =
+  const reach = ABOUT.reach, { middle: centre, radius } = bounds(), size = 0.46 * Math.min(box.width, box.height) * eye.zoom / radius, [ct, st, cp, sp] =
     [Math.cos(eye.turn), Math.sin(eye.turn), Math.cos(eye.tilt), Math.sin(eye.tilt)];
-  const upright = (p) => [0, 1, 2].map((i) => UP[3 * i] * p[0] + UP[3 * i + 1] * p[1] + UP[3 * i + 2] * p[2]);
   const seen = (p, is_upright) => {
-    const [x, y, z] = is_upright ? p : upright(p), across = -st * x + ct * y, into = ct * x + st * y, middle = z - 0.36 * reach;
-    const depth = into * cp + middle * sp, scale = size / (1 - 0.12 * depth / reach);
+    const [x, y, z] = (is_upright ? p : upright(p)).map((v, i) => v - centre[i]), across = -st * x + ct * y, into = ct * x + st * y, middle = z;
+    const depth = into * cp + middle * sp, scale = size / (1 - 0.12 * depth / radius);
     return [box.width / 2 + across * scale, box.height / 2 - (middle * cp - into * sp) * scale, depth];
   };
   const stroke = (points, width, paint) => {
@@ -235,6 +262,7 @@ function draw() {
     const half = 0.045 * reach * Math.max(0.45, 1 - 0.5 * i / axes.length), p = points[i + 1];
     stroke([-1, 1].map((side) => seen(p.map((x, k) => x + side * half * axis[k]))), thick * Math.max(0.5, 1 - 0.45 * i / axes.length), colour("joint"));
   });
+  label(ctx, axes.map((_, i) => seen(points[i + 1])).map(([x, y]) => [x + 0.75 * thick + 6, y]), colour("text"));
   const good = rows.filter((r) => r.before), longest = good.reduce((most, r) => Math.max(most, r.before[0]), 0);
   const exact = longest > 0 ? 0.12 * reach / longest : 1, power = 10 ** Math.floor(Math.log10(exact) + 1e-9);
   const factor = longest > 0 ? power * [5, 2, 1].find((d) => d * power <= exact * (1 + 1e-9)) : 1;
@@ -253,7 +281,7 @@ function draw() {
     ctx.stroke();
   }
   $("legend").textContent = good.length ? `Arrows: from the intended point to where this robot goes without correction, ${factor.toLocaleString("en")} times as long; the longest is ${(1e3 * longest).toFixed(3)} mm.`
-    : "Drag to turn, scroll or pinch to zoom.";
+    : `${JOINTS.map((name, i) => `J${i + 1}: ${name}`).slice(0, JOINTS.every((name, i) => name.replace(/\D/g, "") === `${i + 1}`) ? 0 : 9).join(", ")} Drag to turn, scroll or pinch to zoom.`.trim();
 }
 
 function look() {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import wrap
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -20,29 +21,34 @@ _MOST: Count = 24
 # Most names of stations under an axis, and most letters of each.
 _MOST_NAMES: Count = 8
 _LETTERS: Count = 12
-# Smallest deviation that is drawn, since a logarithmic axis has no zero [m].
-_SMALLEST: Scale = 1e-17
+# Smallest deviation that is drawn, since a logarithmic axis has no zero [mm].
+_SMALLEST: Scale = 1e-6
+# Width of a panel of deviations [in].
+_PANEL: Scale = 3.6
+# Letters of a remark per inch of a figure.
+_LETTERS_PER_INCH: Count = 15
 
 
-def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
+def deviation_figure(series: Mapping[str, np.ndarray], *, remark: str = "") -> Figure:
     r"""Draw the error of each model, pose by pose: Fig. 6 of the paper.
 
     Args:
         series: name of a model -> shape (N,), distance between its prediction and the truth at each
             pose [m].
+        remark: a sentence below, on what the figure shows.
 
     Returns:
-        One panel per model, side by side on one logarithmic axis [m], titled with name, mean and
+        One panel per model, side by side on one logarithmic axis [mm], titled with name, mean and
         maximum.
 
     Raises:
         ValueError: if there is no series, or one has no poses.
 
     Example:
-        >>> sizes = {"standard DH": np.array([1e-3, 3e-3]), "DH,s,e": np.array([1e-9, 2e-9])}
+        >>> sizes = {"standard DH": np.array([1e-3, 3e-3]), "DH,s,e": np.array([8e-5, 9e-5])}
         >>> figure = deviation_figure(sizes)
         >>> [axes.get_title() for axes in figure.axes]
-        ['standard DH\nmean 2.00 mm, max 3.00 mm', 'DH,s,e\nmean 1.50e-09 m, max 2.00e-09 m']
+        ['standard DH\nmean 2.00 mm, max 3.00 mm', 'DH,s,e\nmean 0.0850 mm, max 0.0900 mm']
         >>> deviation_figure({})
         Traceback (most recent call last):
             ...
@@ -50,31 +56,40 @@ def deviation_figure(series: Mapping[str, np.ndarray]) -> Figure:
     """
     if not series or any(len(deviations) == 0 for deviations in series.values()):
         raise ValueError("no deviations to draw; expected at least one series of at least one pose")
-    figure = Figure(figsize=(3.6 * len(series), 3.2), layout="constrained", dpi=150)
+    lines = wrap(remark, int(_LETTERS_PER_INCH * _PANEL * len(series)))
+    figure = Figure(
+        figsize=(_PANEL * len(series), 3.5 + ROW * len(lines)), layout="constrained", dpi=150
+    )
     panels = figure.subplots(1, len(series), sharey=True, squeeze=False)[0]
     for k, (axes, (name, deviations)) in enumerate(zip(panels, series.items(), strict=True)):
-        sizes = np.asarray(deviations, float)
-        shown = np.maximum(sizes, _SMALLEST)
-        mean = max(float(sizes.mean()), _SMALLEST)
+        sizes = 1e3 * np.asarray(deviations, float)
         colour = style.COLOURS[k % len(style.COLOURS)]
-        axes.plot(range(1, len(sizes) + 1), shown, ".", color=colour, markersize=4, label=name)
-        axes.axhline(mean, color=INK, linewidth=1.0, linestyle="--")
+        shown = np.maximum(sizes, _SMALLEST)
+        axes.plot(
+            range(1, len(sizes) + 1), shown, ".", color=colour, markersize=4, label="one pose"
+        )
+        mean = max(float(sizes.mean()), _SMALLEST)
+        axes.axhline(mean, color=INK, linewidth=1.0, linestyle="--", label="mean of all poses")
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.set_title(
             f"{drawable(name)}\nmean {_length(sizes.mean())}, max {_length(sizes.max())}",
             fontsize=10,
         )
         axes.set_xlabel("pose")
         axes.grid(visible=True, which="major", color=style.GRID, linewidth=0.6)
-    panels[0].set_ylabel("deviation [m]")
+    panels[0].set_ylabel("deviation [mm]")
+    handles, labels = panels[0].get_legend_handles_labels()
+    # The dots of each panel have a colour of their own.
+    figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False, fontsize=10)
+    if lines:
+        figure.supxlabel("\n".join(lines), fontsize=9, x=0.01, ha="left")
     return figure
 
 
-def _length(metres: float) -> str:
-    """Return a length in a readable unit."""
-    if metres >= 1e-4:
-        return f"{metres * 1e3:.2f} mm"
-    return f"{metres * 1e6:.2f} µm" if metres >= 1e-8 else f"{metres:.2e} m"
+def _length(millimetres: float) -> str:
+    """Return a length with three digits at least."""
+    return f"{millimetres:.2f} mm" if millimetres >= 1.0 else f"{millimetres:.4f} mm"
 
 
 def correction_figure(parameters: Sequence[ParameterRow], unit: str) -> Figure:
