@@ -11,8 +11,10 @@ import pytest
 from discovery_cases import _setting
 
 from pincal import GEOMETRIC, Options, measurements_from_arrays, run_discovery
+from pincal.discover.alike_scatter import AlikeScatter
 from pincal.discover.report.search_answer import SearchAnswer
 from pincal.discover.run import Discovery
+from pincal.discover.scatter import _Arrivals
 from pincal.report.judgement import judged
 from pincal.validate.misfit import Verdict
 
@@ -173,3 +175,36 @@ def test_an_instrument_that_is_noisier_than_declared_is_not_how_drives_stop(seed
 
     assert found.calibration.result.arrivals is None
     assert any("model is incomplete or the declared noise is too small" in str(w) for w in found.calibration.result.warnings)
+
+
+def test_scatter_beside_that_of_all_has_the_likelihood_of_its_covariance() -> None:
+    """On a grid of variances, with one joint that slides and is not alike, as by the dense covariance of each visit."""
+    rng = np.random.default_rng(3)
+    V, n, m = 9, 4, 5
+    levers, residuals = rng.standard_normal((V, n, m)), rng.standard_normal((V, m))
+    turns, ratios = np.array([True, True, False, True]), np.array([0.0, 0.1, 3.0, 1e4])
+    gram, along = levers @ levers.transpose(0, 2, 1), np.einsum("vnm,vm->vn", levers, residuals)
+    squares = float(np.sum(residuals**2))
+
+    def likelihood(alike: float, extra: float, joint: int, sigma2: float | None) -> float:
+        variances = alike * turns + extra * (np.arange(n) == joint)
+        M = np.eye(m) + np.einsum("vnm,n,vnk->vmk", levers, variances, levers)
+        left = float(np.einsum("vm,vmk,vk->", residuals, np.linalg.inv(M), residuals))
+        variance = left / (V * m) if sigma2 is None else sigma2
+        return float(-V * m * np.log(variance) - np.sum(np.linalg.slogdet(M)[1]) - left / variance)
+
+    found = AlikeScatter.of(gram, along, turns, ratios=ratios, squares=squares, readings=V * m)
+    for joint in range(n):
+        beside = found.beside(joint)
+        for sigma2 in (None, 0.7):
+            expected = np.array([[likelihood(a, b, joint, sigma2) for b in ratios] for a in ratios])
+            rows = np.array([beside.likelihood(k, ratios, sigma2) for k in range(len(ratios))])
+            columns = np.array([beside.likelihood(slice(None), b, sigma2) for b in ratios])
+            np.testing.assert_allclose(rows, expected, rtol=1e-9)
+            np.testing.assert_allclose(columns, expected.T, rtol=1e-9)
+    arrivals = _Arrivals(tuple("abcd"), turns, gram, along, squares, V * m)
+    at, likeliest = arrivals.alike()
+    assert likeliest == pytest.approx(likelihood(at, 0.0, 0, None)) and likeliest == pytest.approx(
+        max(likelihood(ratio, 0.0, 0, None) for ratio in arrivals._ratios)
+    )
+    assert all(gain >= -1e-9 for gain in arrivals.beyond_others().values())

@@ -144,7 +144,9 @@ def test_the_likelihood_of_a_noise_along_the_rows_is_that_of_its_covariance() ->
     place = np.sort(rng.choice(80, n, replace=False)).astype(float)
     columns = rng.standard_normal((1 + P, m, n))
     precision, values = np.array([0.0, 0.0, 0.5, 4.0, 30.0]), rng.standard_normal(P)
-    likelihood = _RestrictedLikelihood(columns, place, precision, values)
+    # A parameter that moves no reading adds a constant, which is left out.
+    idle = np.insert(columns, 3, 0.0, axis=0), place, np.insert(precision, 2, 7.0), np.insert(values, 2, 1.0)
+    likelihood = _RestrictedLikelihood.of(*idle)
     phi, share = 0.9, 0.7
     serial = Serial(np.full(m, phi), np.full(m, share), place, np.ones(n, bool))
     of_rows = np.stack([serial.coloured(np.eye(m * n)[k].reshape(m, n)).ravel() for k in range(m * n)], axis=1)

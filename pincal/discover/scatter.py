@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 from typing import Literal
 
@@ -33,6 +34,7 @@ from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 from scipy.special import chdtrc, chdtri, fdtrc
 
+from pincal.discover.alike_scatter import AlikeScatter
 from pincal.discover.discovery_file import ScatteringJoint
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.policy import NOISE, TESTING
@@ -280,11 +282,23 @@ class _Arrivals:
         """Return the variance that all revolute joints have in common, relative to the noise's, and
         2 log-likelihood.
         """
-        likelihoods = [self.likelihood(ratio * self.turns, sigma2)[0] for ratio in self._ratios]
+        likelihoods = self._alike.nothing.likelihood(slice(None), 0.0, sigma2)
         best = int(np.argmax(likelihoods))
-        return float(self._ratios[best]), likelihoods[best]
+        return float(self._ratios[best]), float(likelihoods[best])
 
-    @property
+    @cached_property
+    def _alike(self) -> AlikeScatter:
+        """The scatter that all revolute joints have in common, for the candidate variances."""
+        return AlikeScatter.of(
+            self.gram,
+            self.along,
+            self.turns,
+            ratios=self._ratios,
+            squares=self.squares,
+            readings=self.readings,
+        )
+
+    @cached_property
     def _ratios(self) -> np.ndarray:
         """Candidate variances of a joint."""
         lever2 = (
@@ -298,21 +312,19 @@ class _Arrivals:
         """Return by how much 2 log-likelihood increases if one joint scatters more than all do
         alike, by its name.
         """
-        common, without = self.alike()
         ratios = self._ratios
+        every = self._alike.nothing.likelihood(slice(None), 0.0)
+        common = int(np.argmax(every))
         found = dict[str, float]()
-
-        def likelihood(at: float, extra: float, own: np.ndarray) -> float:
-            return self.likelihood(at * self.turns + extra * own)[0]
-
         for j, name in enumerate(self.joints):
-            own = np.eye(self.n_joints)[j]
+            beside = self._alike.beside(j)
             shared = common
             gain = 0.0
             for _ in range(NOISE.turns):
-                more = ratios[np.argmax([likelihood(shared, extra, own) for extra in ratios])]
-                shared = ratios[np.argmax([likelihood(at, more, own) for at in ratios])]
-                gain = likelihood(shared, more, own) - without
+                more = float(ratios[np.argmax(beside.likelihood(shared, ratios))])
+                likelihoods = beside.likelihood(slice(None), more)
+                shared = int(np.argmax(likelihoods))
+                gain = float(likelihoods[shared] - every[common])
             found[name] = gain
         return found
 

@@ -245,12 +245,18 @@ class Tangent:
         H = np.zeros((n_blocks, n_model + n, n))
         g = np.zeros((n_blocks, n))
         parts = list[RowPart]()
+        # Stations with the same candidates share their products.
+        inner = dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]]()
         for i, station in enumerate(problem.stations):
             local = problem.places[i]
             before = self.problem.places[i]
             mine = of_model[before[self.free[before]]]
             ours = of_tested[local[free[local]]]
-            products = _Products.none(n_blocks, len(mine), len(ours))
+            if (key := ours.tobytes()) not in inner:
+                c = len(ours)
+                inner[key] = ours, np.zeros((n_blocks, c, c)), np.zeros((n_blocks, c))
+            cross = np.zeros((n_blocks, len(mine), len(ours)))
+            products = _Products(*inner[key][1:], cross)
             ordered = _sorted(station, self.orders[i])
             linearised = ordered.linearise_correlated(values[local], free[local])
             at = np.append(mine, n_model + ours)
@@ -258,9 +264,10 @@ class Tangent:
                 products.add(piece, added, candidate[ours])
                 part = (piece.rows, piece.residuals, piece.jacobian, added, at, piece.whitening)
                 parts.append(RowPart(*part))
-            g[:, ours] += products.g
-            _add(products.cross, mine, ours, H)
-            _add(products.inner, n_model + ours, ours, H)
+            _add(cross, mine, ours, H)
+        for ours, own, slope in inner.values():
+            g[:, ours] += slope
+            _add(own, n_model + ours, ours, H)
         return H, g, tuple(parts)
 
 
@@ -287,12 +294,6 @@ class _Products:
     g: np.ndarray
     cross: np.ndarray
 
-    @classmethod
-    def none(cls, n_blocks: int, p: int, c: int) -> _Products:
-        """Return those of no rows."""
-        inner = np.zeros((n_blocks, c, c))
-        return cls(inner, np.zeros((n_blocks, c)), np.zeros((n_blocks, p, c)))
-
     def add(self, piece: _Piece, added: Jacobian, groups: np.ndarray) -> None:
         """Add a piece of the rows in place; columns of different groups need no products."""
         model = piece.whitened
@@ -306,17 +307,22 @@ class _Products:
         self, piece: _Piece, model: Jacobian, added: Jacobian, groups: np.ndarray, at: np.ndarray
     ) -> None:
         """Add a piece of the rows with some columns, at these indices, all whitened."""
-        p = model.size
+        columns = span(at)
         c = len(at)
+        is_all = c == self.g.shape[1]
         for k, some in piece.blocks:
             part = added.poses(some)
-            inner, g, cross = np.zeros((c, c)), np.zeros(c), np.zeros((p, c))
+            whole = self.inner[k], self.g[k], self.cross[k]
+            if is_all:
+                inner, g, cross = whole
+            else:
+                inner, g, cross = np.zeros((c, c)), np.zeros(c), np.zeros((model.size, c))
             part.add_gram(piece.residuals[:, some], inner, g, groups)
             model.poses(some).add_products(part, cross)
-            columns = span(at)
-            self.inner[k][block(columns, columns)] += inner
-            self.g[k][columns] += g
-            self.cross[k][:, columns] += cross
+            if not is_all:
+                whole[0][block(columns, columns)] += inner
+                whole[1][columns] += g
+                whole[2][:, columns] += cross
 
 
 def _at_once(piece: _Piece, groups: np.ndarray) -> Iterator[np.ndarray]:

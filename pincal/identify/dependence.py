@@ -313,7 +313,7 @@ class _FittedStation:
                 continue
             columns = every if turns is None else turned_into(turns[some], every)
             blocks = (columns[:, rows] for rows in first.station.block_rows)
-            each = [_RestrictedLikelihood(block, near, *priors).likeliest() for block in blocks]
+            each = [_RestrictedLikelihood.of(block, near, *priors).likeliest() for block in blocks]
             gain = sum(found.gain for found in each if found is not None)
             if gain > most:
                 phi, share = _by_reading(each, first.station.block_sizes)
@@ -414,6 +414,17 @@ class _RestrictedLikelihood:
     position: np.ndarray
     precision: np.ndarray
     values: np.ndarray
+
+    @classmethod
+    def of(
+        cls, columns: np.ndarray, position: np.ndarray, precision: np.ndarray, values: np.ndarray
+    ) -> _RestrictedLikelihood:
+        """Return that of columns without those that move no reading, as of pieces of curves where
+        no row is: these add a constant.
+        """
+        moves = np.any(columns[1:], axis=(1, 2))
+        kept = columns[np.append(True, moves)]
+        return cls(kept, position, precision[moves], values[moves])
 
     @cached_property
     def white(self) -> float:

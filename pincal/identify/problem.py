@@ -297,10 +297,13 @@ class Problem:
         """Return the indices of the parameters of an effect of the problem (this very object), at
         all stations.
         """
-        found: dict[int, None] = {}
-        for spans, places in zip(self._spans, self.places, strict=True):
-            found |= dict.fromkeys(places[spans.get(id(effect), slice(0))].tolist())
-        return np.array(list(found), int)
+        each = [
+            places[spans.get(id(effect), slice(0))]
+            for spans, places in zip(self._spans, self.places, strict=True)
+        ]
+        if len(each) == 1:
+            return each[0].copy()
+        return np.array(list(dict.fromkeys(np.concatenate(each).tolist())), int)
 
     def carried_over(self, vector: np.ndarray, other: Problem) -> np.ndarray:
         """Return a vector over another problem's table by parameter name; zero (or False) for
