@@ -86,6 +86,15 @@ CASES: dict[str, tuple[tuple[str, str], set[str], str]] = {
     "positions are displaced": (rapid("PDispOn a,gun;\nMoveJ a,v1,fine,gun;\n"), set(), "A: it is a tool or a base"),
     "positions are displaced by a frame": (rapid("PDispSet f;\nMoveJ a,v1,fine,gun;\n"), {"A"}, "line 6 displaces positions"),
     "positions are displaced no more": (rapid("PDispSet f;\nPDispOff;\nMoveJ a,v1,fine,gun;\n"), {"A"}, ""),
+    "a track moves": (rapid("MoveExtJ j,v1,fine;\nMoveJ a,v1,fine,gun;\n"), {"A"}, "line 6 displaces positions"),
+    "a track moves back": (
+        rapid("MoveExtJ j,v1,fine;\nMoveExtJ [[0,0,0,0,0,0],[0,9E9,9E9,9E9,9E9,9E9]],v1,fine;\nMoveJ a,v1,fine,gun;\n"),
+        {"A"}, "",
+    ),
+    "a track moves elsewhere": (
+        rapid("MoveExtJ [[0,0,0,0,0,0],[500,9E9,9E9,9E9,9E9,9E9]],v1,fine;\nMoveJ a,v1,fine,gun;\n"),
+        {"A"}, "line 6 displaces positions",
+    ),
     "another routine displaces positions": (
         rapid("up;\nMoveJ a,v1,fine,gun;\n", more="PROC up()\nPDispSet f;\nENDPROC\n"), {"A"}, "line 6 calls UP, which sets it",
     ),

@@ -488,7 +488,6 @@ KEPT = {
             "SetDO do1,1;",
             "SetSysData gun;",
             "GripLoad load0;",
-            "MoveExtJ j,v1,fine;",
             "Set do1;",
             "Reset do1;",
             "SetGO go1,5;",

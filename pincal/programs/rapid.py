@@ -25,6 +25,7 @@ from pincal.programs.rapid_blocks import (
     RAPID_WORDS,
     READING,
     SWITCHES,
+    are_at_rest,
     check_blocks,
     code_of,
     ends_displacement,
@@ -47,7 +48,6 @@ from pincal.programs.syntax import (
     word,
     words_in,
 )
-from pincal.thresholds import Scale
 
 _SEARCHES = ("SEARCHL", "SEARCHJ", "SEARCHC")
 _STORAGE = ("CONST", "PERS", "VAR")
@@ -55,8 +55,6 @@ _TARGETS = ("ROBTARGET", "JOINTTARGET")
 _DATA = (*_TARGETS, "TOOLDATA", "WOBJDATA")
 # What a routine may do with a parameter: only that of an input is a copy.
 _CHANGEABLE = ("INOUT", "PERS", "VAR", "REF")
-# From here on a number stands for no external axis: it is written 9E9.
-_NONE: Scale = 8.9e9
 
 
 @LANGUAGES.register
@@ -161,11 +159,11 @@ class _ModuleReader(Reader):
         sizes = [len(each) for each in lists] if lists is not None else []
         if lists is None or sizes not in ([3, 4, 4, 6], [6, 6]):
             return self.skip(name, line, "not all of its values are numbers")
-        if sizes == [6, 6] and not _at_rest(lists[1]):
+        if sizes == [6, 6] and not are_at_rest(lists[1]):
             return self.skip(name, line, EXTERNAL)
         if sizes == [6, 6]:
             return Point(name, self.file, line, "joints", lists[0])
-        if not _at_rest(lists[3]):
+        if not are_at_rest(lists[3]):
             return self.skip(name, line, EXTERNAL)
         posture = _posture(lists[2])
         if posture is None:
@@ -218,9 +216,9 @@ class _ModuleReader(Reader):
         first = word(statement.items[0])
         if first in BY_NAME:
             self.draft.write_any(f"line {line} sets data by their names ({first})")
-        if first in SWITCHES:
+        if first in SWITCHES and first != "MOVEEXTJ":
             self.draft.derive("displacement", self.words(statement.items[1:]))
-        elif first not in self.harmless:
+        elif first not in self.harmless and first not in SWITCHES:
             self.draft.pass_to(first or "a routine", self.words(statement.items[1:]), line)
         self.draft.read(self.words(statement.items))
 
@@ -405,11 +403,6 @@ def _touched(statement: Statement, step: Step) -> set[str]:
         if name.upper() not in RAPID_FUNCTIONS:
             found |= {element_name(part)[0] for part in group.parts}
     return found
-
-
-def _at_rest(external: Sequence[Number]) -> bool:
-    """Return whether external axes are at 0 or not in use."""
-    return all(number.value == 0.0 or number.value >= _NONE for number in external)
 
 
 def _lists(group: Brackets) -> list[tuple[Number, ...]] | None:

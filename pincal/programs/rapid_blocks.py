@@ -12,11 +12,14 @@ from pincal.programs.line_flow import STATED_LOAD
 from pincal.programs.program import Path
 from pincal.programs.syntax import (
     Brackets,
+    Number,
     Source,
     Statement,
+    aggregate,
     calls_in,
     is_token,
     nested,
+    numbers_of,
     place_of,
     split,
     text_of_items,
@@ -24,6 +27,7 @@ from pincal.programs.syntax import (
     words_in,
 )
 from pincal.programs.understood import Understood, understood_words
+from pincal.thresholds import Scale
 
 _TOKENS = r"""
 TEXT: /"([^"\r\n]|"")*"/
@@ -55,6 +59,8 @@ _ALONE = (*_CLOSES, "ELSE", "ERROR", "UNDO", "BACKWARD")
 _CONDITIONS = ("IF", "TEST", *_LOOPS)
 _LEAVING = ("RETURN", "EXITCYCLE", "EXIT", "GOTO", "RAISE", "RETRY", "TRYNEXT", "STOP", "BREAK")
 _HANDLERS = ("ERROR", "UNDO", "BACKWARD")
+# From here on a number stands for no external axis: it is written 9E9.
+_NONE: Scale = 8.9e9
 ONCE = "IF without THEN"
 _STORAGE = ("CONST", "PERS", "VAR", "LOCAL", "TASK", "ALIAS")
 _PLAIN = {"MOVEL": "line", "MOVEJ": "joint", "MOVEC": "circle", "MOVEABSJ": "joint"}
@@ -92,7 +98,7 @@ RAPID_WORDS = (
         "ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, "
         "ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, "
         "STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, "
-        "TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE, ACTEVENTBUFFER, "
+        "TRIGGSPEED, TRIGGSTOPPROC, AND, OR, NOT, XOR, TRUE, FALSE, ACTEVENTBUFFER, "
         "DEACTEVENTBUFFER, CHECKPROGREF, GETTRAPDATA, IRMQMESSAGE, IVARVALUE, PATHRECSTART, "
         "PATHRECSTOP, PATHLENGTHSTART, PATHLENGTHSTOP, PATHLENGTHRESET, RAISETOUSER, SKIPWARN, "
         "STARTMOVERETRY, TRIGGDATACOPY, TRIGGDATARESET, WAITTESTANDSET",
@@ -194,6 +200,9 @@ SWITCHES = {
     "INDDMOVE": "INDEPENDENT",
     "INDRMOVE": "INDEPENDENT",
     "INDRESET": "INDEPENDENT",
+    # A track carries the robot away from where its targets were reached; those of other axes than a
+    # track are not told from it.
+    "MOVEEXTJ": "EXTERNAL",
     "SETLEADTHROUGH": "LEADTHROUGH",
     "WAITSENSOR": "SENSOR",
     "SYNCTOSENSOR": "SENSOR",
@@ -242,7 +251,6 @@ READING = (
     "ERRLOG",
     "UIMSGBOX",
     "SETSYSDATA",
-    "MOVEEXTJ",
     "GRIPLOAD",
 )
 # Instructions that set data by their names, which are texts.
@@ -252,8 +260,25 @@ BY_NAME = ("SETDATAVAL", "SETALLDATAVAL")
 def ends_displacement(statement: Statement) -> bool:
     """Return whether a statement of ``SWITCHES`` ends what it switches."""
     first = word(statement.items[0])
+    if first == "MOVEEXTJ":
+        return _moves_back(statement)
     has_off = first in ("SINGAREA", "SETLEADTHROUGH")
     return first in _ENDS_IT or (has_off and "OFF" in words_in(statement.items))
+
+
+def _moves_back(statement: Statement) -> bool:
+    """Return whether a motion of external axes ends where all that are in use are at 0, which only
+    a target in numbers says.
+    """
+    group = aggregate(split(statement.items[1:])[0], "[")
+    lists = None if group is None else [aggregate(part, "[") for part in group.parts]
+    external = None if not lists or lists[-1] is None else numbers_of(lists[-1].parts)
+    return external is not None and are_at_rest(external)
+
+
+def are_at_rest(external: Sequence[Number]) -> bool:
+    """Return whether external axes are at 0 or not in use."""
+    return all(number.value == 0.0 or number.value >= _NONE for number in external)
 
 
 def code_of(source: Source) -> Code:

@@ -2022,7 +2022,7 @@ MODULES.rapid_blocks = (() => {
 const { Code, Step } = MODULES.flow;
 const { STATED_LOAD } = MODULES.line_flow;
 const { Path } = MODULES.program;
-const { Brackets, Statement, calls_in, is_token, nested, place_of, split, text_of_items, word, words_in } = MODULES.syntax;
+const { Brackets, Number, Statement, aggregate, calls_in, is_token, nested, numbers_of, place_of, split, text_of_items, word, words_in } = MODULES.syntax;
 const { Understood, understood_words } = MODULES.understood;
 let _TOKENS;
 _TOKENS = "\nTEXT: /\"([^\"\\r\\n]|\"\")*\"/\nBITS.3: /\\x05/\nSIGN: /:=|[\u003c\u003e]=|[^\\x04\\s\\w()\\[\\]{}\"!;$#]/\n_END: \";\" | \"\\x04\"\nCOMMENT.5: /![^\\r\\n]*/\n%ignore COMMENT\n%ignore /[ \\t\\f\\r\\n\\xa0]+/\n";
@@ -2050,6 +2050,8 @@ let _LEAVING;
 _LEAVING = ["RETURN", "EXITCYCLE", "EXIT", "GOTO", "RAISE", "RETRY", "TRYNEXT", "STOP", "BREAK"];
 let _HANDLERS;
 _HANDLERS = ["ERROR", "UNDO", "BACKWARD"];
+let _NONE;
+_NONE = 8900000000.0;
 let ONCE;
 ONCE = "IF without THEN";
 let _STORAGE;
@@ -2064,7 +2066,7 @@ MOTIONS = new py.Dict([...py.iter(py.call(_PLAIN, 'items')), ...py.iter(py.call(
 let _MANUAL;
 _MANUAL = "ABB, technical reference manual: RAPID instructions, functions and data types";
 let RAPID_WORDS;
-RAPID_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": program flow, waiting, errors, interrupts"), "IF, ELSEIF, ELSE, ENDIF, FOR, ENDFOR, WHILE, ENDWHILE, TEST, CASE, DEFAULT, ENDTEST, GOTO, RETURN, EXIT, EXITCYCLE, STOP, BREAK, RAISE, RETRY, TRYNEXT, RESETRETRYCOUNT, WAITTIME, WAITUNTIL, WAITDI, WAITDO, WAITGI, WAITGO, WAITAI, WAITAO, WAITROB, WAITSYNCTASK, CONNECT, IDELETE, IDISABLE, IENABLE, ISLEEP, IWATCH, ISIGNALDI, ISIGNALDO, ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, TRIGGSPEED, TRIGGSTOPPROC, MOVEEXTJ, AND, OR, NOT, XOR, TRUE, FALSE, ACTEVENTBUFFER, DEACTEVENTBUFFER, CHECKPROGREF, GETTRAPDATA, IRMQMESSAGE, IVARVALUE, PATHRECSTART, PATHRECSTOP, PATHLENGTHSTART, PATHLENGTHSTOP, PATHLENGTHRESET, RAISETOUSER, SKIPWARN, STARTMOVERETRY, TRIGGDATACOPY, TRIGGDATARESET, WAITTESTANDSET"), new Understood("instruction", (py.str(_MANUAL) + ": motion settings that keep target and tool"), "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, WZENABLE, WZDISABLE, WZFREE, ARCREFRESH, CORNERPATHWARNING, MOTIONPROCESSMODESET, SPEEDLIMAXIS, SPEEDLIMCHECKPOINT"), new Understood("instruction", (py.str(_MANUAL) + ": inputs, outputs, operator, files, clocks, numbers"), "SETDO, SETGO, SETAO, SET, RESET, INVERTDO, PULSEDO, IOENABLE, IODISABLE, ALIASIO, TPWRITE, TPERASE, TPREADNUM, TPREADDNUM, TPREADFK, TPSHOW, UIMSGBOX, UIMSGWRITE, UISHOW, OPEN, CLOSE, WRITE, WRITEBIN, WRITEANYBIN, WRITESTRBIN, WRITERAWBYTES, READRAWBYTES, PACKRAWBYTES, UNPACKRAWBYTES, CLEARRAWBYTES, COPYRAWBYTES, CLEARIOBUFF, REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT, CAMFLUSH, CAMGETRESULT, CAMLOADJOB, CAMREQIMAGE, CAMSETPROGRAMMODE, CAMSETRUNMODE, CLOSEDIR, IOBUSSTART, IOBUSSTATE, OPENDIR, RMQSENDMESSAGE, SOCKETRECEIVEFROM, SOCKETSENDTO, TESTSIGNDEFINE, TESTSIGNRESET, UIMSGWRITEABORT"), new Understood("function", (py.str(_MANUAL) + ": functions, none of which changes an argument"), "OFFS, RELTOOL, POSEMULT, POSEINV, POSEVECT, DEFFRAME, DEFACCFRAME, CROBT, CJOINTT, CPOS, CTOOL, CWOBJ, CALCJOINTT, CALCROBT, ORIENTZYX, EULERZYX, DISTANCE, VECTMAGN, DOTPROD, CROSSPROD, NORIENT, MIRPOS, ROBOS, ABS, SQRT, SIN, COS, TAN, ACOS, ASIN, ATAN, ATAN2, ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE"), new Understood("filler", (py.str(_MANUAL) + ": StrToVal, which writes to its second argument"), "STRTOVAL"), new Understood("option", (py.str(_MANUAL) + ": optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL"), "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT, TRIGGDATA1, TRIGGDATA2, TRIGGDATA3")];
+RAPID_WORDS = [new Understood("instruction", (py.str(_MANUAL) + ": program flow, waiting, errors, interrupts"), "IF, ELSEIF, ELSE, ENDIF, FOR, ENDFOR, WHILE, ENDWHILE, TEST, CASE, DEFAULT, ENDTEST, GOTO, RETURN, EXIT, EXITCYCLE, STOP, BREAK, RAISE, RETRY, TRYNEXT, RESETRETRYCOUNT, WAITTIME, WAITUNTIL, WAITDI, WAITDO, WAITGI, WAITGO, WAITAI, WAITAO, WAITROB, WAITSYNCTASK, CONNECT, IDELETE, IDISABLE, IENABLE, ISLEEP, IWATCH, ISIGNALDI, ISIGNALDO, ISIGNALGI, ISIGNALGO, ISIGNALAI, ISIGNALAO, ITIMER, IPERS, IERROR, ERRLOG, ERRRAISE, ERRWRITE, BOOKERRNO, SYSTEMSTOPACTION, STOPMOVE, STOPMOVERESET, STARTMOVE, CLEARPATH, STOREPATH, RESTOPATH, TRIGGIO, TRIGGEQUIP, TRIGGINT, TRIGGCHECKIO, TRIGGRAMPAO, TRIGGSPEED, TRIGGSTOPPROC, AND, OR, NOT, XOR, TRUE, FALSE, ACTEVENTBUFFER, DEACTEVENTBUFFER, CHECKPROGREF, GETTRAPDATA, IRMQMESSAGE, IVARVALUE, PATHRECSTART, PATHRECSTOP, PATHLENGTHSTART, PATHLENGTHSTOP, PATHLENGTHRESET, RAISETOUSER, SKIPWARN, STARTMOVERETRY, TRIGGDATACOPY, TRIGGDATARESET, WAITTESTANDSET"), new Understood("instruction", (py.str(_MANUAL) + ": motion settings that keep target and tool"), "ACCSET, VELSET, SPEEDREFRESH, CONFL, CONFJ, PATHACCLIM, PATHRESOL, WORLDACCLIM, CIRPATHMODE, MOTIONSUP, GRIPLOAD, MECHUNITLOAD, SETSYSDATA, TUNESERVO, TUNERESET, WZBOXDEF, WZSPHDEF, WZCYLDEF, WZLIMJOINTDEF, WZHOMEJOINTDEF, WZLIMSUP, WZDOSET, WZENABLE, WZDISABLE, WZFREE, ARCREFRESH, CORNERPATHWARNING, MOTIONPROCESSMODESET, SPEEDLIMAXIS, SPEEDLIMCHECKPOINT"), new Understood("instruction", (py.str(_MANUAL) + ": inputs, outputs, operator, files, clocks, numbers"), "SETDO, SETGO, SETAO, SET, RESET, INVERTDO, PULSEDO, IOENABLE, IODISABLE, ALIASIO, TPWRITE, TPERASE, TPREADNUM, TPREADDNUM, TPREADFK, TPSHOW, UIMSGBOX, UIMSGWRITE, UISHOW, OPEN, CLOSE, WRITE, WRITEBIN, WRITEANYBIN, WRITESTRBIN, WRITERAWBYTES, READRAWBYTES, PACKRAWBYTES, UNPACKRAWBYTES, CLEARRAWBYTES, COPYRAWBYTES, CLEARIOBUFF, REWIND, SOCKETCREATE, SOCKETCONNECT, SOCKETSEND, SOCKETRECEIVE, SOCKETCLOSE, SOCKETBIND, SOCKETLISTEN, SOCKETACCEPT, CLKSTART, CLKSTOP, CLKRESET, INCR, DECR, ADD, CLEAR, BITSET, BITCLEAR, GETSYSDATA, MAKEDIR, REMOVEDIR, REMOVEFILE, RENAMEFILE, COPYFILE, SPYSTART, SPYSTOP, PROCERRRECOVERY, WARMSTART, ACTUNIT, DEACTUNIT, CAMFLUSH, CAMGETRESULT, CAMLOADJOB, CAMREQIMAGE, CAMSETPROGRAMMODE, CAMSETRUNMODE, CLOSEDIR, IOBUSSTART, IOBUSSTATE, OPENDIR, RMQSENDMESSAGE, SOCKETRECEIVEFROM, SOCKETSENDTO, TESTSIGNDEFINE, TESTSIGNRESET, UIMSGWRITEABORT"), new Understood("function", (py.str(_MANUAL) + ": functions, none of which changes an argument"), "OFFS, RELTOOL, POSEMULT, POSEINV, POSEVECT, DEFFRAME, DEFACCFRAME, CROBT, CJOINTT, CPOS, CTOOL, CWOBJ, CALCJOINTT, CALCROBT, ORIENTZYX, EULERZYX, DISTANCE, VECTMAGN, DOTPROD, CROSSPROD, NORIENT, MIRPOS, ROBOS, ABS, SQRT, SIN, COS, TAN, ACOS, ASIN, ATAN, ATAN2, ROUND, TRUNC, POW, EXP, NUMTOSTR, DNUMTONUM, NUMTODNUM, VALTOSTR, DIM, AND, OR, NOT, XOR, DIV, MOD, RETURN, IF, WHILE, ELSEIF, TEST, UNTIL, DOUTPUT, DINPUT, GOUTPUT, AINPUT, AOUTPUT, TESTDI, CLKREAD, CDATE, CTIME, GETTIME, STRLEN, STRPART, STRFIND, STRMATCH, PRESENT, ISPERS, ISVAR, BITAND, BITOR, BITXOR, BITNEG, BITLSH, BITRSH, BITCHECK, OPMODE, RUNMODE, ROBNAME, TASKRUNROB, UIMESSAGEBOX, UINUMENTRY, UILISTVIEW, READNUM, READSTR, READBIN, ARGNAME, CSPEEDOVERRIDE"), new Understood("filler", (py.str(_MANUAL) + ": StrToVal, which writes to its second argument"), "STRTOVAL"), new Understood("option", (py.str(_MANUAL) + ": optional arguments of MoveAbsJ, MoveC, MoveJ, MoveL, TriggL, ArcL, SpotL"), "CONC, ID, V, T, Z, INPOS, WOBJ, NOEOFFS, TLOAD, CORR, START, TIME, DO, SDO, END, SEAMNAME, SEAM, WELD, WEAVE, T1, T2, T3, T4, T5, T6, T7, T8, CONFL, QUICKREL, OPENHLIFT, CLOSEHLIFT, NEXT, SYNC, RETRACT, TRIGGDATA1, TRIGGDATA2, TRIGGDATA3")];
 let _INSTRUCTIONS;
 _INSTRUCTIONS = understood_words(RAPID_WORDS, "instruction");
 let RAPID_FUNCTIONS;
@@ -2074,7 +2076,7 @@ _FILLERS = understood_words(RAPID_WORDS, "filler");
 let MOTION_OPTIONS;
 MOTION_OPTIONS = understood_words(RAPID_WORDS, "option");
 let SWITCHES;
-SWITCHES = new py.Dict([["PDISPON", "PDISP"], ["PDISPSET", "PDISP"], ["PDISPOFF", "PDISP"], ["EOFFSON", "EOFFS"], ["EOFFSSET", "EOFFS"], ["EOFFSOFF", "EOFFS"], ["CORRCON", "CORR"], ["CORRWRITE", "CORR"], ["CORRDISCON", "CORR"], ["CORRCLEAR", "CORR"], ["SINGAREA", "SINGAREA"], ["SOFTACT", "SOFT"], ["SOFTDEACT", "SOFT"], ["DITHERACT", "SOFT"], ["CSSACT", "CSS"], ["CSSDEACTMOVEL", "CSS"], ["CSSOFFSETTUNE", "CSS"], ["CSSFORCEOFFSETACT", "CSS"], ["CSSDEACT", "CSS"], ["SYNCMOVEON", "SYNCMOVE"], ["SYNCMOVERESUME", "SYNCMOVE"], ["SYNCMOVEOFF", "SYNCMOVE"], ["SYNCMOVESUSPEND", "SYNCMOVE"], ["WAITWOBJ", "CONVEYOR"], ["DROPWOBJ", "CONVEYOR"], ["SYNCWWOBJ", "CONVEYOR"], ["CNVGENINSTR", "CONVEYOR"], ["CNVSYNC", "CONVEYOR"], ["INDCNVINIT", "CONVEYOR"], ["INDCNVENABLE", "CONVEYOR"], ["INDCNVADDOBJECT", "CONVEYOR"], ["PRXSETPOSOFFSET", "SENSOR"], ["PRXACTIVRECORD", "SENSOR"], ["PRXACTIVANDSTORERECORD", "SENSOR"], ["PRXUSEFILERECORD", "SENSOR"], ["INDAMOVE", "INDEPENDENT"], ["INDCMOVE", "INDEPENDENT"], ["INDDMOVE", "INDEPENDENT"], ["INDRMOVE", "INDEPENDENT"], ["INDRESET", "INDEPENDENT"], ["SETLEADTHROUGH", "LEADTHROUGH"], ["WAITSENSOR", "SENSOR"], ["SYNCTOSENSOR", "SENSOR"], ["DROPSENSOR", "SENSOR"], ["FCACT", "FORCE"], ["FCPRESSLSTART", "FORCE"], ["FCPRESS1LSTART", "FORCE"], ["FCPRESSL", "FORCE"], ["FCPRESSC", "FORCE"], ["FCREFSTART", "FORCE"], ["FCREFSTOP", "FORCE"], ["FCPRESSEND", "FORCE"], ["FCDEACT", "FORCE"], ["EGMACTMOVE", "EGM"], ["EGMMOVEL", "EGM"], ["EGMMOVEC", "EGM"], ["EGMRUNJOINT", "EGM"], ["EGMRUNPOSE", "EGM"], ["EGMSTOP", "EGM"], ["EGMRESET", "EGM"], ["CONFL", "CONFL"], ["CONFJ", "CONFJ"], ["GRIPLOAD", STATED_LOAD]]);
+SWITCHES = new py.Dict([["PDISPON", "PDISP"], ["PDISPSET", "PDISP"], ["PDISPOFF", "PDISP"], ["EOFFSON", "EOFFS"], ["EOFFSSET", "EOFFS"], ["EOFFSOFF", "EOFFS"], ["CORRCON", "CORR"], ["CORRWRITE", "CORR"], ["CORRDISCON", "CORR"], ["CORRCLEAR", "CORR"], ["SINGAREA", "SINGAREA"], ["SOFTACT", "SOFT"], ["SOFTDEACT", "SOFT"], ["DITHERACT", "SOFT"], ["CSSACT", "CSS"], ["CSSDEACTMOVEL", "CSS"], ["CSSOFFSETTUNE", "CSS"], ["CSSFORCEOFFSETACT", "CSS"], ["CSSDEACT", "CSS"], ["SYNCMOVEON", "SYNCMOVE"], ["SYNCMOVERESUME", "SYNCMOVE"], ["SYNCMOVEOFF", "SYNCMOVE"], ["SYNCMOVESUSPEND", "SYNCMOVE"], ["WAITWOBJ", "CONVEYOR"], ["DROPWOBJ", "CONVEYOR"], ["SYNCWWOBJ", "CONVEYOR"], ["CNVGENINSTR", "CONVEYOR"], ["CNVSYNC", "CONVEYOR"], ["INDCNVINIT", "CONVEYOR"], ["INDCNVENABLE", "CONVEYOR"], ["INDCNVADDOBJECT", "CONVEYOR"], ["PRXSETPOSOFFSET", "SENSOR"], ["PRXACTIVRECORD", "SENSOR"], ["PRXACTIVANDSTORERECORD", "SENSOR"], ["PRXUSEFILERECORD", "SENSOR"], ["INDAMOVE", "INDEPENDENT"], ["INDCMOVE", "INDEPENDENT"], ["INDDMOVE", "INDEPENDENT"], ["INDRMOVE", "INDEPENDENT"], ["INDRESET", "INDEPENDENT"], ["MOVEEXTJ", "EXTERNAL"], ["SETLEADTHROUGH", "LEADTHROUGH"], ["WAITSENSOR", "SENSOR"], ["SYNCTOSENSOR", "SENSOR"], ["DROPSENSOR", "SENSOR"], ["FCACT", "FORCE"], ["FCPRESSLSTART", "FORCE"], ["FCPRESS1LSTART", "FORCE"], ["FCPRESSL", "FORCE"], ["FCPRESSC", "FORCE"], ["FCREFSTART", "FORCE"], ["FCREFSTOP", "FORCE"], ["FCPRESSEND", "FORCE"], ["FCDEACT", "FORCE"], ["EGMACTMOVE", "EGM"], ["EGMMOVEL", "EGM"], ["EGMMOVEC", "EGM"], ["EGMRUNJOINT", "EGM"], ["EGMRUNPOSE", "EGM"], ["EGMSTOP", "EGM"], ["EGMRESET", "EGM"], ["CONFL", "CONFL"], ["CONFJ", "CONFJ"], ["GRIPLOAD", STATED_LOAD]]);
 let DISPLACES;
 DISPLACES = py.sorted(py.sub(new Set([...py.iter(py.call(SWITCHES, "values"))]), new Set(["CONFL", "CONFJ", STATED_LOAD])));
 let JOINTS_TOO;
@@ -2082,14 +2084,29 @@ JOINTS_TOO = ["CORR", "CSS", "EGM", "FORCE", "INDEPENDENT", "LEADTHROUGH", "SENS
 let _ENDS_IT;
 _ENDS_IT = ["PDISPOFF", "EOFFSOFF", "CORRCLEAR", "SOFTDEACT", "CSSDEACT", "SYNCMOVEOFF", "DROPWOBJ", "DROPSENSOR", "FCDEACT", "EGMRESET", "INDRESET"];
 let READING;
-READING = ["TPWRITE", "WRITE", "ERRWRITE", "ERRLOG", "UIMSGBOX", "SETSYSDATA", "MOVEEXTJ", "GRIPLOAD"];
+READING = ["TPWRITE", "WRITE", "ERRWRITE", "ERRLOG", "UIMSGBOX", "SETSYSDATA", "GRIPLOAD"];
 let BY_NAME;
 BY_NAME = ["SETDATAVAL", "SETALLDATAVAL"];
 function ends_displacement(statement) {
 let first, has_off;
 first = word(py.at(statement.items, 0));
+if (py.same(first, "MOVEEXTJ")) {
+return _moves_back(statement);
+}
 has_off = py.has(["SINGAREA", "SETLEADTHROUGH"], first);
 return py.either(py.has(_ENDS_IT, first), () => py.both(has_off, () => py.has(words_in(statement.items), "OFF")));
+return null;
+}
+function _moves_back(statement) {
+let external, group, lists;
+group = aggregate(py.at(split(py.text(statement.items).slice(1, undefined)), 0), "[");
+lists = (((group) ?? null) === (null) ? null : (() => { const $out = []; for (const part of py.iter(group.parts)) { $out.push(aggregate(part, "[")); } return $out; })());
+external = (py.truth(py.either(!py.truth(lists), () => ((py.at(lists, -1)) ?? null) === (null))) ? null : numbers_of(py.at(lists, -1).parts));
+return py.both(((external) ?? null) !== (null), () => are_at_rest(external));
+return null;
+}
+function are_at_rest(external) {
+return py.all((() => { const $out = []; for (const number of py.iter(external)) { $out.push(py.either(py.same(number.value, 0.0), () => (number.value >= _NONE))); } return $out; })());
 return null;
 }
 function code_of(source) {
@@ -2258,7 +2275,7 @@ throw source.error((py.repr(found) + " within another routine; expected " + py.s
 }
 return null;
 }
-return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, _CONDITIONS, _LEAVING, _HANDLERS, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, _FILLERS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, _routines, _called_by_text, is_assignment, check_blocks };
+return { _TOKENS, GRAMMAR, _WORDS, _ROUTINES, _LOOPS, _BLOCKS, _CLOSES, _HEADS, _JUMPS, _ALONE, _CONDITIONS, _LEAVING, _HANDLERS, _NONE, ONCE, _STORAGE, _PLAIN, OF_OPTIONS, MOTIONS, _MANUAL, RAPID_WORDS, _INSTRUCTIONS, RAPID_FUNCTIONS, _FILLERS, MOTION_OPTIONS, SWITCHES, DISPLACES, JOINTS_TOO, _ENDS_IT, READING, BY_NAME, ends_displacement, _moves_back, are_at_rest, code_of, _divided, _opening, _is_label, _size_of_head, _distance, _once, _part, _step, _routines, _called_by_text, is_assignment, check_blocks };
 })();
 MODULES.fanuc_ls = (() => {
 const { Draft, joined } = MODULES.draft;
@@ -3440,7 +3457,7 @@ const { Draft } = MODULES.draft;
 const { Code, Step, followed } = MODULES.flow;
 const { ControllerLanguage } = MODULES.language;
 const { Frame, Load, Motion, Point, Posture, Program, Skipped, Turn } = MODULES.program;
-const { BY_NAME, DISPLACES, GRAMMAR, JOINTS_TOO, MOTION_OPTIONS, MOTIONS, OF_OPTIONS, ONCE, RAPID_FUNCTIONS, RAPID_WORDS, READING, SWITCHES, check_blocks, code_of, ends_displacement, is_assignment } = MODULES.rapid_blocks;
+const { BY_NAME, DISPLACES, GRAMMAR, JOINTS_TOO, MOTION_OPTIONS, MOTIONS, OF_OPTIONS, ONCE, RAPID_FUNCTIONS, RAPID_WORDS, READING, SWITCHES, are_at_rest, check_blocks, code_of, ends_displacement, is_assignment } = MODULES.rapid_blocks;
 const { EXTERNAL, Entries, Reader, formal_names } = MODULES.statement_reader;
 const { Brackets, Number, Statement, aggregate, calls_in, element_name, number_of, numbers_of, place_of, split, text_of_items, word, words_in } = MODULES.syntax;
 let _SEARCHES;
@@ -3453,8 +3470,6 @@ let _DATA;
 _DATA = [...py.iter(_TARGETS), "TOOLDATA", "WOBJDATA"];
 let _CHANGEABLE;
 _CHANGEABLE = ["INOUT", "PERS", "VAR", "REF"];
-let _NONE;
-_NONE = 8900000000.0;
 class Rapid extends ControllerLanguage {
 read(sources) {
 let code, draft, ends, entries, files, harmless, has_handlers, i, k, reader, switched;
@@ -3560,13 +3575,13 @@ sizes = (((lists) ?? null) !== (null) ? (() => { const $out = []; for (const eac
 if (py.truth(py.either(((lists) ?? null) === (null), () => !py.has([[3, 4, 4, 6], [6, 6]], sizes)))) {
 return this.skip(name, line, "not all of its values are numbers");
 }
-if (py.truth(py.both(py.same(sizes, [6, 6]), () => !py.truth(_at_rest(py.at(lists, 1)))))) {
+if (py.truth(py.both(py.same(sizes, [6, 6]), () => !py.truth(are_at_rest(py.at(lists, 1)))))) {
 return this.skip(name, line, EXTERNAL);
 }
 if (py.same(sizes, [6, 6])) {
 return new Point(name, this.file, line, "joints", py.at(lists, 0));
 }
-if (!py.truth(_at_rest(py.at(lists, 3)))) {
+if (!py.truth(are_at_rest(py.at(lists, 3)))) {
 return this.skip(name, line, EXTERNAL);
 }
 posture = _posture(py.at(lists, 2));
@@ -3633,10 +3648,10 @@ first = word(py.at(statement.items, 0));
 if (py.has(BY_NAME, first)) {
 this.draft.write_any(("line " + py.str(line) + " sets data by their names (" + py.str(first) + ")"));
 }
-if (py.has(SWITCHES, first)) {
+if (py.truth(py.both(py.has(SWITCHES, first), () => !py.same(first, "MOVEEXTJ")))) {
 this.draft.derive("displacement", this.words(py.text(statement.items).slice(1, undefined)));
 } else {
-if (!py.has(this.harmless, first)) {
+if (py.truth(py.both(!py.has(this.harmless, first), () => !py.has(SWITCHES, first)))) {
 this.draft.pass_to(py.either(first, () => "a routine"), this.words(py.text(statement.items).slice(1, undefined)), line);
 }
 }
@@ -3836,10 +3851,6 @@ found = py.or(found, new Set((() => { const $out = []; for (const part of py.ite
 return found;
 return null;
 }
-function _at_rest(external) {
-return py.all((() => { const $out = []; for (const number of py.iter(external)) { $out.push(py.either(py.same(number.value, 0.0), () => (number.value >= _NONE))); } return $out; })());
-return null;
-}
 function _lists(group) {
 let inner, lists;
 inner = (() => { const $out = []; for (const part of py.iter(group.parts)) { $out.push(aggregate(part, "[")); } return $out; })();
@@ -3877,7 +3888,7 @@ end = py.at(commas, 2);
 return py.add(py.add(py.text(text).slice(undefined, start), " z0"), py.text(text).slice(end, undefined));
 return null;
 }
-return { _SEARCHES, _STORAGE, _TARGETS, _DATA, _CHANGEABLE, _NONE, Rapid, _ModuleReader, _MoveArguments, _arguments, _that_keep_parameters, _touched, _at_rest, _lists, _posture, _in_zone };
+return { _SEARCHES, _STORAGE, _TARGETS, _DATA, _CHANGEABLE, Rapid, _ModuleReader, _MoveArguments, _arguments, _that_keep_parameters, _touched, _lists, _posture, _in_zone };
 })();
 MODULES.urscript = (() => {
 const { Draft } = MODULES.draft;
