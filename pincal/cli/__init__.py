@@ -100,10 +100,10 @@ def _verb_of(line: str) -> str:
 
 _STEPS = """First steps:    pincal demo
 Your robot:     pincal check      ROBOT.urdf DATA.csv
-                pincal calibrate  ROBOT.urdf DATA.csv --out results
-Still errors?   pincal discover   ROBOT.urdf DATA.csv --out results
+                pincal calibrate  DATA.csv
+Still errors?   pincal discover   DATA.csv
 Use the model:  pincal compensate results/model.json PROGRAM.csv --out corrected.csv
-Later:          pincal diagnose   results/model.json NEW.csv --out diagnosis
+Later:          pincal diagnose   results/model.json NEW.csv
 """
 
 
