@@ -258,6 +258,28 @@ def write_readings(path: Path, readings: FeatureReadings) -> None:
             out.writerow([*q.tolist(), name, *seen.tolist()])
 
 
+def test_operators_of_a_table_give_gauge_studies(
+    camera: FittedRobot, rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two operators with two passes each, whose passes are numbered alike; the page and the file have the analysis."""
+    camera.save(tmp_path / "model.json", provenance={})
+    readings = seen_panel(camera, rng, noise=1e-5, passes=4)
+    write_readings(tmp_path / "plain.csv", readings)
+    head, *lines = (tmp_path / "plain.csv").read_text().splitlines()
+    named = [f"{line},{'AB'[k // 48]},{1 + k // 24 % 2}" for k, line in enumerate(lines)]
+    (tmp_path / "readings.csv").write_text("\n".join([f"{head},operator,pass", *named]))
+    words = ["measure", str(tmp_path / "model.json"), str(tmp_path / "readings.csv"), "--features", str(part_in(tmp_path))]
+    with pytest.raises(SystemExit):
+        main([*words, "--out", str(tmp_path / "out")])
+    assert "Gauge repeatability and reproducibility" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "measured.json").read_text())
+    by_quantity = {of["quantity"]: of for of in found["gauge"]}
+    diameter = by_quantity["diameter"]
+    assert (diameter["parts"], diameter["appraisers"], diameter["repeats"]) == (3, 2, 2)
+    assert 0.0 < diameter["ev"] < 0.03 and diameter["grr"] == pytest.approx(np.hypot(diameter["ev"], diameter["av"]))
+    assert "reproducibility" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_the_command_measures_a_part(
     camera: FittedRobot, rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
