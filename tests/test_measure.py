@@ -258,6 +258,52 @@ def write_readings(path: Path, readings: FeatureReadings) -> None:
             out.writerow([*q.tolist(), name, *seen.tolist()])
 
 
+EXPANSION = """
+[expansion]
+coefficient_um_per_m_K = 20
+u_coefficient_um_per_m_K = 2
+temperature_C = 70
+u_temperature_K = 3
+"""
+
+
+def test_lengths_are_stated_at_20_degrees(camera: FittedRobot, rng: np.random.Generator, tmp_path: Path) -> None:
+    """A part 1000 um/m larger: its pitch of 80 mm is 80 um shorter, with the uncertainty of JCGM 100."""
+    readings = seen_panel(camera, rng)
+    path = part_in(tmp_path)
+    sensor = FlangeSensor(noise=np.full(3, 1e-5))
+    warm = measure_part(camera, readings, Part.from_toml(path), sensor=sensor).found
+    path.write_text(path.read_text() + EXPANSION)
+    found = measure_part(camera, readings, Part.from_toml(path), sensor=sensor).found
+    before, after = (next(of for of in one.features if of.name == "pitch").values["distance"] for one in (warm, found))
+    assert after.value == pytest.approx(before.value / 1.001, abs=1e-6)
+    # 20e-6 * 3 and 50 * 2e-6 per length of 80 mm.
+    u = 80.0 * np.hypot(6e-5, 1e-4)
+    assert after.by_source["expansion"] == pytest.approx(u, rel=2e-3)
+    assert after.u**2 == pytest.approx(before.u**2 + u**2, rel=1e-2)
+    assert any(line.source == "expansion" and line.type == "B" for line in found.budget)
+    assert any("lengths are stated at 20 deg C" in note.text for note in found.warnings)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ("expansion = 3", "expected a table"),
+        ("[expansion]\ncoefficient = 11.5", "unknown key 'coefficient'; expected one of coefficient_um_per_m_K"),
+        ("[expansion]\ncoefficient_um_per_m_K = 11.5", "no temperature_C; expected a number"),
+        ("[expansion]\ncoefficient_um_per_m_K = 'steel'", "coefficient_um_per_m_K = 'steel'"),
+        ("[expansion]\ncoefficient_um_per_m_K = 11.5\ntemperature_C = nan", "temperature_C = nan"),
+        ("[expansion]\ncoefficient_um_per_m_K = 11.5\ntemperature_C = 20\nu_temperature_K = -1", "u_temperature_K = -1"),
+    ],
+)
+def test_an_expansion_that_is_none_is_refused(wrong: str, words: str, tmp_path: Path) -> None:
+    """With the key, and what was expected."""
+    path = tmp_path / "part.toml"
+    path.write_text(f'unit = "mm"\n{wrong}\n[feature.a]\nkind = "point"\n')
+    with pytest.raises(BadInputError, match=words):
+        Part.from_toml(path)
+
+
 def test_operators_of_a_table_give_gauge_studies(
     camera: FittedRobot, rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -47,6 +47,7 @@ _SOURCES = {
     "probe": "radius of the probe's ball",
     "scale": "scale of the instrument of the calibration",
     "drift": "drift since the calibration",
+    "expansion": "temperature and expansion of the part",
     "form": "deviations of the surface from its form",
 }
 _FAILED = "does not conform"

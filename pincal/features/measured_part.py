@@ -106,6 +106,8 @@ def measure_part(
     _check_sensor(readings, declared)
     mounted = MountedSensor.of(robot, readings, declared, frame, reservations)
     points = located_points(mounted)
+    if part.expansion is not None:
+        points = part.expansion.at_reference(points)
     features = FittedPart.of(part, points, declared)
     values = features.evaluated()
     passes = _Passes.of(part, points, declared, readings)
@@ -121,6 +123,7 @@ def measure_part(
         *_notes(mounted),
         *_lacking(part, features),
         *passes.notes,
+        *([] if part.expansion is None else [part.expansion.words]),
     ]
     kinds = {name: of.kind for name, of in part.features.items()}
     identity = (stated or Identity()).over(robot.identity.lasting)
