@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import least_squares, minimize
 from test_cli import run
 
 from pincal import Robot
 from pincal.acceptance.enclosing_sphere import smallest_sphere
-from pincal.acceptance.lengths import Contacts, Permitted, acceptance, decided
+from pincal.acceptance.lengths import Contacts, Permitted, acceptance
+from pincal.acceptance.outcome import decided
+from pincal.acceptance.probing import KnownSphere, probing
 from pincal.design.acceptance_plan import PLACES, plan_acceptance
+from pincal.design.probing_plan import plan_probing, points_on_hemisphere
 from pincal.design.reach import Limits, Reach, SensorSetup
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.sensors.setup import KnownDistance
@@ -147,3 +150,80 @@ def test_the_command_judges_a_real_arm(tmp_path: Path, capsys: pytest.CaptureFix
     assert run(*judged, "--mpe", "1mm+1mm/m", "--mpe-location", "2mm") == 0
     text = capsys.readouterr().out
     assert "PASS" in text and "L_Dia" in text and "20 lengths where ISO 10360 asks for 105" in text
+
+
+def touched(diameter: float, rng: np.random.Generator, *, noise: float = 0.0) -> np.ndarray:
+    """Return where the centre of a ball of 2 mm radius is that touches a sphere, shape (25, 3)."""
+    points = np.array([0.8, -0.3, 0.5]) + (diameter / 2.0 + 2e-3) * points_on_hemisphere()
+    return np.asarray(points + noise * rng.standard_normal(points.shape))
+
+
+def test_probing_errors_are_those_of_a_sphere_that_was_made_so(rng: np.random.Generator) -> None:
+    """A sphere 60 um too large, one contact 80 um beside it; by a least-squares fit of another library."""
+    sphere = KnownSphere(0.025, 1e-6, 2e-3)
+    points = touched(0.02506, rng)
+    found = probing(points, np.zeros((75, 75)), sphere, size=1e-4, form=1e-4)
+    assert found.size == pytest.approx(6e-5, abs=1e-9) and found.form == pytest.approx(0.0, abs=1e-9)
+    assert found.outcome == "pass" and not found.scope
+    points = touched(0.02506, rng, noise=2e-5)
+    found = probing(points, np.zeros((75, 75)), sphere, size=1e-4, form=1e-5)
+    fitted = least_squares(lambda x: np.linalg.norm(points - x[:3], axis=1) - x[3], [0.8, -0.3, 0.5, 0.01], xtol=1e-15)
+    away = np.linalg.norm(points - fitted.x[:3], axis=1)
+    assert found.size == pytest.approx(2.0 * (fitted.x[3] - 2e-3) - 0.025, abs=1e-9)
+    assert found.form == pytest.approx(np.ptp(away), abs=1e-9)
+    assert found.outcome_of_size == "pass" and found.outcome_of_form == "fail" and found.outcome == "fail"
+
+
+def test_the_stated_uncertainty_of_a_size_is_that_of_repetition(rng: np.random.Generator) -> None:
+    """Independent noise of each coordinate, carried to the diameter, against 400 draws."""
+    sphere, sigma = KnownSphere(0.025, 1e-6, 2e-3), 2e-5
+    draws = [probing(touched(0.025, rng, noise=sigma), sigma**2 * np.eye(75), sphere) for _ in range(400)]
+    assert np.std([one.size for one in draws]) == pytest.approx(draws[0].stated, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (np.eye(4, 3), "4 contacts with the sphere; expected 25"),
+        (np.column_stack([np.random.default_rng(0).random((9, 2)), np.ones(9)]), "lie in a plane"),
+        (points_on_hemisphere(), r"on a sphere of radius 1000 mm; expected 14.5 mm"),
+    ],
+)
+def test_contacts_that_are_of_no_such_sphere_are_refused(points: np.ndarray, words: str) -> None:
+    """Too few, flat, or of another size."""
+    with pytest.raises(MeasurementError, match=words):
+        probing(points, np.eye(points.size), KnownSphere(0.025, probe=2e-3))
+
+
+def test_a_plan_of_probing_touches_the_sphere() -> None:
+    """By the nominal arm each of 25 contacts is on it, and the tool comes from outside."""
+    ur10 = Robot.from_urdf("ur10")
+    centre, q = plan_probing(Reach(ur10, SensorSetup(tool=(0.0, 0.0, 0.1)), Limits()), 0.0145)
+    tips = ur10.forward_kinematics(q)
+    away = tips[:, :3, 3] + tips[:, :3, :3] @ [0.0, 0.0, 0.1] - centre
+    assert q.shape == (25, 6) and np.abs(np.linalg.norm(away, axis=1) - 0.0145).max() < 3e-4
+    assert np.sum(away * tips[:, :3, 2], axis=1).max() < 0.0
+
+
+def test_the_command_probes_a_sphere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Planned, touched by the arm of the calibration, and judged; options that belong together are asked for."""
+    out, sphere = tmp_path / "test.csv", tmp_path / "test_sphere.csv"
+    plan = ["design", "ur10", "--tool", 0, 0, 0.1, "--acceptance", "300mm", "--times", 2, "--sphere", "25mm", "--out", out]
+    assert run(*plan) == 0 and "25 contacts with a sphere" in capsys.readouterr().out
+    cal, model = tmp_path / "cal.csv", tmp_path / "m" / "model.json"
+    exact = ["--errors", 0, "--elastic", 0, "--seed", 1, "--out", cal, "--quiet"]
+    assert run("simulate", "ur10", "--sockets", 4, "--poses", 80, *exact) == 0
+    assert run("calibrate", "ur10", cal, "--model", "geometric", "--out", model.parent, "--quiet") in (0, 4)
+    lengths = tmp_path / "test_lengths.csv"
+    judged = ["validate", model, out, "--acceptance", lengths, "--mpe", "50mm", "--sphere", sphere, "--quiet"]
+    capsys.readouterr()
+    assert run(*judged, "--sphere-diameter", "25mm") == 2 and "no limit" in capsys.readouterr().err
+    assert run(*judged, "--mpe-size", "1mm") == 2 and "no diameter" in capsys.readouterr().err
+    assert run("validate", model, out, "--mpe-size", "1mm") == 2
+    capsys.readouterr()
+    limits = ["--mpe-size", "1mm", "--mpe-form", "1mm"]
+    assert run(*judged, "--sphere-diameter", "25mm", *limits) == 0 and "P_Size" in capsys.readouterr().out
+    assert run(*judged, "--sphere-diameter", "22mm", *limits, "--json") == 5
+    found = json.loads(capsys.readouterr().out)["probing"]
+    assert found["outcome_of_size"] == "fail" and found["outcome_of_form"] == "pass" and found["points"] == 25
+    assert found["P_Size_mm"] == pytest.approx(3.0, abs=0.5)

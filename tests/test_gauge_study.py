@@ -1,10 +1,16 @@
 """Studies of gauges: the example of AIAG's manual, closed forms, and intervals that cover."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from pincal.errors import BadInputError
+from pincal.features.gauge_entries import PassOf, gauge_entries
 from pincal.features.gauge_study import GaugeStudy, TypeOneStudy
+from pincal.features.part_feature import ToleranceLimits
+from pincal.features.part_values import PartValue
 
 # AIAG, Measurement Systems Analysis, 4th edition, chapter III: ten parts, three appraisers, three trials.
 APPRAISERS = np.array(
@@ -107,3 +113,43 @@ def test_too_few_readings_are_refused() -> None:
         TypeOneStudy(np.arange(20.0), 0.0, 0.0)
     with pytest.raises(BadInputError, match="two or more of each"):
         GaugeStudy(np.zeros((5, 1, 3)))
+
+
+def passes_of(readings: np.ndarray, *, upper: float = 2e-3) -> list[PassOf]:
+    """Return passes through holes of 20 mm whose diameters deviate so [mm], shape (appraisers, passes, parts)."""
+    found = []
+    for k, runs in enumerate(readings):
+        for run in runs:
+            limits = ToleranceLimits(-1e-3, upper)
+            values = [PartValue(f"h{i}", "diameter", 0.02 + 1e-3 * off, 0.02, limits) for i, off in enumerate(run)]
+            of_pass: Any = SimpleNamespace(values=tuple(values))
+            found.append(PassOf("ABC"[k], of_pass))
+    return found
+
+
+def test_passes_of_several_operators_give_the_analysis_of_the_manual() -> None:
+    """Ten holes, three operators, three passes: the same figures, whatever order the passes have."""
+    kinds = {f"h{i}": "circle" for i in range(10)}
+    for passes in (passes_of(APPRAISERS), passes_of(APPRAISERS)[::-1]):
+        (found,) = gauge_entries(passes, kinds)
+        assert (found.parts, found.appraisers, found.repeats, found.unit) == (10, 3, 3, "mm")
+        assert found.ev == pytest.approx(0.199933, abs=1e-6) and found.av == pytest.approx(0.226838, abs=1e-6)
+        assert found.grr == pytest.approx(0.302373, abs=2e-6) and found.pv == pytest.approx(1.042327, abs=1e-6)
+        assert 100.0 * found.share == pytest.approx(27.9, abs=0.05) and found.ndc == 4
+        # Six standard deviations of a tolerance of 3 mm.
+        assert found.of_tolerance == pytest.approx(6.0 * 0.302373 / 3.0, rel=1e-5)
+
+
+def test_there_is_no_analysis_of_one_operator_one_pass_or_one_feature() -> None:
+    """Of unequal numbers of passes the first ones count; features that somebody left out do not."""
+    kinds = {f"h{i}": "circle" for i in range(10)}
+    assert not list(gauge_entries(passes_of(APPRAISERS[:1]), kinds))
+    assert not list(gauge_entries(passes_of(APPRAISERS[:, :1]), kinds))
+    assert not list(gauge_entries(passes_of(APPRAISERS[:, :, :1]), kinds))
+    (found,) = gauge_entries(passes_of(APPRAISERS)[:-1], kinds)
+    assert found.repeats == 2
+    short = passes_of(APPRAISERS[:, :, :9])[:3] + passes_of(APPRAISERS)[3:]
+    (found,) = gauge_entries(short, kinds)
+    assert found.parts == 9
+    (found,) = gauge_entries(passes_of(APPRAISERS, upper=np.inf), kinds)
+    assert found.of_tolerance is None

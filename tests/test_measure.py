@@ -258,6 +258,74 @@ def write_readings(path: Path, readings: FeatureReadings) -> None:
             out.writerow([*q.tolist(), name, *seen.tolist()])
 
 
+EXPANSION = """
+[expansion]
+coefficient_um_per_m_K = 20
+u_coefficient_um_per_m_K = 2
+temperature_C = 70
+u_temperature_K = 3
+"""
+
+
+def test_lengths_are_stated_at_20_degrees(camera: FittedRobot, rng: np.random.Generator, tmp_path: Path) -> None:
+    """A part 1000 um/m larger: its pitch of 80 mm is 80 um shorter, with the uncertainty of JCGM 100."""
+    readings = seen_panel(camera, rng)
+    path = part_in(tmp_path)
+    sensor = FlangeSensor(noise=np.full(3, 1e-5))
+    warm = measure_part(camera, readings, Part.from_toml(path), sensor=sensor).found
+    path.write_text(path.read_text() + EXPANSION)
+    found = measure_part(camera, readings, Part.from_toml(path), sensor=sensor).found
+    before, after = (next(of for of in one.features if of.name == "pitch").values["distance"] for one in (warm, found))
+    assert after.value == pytest.approx(before.value / 1.001, abs=1e-6)
+    # 20e-6 * 3 and 50 * 2e-6 per length of 80 mm.
+    u = 80.0 * np.hypot(6e-5, 1e-4)
+    assert after.by_source["expansion"] == pytest.approx(u, rel=2e-3)
+    assert after.u**2 == pytest.approx(before.u**2 + u**2, rel=1e-2)
+    assert any(line.source == "expansion" and line.type == "B" for line in found.budget)
+    assert any("lengths are stated at 20 deg C" in note.text for note in found.warnings)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ("expansion = 3", "expected a table"),
+        ("[expansion]\ncoefficient = 11.5", "unknown key 'coefficient'; expected one of coefficient_um_per_m_K"),
+        ("[expansion]\ncoefficient_um_per_m_K = 11.5", "no temperature_C; expected a number"),
+        ("[expansion]\ncoefficient_um_per_m_K = 'steel'", "coefficient_um_per_m_K = 'steel'"),
+        ("[expansion]\ncoefficient_um_per_m_K = 11.5\ntemperature_C = nan", "temperature_C = nan"),
+        ("[expansion]\ncoefficient_um_per_m_K = 11.5\ntemperature_C = 20\nu_temperature_K = -1", "u_temperature_K = -1"),
+    ],
+)
+def test_an_expansion_that_is_none_is_refused(wrong: str, words: str, tmp_path: Path) -> None:
+    """With the key, and what was expected."""
+    path = tmp_path / "part.toml"
+    path.write_text(f'unit = "mm"\n{wrong}\n[feature.a]\nkind = "point"\n')
+    with pytest.raises(BadInputError, match=words):
+        Part.from_toml(path)
+
+
+def test_operators_of_a_table_give_gauge_studies(
+    camera: FittedRobot, rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two operators with two passes each, whose passes are numbered alike; the page and the file have the analysis."""
+    camera.save(tmp_path / "model.json", provenance={})
+    readings = seen_panel(camera, rng, noise=1e-5, passes=4)
+    write_readings(tmp_path / "plain.csv", readings)
+    head, *lines = (tmp_path / "plain.csv").read_text().splitlines()
+    named = [f"{line},{'AB'[k // 48]},{1 + k // 24 % 2}" for k, line in enumerate(lines)]
+    (tmp_path / "readings.csv").write_text("\n".join([f"{head},operator,pass", *named]))
+    words = ["measure", str(tmp_path / "model.json"), str(tmp_path / "readings.csv"), "--features", str(part_in(tmp_path))]
+    with pytest.raises(SystemExit):
+        main([*words, "--out", str(tmp_path / "out")])
+    assert "Gauge repeatability and reproducibility" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "measured.json").read_text())
+    by_quantity = {of["quantity"]: of for of in found["gauge"]}
+    diameter = by_quantity["diameter"]
+    assert (diameter["parts"], diameter["appraisers"], diameter["repeats"]) == (3, 2, 2)
+    assert 0.0 < diameter["ev"] < 0.03 and diameter["grr"] == pytest.approx(np.hypot(diameter["ev"], diameter["av"]))
+    assert "reproducibility" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_the_command_measures_a_part(
     camera: FittedRobot, rng: np.random.Generator, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,14 +20,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pincal.acceptance.enclosing_sphere import smallest_sphere
+from pincal.acceptance.outcome import AcceptanceOutcome, decided, outcome_of_all
+from pincal.acceptance.probing import ProbingErrors
 from pincal.errors import MeasurementError, few, warn
-from pincal.features.decision import ConformityVerdict, DecisionRule
-from pincal.features.part_feature import ToleranceLimits
+from pincal.features.decision import DecisionRule
 from pincal.sensors.setup import KnownDistance
 from pincal.thresholds import Count, Scale
 
@@ -41,13 +42,6 @@ _COVERAGE: Scale = 2.0
 # Ratio of calibrated and measured length, either way, beyond which a unit is wrong: mm and m are
 # 1000 apart, and ends that were mistaken for one another rarely 100.
 _OTHER_UNIT: Scale = 100.0
-
-AcceptanceOutcome = Literal["pass", "fail", "undecided"]
-_OUTCOMES: dict[ConformityVerdict, AcceptanceOutcome] = {
-    "conforms": "pass",
-    "does not conform": "fail",
-    "undecided": "undecided",
-}
 
 
 class Permitted(NamedTuple):
@@ -64,30 +58,6 @@ class Permitted(NamedTuple):
     def at(self, length: float) -> float:
         """Return it for a length [m]."""
         return self.constant + self.per_metre * length
-
-
-def decided(error: float, permitted: float, uncertainty: float) -> AcceptanceOutcome:
-    """Return whether the size of an error is proven to be permitted, or not to be, by the same rule
-    as features of a part.
-
-    Args:
-        error: with either sign [m].
-        permitted: the MPE [m].
-        uncertainty: standard uncertainty of the test [m].
-
-    Example:
-        >>> [decided(error, 2e-4, 1e-5) for error in (1.7e-4, -1.9e-4, 2.3e-4)]
-        ['pass', 'undecided', 'fail']
-    """
-    limits = ToleranceLimits(-permitted, permitted)
-    return _OUTCOMES[DecisionRule().decide(error, uncertainty, limits).verdict]
-
-
-def outcome_of_all(outcomes: Sequence[AcceptanceOutcome]) -> AcceptanceOutcome:
-    """Return the outcome of a test with several: all have to pass."""
-    if "fail" in outcomes:
-        return "fail"
-    return "undecided" if "undecided" in outcomes else "pass"
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,16 +148,20 @@ class Acceptance:
     Attributes:
         lengths: errors of each length.
         locations: of each seat with several contacts; empty without a limit for them.
+        probing: of a sphere; None if none was touched.
     """
 
     lengths: tuple[LengthErrors, ...]
     locations: tuple[LocationError, ...] = ()
+    probing: ProbingErrors | None = None
 
     @property
     def outcome(self) -> AcceptanceOutcome:
         """Whether everything is permitted."""
-        lengths = [each.outcome for each in self.lengths]
-        return outcome_of_all(lengths + [each.outcome for each in self.locations])
+        found = [each.outcome for each in self.lengths]
+        found += [each.outcome for each in self.locations]
+        found += [] if self.probing is None else [self.probing.outcome]
+        return outcome_of_all(found)
 
     @property
     def measured(self) -> int:
@@ -204,6 +178,10 @@ class Acceptance:
             missing.append("no location error (--mpe-location)")
         elif min(each.contacts for each in self.locations) < ARTICULATIONS:
             missing.append(f"fewer than {ARTICULATIONS} articulations at some seat")
+        if self.probing is None:
+            missing.append("no probing of a sphere (--sphere)")
+        elif self.probing.scope:
+            missing.append(self.probing.scope)
         return "; ".join(missing)
 
     def to_dict(self) -> dict[str, Any]:
@@ -216,6 +194,7 @@ class Acceptance:
             "within_U": sum(each.within_stated for each in self.lengths),
             "lengths": [each.to_dict() for each in self.lengths],
             "locations": [each.to_dict() for each in self.locations],
+            "probing": None if self.probing is None else self.probing.to_dict(),
             "scope": self.scope,
         }
 

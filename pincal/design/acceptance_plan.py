@@ -160,7 +160,7 @@ def _placed(
         bars = []
         for length in lengths:
             ends = centre + np.array([[-0.5], [0.5]]) * length * direction
-            bars.append(_Bar(ends, tuple(_held(reach, end, rng) for end in ends)))
+            bars.append(_Bar(ends, tuple(poses_at(reach, end, rng) for end in ends)))
             if min(map(len, bars[-1].poses)) < times:
                 break
         else:
@@ -173,7 +173,7 @@ def _placed(
     )
 
 
-def _held(reach: Reach, place: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def poses_at(reach: Reach, place: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return poses that hold the tool point at a place, shape (n, joints); maybe none."""
     rig = replace(reach.rig, sensor="socket", held_at=(tuple(place.tolist()),))
     return replace(reach, rig=rig).tried(_POSES, rng)

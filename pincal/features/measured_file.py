@@ -69,6 +69,44 @@ class RepeatEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     cgk: float | None = None
 
 
+class GaugeEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Repeatability and reproducibility of a quantity, by analysis of variance over features
+    (parts), appraisers (operators, days or robots) and passes; standard deviations in its unit.
+
+    Attributes:
+        quantity: its name.
+        kind: of the features.
+        unit: of what follows.
+        parts: number of features.
+        appraisers: number of them.
+        repeats: passes of each.
+        ev: repeatability, of passes of one appraiser.
+        av: reproducibility, between appraisers, with their interaction with features.
+        grr: both together.
+        grr_interval: 95.45 % interval of it.
+        pv: between features, of their deviations from nominal.
+        share: grr relative to the total standard deviation.
+        ndc: number of distinct categories; null for any number.
+        of_tolerance: six times grr relative to the width of the tolerance; null where features have
+            several widths or none.
+    """
+
+    quantity: str
+    kind: str
+    unit: str
+    parts: int
+    appraisers: int
+    repeats: int
+    ev: float
+    av: float
+    grr: float
+    grr_interval: tuple[float, float]
+    pv: float
+    share: float
+    ndc: int | None = None
+    of_tolerance: float | None = None
+
+
 class FeatureEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A feature that was measured.
 
@@ -150,6 +188,7 @@ class MeasuredFile(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
         budget: sources of uncertainty, the largest first.
         datum: the frame of all values.
         rule: by which it was decided.
+        gauge: repeatability and reproducibility, where several appraisers measured repeatedly.
         warnings: doubts, those of the calibrated model among them, and notes.
         id: what is stated of robot, instrument and circumstances.
         provenance: version of pincal, time, input files with their SHA-256, command.
@@ -160,6 +199,7 @@ class MeasuredFile(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     budget: tuple[SourceEntry, ...]
     datum: DatumEntry
     rule: str
+    gauge: tuple[GaugeEntry, ...] = ()
     warnings: tuple[Note, ...] = ()
     id: Identity | None = None
     provenance: dict[str, Any] = {}

@@ -47,6 +47,7 @@ _SOURCES = {
     "probe": "radius of the probe's ball",
     "scale": "scale of the instrument of the calibration",
     "drift": "drift since the calibration",
+    "expansion": "temperature and expansion of the part",
     "form": "deviations of the surface from its form",
 }
 _FAILED = "does not conform"
@@ -218,6 +219,48 @@ def repeat_table(found: MeasuredFile) -> Table | None:
     return Table("Repeatability", columns, rows, notes) if rows else None
 
 
+def gauge_table(found: MeasuredFile) -> Table | None:
+    """Return repeatability and reproducibility; None where one appraiser measured, or nobody
+    twice.
+    """
+    if not found.gauge:
+        return None
+    columns = (
+        Column("of", kind=Kind.NAME),
+        Column("quantity", kind=Kind.LABEL),
+        *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in ("EV", "AV", "GRR")),
+        Column("95 % interval", kind=Kind.LABEL),
+        Column("PV", kind=Kind.NUMBER, show=fixed(4)),
+        Column("unit", kind=Kind.LABEL),
+        Column("%GRR", kind=Kind.NUMBER, show=show_percent),
+        Column("ndc", kind=Kind.NUMBER),
+        Column("P/T", kind=Kind.NUMBER, show=show_percent),
+    )
+    rows: tuple[tuple[Cell, ...], ...] = tuple(
+        (
+            counted(of.parts, of.kind),
+            of.quantity,
+            of.ev,
+            of.av,
+            of.grr,
+            f"{of.grr_interval[0]:.4f} to {of.grr_interval[1]:.4f}",
+            of.pv,
+            of.unit,
+            of.share,
+            of.ndc,
+            of.of_tolerance,
+        )
+        for of in found.gauge
+    )
+    first = found.gauge[0]
+    notes = (
+        f"{first.appraisers} appraisers, {first.repeats} passes each. Standard deviations by "
+        "analysis of variance (AIAG MSA): EV repeatability, AV reproducibility between appraisers, "
+        "PV between features; %GRR: of the total, P/T: six GRR of the tolerance.",
+    )
+    return Table("Gauge repeatability and reproducibility", columns, rows, notes)
+
+
 def closing_lines(found: MeasuredFile) -> Iterator[str]:
     """Yield what the terminal says below the table."""
     largest = found.budget[0] if found.budget else None
@@ -238,12 +281,14 @@ def measured_page(found: MeasuredFile, *, robot: str, version: str) -> str:
     # A distance has the readings of the features between which it is.
     readings = sum(of.readings for of in found.features if of.kind not in DERIVED_KINDS)
     repeats = repeat_table(found)
+    gauge = gauge_table(found)
+    repeated = tuple(table for table in (repeats, gauge) if table is not None)
     made: tuple[Section | None, ...] = (
         _answer(found),
         Section("features", "Features", (value_table(found),), label="Features"),
         _form(found),
         Section("budget", "Uncertainty", (budget_table(found),), label="Uncertainty"),
-        Section("repeat", "Repeatability", (repeats,), label="Repeatability") if repeats else None,
+        Section("repeat", "Repeatability", repeated, label="Repeatability") if repeated else None,
         _basis(found),
     )
     return render(

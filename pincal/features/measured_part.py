@@ -23,6 +23,7 @@ from pincal.features.decision import DecisionRule
 from pincal.features.feature_points import LocatedPoints, points_of_sensor
 from pincal.features.fitted_part import FittedPart
 from pincal.features.flange_sensor import FlangeSensor
+from pincal.features.gauge_entries import PassOf, gauge_entries
 from pincal.features.measured_entries import PartResult
 from pincal.features.measured_file import MeasuredFile
 from pincal.features.mounted_sensor import MountedSensor, Reservations
@@ -105,9 +106,11 @@ def measure_part(
     _check_sensor(readings, declared)
     mounted = MountedSensor.of(robot, readings, declared, frame, reservations)
     points = located_points(mounted)
+    if part.expansion is not None:
+        points = part.expansion.at_reference(points)
     features = FittedPart.of(part, points, declared)
     values = features.evaluated()
-    passes = _Passes.of(part, points, declared)
+    passes = _Passes.of(part, points, declared, readings)
     result = PartResult(
         features=features,
         values=values,
@@ -120,9 +123,16 @@ def measure_part(
         *_notes(mounted),
         *_lacking(part, features),
         *passes.notes,
+        *([] if part.expansion is None else [part.expansion.words]),
     ]
+    kinds = {name: of.kind for name, of in part.features.items()}
     identity = (stated or Identity()).over(robot.identity.lasting)
-    found = msgspec.structs.replace(result.file(), warnings=doubts_first(notes), id=identity)
+    found = msgspec.structs.replace(
+        result.file(),
+        gauge=tuple(gauge_entries(passes.of_appraisers, kinds)),
+        warnings=doubts_first(notes),
+        id=identity,
+    )
     return MeasuredPart(found, features, values)
 
 
@@ -181,19 +191,31 @@ def _check_sensor(readings: FeatureReadings, declared: FlangeSensor) -> None:
 class _Passes:
     """The quantities of each pass, and notes on passes that can't stand alone."""
 
-    values: tuple[PartValues, ...]
+    of_appraisers: tuple[PassOf, ...]
     notes: tuple[str, ...]
 
+    @property
+    def values(self) -> tuple[PartValues, ...]:
+        """The quantities of each pass."""
+        return tuple(one.values for one in self.of_appraisers)
+
     @classmethod
-    def of(cls, part: Part, points: LocatedPoints, declared: FlangeSensor) -> _Passes:
+    def of(
+        cls,
+        part: Part,
+        points: LocatedPoints,
+        declared: FlangeSensor,
+        readings: FeatureReadings,
+    ) -> _Passes:
         """Return those of points; nothing for a single pass."""
-        values = list[PartValues]()
+        values = list[PassOf]()
         notes = list[str]()
         numbers = np.unique(points.passes)
         for number in numbers if len(numbers) > 1 else ():
             some = points.select(points.passes == number)
             try:
-                values.append(FittedPart.of(part, some, declared).evaluated())
+                found = FittedPart.of(part, some, declared).evaluated()
+                values.append(PassOf(_appraiser_of(readings, int(number)), found))
             except BadInputError as error:
                 notes.append(f"pass {number + 1} is no repetition of its own: {error}")
         return cls(tuple(values), tuple(notes))
@@ -221,6 +243,13 @@ def _notes(mounted: MountedSensor) -> Iterator[str]:
         )
     if mounted.readings.kind == RANGE and mounted.is_own:
         yield "ranges lie on the z axis of the calibrated target"
+
+
+def _appraiser_of(readings: FeatureReadings, number: int) -> str:
+    """Return who measured a pass; empty where no column tells."""
+    if readings.appraiser is None:
+        return ""
+    return str(readings.appraiser[readings.passes == number][0])
 
 
 def _lacking(part: Part, features: FittedPart) -> Iterator[str]:

@@ -6,13 +6,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from pincal.features.part_expansion import PartExpansion
 from pincal.features.part_feature import PartDatum, PartFeature
 from pincal.features.part_file import read_part
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Features of a part by name, and its datum.
+    """Features of a part by name, its datum, and its expansion where lengths are to be stated at 20
+    deg C.
 
     Example:
         >>> hole = PartFeature("hole", "circle", nominal={"diameter": 0.02})
@@ -22,6 +24,7 @@ class Part:
 
     features: Mapping[str, PartFeature]
     datum: PartDatum = field(default_factory=PartDatum)
+    expansion: PartExpansion | None = None
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Part:
@@ -36,7 +39,7 @@ class Part:
                 tolerance without what it is about, or values that are none.
         """
         content = read_part(path)
-        return cls(content.features, content.datum)
+        return cls(content.features, content.datum, content.expansion)
 
     @property
     def kinds(self) -> dict[str, str]:

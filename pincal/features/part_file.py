@@ -23,6 +23,12 @@
     kind = "3-2-1"
     features = ["top", "edge", "hole_1"]
 
+    [expansion]                          # lengths are then stated at 20 deg C
+    coefficient_um_per_m_K = 11.5
+    u_coefficient_um_per_m_K = 1.0
+    temperature_C = 26.0
+    u_temperature_K = 0.5
+
 ``tolerance`` is the largest deviation, or the least and the largest one, ``limits`` are the least
 and the largest value. A plain one is of what ``nominal`` is, coordinate by coordinate; in a table
 they are of the quantities that are named (:mod:`pincal.features.part_feature`), of which
@@ -41,6 +47,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pincal.errors import BadInputError, counted, nearest_first
+from pincal.features.part_expansion import PartExpansion
 from pincal.features.part_feature import (
     DATUM_KINDS,
     DERIVED_KINDS,
@@ -58,7 +65,7 @@ from pincal.thresholds import Count, Scale
 _NO_DIRECTION: Scale = 1e-9
 # Names that a message lists.
 _LISTED: Count = 8
-_TOP = ("unit", "angle_unit", "points", "name", "feature", "datum")
+_TOP = ("unit", "angle_unit", "points", "name", "feature", "datum", "expansion")
 _DIMENSION = {"m": "length", "rad": "angle"}
 # Names of a direction: that of a line or an axis, and that of a plane's normal.
 _DIRECTIONS = ("direction", "normal", "axis")
@@ -69,6 +76,7 @@ class PartContent(NamedTuple):
 
     features: Mapping[str, PartFeature]
     datum: PartDatum
+    expansion: PartExpansion | None = None
 
 
 def read_part(path: str | os.PathLike[str]) -> PartContent:
@@ -120,7 +128,14 @@ class _File:
             )
         for feature in features.values():
             self._check_links(feature, features)
-        return PartContent(features, self._datum(features))
+        return PartContent(features, self._datum(features), self._expansion())
+
+    def _expansion(self) -> PartExpansion | None:
+        """Return the expansion of the part; None where its temperature is not given."""
+        entries = self.content.get("expansion")
+        if entries is None:
+            return None
+        return PartExpansion.of_table(entries, f"{self.path}, [expansion]")
 
     def _points(self) -> dict[str, PartFeature]:
         """Return the points of the table of points, by name."""

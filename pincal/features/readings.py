@@ -34,9 +34,10 @@ which are the joints alone.
 
 _FEATURE = Field("feature", ("feature",), "name")
 _PASSES = (Field("pass", ("pass",), "name"), Field("run", ("run",), "name"))
+_APPRAISERS = tuple(Field(name, (name,), "name") for name in ("operator", "day", "robot"))
 _RANGE = Field(RANGE, ("range",), "length")
 _READ = (known_fields()[CAMERA_POINT], known_fields()[IMAGE], _RANGE)
-_FIELDS = (_FEATURE, *_PASSES, *_READ, *CONDITIONS.values())
+_FIELDS = (_FEATURE, *_PASSES, *_APPRAISERS, *_READ, *CONDITIONS.values())
 # The column of the distance from the sensor, by the kind of readings.
 _DEPTH = {CAMERA_POINT: "cz", RANGE: "range"}
 # Rows that a message lists.
@@ -53,6 +54,8 @@ class FeatureReadings:
         kind: "camera_point", "pixel", "range" or "contact".
         seen: what the sensor read: shape (N, 3) [m], (N, 2) [px] or (N,) [m]; None for contacts.
         pass_name: shape (N,), the run through the features, by its column; None without one.
+        appraiser: shape (N,), who measured: operator, day and robot, by their columns; None without
+            any.
     """
 
     rows: Measurements
@@ -60,6 +63,7 @@ class FeatureReadings:
     kind: str
     seen: np.ndarray | None = None
     pass_name: np.ndarray | None = None
+    appraiser: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.feature)
@@ -81,8 +85,16 @@ class FeatureReadings:
 
         Without a column, poses that return divide runs if each run then holds as many readings of
         each feature as the first: a pose from which several features are seen may return within a
-        run.
+        run. Each appraiser has runs of its own.
         """
+        if self.appraiser is None:
+            return self._runs
+        pairs = zip(self.appraiser.tolist(), self._runs.tolist(), strict=True)
+        return _numbered(np.array([f"{who} {run}" for who, run in pairs]))
+
+    @cached_property
+    def _runs(self) -> np.ndarray:
+        """Number of each row's run, whoever measured, shape (N,)."""
         if self.pass_name is not None:
             return _numbered(self.pass_name)
         found = plan_of(self._plain).passes
@@ -109,6 +121,7 @@ class FeatureReadings:
             self.kind,
             None if self.seen is None else self.seen[rows],
             None if self.pass_name is None else self.pass_name[rows],
+            None if self.appraiser is None else self.appraiser[rows],
         )
 
 
@@ -120,7 +133,8 @@ def read_readings(
     Args:
         path: the file: columns of joints and ``feature``; ``cx cy cz``, ``u v`` or ``range`` where
             a sensor read something; conditions such as ``point``, ``stop`` or ``payload``; ``pass``
-            where the features were measured repeatedly.
+            where the features were measured repeatedly, ``operator``, ``day`` or ``robot`` where by
+            several.
         robot: the arm.
         options: how to read the table.
 
@@ -141,6 +155,8 @@ def read_readings(
     runs = [arrays.pop(of.name) for of in _PASSES if of.name in arrays]
     if len(runs) > 1:
         raise MeasurementError(f"{path.name}: columns pass and run; expected one of them")
+    who = [arrays.pop(of.name) for of in _APPRAISERS if of.name in arrays]
+    appraiser = np.array([", ".join(names) for names in zip(*who, strict=True)]) if who else None
     seen = {of.name: arrays.pop(of.name) for of in _READ if of.name in arrays}
     if len(seen) > 1:
         raise MeasurementError(
@@ -152,7 +168,9 @@ def read_readings(
     )
     check_joints_of(robot, rows)
     kind = next(iter(seen), CONTACT)
-    found = FeatureReadings(rows, feature, kind, seen.get(kind), runs[0] if runs else None)
+    found = FeatureReadings(
+        rows, feature, kind, seen.get(kind), runs[0] if runs else None, appraiser
+    )
     _check(found)
     return found
 

@@ -177,7 +177,8 @@ class PointSensor(Sensor, OwnParameters, Grouped):
         rows', shape (3, m, N).
         """
         out = np.zeros((len(self.points.parameters), *by_place.shape[1:]))
-        slot = self.points.slot[self.index]
+        # Points that the calibration did not have are numbered from -1 down, and are no parameters.
+        slot = np.where(self.index < 0, -1, self.points.slot[np.maximum(self.index, 0)])
         for k in range(len(out) // 3):
             rows = slot == k
             out[3 * k : 3 * k + 3, :, rows] = by_place[:, :, rows]

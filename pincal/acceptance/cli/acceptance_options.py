@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ from pincal.errors import BadInputError, Exit, MeasurementError
 
 if TYPE_CHECKING:
     from pincal.acceptance.lengths import Acceptance, Contacts, Permitted
+    from pincal.acceptance.probing import ProbingErrors
     from pincal.calibration.validation import Validation
     from pincal.result_table import Table
 
@@ -40,19 +41,65 @@ class AcceptanceOptions(TestedRows):
         type=LENGTH,
     )
 
+    sphere: Path | None = option(
+        "Also test probing: a table of joints in which the tool point touches a calibrated sphere, "
+        "25 contacts over half of it.",
+        metavar="CONTACTS.csv",
+    )
+    sphere_diameter: float | None = option(
+        "Its diameter by its certificate.", type=LENGTH, words="none"
+    )
+    sphere_u: float = option(
+        "Standard uncertainty of its diameter and form.", 0.0, type=LENGTH, words="0"
+    )
+    probe_radius: float = option(
+        "Radius of the ball that touches it, whose centre is the tool point.",
+        0.0,
+        type=LENGTH,
+        words="0, a tip",
+    )
+    mpe_size: float | None = option(
+        "Maximum permissible probing size error P_Size.", type=LENGTH, words="not tested"
+    )
+    mpe_form: float | None = option(
+        "Maximum permissible probing form error P_Form.", type=LENGTH, words="not tested"
+    )
+
     @property
     def is_wanted(self) -> bool:
         """Whether the rows are an acceptance test."""
-        given = (self.acceptance, self.mpe, self.mpe_location)
+        given = (self.acceptance, self.mpe, self.mpe_location, self.sphere, *self._of_sphere)
         if self.acceptance is None and any(value is not None for value in given):
             raise click.UsageError(
-                "--mpe and --mpe-location are limits of --acceptance LENGTHS.csv; give that as well"
+                "--mpe, --mpe-location and --sphere belong to --acceptance LENGTHS.csv; give that "
+                "as well"
             )
+        self._check_sphere()
         if self.acceptance is not None and self.mpe is None:
             raise click.UsageError(
                 f"--acceptance: no limit; expected the maximum permissible error, --mpe {_EXAMPLE}"
             )
         return self.acceptance is not None
+
+    @property
+    def _of_sphere(self) -> tuple[float | None, ...]:
+        return (self.sphere_diameter, self.mpe_size, self.mpe_form)
+
+    def _check_sphere(self) -> None:
+        """Refuse limits without a sphere, and a sphere without diameter or limit."""
+        if self.sphere is None and any(value is not None for value in self._of_sphere):
+            raise click.UsageError(
+                "--sphere-diameter, --mpe-size and --mpe-form are of --sphere CONTACTS.csv; give "
+                "that as well"
+            )
+        if self.sphere is not None and self.sphere_diameter is None:
+            raise click.UsageError(
+                "--sphere: no diameter; expected that of its certificate, --sphere-diameter 25mm"
+            )
+        if self.sphere is not None and self.mpe_size is None and self.mpe_form is None:
+            raise click.UsageError(
+                "--sphere: no limit; expected --mpe-size, --mpe-form, or both, such as 0.1mm"
+            )
 
     def judge(self, found: Sequence[Validation], *, as_json: bool, quiet: bool) -> Exit:
         """Print whether the lengths are permitted."""
@@ -68,6 +115,9 @@ class AcceptanceOptions(TestedRows):
             _permitted(self.mpe),
             permitted_location=self.mpe_location,
         )
+        probed = self._probed(found[0])
+        if probed is not None:
+            outcome = replace(outcome, probing=probed)
         notes = doubts_first([note for each in found for note in each.notes])
         if as_json:
             from msgspec import to_builtins
@@ -77,6 +127,26 @@ class AcceptanceOptions(TestedRows):
             _print(outcome)
         echo_notes(notes, quiet=quiet)
         return Exit.INACCURATE if outcome.outcome == "fail" else Exit.DONE
+
+    def _probed(self, found: Validation) -> ProbingErrors | None:
+        """Return the errors of probing the sphere; None without one."""
+        from pincal.acceptance.probing import KnownSphere, probing
+        from pincal.cli.inputs import load_table
+
+        if self.sphere is None or self.sphere_diameter is None:
+            return None
+        model = found.model
+        table = load_table(model.model.chain.robot, self.sphere, joints_only=True)
+        conditions = model.conditions(table)
+        poses = model.model.predict(model.model_values, conditions)
+        return probing(
+            poses[:, :, 3],
+            model.covariance_of(conditions).matrix,
+            KnownSphere(self.sphere_diameter, self.sphere_u, self.probe_radius),
+            size=self.mpe_size,
+            form=self.mpe_form,
+            source=str(self.sphere),
+        )
 
 
 def _permitted(text: str) -> Permitted:
@@ -135,6 +205,8 @@ def _print(found: Acceptance) -> None:
     out.print(_length_table(found))
     if found.locations:
         out.print(_location_table(found))
+    if found.probing is not None:
+        out.print(_probing_table(found.probing))
     within = sum(each.within_stated for each in found.lengths)
     out.print(
         hanging(
@@ -200,3 +272,34 @@ def _location_table(found: Acceptance) -> Table:
         for each in found.locations
     )
     return Table("Articulated location (ISO 10360-12, L_Dia)", columns, rows)
+
+
+def _probing_table(found: ProbingErrors) -> Table:
+    from pincal.result_table import Column, Kind, Table
+    from pincal.units import fixed
+
+    names = ("error", "MPE", "U of the test", "U stated by the model")
+    columns = (
+        Column("probing", kind=Kind.NAME),
+        Column("contacts", kind=Kind.NUMBER, show=str),
+        *(Column(name, "mm", Kind.NUMBER, fixed(4)) for name in names),
+        Column("", kind=Kind.LABEL),
+    )
+    of_test = 2e3 * found.sphere.sigma
+    lines = (
+        ("P_Size", found.size, found.permitted_size, 2e3 * found.stated, found.outcome_of_size),
+        ("P_Form", found.form, found.permitted_form, None, found.outcome_of_form),
+    )
+    rows = tuple(
+        (
+            name,
+            found.points,
+            1e3 * error,
+            None if limit is None else 1e3 * limit,
+            of_test,
+            stated,
+            outcome or "not tested",
+        )
+        for name, error, limit, stated, outcome in lines
+    )
+    return Table("Probing a calibrated sphere (ISO 10360-12)", columns, rows)

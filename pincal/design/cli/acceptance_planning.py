@@ -39,6 +39,18 @@ class AcceptancePlanOptions:
     times: int = option(
         "Contacts with each end in each place.", 3, metavar="N", type=click.IntRange(min=2)
     )
+    sphere: float | None = option(
+        "Also plan the 25 contacts with a calibrated sphere of this diameter, for pincal validate "
+        "--sphere.",
+        metavar="DIAMETER",
+        type=LENGTH,
+    )
+    probe_radius: float = option(
+        "Radius of the ball that touches it, whose centre is the tool point.",
+        0.0,
+        type=LENGTH,
+        words="0, a tip",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +72,11 @@ class OutputWanted:
         """The table of the lengths, beside that of the contacts."""
         return self.out.with_name(f"{self.out.stem}_lengths.csv")
 
+    @property
+    def sphere(self) -> Path:
+        """The table of the contacts with a sphere, likewise."""
+        return self.out.with_name(f"{self.out.stem}_sphere.csv")
+
 
 def write_acceptance_plan(
     reach: Reach, options: AcceptancePlanOptions, wanted: OutputWanted, *, seed: int
@@ -70,6 +87,7 @@ def write_acceptance_plan(
 
     assert options.acceptance is not None
     found = plan_acceptance(reach, options.acceptance, times=options.times, seed=seed)
+    sphere = _sphere(reach, options, seed)
     q = np.array([contact.q for contact in found.contacts])
     sockets = np.array([contact.socket for contact in found.contacts])
     joints = _joint_columns(reach.robot, q, in_degrees=wanted.in_degrees)
@@ -82,12 +100,34 @@ def write_acceptance_plan(
             "distance [mm]": np.array([1e3 * of.length for of in found.lengths]),
         },
     )
+    if sphere is not None:
+        columns = _joint_columns(reach.robot, sphere[1], in_degrees=wanted.in_degrees)
+        write_table(wanted.sphere, columns)
     if wanted.as_json:
         tables = {"out": str(wanted.out), "lengths_table": str(wanted.lengths)}
+        if sphere is not None:
+            tables["sphere_table"] = str(wanted.sphere)
         print_json(found.to_dict() | tables)
     else:
         _print(found, wanted)
+        if sphere is not None:
+            place = ", ".join(f"{1e3 * axis:.0f}" for axis in sphere[0])
+            click.echo(
+                f"{len(sphere[1])} contacts with a sphere at {place} mm of the base frame written "
+                f"to {wanted.sphere}: --sphere {wanted.sphere} --sphere-diameter ..."
+            )
     return Exit.DONE
+
+
+def _sphere(
+    reach: Reach, options: AcceptancePlanOptions, seed: int
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the place of the sphere and the poses of its contacts; None without one."""
+    from pincal.design.probing_plan import plan_probing
+
+    if options.sphere is None:
+        return None
+    return plan_probing(reach, 0.5 * options.sphere + options.probe_radius, seed=seed)
 
 
 def _joint_columns(robot: Robot, q: np.ndarray, *, in_degrees: bool) -> dict[str, np.ndarray]:

@@ -39,7 +39,8 @@ READINGS.csv has the joints, the feature of each row (column feature), and what 
 flange read: cx cy cz of a 3D sensor, u v of a camera in two or more stops (column point, where a
 feature has several), range along the sensor's z axis, or nothing else where the calibrated target
 touched the part. Rows of one stop share the arrival of the drives: a column stop, or equal joints,
-tell it. Repeated passes (column pass, or a program that is run again) give the repeatability.
+tell it. Repeated passes (column pass, or a program that is run again) give the repeatability; a
+column operator, day or robot beside them gives GR&R by analysis of variance.
 
 PART.toml has the features with nominals and tolerances, and the datum. DIR then holds
 measured.json, measured.csv and report.html. The exit code is 5 if a tolerance is not met.
@@ -131,7 +132,7 @@ def measure_verb(arguments: MeasureArguments) -> Exit:
     """
     from pincal.cli.progress import console
     from pincal.cli.screen import print_doubts
-    from pincal.features.measured_page import closing_lines, short_table
+    from pincal.features.measured_page import closing_lines, gauge_table, short_table
 
     with output_folder(arguments.out) as draft:
         found = _measured(arguments, draft)
@@ -140,6 +141,9 @@ def measure_verb(arguments: MeasureArguments) -> Exit:
     else:
         print_doubts(found.warnings, console())
         console().print(short_table(found))
+        gauge = gauge_table(found)
+        if gauge is not None:
+            console().print(gauge)
         for line in closing_lines(found):
             click.echo(line)
         click.echo(f"written to {arguments.out}: measured.json measured.csv report.html")
