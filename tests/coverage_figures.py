@@ -10,7 +10,7 @@ from feature_maps import APART, FEATURES, difference, near_rows, pairs_apart
 from rates import interval_of_blocks
 
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.position_covariance import SharedErrors
+from pincal.calibration.position_covariance import PositionCovariance, SharedErrors
 from pincal.identify.split import joint_regions
 from pincal.model.conditions import Conditions
 
@@ -67,6 +67,7 @@ class Judged:
         off: shape (N, 3), reading minus prediction [m].
         noise: standard uncertainty of a coordinate that was declared of readings [m].
         block: shape (N,), the block of each row; default: regions of joint space.
+        apart: sources of uncertainty that what was read does not have, such as the arrival of a true pose.
         socket: shape (N,), in which of several places the target was, if the coordinates of these are not known.
     """
 
@@ -76,6 +77,7 @@ class Judged:
     noise: float
     block: np.ndarray | None = None
     socket: np.ndarray | None = None
+    apart: tuple[str, ...] = ()
 
     @property
     def blocks(self) -> np.ndarray:
@@ -84,7 +86,8 @@ class Judged:
 
     def of_points(self) -> Held:
         """Return the coordinates of all positions."""
-        variance = sum(self.model.position_variances(self.conditions).values()) + self.noise**2
+        by_source = self.model.position_variances(self.conditions)
+        variance = sum(of for name, of in by_source.items() if name not in self.apart) + self.noise**2
         return Held(self.off.ravel(), np.sqrt(variance).ravel(), np.repeat(self.blocks, 3))
 
     def of_map(self, sets: list[np.ndarray], make: Callable[[np.ndarray], np.ndarray]) -> Held:
@@ -93,7 +96,8 @@ class Judged:
         off, together, alone, block = [], [], [], []
         for rows in sets:
             A = make(places[rows])
-            covariance = self.model.covariance_of(self.conditions.select(rows))
+            sources = self.model.covariance_of(self.conditions.select(rows)).sources
+            covariance = PositionCovariance({k: of for k, of in sources.items() if k not in self.apart})
             noise = self.noise**2 * A @ A.T
             of_each = SharedErrors.of_each(covariance.blocks)
             off.append(A @ self.off[rows].ravel())

@@ -76,6 +76,9 @@ def test_noise_is_no_discrepancy(rng: np.random.Generator) -> None:
         assert np.count_nonzero(draws >= 20.0) <= 10
         assert np.median(draws) < 1.0
         assert evidence(_sines(q, levers, 10.0 * NOISE, 3.0) + NOISE * rng.standard_normal((n, 3))) > 20.0
+    # Errors that follow all joints and no drive, by the last and largest table.
+    along = rng.normal(size=(3, 3))
+    assert evidence(5.0 * NOISE * np.cos(q @ along) + NOISE * rng.standard_normal((n, 3))) > 20.0
     assert discrepancy_of(np.zeros((5, 3)), q[:5], levers[:, :5], np.zeros((5, 3, 3))) is None
 
 
