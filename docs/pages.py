@@ -10,6 +10,7 @@ import inspect
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -291,18 +292,49 @@ def programs() -> Iterator[str]:
 
 
 def names() -> Iterator[str]:
-    """Yield the page of the Python API: every public name with its docstring."""
+    """Yield the page of the Python API: every public name with its page, topic by topic, and where others have moved."""
     yield "# Python"
-    yield "The names of `import pincal`. Angles are in radians, lengths in metres, unless a name says otherwise."
-    public = [name for name in pincal.__all__ if not name.isupper()]
-    rows = [(f"[`{name}`](#{name.lower()})", _first_sentence(getattr(pincal, name))) for name in public]
-    yield _table(("name", "what it is"), rows)
-    for name in public:
+    yield (
+        "The names of `import pincal`, topic by topic. Angles are in radians, lengths in metres, unless a name says "
+        "otherwise. [From Python](../guide/python.md) shows them at work; what is more special stands in the modules."
+    )
+    public = {topic: found for topic, found in pincal._topics().items() if topic != pincal._MOVED}
+    for topic, found in public.items():
+        page = f"python/{_slug(topic)}.md"
+        yield f"## {topic}"
+        rows = [(f"[`{name}`]({page}#{name.lower()})", _first_sentence(getattr(pincal, name))) for name in found]
+        yield _table(("name", "what it is"), [row for row in rows if not row[0][2:].split("`")[0].isupper()])
+        if constants := [name for name in found if name.isupper()]:
+            values = (f"`{name}` ({', '.join(f'`{e.name}`' for e in getattr(pincal, name))})" for name in constants)
+            yield f"Effects of a model: {' and '.join(values)}."
+    yield "## Moved to their modules"
+    yield "These names of `import pincal` work for one more release, with a `DeprecationWarning`."
+    yield _table(("name", "module"), [(f"`{name}`", f"`{home}`") for name, home in pincal._topics()[pincal._MOVED].items()])
+    pages = "\n".join(f"python/{_slug(topic)}" for topic in public)
+    yield f"```{{toctree}}\n:hidden:\n\n{pages}\n```"
+
+
+def names_of(topic: str) -> Iterator[str]:
+    """Yield the page of a topic of the Python API: each of its names with its docstring."""
+    yield f"# {topic}"
+    for name, home in pincal._topics()[topic].items():
+        if name.isupper():
+            continue
         found = getattr(pincal, name)
         yield f"## {name}"
         directive = "autoclass" if inspect.isclass(found) else "autofunction" if inspect.isfunction(found) else "autodata"
         members = "\n   :members:" if inspect.isclass(found) else ""
-        yield f"```{{eval-rst}}\n.. {directive}:: {pincal._homes()[name]}.{name}{members}\n```"
+        yield f"```{{eval-rst}}\n.. {directive}:: {home}.{name}{members}\n```"
+
+
+def _slug(topic: str) -> str:
+    """Return the file name of a topic's page.
+
+    Example:
+        >>> _slug("Robots, tables and conditions")
+        'robots-tables-and-conditions'
+    """
+    return "-".join(re.findall(r"\w+", topic.lower()))
 
 
 def _described(cls: type) -> tuple[str, dict[str, str]]:
@@ -353,6 +385,7 @@ PAGES: dict[str, Callable[[], Iterator[str]]] = {
     "effects.md": effects,
     "programs.md": programs,
     "python.md": names,
+    **{f"python/{_slug(topic)}.md": partial(names_of, topic) for topic in pincal._topics() if topic != pincal._MOVED},
 }
 
 
@@ -369,6 +402,7 @@ def main() -> int:
         print("".join(f"docs/reference/{page} is not up to date; run python docs/pages.py\n" for page in stale), end="")
         return int(bool(stale))
     for page in stale:
+        (REFERENCE / page).parent.mkdir(exist_ok=True)
         (REFERENCE / page).write_text(text_of(page), encoding="utf-8")
     if "effects.md" in stale:
         draw()

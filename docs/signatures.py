@@ -12,11 +12,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from pincal import ELASTIC, Chain, Conditions, Discoverable, Effect, Model, PoseSet, Robot
+from pincal import ELASTIC, Conditions, Effect, Robot
 from pincal.builtin import kuka_urdf_path
 from pincal.io.entries import EFFECTS
-from pincal.model.effect import Family, Harmonic
+from pincal.model.chain import Chain
+from pincal.model.conditions import PoseSet
+from pincal.model.effect import Discoverable, Family, Harmonic
 from pincal.model.effects import BaseFrame, ToolFrame
+from pincal.model.model import Model
 from pincal.recorded import RECORDABLE
 
 PICTURES = Path(__file__).parent / "pictures" / "effects"

@@ -17,19 +17,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal import (
-    GEOMETRIC,
-    Chain,
-    Conditions,
-    Model,
-    Options,
-    Robot,
-    calibrated_urdf,
-    load_model,
-    measurements_from_arrays,
-    run_calibration,
-)
+from pincal import GEOMETRIC, Conditions, Options, Robot, load_model, measurements_from_arrays, run_calibration
+from pincal.io.urdf_export import calibrated_urdf
 from pincal.measure.measurements import Measurements
+from pincal.model.chain import Chain
+from pincal.model.model import Model
 from pincal.simulate import Instrument, TrueMachine, plan_poses
 
 JOINTS = 6

@@ -15,19 +15,10 @@ import argparse
 
 import numpy as np
 
-from pincal import (
-    Design,
-    DesignRequest,
-    Limits,
-    Options,
-    Robot,
-    SensorSetup,
-    calibrate,
-    design_poses,
-    measurements_from_arrays,
-)
+from pincal import DesignRequest, Options, Robot, calibrate, design_poses, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
-from pincal.design.reach import Reach
+from pincal.design.pose_design import Design
+from pincal.design.reach import Limits, Reach, SensorSetup
 from pincal.simulate import Instrument, TrueMachine
 from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
 

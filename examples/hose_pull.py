@@ -11,7 +11,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from pincal import Candidate, Chain, Conditions, Discoverable, Locus, Parameter, PoseSet, Term, register_effect
+from pincal import Conditions, register_effect
+from pincal.model.chain import Chain
+from pincal.model.conditions import PoseSet
+from pincal.model.effect import Candidate, Discoverable, Locus, Term
+from pincal.parameters import Parameter
 
 
 @register_effect

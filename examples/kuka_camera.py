@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal import FittedRobot, Lens, Options, Robot, Setup, measurements_from_arrays
+from pincal import FittedRobot, Options, Robot, Setup, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.checked_fit import fitted
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC, BearingElasticity, JointElasticity
+from pincal.sensors.lens import Lens
 from pincal.simulate import View, paper_object, paper_transform, plan_views, read_arm
 from pincal.simulate.paper_machine import ELASTICITY, NOMINAL, PAYLOAD_COM, PAYLOAD_MASS, REAL, Geometry, paper_moments
 

@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pincal import FittedRobot, Model, Options, Robot, calibrate, measurements_from_arrays
+from pincal import FittedRobot, Options, Robot, calibrate, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.identify.options import Stages
 from pincal.measure.measurements import Measurements
 from pincal.model.effect import Effect
 from pincal.model.effects import GEOMETRIC, BearingElasticity, JointElasticity
+from pincal.model.model import Model
 from pincal.report.plots.found import deviation_figure
 from pincal.simulate import paper_positions, plan_poses, read_arm
 from pincal.simulate.paper_machine import ELASTICITY, NOMINAL, PAYLOAD_COM, PAYLOAD_MASS, REAL

@@ -34,29 +34,50 @@ _RENAMED = {
 }
 
 
+# The topic of names that have moved to their modules, for one release.
+_MOVED = "Moved: for one release, with a warning"
+
+
 @cache
-def _homes() -> dict[str, str]:
-    """Return the module of each public name."""
+def _topics() -> dict[str, dict[str, str]]:
+    """Return the public names with their modules, topic by topic."""
     stub = Path(__file__).with_name("__init__.pyi").read_text(encoding="utf-8")
+    topics = re.findall(r"^# (.+)\n((?:from .+\n)+)", stub, re.MULTILINE)
     return {
-        name: module for module, name in re.findall(r"^from (\S+) import (\w+)", stub, re.MULTILINE)
+        topic: {name: module for module, name in re.findall(r"from (\S+) import (\w+)", lines)}
+        for topic, lines in topics
     }
 
 
+@cache
+def _homes() -> dict[str, str]:
+    """Return the module of each public name."""
+    return {
+        name: module
+        for topic, names in _topics().items()
+        for name, module in names.items()
+        if topic != _MOVED
+    }
+
+
+def _moved(name: str) -> str | None:
+    """Return the module of a name that is no longer here, if it is one."""
+    return _topics()[_MOVED].get(name)
+
+
 def __getattr__(name: str) -> Any:
-    if name in _RENAMED:
-        warnings.warn(
-            f"pincal.{name} is now pincal.{_RENAMED[name]}", DeprecationWarning, stacklevel=2
-        )
-        name = _RENAMED[name]
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("pincal")
     if name == "__all__":
         return sorted(_homes())
-    name, _, part = name.partition(".")
-    if name not in _homes():
+    new, _, part = _RENAMED.get(name, name).partition(".")
+    home = _moved(new) or _homes().get(new)
+    if home is None:
         raise AttributeError(f"module 'pincal' has no attribute {name!r}")
-    found = getattr(importlib.import_module(_homes()[name]), name)
+    if name in _RENAMED or _moved(name):
+        place = f"{home}.{new}" if _moved(new) else f"pincal.{_RENAMED[name]}"
+        warnings.warn(f"pincal.{name} is now {place}", DeprecationWarning, stacklevel=2)
+    found = getattr(importlib.import_module(home), new)
     return getattr(found, part) if part else found
 
 

@@ -10,6 +10,7 @@ import gc
 import logging
 import os
 import pickle
+import warnings
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
@@ -20,6 +21,8 @@ from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
+
+from pincal.errors import PincalWarning
 
 log = logging.getLogger(__name__)
 
@@ -110,6 +113,16 @@ def announce(module: str) -> None:
     event.register("numba:compile", _Compiling(module))
 
 
+def _tell(words: str) -> None:
+    """Log a message; warn where nobody reads the log, as in a session of Python."""
+    if log.isEnabledFor(logging.INFO):
+        log.info(words)
+        return
+    # In a session that makes errors of warnings, this one is none.
+    with suppress(PincalWarning):
+        warnings.warn(f"pincal is {words}", PincalWarning, stacklevel=2)
+
+
 class _Compiling(event.Listener):
     """Logs once that the loops of a module are being compiled, for which the first command on a
     machine waits.
@@ -130,7 +143,7 @@ class _Compiling(event.Listener):
             return
         if self._is_due:
             self._is_due = False
-            log.info("compiling once for this machine, about 10 s")
+            _tell("compiling once for this machine, ten to twenty seconds")
         if not self._depth:
             self._collects = gc.isenabled()
             gc.disable()

@@ -37,7 +37,7 @@ from discovery_cases import draw_case
 from fleet_cases import Family
 
 import pincal
-from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, FittedRobot, Measurements, Model, Options, Robot, read_measurements
+from pincal import ELASTIC, GEOMETRIC, Conditions, FittedRobot, Measurements, Options, Robot, read_measurements
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.covered import Covered
 from pincal.calibration.discrepancy import Discrepancy
@@ -49,8 +49,10 @@ from pincal.fleet.robot_type import learn_type
 from pincal.fleet.store import open_store
 from pincal.identify.calibrate import Tables, fit_tables
 from pincal.identify.noise import Loss
-from pincal.model.chain import MOMENT_FRAMES
+from pincal.model.augmented import augmented_model
+from pincal.model.chain import MOMENT_FRAMES, Chain
 from pincal.model.effects import BearingElasticity, JointElasticity
+from pincal.model.model import Model
 from pincal.parameters import estimate_of
 from pincal.robot.urdf_file import arm_text
 from pincal.simulate import TrueMachine, paper_positions, plan_poses
@@ -96,7 +98,7 @@ def compare_with_pinocchio() -> Iterator[Line]:
     q = ROBOT.random_configurations(POSES, rng)
     conditions = Conditions.at(q, payload=PAYLOAD_MASS, payload_centre=PAYLOAD_COM)
 
-    augmented = pincal.augmented_model(chain, payload=PAYLOAD_MASS, payload_centre=np.array(PAYLOAD_COM))
+    augmented = augmented_model(chain, payload=PAYLOAD_MASS, payload_centre=np.array(PAYLOAD_COM))
     data, tip = augmented.createData(), augmented.getFrameId("tip")
     joints = slice(chain.joint(0, chain.symbols[6]), chain.tool("x"))
     rows = list(model.coordinates(values, conditions)[:PINOCCHIO_POSES, joints])

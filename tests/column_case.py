@@ -38,25 +38,15 @@ def add_the_column() -> None:
 def main(folder: Path) -> None:
     """Calibrate a robot whose joint 2 follows the pressure, design a check of it, and diagnose by the check's rows."""
     add_the_column()
-    from pincal import (
-        Candidate,
-        Discoverable,
-        Locus,
-        Options,
-        Parameter,
-        PoseSet,
-        Robot,
-        Term,
-        calibrate,
-        diagnose,
-        load_model,
-        register_effect,
-    )
+    from pincal import Options, Robot, calibrate, diagnose, load_model, register_effect
     from pincal import simulate as sim
     from pincal.builtin import kuka_urdf_path
     from pincal.cli import pincal as command
     from pincal.measure.table import read_measurements, write_table
+    from pincal.model.conditions import PoseSet
+    from pincal.model.effect import Candidate, Discoverable, Locus, Term
     from pincal.model.effects import GEOMETRIC
+    from pincal.parameters import Parameter
 
     @register_effect
     @dataclass(frozen=True)

@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal import Chain, Model, Robot
+from pincal import Robot
 from pincal.calibration.covered import Covered
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.robot_frames import in_base_frame
 from pincal.features.readings import FeatureReadings, readings_of
 from pincal.measure.measurements import measurements_from_arrays
+from pincal.model.chain import Chain
 from pincal.model.effects import BaseFrame, JointOffset, ToolFrame
+from pincal.model.model import Model
 from pincal.parameters import estimate_of
 from pincal.sensors.lens import Lens
 from pincal.sensors.setup import Setup

@@ -22,6 +22,7 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.design.design_model import DesignModel
 from pincal.design.motion_design import MotionDesign, design_motion
+from pincal.design.reach import SensorSetup
 from pincal.measure.measurements import Measurements
 from pincal.motion.sessions import Session
 from pincal.motion.stamps import in_order
@@ -402,7 +403,7 @@ def vouched(truth: Truth) -> float:
     """Return the error of the tool that a fit by an IMU alone foresees by what it releases, base and tool placed [mm]."""
     fit = calibrated(truth, truth.tables())
     cared = pincal.Conditions.at(truth.robot.random_configurations(200, np.random.default_rng(0)))
-    design = DesignModel.of(truth.robot, cared, GEOMETRY, pincal.SensorSetup())
+    design = DesignModel.of(truth.robot, cared, GEOMETRY, SensorSetup())
     J = design.placed_errors(cared) / design.units[design.has_prior]
     names = [p.name for p, is_free in zip(fit.problem.parameters, fit.solution.free, strict=True) if is_free]
     known = [k for k, name in enumerate(design.own_names) if name in names]

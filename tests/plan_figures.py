@@ -22,19 +22,11 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
-from pincal import (
-    GEOMETRIC,
-    Calibration,
-    Diagnosis,
-    Discovery,
-    calibrate,
-    calibrated_urdf,
-    diagnose,
-    run_calibration,
-    run_discovery,
-)
+from pincal import GEOMETRIC, Calibration, Discovery, calibrate, diagnose, run_calibration, run_discovery
 from pincal import simulate as sim
+from pincal.diagnosis.robot_diagnosis import Diagnosis
 from pincal.errors import PincalError, PincalWarning
+from pincal.io.urdf_export import calibrated_urdf
 
 # Poses never measured at which a model is held against the truth.
 FRESH = 300

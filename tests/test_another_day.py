@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pincal
-from pincal import ELASTIC, GEOMETRIC, Conditions, Measurements, Model, Options, Robot
+from pincal import ELASTIC, GEOMETRIC, Conditions, Measurements, Options, Robot
 from pincal.calibration.placing import place_station
 from pincal.calibration.validation import validate_rows
 from pincal.errors import BadInputError
@@ -17,6 +17,7 @@ from pincal.measure.table import write_table
 from pincal.model.catalogue.environment import BaseDrift, MeasurementScale, ThermalExpansion
 from pincal.model.chain import Chain
 from pincal.model.effect import Effect
+from pincal.model.model import Model
 from pincal.validate.misfit import Verdict
 
 # Growth of steel [1/K], and a drift of half a millimetre in the course of the calibration [m/s].

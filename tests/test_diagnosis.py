@@ -23,7 +23,7 @@ from pincal.diagnosis.diagnosis_file import DiagnosisFile
 from pincal.diagnosis.diagnosis_page import excluded_table, headline
 from pincal.diagnosis.excluded import most_different_poses, separation, tell_apart
 from pincal.diagnosis.lineup import ChangeHypotheses
-from pincal.diagnosis.robot_diagnosis import changes_since
+from pincal.diagnosis.robot_diagnosis import Diagnosis, changes_since
 from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, ChangedRobotError, MeasurementError
 from pincal.schemas import shipped
@@ -56,7 +56,7 @@ def error_mm(model: FittedRobot, table: Measurements) -> float:
     return float(1e3 * np.sqrt(np.mean(np.sum(station.residuals(model.values) ** 2, axis=0))))
 
 
-def told(found: pincal.Diagnosis, hidden: dict[str, list[str]]) -> bool:
+def told(found: Diagnosis, hidden: dict[str, list[str]]) -> bool:
     """Return whether what is hidden is among the changes that were named, alone or in a group."""
     names = [name for change in found.changes for name in (change, *change.equivalent)]
     return any(name.effect in hidden["effects"] and name.joint in hidden["joints"] for name in names)

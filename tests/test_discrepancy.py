@@ -88,7 +88,9 @@ def ripples() -> tuple[Robot, np.ndarray, np.ndarray]:
     robot = Robot.from_urdf("ur10")
     rng = np.random.default_rng(5)
     q = rng.uniform(-1.5, 1.5, (400, 6))
-    from pincal import Chain, Conditions, Model
+    from pincal import Conditions
+    from pincal.model.chain import Chain
+    from pincal.model.model import Model
 
     turned = q.copy()
     turned[:, 1] += 3e-4 * np.sin(7.0 * q[:, 1])
@@ -122,7 +124,9 @@ def test_intervals_hold_what_the_model_lacks(ripples: tuple[Robot, np.ndarray, n
 def test_an_adequate_model_may_lack_what_noise_hides(ripples: tuple[Robot, np.ndarray, np.ndarray]) -> None:
     """Where residuals are noise, what is lacking is at most what they could just not show; of unknown noise, nothing."""
     robot, q, _ = ripples
-    from pincal import Chain, Conditions, Model
+    from pincal import Conditions
+    from pincal.model.chain import Chain
+    from pincal.model.model import Model
 
     place = Model(Chain.of(robot), ()).predict(np.zeros(0), Conditions.at(q[:80]))[:, :, 3]
     noise = NOISE * np.random.default_rng(7).standard_normal((80, 3))

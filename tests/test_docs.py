@@ -42,7 +42,7 @@ def links_of(page: Path) -> Iterator[str]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["commands.md", "files.md", "effects.md", "programs.md", "python.md"])
+@pytest.mark.parametrize("name", pages.PAGES)
 def test_reference_pages_are_those_of_the_program(name: str) -> None:
     """Made anew, a page is as it stands, and no cell of its tables is empty; ``python docs/pages.py`` writes them."""
     page = (ROOT / "docs" / "reference" / name).read_text(encoding="utf-8")

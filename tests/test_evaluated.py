@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pincal import ELASTIC, GEOMETRIC, Chain, Conditions, Model, Options, calibrate, measurements_from_arrays
+from pincal import ELASTIC, GEOMETRIC, Conditions, Options, calibrate, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
 from pincal.discover.locate import _given
 from pincal.discover.score_tests import score_test
@@ -19,8 +19,10 @@ from pincal.identify.whitening import Serial
 from pincal.model.catalogue.drives import GearEccentricity
 from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.catalogue.unnamed import Unnamed
+from pincal.model.chain import Chain
 from pincal.model.conditions import part_of
 from pincal.model.evaluated import plain_terms
+from pincal.model.model import Model
 from pincal.model.sparse_basis import dense_rows, joined_rows, sparse_across, sparse_rows
 from pincal.robot.robot import Robot
 

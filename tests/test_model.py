@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -807,6 +808,21 @@ def test_compiling_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
             compiling.append(not gc.isenabled())
     assert [record.getMessage()[:14] for record in caplog.records] == ["compiling once"]
     assert compiling == [False, True, True, True, True, False]
+
+
+def test_a_session_of_python_is_told_that_loops_are_compiled(caplog: pytest.LogCaptureFixture) -> None:
+    """Where nobody reads the log a warning says it, and it stops nothing where warnings are errors."""
+    words = {"dispatcher": kernels.evaluate}
+    caplog.set_level("WARNING", logger="pincal")
+    for is_error in (False, True):
+        told = compiled._Compiling(kernels.__name__)
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("error" if is_error else "always")
+            for status in ("START", "END"):
+                told.notify(event.Event("numba:compile", EventStatus[status], words))
+        assert [f"{each.category.__name__}: {each.message}"[:38] for each in seen] == [
+            "PincalWarning: pincal is compiling once"[:38]
+        ] * (not is_error)
 
 
 def test_an_effect_is_asked_once_for_its_terms_over_the_same_poses(kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,10 +12,10 @@ import pytest
 from motion_study import GEOMETRY, Truth, via_path, vouched
 from test_cli import run
 
-from pincal import Limits, Options, Robot
+from pincal import Options, Robot
 from pincal.design import motion_design
 from pincal.design.motion_design import MotionDesign, design_motion
-from pincal.design.reach import Reach
+from pincal.design.reach import Limits, Reach
 from pincal.errors import BadInputError, PincalWarning
 from pincal.simulate.moving import ViaPath
 

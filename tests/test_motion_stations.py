@@ -27,6 +27,7 @@ from pincal.identify.station import Station
 from pincal.identify.whitening import Serial
 from pincal.measure.measurements import concatenate
 from pincal.measure.poses import by_pose
+from pincal.motion.sessions import read_streams
 from pincal.recorded import Moving
 from pincal.sensors.pose import PositionSensor
 from pincal.validate.gathered import bump_in, gathering_of
@@ -360,7 +361,7 @@ def test_an_instrument_that_does_not_follow_the_motion_is_refused(
     """Distances are those of one point, whose squares follow from the motion."""
     rows = "".join(f"{0.01 * k},1.{k}{',a' if 'anchor' in header else ''}\n" for k in range(count))
     (tmp_path / "tracker.csv").write_text(f"time,{header}\n{rows}")
-    session = pincal.read_streams(ROBOT, joints=day / "joints.csv", tracker=tmp_path / "tracker.csv")
+    session = read_streams(ROBOT, joints=day / "joints.csv", tracker=tmp_path / "tracker.csv")
     with pytest.raises(MeasurementError, match=words):
         pincal.session_tables(ROBOT, [session])
 

@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 from test_diagnosis import calibrated, rows
 
 import pincal
-from pincal import ELASTIC, GEOMETRIC, Conditions, FittedRobot, Measurements, Model, Options, Robot
+from pincal import ELASTIC, GEOMETRIC, Conditions, FittedRobot, Measurements, Options, Robot
 from pincal.calibration.curve_coverage import gaps_in_curves, knows
 from pincal.calibration.fit_evidence import KeptEvidence
 from pincal.calibration.placing import place_station
@@ -26,6 +26,7 @@ from pincal.errors import BadInputError, IdentificationError
 from pincal.model.catalogue.drives import ShortOfTarget
 from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.chain import Chain
+from pincal.model.model import Model
 
 NOISE = 2e-5
 DRIVES = ("shoulder_pan_joint", "elbow_joint")

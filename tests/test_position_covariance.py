@@ -7,13 +7,15 @@ import pytest
 from msgspec.structs import replace as changed
 from scipy.spatial.transform import Rotation
 
-from pincal import BadInputError, Chain, Model, Robot
+from pincal import BadInputError, Robot
 from pincal.calibration.covered import Covered
 from pincal.calibration.discrepancy import Discrepancy
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.position_covariance import PositionCovariance, SharedErrors
+from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effects import BaseFrame, JointOffset, ToolFrame
+from pincal.model.model import Model
 from pincal.parameters import estimate_of
 
 LENGTHS = np.array([0.05, 0.8])

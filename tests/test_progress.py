@@ -2,6 +2,7 @@
 
 import io
 import logging
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -68,6 +69,49 @@ def test_the_time_left_is_told_where_it_is_known(
     now[0] += 60.0
     logging.getLogger("pincal.discover.loop").info("found something", extra={"done": 2, "of": 5})
     assert capsys.readouterr().err == "pincal: found something [1 min 00 s, about 1 min 30 s left]\n"
+
+
+def test_what_came_before_does_not_count_to_the_time_left(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a fit of a minute, subsamples of two seconds each leave two seconds each; nothing is left after the last."""
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    show_progress(False)
+    now[0] += 60.0
+    logging.getLogger("pincal.discover.loop").info("found something")
+    for k in range(1, 11):
+        now[0] += 2.0
+        logging.getLogger("pincal.spread").info("subsample %d of %d", k, 10, extra={"done": k, "of": 10})
+    lines = capsys.readouterr().err.splitlines()
+
+    assert lines[0] == "pincal: found something [1 min 00 s]"
+    assert lines[4] == "pincal: subsample 4 of 10 [1 min 08 s, about 12 s left]"
+    assert lines[-1] == "pincal: subsample 10 of 10 [1 min 20 s]"
+
+
+@pytest.mark.parametrize("width", [40, 60, 80])
+def test_progress_fits_the_terminal(width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One line, whatever is done, with the time left behind it; it is cut between words."""
+    now = [100.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setenv("COLUMNS", str(width))
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    show_progress(False)
+    words = "assessing the convention of moments with all of the rows and some more words than fit anywhere at all"
+    for k in (1, 2):
+        now[0] += 100.0
+        logging.getLogger("pincal.spread").info(words, extra={"done": k, "of": 9})
+    progress._handler._progress.refresh()  # type: ignore[union-attr]
+    progress.end_progress()
+    shown = [re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", line) for line in re.split(r"[\r\n]", screen.getvalue())]
+    full = [line for line in shown if "left" in line]
+
+    assert full and max(map(len, shown)) <= width
+    assert any("about 11 min 40 s left" in line for line in full)
+    described = re.findall(r"(assessing.*?) …", full[-1])[0]
+    assert words.startswith(f"{described} ")
 
 
 def test_a_terminal_has_one_line_that_goes_away(monkeypatch: pytest.MonkeyPatch) -> None:

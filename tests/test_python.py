@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import pickle
 from pathlib import Path
@@ -43,6 +44,16 @@ def test_dir_is_complete() -> None:
     assert set(dir(pincal)) == {*pincal.__all__, "__version__"}
     for name in dir(pincal):
         assert getattr(pincal, name) is not None
+
+
+def test_names_stand_by_topic_and_few_are_enough() -> None:
+    """At most fifty; those that moved to their modules work for one release, with a warning that says where they are."""
+    assert len(pincal.__all__) <= 50
+    moved = pincal._topics()[pincal._MOVED]
+    assert moved and not set(moved) & set(pincal.__all__)
+    for name, home in moved.items():
+        with pytest.warns(DeprecationWarning, match=f"pincal.{name} is now {home}.{name}$"):
+            assert getattr(pincal, name) is getattr(importlib.import_module(home), name)
 
 
 def test_every_column_is_a_keyword() -> None:

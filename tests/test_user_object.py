@@ -9,8 +9,11 @@ import pytest
 
 import pincal
 from pincal.builtin import kuka_urdf_path
+from pincal.model.augmented import pinocchio_model
+from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
 from pincal.model.effects import GEOMETRIC
+from pincal.model.model import Model
 from pincal.simulate import Instrument, TrueMachine, plan_poses
 
 
@@ -77,7 +80,7 @@ def test_exports_carry_the_calibrated_geometry(found: pincal.FittedRobot, fit: p
     robot = fit.model.chain.robot
     export = found.export_urdf(tmp_path / "calibrated.urdf")
     q = robot.random_configurations(5, np.random.default_rng(0))
-    rigid = pincal.Model(pincal.Chain.of(robot), GEOMETRIC)
+    rigid = Model(Chain.of(robot), GEOMETRIC)
     values = np.array([fit.estimate[name] for name in rigid.names])
     expected = rigid.predict(values, Conditions.at(q))[:, :, 3]
 
@@ -111,8 +114,8 @@ def test_names_of_the_last_release_still_work_with_a_warning(fit: pincal.FittedR
     with pytest.warns(DeprecationWarning, match=r"pincal.calibrated_model_of is now pincal.FittedRobot.of"):
         model = pincal.calibrated_model_of(fit.fit, {"seed": 1})
     assert model.provenance == {"seed": 1}
-    with pytest.warns(DeprecationWarning, match=r"pincal.calibrated_model is now pincal.pinocchio_model"):
-        assert pincal.calibrated_model is pincal.pinocchio_model
+    with pytest.warns(DeprecationWarning, match=r"pincal.calibrated_model is now pincal.model.augmented.pinocchio_model"):
+        assert pincal.calibrated_model is pinocchio_model
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert pincal.FittedRobot.of(fit.fit).provenance == {}

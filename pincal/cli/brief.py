@@ -37,9 +37,9 @@ _ORDER = (
     "ways",
     "evidence",
     "arm",
+    "doubt",
     "worth",
     "found",
-    "doubt",
 )
 
 

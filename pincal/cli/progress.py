@@ -14,15 +14,7 @@ import time
 
 import click
 from rich.console import Console
-from rich.progress import (
-    Progress,
-    ProgressColumn,
-    SpinnerColumn,
-    Task,
-    TextColumn,
-    TimeElapsedColumn,
-)
-from rich.text import Text
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from pincal.thresholds import Count, Scale
 
@@ -43,6 +35,9 @@ _OF_FITS = ("calibrate",)
 _LONG: Scale = 1.0  # [s]
 # Columns of results that are not printed on a terminal.
 _WIDTH: Count = 100
+# Columns of spinner, elapsed time and blanks, and the fewest of what is done.
+_BESIDE: Count = 13
+_NARROW: Count = 20
 
 log = logging.getLogger(__name__)
 _handler: logging.Handler | None = None
@@ -100,6 +95,47 @@ def _left(seconds: float, done: float, of: float) -> str:
     return f"about {_clock(seconds * (of - done) / done)} left" if done > 0 and of > 0 else ""
 
 
+class _Pace:
+    """How long counted items take, and from that the time that is left.
+
+    They are counted from the event before the first of them: what came before, such as a fit whose
+    subsamples follow, took its own time.
+    """
+
+    def __init__(self) -> None:
+        self._start = self._event = time.monotonic()
+        self._counted: tuple[str, float] | None = None
+        self._done = 0.0
+
+    def left(self, record: logging.LogRecord) -> str:
+        """Return the remaining time in words at an event; nothing where it is unknown or over."""
+        now = time.monotonic()
+        done = getattr(record, "done", 0)
+        of = getattr(record, "of", 0)
+        before = self._event
+        self._event = now
+        if not of:
+            return ""
+        counted = (record.name, of)
+        if counted != self._counted or done < self._done:
+            self._start = before
+        self._counted = counted
+        self._done = done
+        return _left(now - self._start, done, of) if done < of else ""
+
+
+def _shortened(text: str, width: int) -> str:
+    """Return a text of at most this width, cut between words.
+
+    Example:
+        >>> _shortened("found gear_ripple of joint_2: residual 0.1 -> 0.05 mm", 30)
+        'found gear_ripple of joint_2: …'
+    """
+    if len(text) <= width:
+        return text
+    return f"{text[: width - 1].rsplit(' ', 1)[0]} …"
+
+
 def _clock(seconds: float) -> str:
     """Write a duration.
 
@@ -126,12 +162,14 @@ class _Plain(logging.Handler):
         super().__init__(logging.INFO)
         self._fits = fits
         self._begun = time.monotonic()
+        self._pace = _Pace()
         self._last: logging.LogRecord | None = None
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write an event, but keep a step of a fit until its stage, the first logged
         value, ends.
         """
+        record.left = self._pace.left(record)
         if (
             _is_another_tenth(record)
             if record.name == _COUNTED
@@ -152,7 +190,7 @@ class _Plain(logging.Handler):
         self._last = None
         seconds = time.monotonic() - self._begun
         for record in filter(None, records):
-            left = _left(seconds, getattr(record, "done", 0), getattr(record, "of", 0))
+            left = getattr(record, "left", "")
             times = f" [{_clock(seconds)}{left and ', '}{left}]" if seconds > _LONG else ""
             click.echo(f"pincal: {record.getMessage()}{times}", err=True)
 
@@ -168,14 +206,6 @@ def _stage(record: logging.LogRecord) -> object:
     return record.args[0] if isinstance(record.args, tuple) and record.args else record.msg
 
 
-class _RemainingColumn(ProgressColumn):
-    """The remaining time, if the number of steps is known."""
-
-    def render(self, task: Task) -> Text:
-        """Return the remaining time, or nothing."""
-        return Text(_left(task.elapsed or 0.0, task.completed, task.total or 0.0))
-
-
 class _Overwritten(logging.Handler):
     """One line with the current step, elapsed and remaining time; events stay above it."""
 
@@ -186,24 +216,27 @@ class _Overwritten(logging.Handler):
             SpinnerColumn(),
             TextColumn("{task.description}", markup=False),
             TimeElapsedColumn(),
-            _RemainingColumn(),
+            TextColumn("{task.fields[left]}", markup=False),
         )
+        self._pace = _Pace()
         self._progress = Progress(
             *columns, console=screen, transient=True, redirect_stdout=False, redirect_stderr=False
         )
-        self._task = self._progress.add_task("", total=None)
+        self._task = self._progress.add_task("", total=None, left="")
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show a step, or write an event above the line."""
         self._progress.start()
         screen = self._progress.console
         text = record.getMessage()
+        left = self._pace.left(record)
         if record.name.startswith(_TRANSIENT):
-            self._progress.update(self._task, description=text[: max(screen.width - 28, 20)])
+            room = screen.width - _BESIDE - len(left)
+            text = _shortened(text, max(room, _NARROW))
+            self._progress.update(self._task, description=text, left=left)
         else:
             screen.print(f"pincal: {text}", markup=False, soft_wrap=True)
-        if of := getattr(record, "of", 0):
-            self._progress.update(self._task, completed=getattr(record, "done", 0), total=of)
+            self._progress.update(self._task, left=left)
 
     def close(self) -> None:
         """Remove the line."""

@@ -82,8 +82,9 @@ class Options:
         sigma: standard deviation of one component of a position, or of a distance [m], of an image
             [px]; estimated if None.
         sigma_orientation: likewise of one component of an orientation [rad].
-        moment_frame: where moments are taken and deflect the arm, see :class:`pincal.Chain`; "auto"
-            for the best fit, as in the paper if several fit equally well.
+        moment_frame: where moments are taken and deflect the arm, see
+            :class:`pincal.model.chain.Chain`; "auto" for the best fit, as in the paper if several
+            fit equally well.
         equilibrium: moments on the deflected arm instead of the rigid one.
         gravity: shape (3,), in the robot's base frame [m/s^2]; default: along -z of the URDF's
             root.

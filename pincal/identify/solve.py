@@ -187,13 +187,7 @@ class _Run:
             self.advance()
             if label := self.course.label:
                 size = self.readable()
-                log.info(
-                    "%s: iteration %d, residual %s, step %.1e of the noise",
-                    label,
-                    self.iterations,
-                    size,
-                    self.wanted,
-                )
+                log.info("%s: iteration %d, residual %s", label, self.iterations, size)
             ended = self.ending()
             if ended is None:
                 self.reweigh()

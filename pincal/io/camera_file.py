@@ -26,7 +26,7 @@ _CAMERA_FILE = FileKind(
 
 @dataclass(frozen=True)
 class CameraFile(Lens):
-    """A camera, see :class:`pincal.Lens`; unknown distortion is 0.
+    """A camera, see :class:`pincal.sensors.lens.Lens`; unknown distortion is 0.
 
     Attributes:
         T_tip_camera: shape (4, 4), the camera's frame in the tip frame [m]; null if the mount is to

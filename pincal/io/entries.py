@@ -143,7 +143,9 @@ def model_of(
 
 
 class ParameterEntry(Record, frozen=True, kw_only=True):
-    """A parameter and its prior, see :class:`pincal.Parameter`; a size of null stands for inf."""
+    """A parameter and its prior, see :class:`pincal.parameters.Parameter`; a size of null stands
+    for inf.
+    """
 
     name: str
     unit: str
