@@ -13,7 +13,7 @@ from pincal.fleet import summary
 from pincal.fleet.fleet_numbers import TYPES
 from pincal.fleet.history import FleetHistory
 from pincal.fleet.robot_type import Learned, RobotType
-from pincal.report.blocks import Section, arranged, bullets, code, heading, paragraph, rich
+from pincal.report.blocks import PageBlock, Section, bullets, code, folded, heading, paragraph, rich
 from pincal.report.html import render
 from pincal.report.illustrations import Drawing, figures
 from pincal.report.plots.style import (
@@ -39,6 +39,8 @@ _LETTER: Scale = 0.085
 # Most machines drawn as points, and evidence at which the axis ends [log10].
 _POINTS: Count = 300
 _SURE: Scale = 10.0
+# Odds at the ticks, by their power of ten.
+_ODDS: dict[float, str] = {0.0: "even", 3.0: "1000 to 1", 6.0: "million to 1", 9.0: "billion to 1"}
 
 
 def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> str:
@@ -50,7 +52,8 @@ def type_page(learned: Learned, at: summary.AtTool | None, *, version: str) -> s
     made = [
         Section("answer", "What the machines have in common", (bullets(lines[1:]),), style="panel")
     ]
-    tables = (*((summary.effect_summary(at),) if at else ()), summary.parameter_summary(of, at))
+    every = folded("Every parameter", summary.parameter_summary(of, at))
+    tables = (*((summary.effect_summary(at),) if at else ()), every)
     made.append(
         Section(
             "parameters",
@@ -202,20 +205,19 @@ def fleet_page(of: RobotType, found: FleetHistory, *, alpha: float, version: str
     counts = {"to inspect": len(found.open), "drifted": len(found.drifted)}
     words = ", ".join(f"{count} {word}" for word, count in counts.items() if count)
     answer = rich(
-        '<p><span class="tag {}">{}</span> {}</p>',
+        '<p class="headline"><span class="tag {}">{}</span> {}</p>',
         "bad" if words else "good",
         words or "nothing to inspect",
         lines[0],
     )
     blocks = [answer, *(paragraph(line, "care") for line in lines[1:])]
-    first = arranged(
-        "split",
-        arranged("plain", *blocks),
-        arranged("plain", heading("How to read this"), _reading(alpha)),
+    first: tuple[PageBlock, ...] = (
+        *blocks,
+        summary.look_first(found),
+        heading("How to read this"),
+        _reading(alpha),
     )
-    made = [
-        Section("first", "Inspect these first", (first, summary.look_first(found)), style="panel")
-    ]
+    made = [Section("first", "Inspect these first", first, style="panel")]
     made.append(
         Section("evidence", "Evidence", (figures("fleet", [_evidence(found, alpha)]),), "Evidence")
     )
@@ -262,11 +264,13 @@ def _evidence(found: FleetHistory, alpha: float) -> Drawing:
     axes.axvline(0.0, color=MUTED, linewidth=0.9)
     axes.axvline(np.log10(max(found.robots, 1) / alpha), color=MUTED, linewidth=0.9, linestyle="--")
     axes.set_ylim(-0.7, max(len(ranked), 1) - 0.3)
-    dress(axes, x=f"log10 of the e-value, up to {_SURE:g}", title="Evidence by robot")
+    dress(axes, x="odds of a change", title="Evidence by robot")
+    axes.set_xlim(right=_SURE + 1.0)
+    axes.set_xticks(list(_ODDS), list(_ODDS.values()))
     axes.set_yticks(range(len(ranked)), names, fontsize=SMALL, color=INK)
     caption = (
-        "Likelihood of the readings since calibration if the robot has changed, relative "
-        "to no change. The dashed line is "
+        "How much more probable the readings since calibration are if the robot has changed "
+        "(e-value), up to 10 billion to 1. The dashed line is "
         "the evidence that a single alarm needs among this many robots; of several "
         "alarms, each needs less."
     )

@@ -29,6 +29,7 @@ from pincal.thresholds import Count, Scale
 from pincal.units import (
     Quantity,
     fixed,
+    format_digits,
     format_readable,
     readable_unit,
     show_percent,
@@ -49,6 +50,8 @@ _SETS: Count = 8
 _INTERVAL: Scale = 1.96
 # Number of robots listed.
 _FIRST: Count = 10
+# Power of ten of odds beyond which their size means nothing more.
+_BEYOND_DOUBT: Scale = 10.0
 # Number of parameters named in which the data sheet is wrong.
 _NAMED: Count = 3
 
@@ -445,7 +448,7 @@ def change_summary(found: FleetHistory, *, groups: bool | None = None) -> Table:
         Column("found", kind=Kind.LABEL),
         Column("what", kind=Kind.NAME),
         Column("by", kind=Kind.LABEL),
-        Column("log10 e", kind=Kind.NUMBER, show=fixed(1)),
+        Column("odds", kind=Kind.NUMBER, show=odds_words),
     )
     rows = [
         (
@@ -460,10 +463,28 @@ def change_summary(found: FleetHistory, *, groups: bool | None = None) -> Table:
         if groups in (None, one.is_group)
     ]
     note = (
-        "since: the first check after the change; e: likelihood ratio of the readings with "
-        "and without the change"
+        "since: the first check after the change; odds: how much more probable the change makes "
+        "the readings (e-value); beyond doubt: over 10 billion to 1"
     )
     return Table("Changes", columns, tuple(rows), (note,) if rows else ())
+
+
+def odds_words(power: float) -> str:
+    """Return odds in words, given their power of ten.
+
+    Example:
+        >>> [odds_words(power) for power in (150.6, 7.5, 3.1, 0.4, -0.2)]
+        ['beyond doubt', '32 million to 1', '1300 to 1', '2.5 to 1', '1 to 1.6']
+    """
+    if power >= _BEYOND_DOUBT:
+        return "beyond doubt"
+    if power < 0.0:
+        return f"1 to {format_digits(10.0 ** min(-power, _BEYOND_DOUBT))}"
+    for word, size in (("billion", 9), ("million", 6)):
+        if power >= size:
+            return f"{format_digits(10.0 ** (power - size))} {word} to 1"
+    digits = f"{float(f'{10.0**power:.2g}'):g}"
+    return f"{digits} to 1"
 
 
 def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
@@ -475,12 +496,14 @@ def look_first(found: FleetHistory, most: int = _FIRST) -> Table:
         Column("state", kind=Kind.LABEL),
         Column("what", kind=Kind.NAME),
         Column("last check", kind=Kind.LABEL),
-        Column("log10 e", kind=Kind.NUMBER, show=fixed(1)),
+        Column("odds", kind=Kind.NUMBER, show=odds_words),
         Column("p-value", kind=Kind.NUMBER, show="{:.2g}".format),
         Column("adjusted", kind=Kind.NUMBER, show="{:.2g}".format),
     )
     note = (
-        "p-value: of the last check, if nothing has changed; adjusted: for the false "
+        "odds of a change: how much more probable it makes the readings since calibration "
+        "(e-value); beyond doubt: over 10 billion to 1; p-value: of the last check, if nothing "
+        "has changed; adjusted: for the false "
         "discovery rate among all checks of "
         "that round (Benjamini and Hochberg 1995)"
     )
