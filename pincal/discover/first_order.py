@@ -69,11 +69,12 @@ class ScoreTests:
             last.
         unsure: shape (N,), which parameters have a prior of uncertain size about zero.
         model: information of rows and priors on the N parameters, by block of poses.
-        blocks_H: shape (B, N + C, C), products of all columns with the candidates' columns, by
+        blocks_cross: shape (B, N, C), products of the model's columns with the candidates', by
             block of poses.
-        blocks_g: shape (B, C), products of the candidates' columns with the residuals.
-        is_partial: whether ``blocks_H`` lacks products between different candidates, which are
+        blocks_inner: shape (B, C, C), products of the candidates' columns with each other; or, in
+            one block, of each candidate's own ones alone. Those of different candidates are then
             computed from the rows on demand, as few pairs are needed.
+        blocks_g: shape (B, C), products of the candidates' columns with the residuals.
         parts: the rows.
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
@@ -87,12 +88,12 @@ class ScoreTests:
     sizes: np.ndarray
     unsure: np.ndarray
     model: Information
-    blocks_H: np.ndarray
+    blocks_cross: np.ndarray
+    blocks_inner: np.ndarray | tuple[np.ndarray, ...]
     blocks_g: np.ndarray
     squares: float
     readings: int
     spent: float
-    is_partial: bool = False
     parts: tuple[RowPart, ...] = ()
     _asked: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
@@ -107,18 +108,30 @@ class ScoreTests:
         return np.asarray(self.sizes**-2.0)
 
     @cached_property
-    def H(self) -> np.ndarray:
-        """Products of all columns with the candidates' columns, shape (N + C, C); see
-        ``is_partial``.
-        """
-        return (
-            self.blocks_H[0] if len(self.blocks_H) == 1 else np.asarray(self.blocks_H.sum(axis=0))
-        )
-
-    @property
     def cross(self) -> np.ndarray:
         """Products of the model's columns with the candidates' columns, shape (N, C)."""
-        return self.H[: self.n_model]
+        return _summed(self.blocks_cross)
+
+    @cached_property
+    def _inner(self) -> np.ndarray | None:
+        """Products of the candidates' columns with each other, if they are kept."""
+        kept = self.blocks_inner
+        return None if isinstance(kept, tuple) else _summed(kept)
+
+    def own(self, i: int) -> np.ndarray:
+        """Return the products of a candidate's J columns with each other, shape (J, J)."""
+        if isinstance(self.blocks_inner, tuple):
+            return self.blocks_inner[i]
+        j = self.columns[i]
+        assert self._inner is not None
+        return np.asarray(self._inner[j[:, None], j])
+
+    @cached_property
+    def _squares(self) -> np.ndarray:
+        """Products of each candidates' column with itself, shape (C,)."""
+        if self._inner is not None:
+            return np.diag(self._inner)
+        return np.concatenate([np.zeros(0), *map(np.diag, self.blocks_inner)])
 
     @cached_property
     def inner(self) -> np.ndarray:
@@ -136,13 +149,41 @@ class ScoreTests:
 
     def inner_of(self, which: Sequence[int]) -> np.ndarray:
         """Return the products of some candidates' columns with each other, shape (J, J)."""
+        if len(which) == 1:
+            return self.own(which[0])
         j = self.places(which)
-        at = self.n_model + j
-        if not self.is_partial or len(which) < 2:
-            return np.asarray(self.H[at[:, None], j])
+        if self._inner is not None:
+            return np.asarray(self._inner[j[:, None], j])
+        if not len(j):
+            return np.zeros((0, 0))
         if (key := tuple(which)) not in self._asked:
-            self._asked[key] = np.asarray(sum(part.products(at, at) for part in self.parts))
+            self._asked[key] = self._from_rows(j, j)
         return self._asked[key]
+
+    def _from_rows(self, some: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Return the products of J candidates' columns with K others, shape (J, K)."""
+        n = self.n_model
+        found = np.zeros((len(some), len(others)))
+        for part in self.parts:
+            found += part.products(n + some, n + others)
+        return found
+
+    def _rows(self, at: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """Return the products of columns, by index among all N + C, with candidates' columns j, by
+        block, shape (B, len(at), J).
+        """
+        n = self.n_model
+        found = np.empty((len(self.blocks_cross), len(at), len(j)))
+        of_model = at < n
+        found[:, of_model] = self.blocks_cross[:, at[of_model, None], j]
+        if not of_model.all():
+            some = at[~of_model] - n
+            found[:, ~of_model] = (
+                self._from_rows(some, j)
+                if isinstance(self.blocks_inner, tuple)
+                else self.blocks_inner[:, some[:, None], j]
+            )
+        return found
 
     def prior(self, which: Sequence[int]) -> np.ndarray:
         """Return the information of the priors of some candidates' J parameters, smoothness of
@@ -234,7 +275,7 @@ class ScoreTests:
             some = np.flatnonzero(sizes == size)
             (taken, b) = self._projection
             j = np.array([self.columns[i] for i in some])
-            inner = self.H[self.n_model + j[:, :, None], j[:, None]]
+            inner = np.array([self.own(i) for i in some.tolist()])
             roots, seen = self._roots(j, inner - taken[j] @ taken[j].swapaxes(1, 2))
             gains[some] = np.sum(np.einsum("gi,gik->gk", b[j], roots) ** 2, axis=1)
             ranks[some] = seen.sum(axis=1)
@@ -256,7 +297,7 @@ class ScoreTests:
         """Return the root of S^-1 of J columns, shape (..., J, J), zero in unobservable directions,
         and a mask of others.
         """
-        scale = 1.0 / np.sqrt(np.maximum(self.H[self.n_model + j, j], 1e-300))
+        scale = 1.0 / np.sqrt(np.maximum(self._squares[j], 1e-300))
         values, vectors = np.linalg.eigh(S * scale[..., None] * scale[..., None, :])
         expected = (self.sizes[self.n_model + j] / scale) ** 2
         reduction = values * np.einsum("...i,...ik->...k", expected, vectors**2)
@@ -282,8 +323,9 @@ class ScoreTests:
         (model, model_step) = self.model.without_block[k]
         model_S = self.model.blocks.H[k]
         model_b = self.model.blocks.g[k]
-        across, of_candidates = np.split(self.blocks_H[k][:, j], [self.n_model])
-        own = of_candidates[j]
+        across = self.blocks_cross[k][:, j]
+        kept = self.blocks_inner
+        own = self.inner_of(which) if isinstance(kept, tuple) else kept[k][j[:, None], j]
         b = self.blocks_g[k, j]
         cross = self.cross[:, j] - across
         taken = model.half(cross)
@@ -339,8 +381,13 @@ class ScoreTests:
             effects=tuple(self.effects[i] for i in which),
             columns=tuple(np.arange(a, b) for a, b in pairwise(ends)),
             sizes=self.sizes[order],
-            blocks_H=self.blocks_H[:, order[:, None], j],
-            blocks_g=self.blocks_g[:, j] + undone[gone] @ self.blocks_H[:, gone[:, None], j],
+            blocks_cross=self._rows(model, j),
+            blocks_inner=(
+                tuple(self.blocks_inner[i] for i in which)
+                if isinstance(self.blocks_inner, tuple)
+                else self.blocks_inner[:, j[:, None], j]
+            ),
+            blocks_g=self.blocks_g[:, j] + undone[gone] @ self._rows(gone, j),
             parts=tuple(part.among(slots, undone) for part in self.parts),
         )
 
@@ -441,6 +488,11 @@ class ScoreTests:
         spread = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(information)[1]
         trials = sum(float(np.log(self.effects[i].trials)) for i in which)
         return float(0.5 * ((size * b) @ step + spread - cost)) - trials
+
+
+def _summed(blocks: np.ndarray) -> np.ndarray:
+    """Return products of all blocks."""
+    return np.asarray(blocks[0] if len(blocks) == 1 else blocks.sum(axis=0))
 
 
 def chance_of(

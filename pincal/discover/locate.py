@@ -164,23 +164,18 @@ def _given(tests: ScoreTests, best: int) -> ScoreTests:
     model = tests.model
     n = tests.n_model
     j = tests.columns[best]
-    H = tests.blocks_H.copy()
     mine = n + j
-    every = n + np.arange(len(tests.g))
-    H[0, mine] = sum(part.products(mine, every) for part in tests.parts)
     others = [i for i in range(len(tests.effects)) if i != best]
     nothing = np.zeros(len(j))
-    cross = H[0, :n, j].T
-    rows = np.block([[model.rows.H, cross], [cross.T, H[0, mine[:, None], j]]])
+    cross = tests.cross[:, j]
+    rows = np.block([[model.rows.H, cross], [cross.T, tests.own(best)]])
     blocks = Form.of(rows[None], np.append(model.rows.g, tests.g[j])[None])
     prior = Form.of(
         block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, nothing)
     )
     both = Information(blocks, prior)
     return replace(
-        replace(tests, blocks_H=H).rearranged(
-            np.append(np.arange(n), mine), others, np.zeros(n + len(every))
-        ),
+        tests.rearranged(np.append(np.arange(n), mine), others, np.zeros(n + len(tests.g))),
         names=(*tests.names, *(f"{best}.{k}" for k in j)),
         values=np.append(tests.values, nothing),
         unsure=np.append(tests.unsure, nothing > 0.0),

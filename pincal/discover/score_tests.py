@@ -27,7 +27,8 @@ from pincal.model.conditions import part_of
 from pincal.model.effect import Effect, Family
 from pincal.thresholds import Count
 
-# Numbers of correlated columns that are multiplied at once (64 MB).
+# Columns of candidates that are multiplied at once, and numbers of correlated ones (64 MB).
+_MOST_COLUMNS: Count = 256
 _MOST_NUMBERS: Count = 8_000_000
 
 
@@ -190,7 +191,7 @@ class Tangent:
             self.information[wider] = Information(self.blocks, beforehand)
         masses = (effect for effect in self.nuisance if isinstance(effect, MassError))
         unsure = [place for effect in masses for place in problem.places_at(effect)]
-        H, g, parts = self._products(problem, values, places)
+        products, parts = self._products(problem, values, places)
         return ScoreTests(
             effects=tuple(candidates),
             columns=tuple(np.arange(a, b) for a, b in pairwise(np.cumsum([0, *map(len, places)]))),
@@ -199,12 +200,12 @@ class Tangent:
             sizes=sizes[np.concatenate([model, *places])],
             unsure=np.isin(model, unsure),
             model=self.information[wider],
-            blocks_H=H,
-            blocks_g=g,
+            blocks_cross=products.cross,
+            blocks_inner=products.inner if products.own is None else tuple(products.own),
+            blocks_g=products.g,
             squares=self.squares,
             readings=int(problem.readings(fit.solution.weights).sum()),
             spent=fit.solution.effective,
-            is_partial=len(H) == 1 and len(places) > 1,
             parts=parts,
         )
 
@@ -228,47 +229,29 @@ class Tangent:
 
     def _products(
         self, problem: Problem, values: np.ndarray, places: Sequence[np.ndarray]
-    ) -> tuple[np.ndarray, np.ndarray, tuple[RowPart, ...]]:
-        """Return ``blocks_H``, ``blocks_g`` and ``parts`` of :class:`ScoreTests`, for the columns
-        at some indices.
-        """
+    ) -> tuple[_Products, tuple[RowPart, ...]]:
+        """Return products and ``parts`` of :class:`ScoreTests`, for the columns at some indices."""
         tested = np.concatenate([np.zeros(0, int), *places])
         free = np.isin(np.arange(len(values)), tested)
         n_model = self.blocks.H.shape[1]
-        n_blocks = len(self.blocks.H)
-        n = len(tested)
         of_model = np.cumsum(self.free) - 1
         of_tested = np.zeros(len(values), int)
-        of_tested[tested] = np.arange(n)
-        each = np.repeat(np.arange(len(places)), list(map(len, places)))
-        candidate = each if n_blocks == 1 else np.zeros(n, int)
-        H = np.zeros((n_blocks, n_model + n, n))
-        g = np.zeros((n_blocks, n))
+        of_tested[tested] = np.arange(len(tested))
+        products = _Products.none(len(self.blocks.H), n_model, list(map(len, places)))
         parts = list[RowPart]()
-        # Stations with the same candidates share their products.
-        inner = dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray]]()
         for i, station in enumerate(problem.stations):
             local = problem.places[i]
             before = self.problem.places[i]
             mine = of_model[before[self.free[before]]]
             ours = of_tested[local[free[local]]]
-            if (key := ours.tobytes()) not in inner:
-                c = len(ours)
-                inner[key] = ours, np.zeros((n_blocks, c, c)), np.zeros((n_blocks, c))
-            cross = np.zeros((n_blocks, len(mine), len(ours)))
-            products = _Products(*inner[key][1:], cross)
             ordered = _sorted(station, self.orders[i])
             linearised = ordered.linearise_correlated(values[local], free[local])
             at = np.append(mine, n_model + ours)
             for piece, (_, _, added) in zip(self.pieces[i], linearised, strict=True):
-                products.add(piece, added, candidate[ours])
+                products.add(piece, added, mine, ours)
                 part = (piece.rows, piece.residuals, piece.jacobian, added, at, piece.whitening)
                 parts.append(RowPart(*part))
-            _add(cross, mine, ours, H)
-        for ours, own, slope in inner.values():
-            g[:, ours] += slope
-            _add(own, n_model + ours, ours, H)
-        return H, g, tuple(parts)
+        return products, tuple(parts)
 
 
 def _known_before(
@@ -282,67 +265,96 @@ def _known_before(
 
 @dataclass(frozen=True, eq=False)
 class _Products:
-    """Products of the columns of candidates at a station, by block of rows.
+    """Products of the C columns of candidates, by block of rows.
 
     Attributes:
-        inner: shape (blocks, c, c), with each other.
-        g: shape (blocks, c), with the residuals.
-        cross: shape (blocks, p, c), with the columns of the model.
+        cross: shape (blocks, N, C), with the columns of the model.
+        inner: shape (blocks, C, C), with each other; empty if only those of each are kept.
+        own: of each candidate's columns with each other, if there is one block and several
+            candidates.
+        g: shape (blocks, C), with the residuals.
+        candidate: shape (C,), the candidate of each column; the same for all if all products are
+            kept.
+        starts: first column of each candidate.
     """
 
-    inner: np.ndarray
-    g: np.ndarray
     cross: np.ndarray
+    inner: np.ndarray
+    own: list[np.ndarray] | None
+    g: np.ndarray
+    candidate: np.ndarray
+    starts: np.ndarray
 
-    def add(self, piece: _Piece, added: Jacobian, groups: np.ndarray) -> None:
-        """Add a piece of the rows in place; columns of different groups need no products."""
+    @classmethod
+    def none(cls, n_blocks: int, n_model: int, sizes: Sequence[int]) -> _Products:
+        """Return those of no rows, for candidates of so many columns."""
+        c = sum(sizes)
+        is_partial = n_blocks == 1 and len(sizes) > 1
+        each = np.repeat(np.arange(len(sizes)), sizes)
+        return cls(
+            cross=np.zeros((n_blocks, n_model, c)),
+            inner=np.zeros((0, 0, 0) if is_partial else (n_blocks, c, c)),
+            own=[np.zeros((size, size)) for size in sizes] if is_partial else None,
+            g=np.zeros((n_blocks, c)),
+            candidate=each if is_partial else np.zeros(c, int),
+            starts=np.cumsum([0, *sizes])[:-1],
+        )
+
+    def add(self, piece: _Piece, added: Jacobian, mine: np.ndarray, ours: np.ndarray) -> None:
+        """Add a piece of the rows in place, with the model's columns and candidates' columns at
+        these indices.
+        """
         model = piece.whitened
-        for columns in _at_once(piece, groups):
-            part = piece.whitening.jacobian(
-                added if len(columns) == added.size else added.only(columns)
-            )
-            self._add(piece, model, part, groups[columns], columns)
+        for columns in self._at_once(piece, self.candidate[ours]):
+            some = added if len(columns) == added.size else added.only(columns)
+            self._add(piece, model, piece.whitening.jacobian(some), mine, ours[columns])
+
+    def _at_once(self, piece: _Piece, candidate: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the indices of columns, those of a candidate together, that are multiplied at once.
+
+        Products of different candidates are not kept, and correlated columns need an array each.
+        """
+        most = len(candidate) if self.own is None else _MOST_COLUMNS
+        if piece.whitening.station.is_correlated and self.own is not None:
+            most = min(most, _MOST_NUMBERS // max(piece.residuals.size, 1))
+        if len(candidate) <= most:
+            yield np.arange(len(candidate))
+            return
+        order = np.argsort(candidate, kind="stable")
+        cuts = np.flatnonzero(np.diff(candidate[order], append=-1)) + 1
+        start = 0
+        for end, following in pairwise([*cuts.tolist(), len(order) + most + 1]):
+            if following - start > most:
+                yield np.sort(order[start:end])
+                start = end
 
     def _add(
-        self, piece: _Piece, model: Jacobian, added: Jacobian, groups: np.ndarray, at: np.ndarray
+        self, piece: _Piece, model: Jacobian, added: Jacobian, mine: np.ndarray, at: np.ndarray
     ) -> None:
-        """Add a piece of the rows with some columns, at these indices, all whitened."""
-        columns = span(at)
+        """Add a piece of the rows with some candidates' columns, all whitened."""
         c = len(at)
-        is_all = c == self.g.shape[1]
+        candidate = self.candidate[at]
         for k, some in piece.blocks:
             part = added.poses(some)
-            whole = self.inner[k], self.g[k], self.cross[k]
-            if is_all:
-                inner, g, cross = whole
-            else:
-                inner, g, cross = np.zeros((c, c)), np.zeros(c), np.zeros((model.size, c))
-            part.add_gram(piece.residuals[:, some], inner, g, groups)
+            inner, g, cross = np.zeros((c, c)), np.zeros(c), np.zeros((model.size, c))
+            part.add_gram(piece.residuals[:, some], inner, g, candidate)
             model.poses(some).add_products(part, cross)
-            if not is_all:
-                whole[0][block(columns, columns)] += inner
-                whole[1][columns] += g
-                whole[2][:, columns] += cross
+            self.g[k][span(at)] += g
+            self.cross[k][block(span(mine), span(at))] += cross
+            if self.own is None:
+                self.inner[k][block(span(at), span(at))] += inner
+            else:
+                self._add_own(inner, at, candidate)
 
-
-def _at_once(piece: _Piece, groups: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield the indices of columns, those of a group together, that are whitened at once.
-
-    Correlated columns need an array each while they are multiplied.
-    """
-    most = _MOST_NUMBERS // max(piece.residuals.size, 1)
-    if not piece.whitening.station.is_correlated or len(groups) <= most:
-        yield np.arange(len(groups))
-        return
-    found = np.zeros(0, int)
-    for group in np.unique(groups):
-        own = np.flatnonzero(groups == group)
-        if len(found) and len(found) + len(own) > most:
-            yield np.sort(found)
-            found = own
-        else:
-            found = np.append(found, own)
-    yield np.sort(found)
+    def _add_own(self, inner: np.ndarray, at: np.ndarray, candidate: np.ndarray) -> None:
+        """Add the products of each candidate's columns with each other."""
+        assert self.own is not None
+        order = np.argsort(candidate, kind="stable")
+        for some in np.split(order, np.flatnonzero(np.diff(candidate[order])) + 1):
+            if len(some):
+                i = candidate[some[0]]
+                here = span(at[some] - self.starts[i])
+                self.own[i][block(here, here)] += inner[block(span(some), span(some))]
 
 
 def _sorted(station: Station, order: np.ndarray | slice) -> Station:
