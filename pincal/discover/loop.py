@@ -26,6 +26,7 @@ from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.ending import fit_all_rows, name_lines
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import POLICY, TESTING, Policy
+from pincal.discover.remainder import add_remainder
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
 from pincal.discover.steps import (
     History,
@@ -65,6 +66,7 @@ def discover_effects(
     extra: Sequence[Effect] = (),
     policy: Policy = POLICY,
     nameless: Collection[object] | None = None,
+    remainder: bool = False,
 ) -> History:
     """Find the effects that a fit lacks.
 
@@ -77,11 +79,14 @@ def discover_effects(
         policy: thresholds and limits.
         nameless: kinds of the unnamed dependences that are candidates (``nameless_kind``); default:
             all.
+        remainder: whether what is smooth in the joints and has no name may enter last.
     """
 
     def searched(first: ModelFit) -> History:
         few, rows = sampled(first, policy)
-        search = Search(policy, tuple(extra), first, groups[rows], tuple(frames), nameless)
+        search = Search(
+            policy, tuple(extra), first, groups[rows], tuple(frames), nameless, remainder
+        )
         state = SearchState(few)
         for step_on in _PASSES:
             state = step_on(state, search)
@@ -429,6 +434,7 @@ _PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     drop_unneeded,
     judge_remainders,
     add_prior_elasticity,
+    add_remainder,
     fit_all_rows,
     refine_time_constants,
     merge_parts,

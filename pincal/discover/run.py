@@ -48,6 +48,7 @@ from pincal.discover.ending import note_on_joints, widened
 from pincal.discover.findings import bootstrap_last, findings_of
 from pincal.discover.loop import discover_effects, withdraw_names_at_change
 from pincal.discover.policy import POLICY, TESTING, Policy
+from pincal.discover.remainder import note_on_remainder
 from pincal.discover.scatter import arrivals_within
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
 from pincal.discover.steps import History, listed
@@ -136,6 +137,7 @@ def run_discovery(
     extra: tuple[Effect, ...] = (),
     policy: Policy = POLICY,
     stability: int = 0,
+    remainder: bool = False,
     executor: Executor | None = None,
     **choices: Unpack[Choices],
 ) -> Discovery:
@@ -151,6 +153,8 @@ def run_discovery(
         policy: thresholds and limits.
         stability: number of subsamples on which the search is repeated, to count how often each
             name is found; a bootstrap then also tests the effect accepted last; default: none.
+        remainder: whether what is smooth in the joints and has no name may enter the model after
+            the last name, where it predicts regions that were left out.
         executor: runs these searches, and the discoveries that leave a station out; default:
             sequentially, here.
 
@@ -197,7 +201,7 @@ def run_discovery(
     begun = time.perf_counter()
     frames = tuple(choices.pop("moment_frames", ())) or _usual_frames(options)
     options = replace(options, moment_frame=frames[0])
-    search = partial(_search, frames=frames, extra=extra, policy=policy)
+    search = partial(_search, frames=frames, extra=extra, policy=policy, remainder=remainder)
     left_out: Iterable[LeftOut] = ()
     held_back: dict[str, Any] = {"test_fraction": 0.0, "split": "both", **choices}
     if held_back["split"] == "station":
@@ -328,10 +332,13 @@ def _search(
     frames: tuple[MomentFrame, ...],
     extra: tuple[Effect, ...],
     policy: Policy,
+    remainder: bool,
 ) -> tuple[History, tuple[Note, ...]]:
     """Return the history of a search from a calibration on, and notes."""
     blocks = np.concatenate(_regions(first)) % TESTING.blocks
-    found = discover_effects(first.fit, blocks, frames=frames, extra=extra, policy=policy)
+    found = discover_effects(
+        first.fit, blocks, frames=frames, extra=extra, policy=policy, remainder=remainder
+    )
     trail = withdraw_names_at_change(found, partial(is_shifted, rows=first.stations))
     problem = trail.final.problem
     tables = (rows.train for rows in first.stations)
@@ -353,6 +360,8 @@ def _search(
         notes.append(
             f"moments are computed as with --moment-frame {frame}, which fits better than {was}"
         )
+    if remainder:
+        notes.append(note_on_remainder(trail))
     if of_joints := note_on_joints(trail.final):
         notes.append(of_joints)
     return trail, doubts_first(notes)

@@ -46,6 +46,11 @@ class DiscoverArguments(FitArguments):
         type=click.IntRange(min=0),
         metavar="N",
     )
+    remainder: bool = option(
+        "After the last name also fit what is smooth in the joints and has no name, if regions "
+        "that are left out are predicted better with it. It predicts, and says nothing of causes.",
+        False,
+    )
 
 
 @verb(
@@ -71,6 +76,7 @@ def discover(arguments: DiscoverArguments) -> Exit:
         def run(robot: Any, tables: Any, options: Any, **choice: Any) -> SearchOutput:
             extra = named_effects(arguments.tried, options, robot=robot, tables=tables)
             choice |= {"extra": extra, "stability": arguments.stability, "executor": executor}
+            choice |= {"remainder": arguments.remainder}
             return SearchOutput.of(run_discovery(robot, tables, options, **choice))
 
         return run_fit(arguments, run)

@@ -40,6 +40,7 @@ from pincal.model.catalogue.link_bending import LinkBending
 from pincal.model.catalogue.masses import LinkMass
 from pincal.model.catalogue.motion import FrictionWindup, InstrumentClock, JointLag
 from pincal.model.catalogue.relaxation import JointCreep, ThermalGrowth
+from pincal.model.catalogue.remainder import SmoothRemainder
 from pincal.model.catalogue.ripple import EncoderSubdivision, GearRipple
 from pincal.model.catalogue.transmission import TransmissionError
 from pincal.model.catalogue.unnamed import Unnamed
@@ -83,6 +84,7 @@ _IN_ORDER: tuple[type[Effect], ...] = (
     InstrumentStretch,
     InstrumentClock,
     Unnamed,
+    SmoothRemainder,
 )
 for _effect in _IN_ORDER:
     EFFECTS.register(_effect)
