@@ -11,6 +11,8 @@ from pincal.builtin import kuka_urdf_path
 from pincal.identify.motion_fields import MotionField
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
+from pincal.robot.urdf_file import find_file
+from pincal.simulate.typical import draw_typical_elasticity, draw_typical_errors
 from pincal.validate.causes import BETWEEN_ROWS, Event
 from pincal.validate.midway import StepChange, change_in
 
@@ -115,6 +117,34 @@ def test_the_line_is_found_among_many_rows() -> None:
 def test_a_table_in_which_nothing_changed_is_left_alone(noise: str) -> None:
     """Whatever its noise."""
     assert [seen(table(100 + seed, noise=noise)) for seed in range(3)] == [None] * 3
+
+
+def elastic(seed: int, n: int, *, moved: float = 0.0) -> StepChange | None:
+    """Return what changed midway in a table of a soft UR5 under a rigid model; readings are ``moved`` from row 20 on [m]."""
+    rng = np.random.default_rng(seed)
+    urdf = find_file("ur5")
+    machine = draw_typical_errors(sim.TrueMachine.from_urdf(urdf, tip="tool0"), rng)
+    machine = draw_typical_elasticity(machine, rng, scale=5.0)
+    q = sim.plan_poses(machine.nominal, n, rng)
+    columns = sim.Instrument(targets=(0.1, 0.05, 0.15), sigma=NOISE).measure(machine, q, rng=rng)
+    position = np.column_stack([columns[axis] for axis in "xyz"])
+    position[20:, 0] += moved
+    robot = Robot.from_urdf(urdf, tip="tool0")
+    rows = measurements_from_arrays(robot.joint_names, q, position=position)
+    fit = calibrate(robot, rows, Options(effects=GEOMETRIC))
+    return change_in(fit.fit.station, fit.values, fit.solution.free, rows.rows)
+
+
+@pytest.mark.parametrize("seed", [104, 122])
+def test_what_a_model_lacks_is_no_change(seed: int) -> None:
+    """Of fifty poses some step explains much of what a rigid model lacks of a soft arm, in any order of the rows."""
+    assert elastic(seed, 50) is None
+
+
+def test_a_change_is_told_beside_what_a_model_lacks() -> None:
+    """Of three millimetres, where a soft arm leaves 0.6 mm to a rigid model."""
+    found = elastic(104, 50, moved=3e-3)
+    assert found is not None and "instrument" in {cause.name for cause in (found.cause, *found.others)}
 
 
 def test_a_joint_that_arrives_unevenly_was_not_remastered() -> None:

@@ -822,6 +822,13 @@ class MidwayNumbers:
         "correlated",
         "chosen",
     )
+    in_any_order: float = number(
+        1e-3,
+        "probability",
+        "test_midway.py::test_what_a_model_lacks_is_no_change",
+        "of as large a step in random orders of the rows",
+        "one false alarm in a thousand calibrations",
+    )
     clock: float = number(
         1e-3,
         "s",

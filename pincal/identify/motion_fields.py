@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pincal.identify.station import Station
+from pincal.model.effects import JointElasticity
 from pincal.model.motions import with_moving_drives
 from pincal.thresholds import Scale
 
@@ -102,6 +103,26 @@ def field_of_load(station: Station, values: np.ndarray) -> MotionField:
     directions = [lever * (lever @ down)[:, None] for lever in levers]
     felt = [direction for direction in directions if np.abs(direction).max() > _NOTHING]
     return MotionField("load", np.stack(felt, axis=2) if felt else np.zeros((len(station), 3, 0)))
+
+
+def sag_of_drives(station: Station, values: np.ndarray) -> np.ndarray:
+    """Return the displacements of the targets by a compliance of each drive under the arm's own
+    weight, which a rigid model lacks, shape (n, 3, J) [m per unit]; no columns if the URDF has no
+    masses.
+    """
+    robot = station.model.chain.robot
+    if robot.massless:
+        return np.zeros((len(station), 3, 0))
+    effects = station.model.effects
+    if any(isinstance(effect, JointElasticity) for effect in effects):
+        return np.zeros((len(station), 3, 0))
+    whole = station.with_model(station.model.with_effects((*effects, JointElasticity())))
+    of_model, own = station.split(values)
+    size = whole.model.n_parameters - len(of_model)
+    free = np.zeros(len(whole.parameters), bool)
+    free[len(of_model) : len(of_model) + size] = True
+    moved = whole.displacements_by(np.concatenate([of_model, np.zeros(size), own]), free)
+    return np.moveaxis(moved, 0, -1)
 
 
 def _motions(

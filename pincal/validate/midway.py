@@ -30,7 +30,7 @@ from scipy.special import chdtri
 
 from pincal.hypotheses.hypothesis import Explanation, likeliest
 from pincal.identify.criteria import MIDWAY
-from pincal.identify.motion_fields import MotionField
+from pincal.identify.motion_fields import MotionField, sag_of_drives
 from pincal.identify.station import Station
 from pincal.sensors.extrinsics import sample_rows
 from pincal.thresholds import Count, Scale
@@ -61,6 +61,8 @@ _LENGTHS: tuple[Scale, ...] = (3.0, 10.0, 30.0, 100.0, 1000.0)
 _WALKS: tuple[Scale, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 10.0, 100.0)
 # Largest fraction of the rows that may be missing between two of them.
 _LONGEST_GAP: Scale = 0.2
+# Other orders of the rows in which a step is looked for.
+_ORDERS: Count = 99
 # Rounds in which a step and its noise are estimated in turn; iterations of a robust estimate of a
 # step's size.
 _TRIES: Count = 4
@@ -105,6 +107,13 @@ class _Rows:
     growth: MotionField
     at: np.ndarray
     pose: np.ndarray
+
+    def in_order(self, order: np.ndarray) -> _Rows:
+        """Return the rows in another order, at the same positions."""
+        fields = tuple(replace(field, directions=field.directions[order]) for field in self.fields)
+        growth = replace(self.growth, directions=self.growth.directions[order])
+        off = self.off[order]
+        return _Rows(off, self.fitted[order], fields, growth, self.at, self.pose[order])
 
     def residuals(self, off: np.ndarray) -> np.ndarray:
         """Return displacements, shape (n, 3), minus their projection onto the fitted parameters."""
@@ -189,7 +198,9 @@ def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray
         jacobian.columns(_FUNCTIONS, slice(3))
         for _, _, jacobian in station.linearise_shared(values, free)
     )
-    J = np.concatenate([part.transpose(2, 1, 0) for part in parts]).reshape(3 * n, -1)
+    J = np.concatenate([part.transpose(2, 1, 0) for part in parts])
+    # What sags in a rigid model is none of what changed.
+    J = np.concatenate([J, sag_of_drives(station, values)], axis=2).reshape(3 * n, -1)
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     sizes, axes = np.linalg.eigh(J.T @ J)
     kept = sizes > _RANK**2 * sizes[-1]
@@ -250,7 +261,9 @@ class _Judged:
         best = self.best
         if min(_excess(best), self.likelihood - _limit(best)) < 0.0:
             return False
-        return best.gain >= self._gain_of(_curves_along_rows(self.rows)) and not self._is_noise
+        if best.gain < self._gain_of(_curves_along_rows(self.rows)) or self._is_noise:
+            return False
+        return _chance_in_any_order(self.rows) < MIDWAY.in_any_order
 
     def follows(self, along: np.ndarray) -> bool:
         """Return whether a motion in proportion to a variable, shape (n,), explains far more."""
@@ -310,6 +323,25 @@ def _judged(rows: _Rows) -> _Judged:
     even = 1.0 / max(_unevenness(rows, best), _togetherness(rows, best))
     reduced = tuple(replace(step, gain=even * step.gain) for step in steps)
     return _Judged(rows, reduced, even * precision, even * likelihood)
+
+
+def _chance_in_any_order(rows: _Rows) -> float:
+    """Return the chance of a step as large as the best one where the order of the rows means
+    nothing.
+
+    What a model lacks is as large in any order: of few rows, or where a few are far off, some step
+    explains much of it. The largest steps in random orders of the poses have a Gumbel distribution.
+    """
+    rng = np.random.default_rng(0)
+    sizes = []
+    for _ in range(_ORDERS):
+        key = rng.random(int(rows.pose.max(initial=-1)) + 1)
+        best = _plain(rows.in_order(np.argsort(key[rows.pose], kind="stable")))
+        sizes.append(best.gain / _limit(best))
+    here = _plain(rows)
+    width = max(float(np.std(sizes)) * np.sqrt(6.0) / np.pi, 1e-300)
+    middle = float(np.mean(sizes)) - np.euler_gamma * width
+    return float(-np.expm1(-np.exp(-(here.gain / _limit(here) - middle) / width)))
 
 
 def _unevenness(rows: _Rows, step: _Best) -> float:
