@@ -1,5 +1,7 @@
 """Terms that are evaluated once are those that effects give, whether kept sparse or not."""
 
+import gc
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -235,3 +237,20 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
             np.testing.assert_allclose(part.moved(steps[:, None]), moved, rtol=1e-12)
             back = part.among(np.arange(n + m + 1), steps)
             np.testing.assert_allclose(back.residuals, before.residuals + moved[0], rtol=1e-12)
+
+
+def test_what_a_search_no_longer_needs_is_freed_at_once() -> None:
+    """Tests and fits hold the columns of all rows: none refers to itself, or a search would keep those of its past steps."""
+    q = ROBOT.random_configurations(60, np.random.default_rng(7))
+    position = ROBOT.forward_kinematics(q)[:, :3, 3] + 5e-5 * np.random.default_rng(8).standard_normal((60, 3))
+    table = measurements_from_arrays(ROBOT.joint_names, q, position=position)
+    fit = replace(calibrate(ROBOT, table, Options(effects=GEOMETRIC, sigma=5e-5)).fit)
+    tests = score_test(fit, [GearEccentricity("joint_1"), GearEccentricity("joint_2")], groups=np.arange(60) % 4)
+    assert fit.alone == (fit,) and len(tests.gains_by_block([0])) == 4 and tests.score([0, 1], 1).gain >= 0.0
+    kept = [weakref.ref(of) for of in (tests, fit)]
+    gc.disable()
+    try:
+        del tests, fit
+        assert [ref() for ref in kept] == [None, None]
+    finally:
+        gc.enable()

@@ -207,11 +207,9 @@ class ScoreTests:
 
     @cached_property
     def _beliefs(self) -> list[tuple[float, Self]]:
-        """The tests with each choice of the uncertain sizes, and -2 log of its posterior
+        """The tests with each choice of the uncertain sizes, if any, and -2 log of its posterior
         probability up to a constant.
         """
-        if not self.unsure.any():
-            return [(0.0, self)]
         found = []
         for factor, cost in TESTING.mass_beliefs:
             known = self.model.prior.H + np.diag(
@@ -232,6 +230,8 @@ class ScoreTests:
 
         The cost is relative to the most probable sizes without the candidates.
         """
+        if not self.unsure.any():
+            return 0.0, self
         return min(self._beliefs, key=lambda belief: belief[0] - belief[1].gain(which)[0])
 
     def within(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

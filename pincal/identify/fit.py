@@ -256,11 +256,14 @@ class ModelFit:
             self, problem=after, nominal=nominal, solution=solution, priors=priors, options=options
         )
 
-    @cached_property
+    @property
     def alone(self) -> tuple[ModelFit, ...]:
         """Each station as a fit of its own, unchanged, for tests of its rows."""
-        if len(self.problem.stations) == 1:
-            return (self,)
+        # A fit that kept itself would keep its memory, too.
+        return (self,) if len(self.problem.stations) == 1 else self._each_alone
+
+    @cached_property
+    def _each_alone(self) -> tuple[ModelFit, ...]:
         found = []
         for (station, places, blocks), rows in zip(self.stations, self.problem.rows, strict=True):
             parts: dict[str, np.ndarray | slice] = {
