@@ -79,6 +79,8 @@ class Kernel:
         """Return logarithms of the ratio of likelihoods with and without structure, for several of
         its sizes, of noise whose size is not known.
         """
+        if not np.any(self.squares):
+            return np.zeros(len(_RATIOS))
         total = 1.0 + _RATIOS[:, None] * self.variances
         left = np.sum(self.squares / total, axis=1) / np.sum(self.squares)
         M = len(self.squares)
