@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,13 @@ from pincal import ELASTIC, GEOMETRIC, Options, Robot, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
+from pincal.cli import main
 from pincal.diagnosis.diagnosis_page import diagnosis_page, excluded_table
 from pincal.diagnosis.robot_diagnosis import Diagnosis, diagnose
 from pincal.discover.report.search_answer import SearchAnswer
 from pincal.measure.table import measurements_from_arrays
+from pincal.motion.sessions import read_session
+from pincal.motion.stations import session_tables
 from pincal.report.html import report_page
 from pincal.report.judgement import judged
 from pincal.report.subject import Subject, evidence_of
@@ -128,6 +132,29 @@ def test_the_way_of_holding_out_is_named(runs: dict[str, Calibration], name: str
     if name == "folds":
         (way,) = (way for way in ("regions", "stretches") if way == run.result.validation.way)  # type: ignore[union-attr]
         assert f"a fit without its {way[:-1] if way == 'regions' else 'stretch'}" in page
+
+
+@pytest.mark.long
+def test_an_imu_says_what_the_angles_gained(tmp_path: Path) -> None:
+    """By the eigenvalues of their covariance, as all have one prior; every number of the page is an entry, here too."""
+    with pytest.raises(SystemExit):
+        main(["simulate", "ur5", "--path", "40s", "--imu", "--elastic", "0", "--seed", "3", "--out", str(tmp_path / "day")])
+    robot = Robot.from_urdf("ur5")
+    tables = session_tables(robot, [read_session(robot, tmp_path / "day")])
+    run = run_calibration(robot, tables, Options(effects=GEOMETRIC))
+    page = PageNumbers(report_page(Subject(run, ORIGIN)))
+    assert [*disagreements(page, {"result.json": json.loads(json.dumps(run.result.to_dict()))})] == []
+
+    gain = run.result.angle_gain
+    fit = run.fit.fit
+    angles = [k for k, p in enumerate(fit.problem.parameters) if p.name.endswith((".theta", ".alpha", ".s_x", ".s_y"))]
+    C = fit.estimate.dense_covariance()[np.ix_(angles, angles)]
+    (size,) = set(fit.priors.sizes[angles])
+    left = np.sqrt(np.linalg.eigvalsh(C))
+    assert (gain.angles, gain.gained) == (24, sum(left <= 0.5 * size))
+    assert gain.before_mrad == pytest.approx(1e3 * size)
+    assert gain.after_mrad == pytest.approx(1e3 * np.sqrt(np.mean(left[left <= 0.5 * size] ** 2)))
+    assert f"{gain.after_mrad:.4f} mrad" in "".join(of.text for of in page.shown)
 
 
 @pytest.mark.rooms("pincal/diagnosis", "pincal/report")
