@@ -10,17 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from page_numbers import PageNumbers, disagreements, numbers_without_source
-from report_cases import NOISE, ORIGIN, discovered, kuka_run, measured
+from report_cases import NOISE, ORIGIN, discovered, drifted, kuka_run, measured
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, run_calibration
-from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
 from pincal.cli import main
 from pincal.diagnosis.diagnosis_page import diagnosis_page, excluded_table
-from pincal.diagnosis.robot_diagnosis import Diagnosis, diagnose
 from pincal.discover.report.search_answer import SearchAnswer
-from pincal.measure.table import measurements_from_arrays
 from pincal.motion.sessions import read_session
 from pincal.motion.stations import session_tables
 from pincal.report.html import report_page
@@ -176,17 +173,3 @@ def test_what_has_changed_is_not_said_to_be_unobservable(kuka: Robot) -> None:
         entry.tip_mm for entry in found.found.excluded if entry.effect == "gear_ratio" and entry.joint == "joint_2"
     )
     assert cells["gear_ratio"]["joint_2"] == largest
-
-
-def drifted(kuka: Robot) -> Diagnosis:
-    """Return the diagnosis of an arm whose second zero has moved by half a milliradian."""
-    model = run_calibration(kuka, measured(kuka, kuka_urdf_path(), 80), Options(effects=GEOMETRIC, sigma=NOISE)).fit
-    rng = np.random.default_rng(0)
-    # The machine of the calibration is the first that is drawn.
-    machine = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip=kuka.tip, base=kuka.base)
-    machine = machine.draw_errors(rng, sigma_length=5e-4, sigma_angle=5e-4)
-    q = kuka.random_configurations(40, rng)
-    tracker = sim.Instrument(targets=(0.1, 0.0, 0.2), sigma=NOISE)
-    read = tracker.measure(machine, q + 5e-4 * np.eye(6)[1], rng=rng)
-    place = np.column_stack([read[name] for name in "xyz"])
-    return diagnose(model.at(), measurements_from_arrays(kuka.joint_names, q, position=place))
