@@ -13,6 +13,7 @@ from pincal import GEOMETRIC, Options, Robot, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
+from pincal.diagnosis.robot_diagnosis import Diagnosis, diagnose
 from pincal.discover.run import Discovery, run_discovery
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import measurements_from_arrays
@@ -97,3 +98,17 @@ def panda_run() -> Calibration:
 def page_of(run: Calibration, **more: Any) -> str:
     """Return the report of a calibration."""
     return report_page(Subject(run, ORIGIN, ("elasticity stays in model.json",), **more))
+
+
+def drifted(kuka: Robot) -> Diagnosis:
+    """Return the diagnosis of an arm whose second zero has moved by half a milliradian."""
+    model = run_calibration(kuka, measured(kuka, kuka_urdf_path(), 80), Options(effects=GEOMETRIC, sigma=NOISE)).fit
+    rng = np.random.default_rng(0)
+    # The machine of the calibration is the first that is drawn.
+    machine = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip=kuka.tip, base=kuka.base)
+    machine = machine.draw_errors(rng, sigma_length=5e-4, sigma_angle=5e-4)
+    q = kuka.random_configurations(40, rng)
+    tracker = sim.Instrument(targets=(0.1, 0.0, 0.2), sigma=NOISE)
+    read = tracker.measure(machine, q + 5e-4 * np.eye(6)[1], rng=rng)
+    place = np.column_stack([read[name] for name in "xyz"])
+    return diagnose(model.at(), measurements_from_arrays(kuka.joint_names, q, position=place))

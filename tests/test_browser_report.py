@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from report_cases import HOSTILE, ORIGIN, discovered, hostile_run, kuka_run
+from report_cases import HOSTILE, ORIGIN, discovered, drifted, hostile_run, kuka_run
 
 from pincal import Robot
+from pincal.diagnosis.diagnosis_page import diagnosis_page
 from pincal.discover.report.search_answer import SearchAnswer
 from pincal.report.html import report_page
 from pincal.report.subject import Subject
@@ -110,6 +111,15 @@ def test_it_fits_and_can_be_read(browser: Any, pages: dict[str, Path], name: str
         assert wide <= SIZES[size][0] == room
     cut, small = browser.execute_script(LABELS)
     assert cut == [] and small == []
+
+
+@pytest.mark.long
+def test_a_diagnosis_fits_a_phone(browser: Any, kuka: Robot, tmp_path: Path) -> None:
+    """Under four screens, and not wider than one."""
+    (tmp_path / "report.html").write_text(diagnosis_page(drifted(kuka), version="0"), encoding="utf-8")
+    show(browser, tmp_path / "report.html", "phone")
+    size = browser.execute_script("const all = document.documentElement; return [all.scrollWidth, all.scrollHeight]")
+    assert size[0] <= SIZES["phone"][0] and size[1] < 4 * SIZES["phone"][1]
 
 
 @pytest.mark.long

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from page_numbers import PageNumbers, disagreements, numbers_without_source
-from report_cases import NOISE, ORIGIN, discovered, kuka_run, measured
+from report_cases import NOISE, ORIGIN, discovered, drifted, kuka_run, measured
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, run_calibration
-from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
+from pincal.cli import main
 from pincal.diagnosis.diagnosis_page import diagnosis_page, excluded_table
-from pincal.diagnosis.robot_diagnosis import Diagnosis, diagnose
 from pincal.discover.report.search_answer import SearchAnswer
-from pincal.measure.table import measurements_from_arrays
+from pincal.motion.sessions import read_session
+from pincal.motion.stations import session_tables
 from pincal.report.html import report_page
 from pincal.report.judgement import judged
 from pincal.report.subject import Subject, evidence_of
@@ -130,6 +131,29 @@ def test_the_way_of_holding_out_is_named(runs: dict[str, Calibration], name: str
         assert f"a fit without its {way[:-1] if way == 'regions' else 'stretch'}" in page
 
 
+@pytest.mark.long
+def test_an_imu_says_what_the_angles_gained(tmp_path: Path) -> None:
+    """By the eigenvalues of their covariance, as all have one prior; every number of the page is an entry, here too."""
+    with pytest.raises(SystemExit):
+        main(["simulate", "ur5", "--path", "40s", "--imu", "--elastic", "0", "--seed", "3", "--out", str(tmp_path / "day")])
+    robot = Robot.from_urdf("ur5")
+    tables = session_tables(robot, [read_session(robot, tmp_path / "day")])
+    run = run_calibration(robot, tables, Options(effects=GEOMETRIC))
+    page = PageNumbers(report_page(Subject(run, ORIGIN)))
+    assert [*disagreements(page, {"result.json": json.loads(json.dumps(run.result.to_dict()))})] == []
+
+    gain = run.result.angle_gain
+    fit = run.fit.fit
+    angles = [k for k, p in enumerate(fit.problem.parameters) if p.name.endswith((".theta", ".alpha", ".s_x", ".s_y"))]
+    C = fit.estimate.dense_covariance()[np.ix_(angles, angles)]
+    (size,) = set(fit.priors.sizes[angles])
+    left = np.sqrt(np.linalg.eigvalsh(C))
+    assert (gain.angles, gain.gained) == (24, sum(left <= 0.5 * size))
+    assert gain.before_mrad == pytest.approx(1e3 * size)
+    assert gain.after_mrad == pytest.approx(1e3 * np.sqrt(np.mean(left[left <= 0.5 * size] ** 2)))
+    assert f"{gain.after_mrad:.4f} mrad" in "".join(of.text for of in page.shown)
+
+
 @pytest.mark.rooms("pincal/diagnosis", "pincal/report")
 def test_what_has_changed_is_not_said_to_be_unobservable(kuka: Robot) -> None:
     """The page names the change, its alternatives and what would have been noticed; its numbers are those of the file."""
@@ -149,17 +173,3 @@ def test_what_has_changed_is_not_said_to_be_unobservable(kuka: Robot) -> None:
         entry.tip_mm for entry in found.found.excluded if entry.effect == "gear_ratio" and entry.joint == "joint_2"
     )
     assert cells["gear_ratio"]["joint_2"] == largest
-
-
-def drifted(kuka: Robot) -> Diagnosis:
-    """Return the diagnosis of an arm whose second zero has moved by half a milliradian."""
-    model = run_calibration(kuka, measured(kuka, kuka_urdf_path(), 80), Options(effects=GEOMETRIC, sigma=NOISE)).fit
-    rng = np.random.default_rng(0)
-    # The machine of the calibration is the first that is drawn.
-    machine = sim.TrueMachine.from_urdf(kuka_urdf_path(), tip=kuka.tip, base=kuka.base)
-    machine = machine.draw_errors(rng, sigma_length=5e-4, sigma_angle=5e-4)
-    q = kuka.random_configurations(40, rng)
-    tracker = sim.Instrument(targets=(0.1, 0.0, 0.2), sigma=NOISE)
-    read = tracker.measure(machine, q + 5e-4 * np.eye(6)[1], rng=rng)
-    place = np.column_stack([read[name] for name in "xyz"])
-    return diagnose(model.at(), measurements_from_arrays(kuka.joint_names, q, position=place))

@@ -25,13 +25,16 @@ from pincal.identify.station import Station
 from pincal.model.chain import MOUNT_SYMBOLS
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
-from pincal.thresholds import Count
-from pincal.validate.outcome import Improvement
+from pincal.thresholds import Count, Scale
+from pincal.validate.outcome import AngleGain, Improvement
 
 # Random poses within the joints' limits, measured poses at most, and the seed of both.
 _DRAWN: Count = 400
 _MEASURED: Count = 200
 _SEED: Count = 0
+# Standard deviation of a combination of angles that has gained, over that before.
+_HALVED: Scale = 0.5
+_OF_GEOMETRY = ("joint_offset", "link_geometry", "axis_distortion")
 _MEASURED_POSES = "measured poses"
 
 
@@ -45,6 +48,36 @@ def improvements(fit: ModelFit) -> tuple[Improvement, ...]:
         link for s in stations for link in (s.model.chain.path.start, s.model.chain.path.tip)
     )
     return tuple(found for link in ends if link != robot.base for found in _of_link(fit, link))
+
+
+def angle_gain(fit: ModelFit) -> AngleGain | None:
+    r"""Return what the angles of joints and links gained by readings that tell no places, as of an
+    IMU; None where all tell places, or nothing was gained.
+
+    With P and C the prior and posterior covariances of these angles, the eigenvectors e of
+    :math:`C e = \lambda P e` are combinations that were learned independently of each other.
+    """
+    if all(station.sensor.reads_place for station in fit.problem.stations):
+        return None
+    places = [
+        k
+        for k, p in enumerate(fit.problem.parameters)
+        if p.unit == "rad" and p.effect in _OF_GEOMETRY and fit.solution.free[k]
+    ]
+    sizes = fit.priors.sizes[places]
+    if not places or not np.isfinite(sizes).all():
+        return None
+    C = fit.estimate.take([fit.estimate.names[k] for k in places]).dense_covariance()
+    ratios, whitened = np.linalg.eigh(C / np.outer(sizes, sizes))
+    along = whitened / sizes[:, None]
+    along = along / np.linalg.norm(along, axis=0)
+    gained = ratios <= _HALVED**2
+    if not gained.any():
+        return None
+    before = np.sum((sizes[:, None] * along[:, gained]) ** 2, axis=0)
+    after = np.einsum("pk,pq,qk->k", along[:, gained], C, along[:, gained])
+    rms = (1e3 * float(np.sqrt(np.mean(squares))) for squares in (before, after))
+    return AngleGain(len(places), int(gained.sum()), *rms)
 
 
 def unseen_directions(fit: ModelFit) -> tuple[np.ndarray, ...]:

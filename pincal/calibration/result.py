@@ -37,7 +37,11 @@ from pincal.calibration.held_out import (
     errors_held_out,
     headline_of,
 )
-from pincal.calibration.improvement import findings_without_instrument, improvements
+from pincal.calibration.improvement import (
+    angle_gain,
+    findings_without_instrument,
+    improvements,
+)
 from pincal.calibration.moves import moves_of
 from pincal.calibration.result_tables import ParameterRecord, ParameterRow, parameter_rows
 from pincal.calibration.unmodelled import instruments_error
@@ -152,6 +156,7 @@ class Result(Outcome):
             "lack_of_fit",
             "stations",
             "improvement",
+            "angle_gain",
             "clocks",
             "validation",
             "repeatability",
@@ -309,6 +314,7 @@ def result_of(
         shift=next((str(n) for n in found if n.kind is CaveatKind.STEP), ""),
         validation=_validation(validated, error),
         improvement=assessed.improved or UNSET,
+        angle_gain=angle_gain(fit) or UNSET,
         clocks=tuple(_clocks(fit, rows)) or UNSET,
         intervals=_intervals(stations) or UNSET,
         **_by_station(stations, assessed.moves),

@@ -205,15 +205,7 @@ def error_table(
     """
     statistics = _BRIEF if only else _STATISTICS
     models = _IN_TIME if only else _MODELS
-    found = [
-        (model, part, unit, values)
-        for model, by_part in error.items()
-        for part, values in by_part.items()
-        # By cross-validation "test" repeats the way that is stated.
-        if part != "test" or all(values != by_part[way] for way in by_part if way != part)
-        for unit in only or ERROR_UNITS
-        if f"mean_{unit}" in values
-    ]
+    found = [*_stated_errors(error, only or ERROR_UNITS)]
     own = () if len(only) == 1 else ("unit",)
     of_places = any(unit == "mm" for _, _, unit, _ in found)
     return Table(
@@ -237,6 +229,20 @@ def error_table(
             for model, part, unit, _ in found
         ),
     )
+
+
+def _stated_errors(
+    error: Mapping[str, Mapping[str, Mapping[str, float]]], units: Sequence[str]
+) -> Iterator[tuple[str, str, str, Mapping[str, float]]]:
+    """Yield model, part, unit and statistics of all errors in some units, each part once."""
+    for model, by_part in error.items():
+        for part, values in by_part.items():
+            # By cross-validation "test" repeats the way that is stated.
+            if part == "test" and any(values == by_part[way] for way in by_part if way != part):
+                continue
+            for unit in units:
+                if f"mean_{unit}" in values:
+                    yield model, part, unit, values
 
 
 def station_table(stations: Sequence[StationRecord]) -> Table:

@@ -13,6 +13,7 @@ from pincal.diagnosis.diagnosis_file import (
     ChangeName,
     CurvesEntry,
     DiagnosisFile,
+    ExcludedEntry,
 )
 from pincal.diagnosis.robot_diagnosis import Diagnosis
 from pincal.parameters import split_name
@@ -186,17 +187,7 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
     entries = [entry for entry in found.excluded if entry.source is None]
     places = {entry.joint or "whole arm" for entry in entries}
     joints = [joint for joint in (*joint_names, "whole arm") if joint in places]
-    smallest: dict[str, dict[str, float]] = {}
-    for entry in entries:
-        symbol = split_name(entry.parameter)[1]
-        several = sum(e.effect == entry.effect and e.joint == entry.joint for e in entries) > 1
-        sizes_on = smallest.setdefault(
-            f"{entry.effect} {symbol}" if several and symbol else entry.effect, {}
-        )
-        # Of the forms of one effect on a joint, such as orders of an eccentricity, the one that is
-        # hardest to detect.
-        where = entry.joint or "whole arm"
-        sizes_on[where] = max(entry.tip_mm, sizes_on.get(where, 0.0))
+    smallest = _smallest(entries)
     happened = _named_above(found.changes)
     columns = (Column("change"), *(Column(joint, "", Kind.NUMBER, fixed(2)) for joint in joints))
     rows: tuple[tuple[Cell, ...], ...] = tuple(
@@ -217,6 +208,22 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
         rows,
         notes,
     )
+
+
+def _smallest(entries: Sequence[ExcludedEntry]) -> dict[str, dict[str, float]]:
+    """Return the sizes by change and joint: of the forms of one effect on a joint, such as orders
+    of an eccentricity, of the one that is hardest to detect.
+    """
+    found: dict[str, dict[str, float]] = {}
+    for entry in entries:
+        symbol = split_name(entry.parameter)[1]
+        several = sum(e.effect == entry.effect and e.joint == entry.joint for e in entries) > 1
+        on = found.setdefault(
+            f"{entry.effect} {symbol}" if several and symbol else entry.effect, {}
+        )
+        where = entry.joint or "whole arm"
+        on[where] = max(entry.tip_mm, on.get(where, 0.0))
+    return found
 
 
 def _named_above(changes: Iterable[ChangeEntry]) -> dict[tuple[str, str], str]:

@@ -106,7 +106,7 @@ def summary(subject: Subject) -> Section:
     )
     blocks = (
         *doubts(result.warnings),
-        paragraph(_headline(subject), "headline"),
+        *(paragraph(words, "headline") for words in _headlines(subject)),
         paragraph(tag),
         arranged("glance", *_glance(subject)),
         columns,
@@ -115,6 +115,24 @@ def summary(subject: Subject) -> Section:
         *plain_notes(result.warnings),
     )
     return Section("summary", "Result", blocks, style="panel")
+
+
+def _headlines(subject: Subject) -> Iterator[Markup]:
+    """Yield what the calibration gained, the more telling first: of an IMU that is of the angles,
+    as most of its readings' errors are vibration and noise.
+    """
+    gain = subject.result.angle_gain
+    if gain is not UNSET:
+        at = f"{RESULT}/angle_gain"
+        yield rich(
+            "{} combinations of the {} angles of joints and links are known to <b>{}</b> (standard "
+            "deviation); before the calibration it was <b>{}</b>.",
+            sourced(str(gain.gained), f"{at}/gained"),
+            sourced(str(gain.angles), f"{at}/angles"),
+            sourced(_size(gain.after_mrad, "mrad"), f"{at}/after_mrad"),
+            sourced(_size(gain.before_mrad, "mrad"), f"{at}/before_mrad"),
+        )
+    yield _headline(subject)
 
 
 def _headline(subject: Subject) -> Markup:

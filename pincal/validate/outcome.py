@@ -224,6 +224,24 @@ class Improvement:
 
 
 @dataclass(frozen=True)
+class AngleGain:
+    """What readings without places, of an IMU, told of the angles of joints and links.
+
+    Attributes:
+        angles: number of these angles that were fitted.
+        gained: number of independent combinations of them whose standard deviation was halved at
+            least.
+        before_mrad: standard deviation of these before the calibration [mrad], root mean square.
+        after_mrad: afterwards [mrad].
+    """
+
+    angles: int
+    gained: int
+    before_mrad: float
+    after_mrad: float
+
+
+@dataclass(frozen=True)
 class Elsewhere:
     """Position error that the calibrated model itself expects away from the measured poses.
 
@@ -306,6 +324,7 @@ class Outcome:
         validation: how the errors of "test" were found; not in files of version 0.1.0.
         improvement: how far predictions are improved, by link and region, where no instrument
             observed the robot.
+        angle_gain: what an IMU told of the angles of joints and links.
         clocks: of the instruments that read an arm in motion.
         elsewhere: position error to expect away from the measured poses; not where no instrument
             observed positions.
@@ -338,6 +357,7 @@ class Outcome:
     validation: ValidationWay | UnsetType = UNSET
     stations: tuple[StationRecord, ...] | UnsetType = UNSET
     improvement: tuple[Improvement, ...] | UnsetType = UNSET
+    angle_gain: AngleGain | UnsetType = UNSET
     clocks: tuple[ClockRecord, ...] | UnsetType = UNSET
     elsewhere: Elsewhere | UnsetType = UNSET
     intervals: dict[str, tuple[float | None, float | None]] | UnsetType = UNSET

@@ -163,17 +163,11 @@ def _card(k: int, entry: FoundEffect) -> Markup:
     """
     values = entry.parameters
     at = f"{FOUND}/effects/{k}"
-    shown = merged(
-        (
-            rich(
-                '{} = <span class="nw">{}</span>',
-                code(name),
-                _measured(p, f"{at}/parameters/{name}"),
-            )
-            for name, p in values.items()
-        ),
-        "<br>",
+    lines = (
+        rich('{} = <span class="nw">{}</span>', code(name), _measured(p, f"{at}/parameters/{name}"))
+        for name, p in values.items()
     )
+    shown = merged(lines, "<br>")
     explained = rich(
         'mean held-out error {}; p-value: <span class="nw">{}</span>',
         sourced(gain_words(entry), *_gain_pointers(at, entry)),

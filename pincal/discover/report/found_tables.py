@@ -107,7 +107,6 @@ def stage_table(floor: float, stages: Sequence[Stage]) -> Table:
         columns,
         tuple(rows),
         tones=(*tones, "mute"),
-        # Of the last row only the noise is an entry of its own.
         sources=(*(f"discovery.json#/chain/{k}/{{}}" for k in range(len(stages))), ""),
     )
 
