@@ -208,7 +208,7 @@ def test_predict_warns_outside_the_covered_poses(results, tmp_path, kuka, capsys
     table["joint_3"] = np.full(5, 3.0)
     write_table(tmp_path / "poses.csv", table)
     run("predict", results / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "p.csv")
-    assert "joint_3 = 3" in capsys.readouterr().err
+    assert "joint_3 = 171.9 deg" in capsys.readouterr().err
 
 
 def test_export_equals_the_urdf_of_the_calibration(results, tmp_path):
