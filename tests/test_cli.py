@@ -116,10 +116,10 @@ def test_quiet_says_nothing_on_stderr(tmp_path, table, capsys):
 
 @pytest.mark.long
 def test_text_fits_a_hundred_columns(tmp_path, table, capsys):
-    """The result table is not wider than a page."""
+    """The result table is not wider than a page; a command to copy and paths are not broken."""
     run("calibrate", URDF, table, "--out", tmp_path / "out", *COM, "--quiet")
     lines = capsys.readouterr().out.splitlines()
-    assert max(len(line) for line in lines if not line.startswith(("note: ", "written to "))) <= 100
+    assert max(len(line) for line in lines if not line.startswith(("next ", "more ", "written to "))) <= 100
 
 
 def test_a_check_says_the_declared_noise_and_what_the_readings_show(tmp_path, capsys):
@@ -149,7 +149,7 @@ def test_ten_lines_come_first(tmp_path, table, capsys):
     heads = [line.split(" ")[0] for line in text.splitlines() if not line.startswith(" ")]
 
     expected = ["robot", "before", "after", "noise", "verdict", "next"]
-    assert [head for head in heads if head in expected] == expected and len(text.splitlines()) <= 16
+    assert [head for head in heads if head in expected] == expected and len(text.splitlines()) <= 14
     for name, model in (("before", "nominal"), ("after", "calibrated")):
         assert f"{name:8s} mean {errors[model]['test']['mean_mm']:.4f} mm" in text
     # The mean of the chi distribution with three degrees of freedom, times the noise.
@@ -208,7 +208,7 @@ def test_predict_warns_outside_the_covered_poses(results, tmp_path, kuka, capsys
     table["joint_3"] = np.full(5, 3.0)
     write_table(tmp_path / "poses.csv", table)
     run("predict", results / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "p.csv")
-    assert "joint_3 = 3" in capsys.readouterr().err
+    assert "joint_3 = 171.9 deg" in capsys.readouterr().err
 
 
 def test_export_equals_the_urdf_of_the_calibration(results, tmp_path):

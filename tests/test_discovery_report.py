@@ -516,7 +516,8 @@ def test_rows_outside_a_curve_are_told(elastic_fit: Any, tmp_path: Path, capsys:
     assert outside_curves(_model_with(elastic_fit, GearEccentricity("joint_3")), replace(conditions, q=q)) == []
     assert _run("predict", tmp_path / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "predicted.csv") == 0
     noted = capsys.readouterr().err
-    assert "transmission_error of joint_3" in noted and "-0.5 to 0.5" in noted and "0.9" in noted
+    assert "transmission_error of joint_3" in noted and f"{-np.degrees(0.5):.2f} to {np.degrees(0.5):.2f} deg" in noted
+    assert f"0 to {np.degrees(0.9):.2f} deg" in noted
 
 
 # The examples with answers.

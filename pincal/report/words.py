@@ -123,14 +123,18 @@ def noise_words(noise: Mapping[str, Any]) -> str:
 
 def noise_example(noise: Mapping[str, Any]) -> str:
     """Return the option that states the noise of an instrument, with an example of its value; ""
-    where readings are neither lengths nor pixels.
+    where readings are neither lengths nor pixels, or where it was stated and that of another
+    instrument, such as an IMU, was not.
 
     Example:
         >>> noise_example({"sigma_px": 0.3}), noise_example({"sigma_m_s2": 0.02})
         ('--noise 0.1px', '')
+        >>> noise_example({"sigma_m": 5e-5, "sigma_m_s2": 0.02, "declared": ["sigma_m"]})
+        ''
     """
     examples = {"sigma_m": "0.05mm", "sigma_px": "0.1px"}
-    value = next((value for name, value in examples.items() if name in noise), "")
+    open_ones = {name for name in noise if name not in noise.get("declared", ())}
+    value = next((value for name, value in examples.items() if name in open_ones), "")
     return f"--noise {value}" if value else ""
 
 
