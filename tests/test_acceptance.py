@@ -11,9 +11,9 @@ from scipy.optimize import least_squares, minimize
 from test_cli import run
 
 from pincal import Robot
+from pincal.acceptance.decided_errors import decided
 from pincal.acceptance.enclosing_sphere import smallest_sphere
 from pincal.acceptance.lengths import Contacts, Permitted, acceptance
-from pincal.acceptance.outcome import decided
 from pincal.acceptance.probing import KnownSphere, probing
 from pincal.design.acceptance_plan import PLACES, plan_acceptance
 from pincal.design.probing_plan import plan_probing, points_on_hemisphere

@@ -1,8 +1,11 @@
 """What interim checks mean elsewhere: measure refuses or widens, predict and exports say it, certificates show it."""
 
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import feature_cases as cases
 import msgspec
@@ -126,3 +129,54 @@ def test_a_certificate_shows_the_last_check(alarm: bool, tmp_path: Path) -> None
     page = (tmp_path / "c" / "certificate.html").read_text()
     assert five_days().record.checks[-1].day in page and "model.checks.json" in page
     assert ("raised an alarm" in page) == alarm
+
+
+@pytest.mark.parametrize("command", ["update", "diagnose"])
+def test_models_of_update_and_diagnose_are_certified(command: str, tmp_path: Path) -> None:
+    """By what they say of themselves; errors are not stated of them, and the sheet says so."""
+    model = tmp_path / "model.json"
+    arm().fitted.save(model, provenance={"command": f"pincal {command} old/model.json new.csv --out DIR"})
+    assert run("certificate", str(model), "--out", str(tmp_path / "c")) == 0
+    page = (tmp_path / "c" / "certificate.html").read_text()
+    assert f"pincal {command}, of an earlier calibration" in page and "validate tells the errors" in page
+    arm().fitted.save(model, provenance={"command": "pincal calibrate robot.urdf t.csv --out DIR"})
+    assert run("certificate", str(model), "--out", str(tmp_path / "c")) == 3
+
+
+def test_a_sheet_says_that_rows_lie_outside_the_calibrated_range(words: list[str], tmp_path: Path) -> None:
+    """How many of them and in which joints, in the file, on the page and on the certificate."""
+    robot = cases.robot_with("camera_point")
+    lower = robot.covered.q[:, 0] + 3.0
+    covered = msgspec.structs.replace(robot.covered, q=np.column_stack([lower, lower + 0.1]))
+    robot.with_station(replace(robot.station, covered=covered)).save(tmp_path / "model.json", provenance={})
+    assert run(*words) in (0, 5)
+    found = json.loads((tmp_path / "out" / "measured.json").read_text())
+    assert "of 24 rows (" in found["outside"]
+    assert "outside the calibrated range" in (tmp_path / "out" / "report.html").read_text()
+    assert run("certificate", str(tmp_path / "out"), "--out", str(tmp_path / "c")) == 0
+    assert "outside the calibrated range" in (tmp_path / "c" / "certificate.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (lambda of: of["covariance"]["matrix"].pop(), r"covariance\.matrix"),
+        (lambda of: of["budget"][0].update(share=1.5), r"budget\[0\]\.share"),
+        (lambda of: of["budget"][0].update(u=-1.0), r"budget\[0\]\.u"),
+        (lambda of: of["features"][0]["values"]["diameter"].update(U=-0.1), r"\.U"),
+        (lambda of: of["features"][0]["values"]["diameter"].update(limits=[2.0, 1.0]), r"\.limits"),
+    ],
+)
+def test_a_measured_file_is_checked_at_the_door(
+    change: Callable[[dict[str, Any]], Any], key: str, words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An edited one is refused with the key, before a certificate repeats it."""
+    assert run(*words) in (0, 5)
+    path = tmp_path / "out" / "measured.json"
+    found = json.loads(path.read_text())
+    change(found)
+    path.write_text(json.dumps(found))
+    capsys.readouterr()
+    assert run("certificate", str(tmp_path / "out"), "--out", str(tmp_path / "c")) == 3
+    assert re.search(rf"measured\.json: .*{key}.*expected", capsys.readouterr().err)
+    assert not (tmp_path / "c").exists()

@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pincal.acceptance.decided_errors import AcceptanceOutcome, decided, outcome_of_all
 from pincal.acceptance.enclosing_sphere import smallest_sphere
-from pincal.acceptance.outcome import AcceptanceOutcome, decided, outcome_of_all
 from pincal.acceptance.probing import ProbingErrors
 from pincal.errors import MeasurementError, few, warn
 from pincal.features.decision import DecisionRule

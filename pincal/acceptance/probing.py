@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.acceptance.outcome import AcceptanceOutcome, decided, outcome_of_all
+from pincal.acceptance.decided_errors import AcceptanceOutcome, decided, outcome_of_all
 from pincal.errors import MeasurementError
 from pincal.thresholds import Count, Scale
 

@@ -76,7 +76,7 @@ def certificate_of_measured(folder: Path, stated: Identity, issue: Issue) -> Cer
         issue=issue,
         item=identity.note.get("part", f"part {NOT_STATED}"),
         identity=identity,
-        facts={"datum": _words(found.datum)} | _decided(found),
+        facts={"datum": _words(found.datum)} | _decided(found) | _range(found),
         verdict=found.verdict or "",
         doubts=tuple(doubt.text for doubt in doubts_of(found.warnings)),
         groups=tuple(map(_group, found.features)),
@@ -110,6 +110,11 @@ def _decided(found: MeasuredFile) -> dict[str, str]:
     if counts:
         facts["decisions"] = ", ".join(f"{decision}: {count}" for decision, count in counts.items())
     return facts
+
+
+def _range(found: MeasuredFile) -> dict[str, str]:
+    """Return which rows lie outside the range of the calibration."""
+    return {"outside the calibrated range": found.outside} if found.outside else {}
 
 
 def _group(feature: FeatureEntry) -> FigureGroup:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from msgspec import UNSET
 
-from pincal.calibration.check_record import InterimCheck, record_of, record_path
+from pincal.calibration.check_record import record_of, record_path
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.calibration.model_statement import COVERAGE_FACTOR
 from pincal.calibration.result import ResultFile
@@ -78,28 +77,95 @@ def certificate_of_model(path: Path, stated: Identity, issue: Issue) -> Certific
         BadInputError: if there is no ``result.json`` beside it, or it can't be read; or if the
             model is of another robot than stated.
     """
+    if _is_mended(path):
+        return _certificate_of_mended(path, stated, issue)
     of = _Calibrated.read(path)
     fitted = of.fitted
     stated.require(fitted.identity, str(path))
     robot = fitted.robot_model()
     budget, lacking = _budget_of(robot)
+    alarms, checks, files = _of_checks(fitted, path)
     return Certificate(
         title="Calibration certificate of a robot",
         issue=issue,
         item=robot.model.chain.robot.name,
         identity=stated.over(fitted.identity),
         ranges=tuple(_ranges(robot)),
-        facts=_facts(fitted, of.result) | of.searched | of.checked | lacking,
+        facts=_facts(fitted, of.result) | of.searched | checks | lacking,
         verdict=of.verdict.value,
-        doubts=(*of.doubts, *of.alarms),
+        doubts=(*of.doubts, *alarms),
         groups=tuple(_groups(of.result, budget)),
         budget=budget,
-        files=of.files,
+        files=of.files | files,
         versions={
             "calibrated with pincal": str(fitted.provenance.get("pincal", NOT_STATED)),
             "certificate by pincal": version("pincal"),
         },
     )
+
+
+def _is_mended(path: Path) -> bool:
+    """Return whether a model is of update or diagnose, which write no ``result.json``."""
+    if path.with_name(_RESULT).is_file() or not path.is_file():
+        return False
+    words = str(load_model(path).provenance.get("command", "")).split()
+    return words[1:2] in (["update"], ["diagnose"])
+
+
+def _certificate_of_mended(path: Path, stated: Identity, issue: Issue) -> Certificate:
+    """Return the certificate of the model of update or diagnose: what it says of itself, and what
+    it is from; errors were not stated of it.
+    """
+    fitted = load_model(path)
+    stated.require(fitted.identity, str(path))
+    robot = fitted.robot_model()
+    budget, lacking = _budget_of(robot)
+    said = fitted.statement
+    command = str(fitted.provenance.get("command", "")).split()[1]
+    alarms, checks, files = _of_checks(fitted, path)
+    facts = {
+        "arm": f"{robot.model.chain.robot.base} to {robot.model.chain.robot.tip}",
+        "made by": f"pincal {command}, of an earlier calibration and new rows",
+        "validation": "none of its own: validate tells the errors at rows that were not fitted",
+        "rests on": "" if said is None else str(said.rests_on),
+    }
+    figures = tuple(_combined(budget))
+    return Certificate(
+        title="Calibration certificate of a robot",
+        issue=issue,
+        item=robot.model.chain.robot.name,
+        identity=stated.over(fitted.identity),
+        ranges=tuple(_ranges(robot)),
+        facts={name: text for name, text in facts.items() if text} | checks | lacking,
+        verdict=(Verdict.NOT_JUDGED if said is None else said.verdict).value,
+        doubts=(*(() if said is None else said.doubts), *alarms),
+        groups=(FigureGroup(title="Uncertainty of predicted positions", figures=figures),)
+        if figures
+        else (),
+        budget=budget,
+        files={path.name: file_hash(path)} | files | checksums_of_inputs(fitted.provenance),
+        versions={
+            "calibrated with pincal": str(fitted.provenance.get("pincal", NOT_STATED)),
+            "certificate by pincal": version("pincal"),
+        },
+    )
+
+
+def _of_checks(
+    fitted: FittedRobot, path: Path
+) -> tuple[tuple[str, ...], dict[str, str], dict[str, str]]:
+    """Return the doubt of a last check that raised an alarm, what the last check found, and the
+    checksum of their record.
+    """
+    place = record_path(path)
+    record, _ = record_of(fitted, place)
+    last = None if record is None else record.last
+    if last is None:
+        return (), {"interim checks": "none"}, {}
+    alarm = (f"the last interim check raised an alarm: {last.words}",) if last.has_failed else ()
+    drift = f"drift since the calibration u = {last.drift * 1e3:.2g} mm a coordinate"
+    facts = {"interim checks": f"{last.words}; {drift}"}
+    return alarm, facts, {place.name: file_hash(place)}
 
 
 @dataclass(frozen=True)
@@ -158,32 +224,8 @@ class _Calibrated:
     def files(self) -> dict[str, str]:
         """Checksums of the files read, and of what the robot was calibrated from."""
         names = [self.path.name, _RESULT, *([] if self.search is None else [_DISCOVERY])]
-        checks = record_path(self.path)
-        names += [] if self._last is None else [checks.name]
         own = {name: file_hash(self.path.with_name(name)) for name in names}
         return own | checksums_of_inputs(self.fitted.provenance)
-
-    @cached_property
-    def _last(self) -> InterimCheck | None:
-        record, _ = record_of(self.fitted, record_path(self.path))
-        return None if record is None else record.last
-
-    @property
-    def checked(self) -> dict[str, str]:
-        """The last interim check, if there was one."""
-        last = self._last
-        if last is None:
-            return {"interim checks": "none"}
-        drift = f"drift since the calibration u = {last.drift * 1e3:.2g} mm a coordinate"
-        return {"interim checks": f"{last.words}; {drift}"}
-
-    @property
-    def alarms(self) -> tuple[str, ...]:
-        """The doubt of a last check that raised an alarm."""
-        last = self._last
-        if last is None or not last.has_failed:
-            return ()
-        return (f"the last interim check raised an alarm: {last.words}",)
 
     @property
     def searched(self) -> dict[str, str]:

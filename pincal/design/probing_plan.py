@@ -12,10 +12,16 @@ import numpy as np
 from pincal.design.acceptance_plan import poses_at
 from pincal.design.reach import Reach
 from pincal.errors import BadInputError
-from pincal.thresholds import Count
+from pincal.thresholds import Count, Scale
 
 # Circles of points: degrees from the pole, number of points, and degrees by which they are turned.
-_CIRCLES = ((0.0, 1, 0.0), (22.5, 4, 0.0), (45.0, 8, 22.5), (67.5, 4, 45.0), (90.0, 8, 0.0))
+_CIRCLES: tuple[tuple[Scale, Count, Scale], ...] = (
+    (0.0, 1, 0.0),
+    (22.5, 4, 0.0),
+    (45.0, 8, 22.5),
+    (67.5, 4, 45.0),
+    (90.0, 8, 0.0),
+)
 # Random places that are tried.
 _PLACES: Count = 20
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from pincal.features.decision import ConformityVerdict, overall_verdict
 from pincal.identity import Identity
+from pincal.io.strict_json import Fault
 from pincal.notes import Note
 
 
@@ -45,6 +46,14 @@ class ValueEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     decision: ConformityVerdict | None = None
     risk: float | None = None
     by_source: dict[str, float] = {}
+
+    def __post_init__(self) -> None:
+        for name in ("u", "U", "k"):
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise Fault(f"is {getattr(self, name)}", "a number of 0 or more", key=f".{name}")
+        lower, upper = self.limits or (None, None)
+        if lower is not None and upper is not None and lower > upper:
+            raise Fault(f"are {lower} and {upper}", "the least one first", key=".limits")
 
 
 class RepeatEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -146,6 +155,12 @@ class SourceEntry(msgspec.Struct, frozen=True, kw_only=True):
     dof: float | None
     share: float
 
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.u < np.inf:
+            raise Fault(f"is {self.u}", "a number of 0 or more", key=".u")
+        if not 0.0 <= self.share <= 1.0:
+            raise Fault(f"is {self.share}", "a number from 0 to 1", key=".share")
+
 
 class QuantityCovariance(msgspec.Struct, frozen=True):
     """The covariance of all quantities.
@@ -157,6 +172,11 @@ class QuantityCovariance(msgspec.Struct, frozen=True):
 
     names: tuple[str, ...]
     matrix: tuple[tuple[float, ...], ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        if len(self.matrix) != n or any(len(row) != n for row in self.matrix):
+            raise Fault("is not of its names", f"{n} rows of {n} numbers", key=".matrix")
 
 
 class DatumEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -190,6 +210,7 @@ class MeasuredFile(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
         rule: by which it was decided.
         gauge: repeatability and reproducibility, where several appraisers measured repeatedly.
         warnings: doubts, those of the calibrated model among them, and notes.
+        outside: which rows lie outside the range of the calibration, in words; "" for none.
         id: what is stated of robot, instrument and circumstances.
         provenance: version of pincal, time, input files with their SHA-256, command.
     """
@@ -201,6 +222,7 @@ class MeasuredFile(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     rule: str
     gauge: tuple[GaugeEntry, ...] = ()
     warnings: tuple[Note, ...] = ()
+    outside: str = ""
     id: Identity | None = None
     provenance: dict[str, Any] = {}
 

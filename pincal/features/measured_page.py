@@ -358,6 +358,8 @@ def _basis(found: MeasuredFile) -> Section:
         ("datum", f"{datum.kind}{of}, in the frame of the {datum.frame}"),
         ("decision rule", found.rule),
     ]
+    if found.outside:
+        items.append(("outside the calibrated range", found.outside))
     if datum.residual_mm is not None:
         items.append(("fit of the datum", f"{datum.residual_mm:.4f} mm rms"))
     if found.id is not None:

@@ -56,10 +56,16 @@ class MeasuredPart:
     features: FittedPart
     values: PartValues
 
-    def completed(self, provenance: dict[str, Any], notes: Sequence[Note | str]) -> MeasuredPart:
-        """Return the result with its origin, and with further notes."""
+    def completed(
+        self, provenance: dict[str, Any], notes: Sequence[Note | str], *, outside: str = ""
+    ) -> MeasuredPart:
+        """Return the result with its origin, with further notes, and with the rows outside the
+        range of the calibration, in words.
+        """
         warnings = doubts_first([*self.found.warnings, *notes])
-        found = msgspec.structs.replace(self.found, provenance=provenance, warnings=warnings)
+        found = msgspec.structs.replace(
+            self.found, provenance=provenance, warnings=warnings, outside=outside
+        )
         return replace(self, found=found)
 
     def write(self, folder: Path) -> None:

@@ -16,12 +16,16 @@ from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, extrapolation, print_json, provenance
 from pincal.cli.quantities import LENGTH, NoiseType
 from pincal.cli.result_place import results_option
-from pincal.errors import BadInputError, Exit
+from pincal.errors import BadInputError, Exit, few
 from pincal.features.decision_numbers import DECISION
 from pincal.io.result_folder import output_folder
+from pincal.thresholds import Count
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pincal.calibration.check_record import InterimCheck
+    from pincal.calibration.covered import Outside
     from pincal.calibration.fitted_robot import FittedRobot
     from pincal.features.decision import DecisionRule
     from pincal.features.flange_sensor import FlangeSensor
@@ -29,6 +33,8 @@ if TYPE_CHECKING:
     from pincal.features.mounted_sensor import Reservations
     from pincal.notes import Note
 
+# Joints that a sentence lists.
+_NAMED: Count = 3
 _EXAMPLES = """
 Examples:
   pincal measure results/model.json readings.csv --features part.toml --out measured
@@ -170,7 +176,8 @@ def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
     robot = fitted.model.chain.robot
     readings = read_readings(arguments.readings, robot, options=arguments.table.options)
     fitted, absent = without_absent(fitted, readings.rows)
-    _, beyond = extrapolation(fitted, fitted.conditions(readings.rows), readings.rows.rows)
+    conditions = fitted.conditions(readings.rows)
+    _, beyond = extrapolation(fitted, conditions, readings.rows.rows)
     measured = measure_part(
         fitted,
         readings,
@@ -193,11 +200,21 @@ def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
     lines = [note for note in beyond if note.startswith("line ")]
     echo_notes(lines, quiet=arguments.general.quiet)
     others = [note for note in beyond if note not in lines]
-    measured = measured.completed(origin, (*of_record, *said, *absent, *others))
+    outside = _outside(fitted.outside(conditions), len(readings))
+    measured = measured.completed(origin, (*of_record, *said, *absent, *others), outside=outside)
     measured.write(folder)
     page = measured_page(measured.found, robot=robot.name, version=origin["pincal"])
     (folder / "report.html").write_text(page, encoding="utf-8")
     return measured.found
+
+
+def _outside(values: Sequence[Outside], n: int) -> str:
+    """Return which of n rows lie outside the range of the calibration, in words."""
+    if not values:
+        return ""
+    rows = len({value.row for value in values})
+    names = dict.fromkeys(value.name for value in values)
+    return f"{rows} of {n} rows ({few(list(names), _NAMED)}), where the model was not validated"
 
 
 def _sensor(arguments: MeasureArguments) -> FlangeSensor:
