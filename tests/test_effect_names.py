@@ -22,6 +22,7 @@ ALLOWED = {
     "pincal.identify.explain": "a reason names base and tool",
     "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on, and its clock",
     "pincal.compensate.ik_problem": "moves joints as if their offsets were free",
+    "pincal.discover.smooth_rest": "makes what has no name, which is no candidate",
     "pincal.design.design_model": "makes them for a sensor that has not measured yet",
 }
 # Who may tell parameters apart by the name of the effect that they belong to, and why.

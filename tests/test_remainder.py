@@ -11,8 +11,8 @@ from machines import kuka as true_kuka
 
 from pincal import load_model
 from pincal import simulate as sim
-from pincal.discover.remainder import likely_remainders, remainder_of
 from pincal.discover.run import Discovery, run_discovery
+from pincal.discover.smooth_rest import likely_remainders, remainder_of
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.model.catalogue.remainder import SmoothRemainder, golden_ratio

@@ -26,8 +26,8 @@ from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.ending import fit_all_rows, name_lines
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import POLICY, TESTING, Policy
-from pincal.discover.remainder import add_remainder
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
+from pincal.discover.smooth_rest import add_remainder
 from pincal.discover.steps import (
     History,
     SearchState,

@@ -48,9 +48,9 @@ from pincal.discover.ending import note_on_joints, widened
 from pincal.discover.findings import bootstrap_last, findings_of
 from pincal.discover.loop import discover_effects, withdraw_names_at_change
 from pincal.discover.policy import POLICY, TESTING, Policy
-from pincal.discover.remainder import note_on_remainder
 from pincal.discover.scatter import arrivals_within
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
+from pincal.discover.smooth_rest import note_on_remainder
 from pincal.discover.steps import History, listed
 from pincal.errors import BadInputError, PincalError
 from pincal.identify.calibrate import (
@@ -115,13 +115,16 @@ class Discovery:
 
 
 class Choices(TypedDict, total=False):
-    """How rows are held out, as for a calibration, and moment frames to choose from."""
+    """How rows are held out, as for a calibration, moment frames to choose from, and whether what
+    has no name may enter.
+    """
 
     test_fraction: float
     split: Validation
     seed: int
     holdout: Tables | None
     moment_frames: Sequence[MomentFrame]
+    remainder: bool
 
 
 def _usual_frames(options: Options) -> tuple[MomentFrame, ...]:
@@ -137,7 +140,6 @@ def run_discovery(
     extra: tuple[Effect, ...] = (),
     policy: Policy = POLICY,
     stability: int = 0,
-    remainder: bool = False,
     executor: Executor | None = None,
     **choices: Unpack[Choices],
 ) -> Discovery:
@@ -153,8 +155,6 @@ def run_discovery(
         policy: thresholds and limits.
         stability: number of subsamples on which the search is repeated, to count how often each
             name is found; a bootstrap then also tests the effect accepted last; default: none.
-        remainder: whether what is smooth in the joints and has no name may enter the model after
-            the last name, where it predicts regions that were left out.
         executor: runs these searches, and the discoveries that leave a station out; default:
             sequentially, here.
 
@@ -168,6 +168,8 @@ def run_discovery(
         holdout: other measurements to hold out instead.
         moment_frames: moment frames to choose from by the data; default: as in the options. The
             first is kept unless another fits significantly better.
+        remainder: whether what is smooth in the joints and has no name may enter the model after
+            the last name, where it predicts regions that were left out; default: no.
 
     Returns:
         The calibration with all effects found, and the history of the search.
@@ -201,6 +203,7 @@ def run_discovery(
     begun = time.perf_counter()
     frames = tuple(choices.pop("moment_frames", ())) or _usual_frames(options)
     options = replace(options, moment_frame=frames[0])
+    remainder = choices.pop("remainder", False)
     search = partial(_search, frames=frames, extra=extra, policy=policy, remainder=remainder)
     left_out: Iterable[LeftOut] = ()
     held_back: dict[str, Any] = {"test_fraction": 0.0, "split": "both", **choices}

@@ -19,7 +19,6 @@ from pincal.identify.dependence import placed_at_mean
 from pincal.identify.fit import ModelFit
 from pincal.identify.fit_levers import levers
 from pincal.identify.folds import Folds, Way
-from pincal.model.catalogue.remainder import SmoothRemainder
 from pincal.model.conditions import MOMENT, recorded_variable
 from pincal.model.effect import Curve, Effect, Family, Locus
 from pincal.model.effect_bases import drive_unit
@@ -335,7 +334,7 @@ def period_of(trace: PartialResidual) -> float | None:
 
 def _title(effect: Effect) -> str:
     """Return the name of an effect, where it acts and its source."""
-    if isinstance(effect, SmoothRemainder):
+    if effect.locus.shape == "smooth":
         return "unnamed, smooth"
     joint = effect.locus.joint
     of = "" if joint is None else f" of {joint}"

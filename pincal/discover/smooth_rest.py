@@ -34,16 +34,25 @@ def add_remainder(state: SearchState, search: Search) -> SearchState:
     fit = state.fit
     if not search.remainder:
         return state
+    remainder = predicting_remainder(fit, search.groups)
+    if remainder is None:
+        return state
+    log.info("unnamed, smooth: over %.2f rad, %.0f urad", remainder.length, 1e6 * remainder.size)
+    effects = [*fit.options.effects, remainder]
+    after = refit(fit, effects, start={}, until=Tolerance.CLOSE)
+    return state.changed(after, state.steps, (remainder,), ())
+
+
+def predicting_remainder(fit: ModelFit, groups: np.ndarray) -> SmoothRemainder | None:
+    """Return the likeliest remainder with which each block of rows that is left out is predicted
+    better; None if none does. The blocks of the rows have shape (N,).
+    """
     for remainder in likely_remainders(fit):
-        tests = score_test(fit, [remainder], search.groups, wider=1.0)
+        tests = score_test(fit, [remainder], groups, wider=1.0)
         gains = tests.gains_by_block([0])
         if np.all(gains >= 0.0) and standard_errors(gains) > TESTING.predicts:
-            log.info(
-                "unnamed, smooth: over %.2f rad, %.0f urad", remainder.length, 1e6 * remainder.size
-            )
-            after = refit(fit, [*fit.options.effects, remainder], start={}, until=Tolerance.CLOSE)
-            return state.changed(after, state.steps, (remainder,), ())
-    return state
+            return remainder
+    return None
 
 
 def likely_remainders(fit: ModelFit) -> list[SmoothRemainder]:
