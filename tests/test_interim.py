@@ -301,7 +301,7 @@ def write(table: Measurements, path: Path) -> None:
 
 
 def test_the_command_keeps_a_record_and_tells_an_alarm(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Exit code 5; a check that is refused leaves the record as it was."""
+    """Exit code 6; a check that is refused leaves the record as it was."""
     model = str(folder / "model.json")
     assert run("interim", model, str(folder / "mon.csv"), "--day", "2026-01-05") == 0
     out = capsys.readouterr().out
@@ -312,7 +312,7 @@ def test_the_command_keeps_a_record_and_tells_an_alarm(folder: Path, capsys: pyt
     assert "were checked on 2026-01-05 already" in capsys.readouterr().err
     assert run("interim", model, str(folder / "tue.csv"), "--day", "2026-01-06", "--json") == 0
     assert json.loads(capsys.readouterr().out)["check"] == 2
-    assert run("interim", model, str(folder / "bad.csv"), "--day", "2026-01-07") == 5
+    assert run("interim", model, str(folder / "bad.csv"), "--day", "2026-01-07") == 6
     out = capsys.readouterr().out
     assert "ALARM" in out and "joint_3: offset" in out
     assert [check.has_failed for check in load_record(folder / "model.checks.json").checks] == [False, False, True]

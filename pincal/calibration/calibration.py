@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
@@ -226,6 +226,7 @@ def fit_admitted(
         require_several(tables)
     setup_of = _setups(options)
     admitted = admit(robot, tables, setup_of, holdout=held)
+    divides = holdout is None and not test_fraction
     with noted() as split_notes:
         parts = (
             split_rows(admitted.tables, setup_of, fraction=test_fraction, split=split, seed=seed)
@@ -249,16 +250,20 @@ def fit_admitted(
     steps = tuple(step_notes(tables))
     for text in (*agreed.notes, *steps):
         warn(text)
-    pairs = zip(screened(fit, parts), fit.problem.stations, strict=True)
-    rows = tuple(replace(part, name=at.name) for part, at in pairs)
     notes = [*agreed.notes, *steps, *agreed.robot.notes]
     notes += [*dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
     notes += [*unobservable(trained, options), *_on_moment_frame(fit, options.first_frame)]
-    divides = holdout is None and not test_fraction
     folds = Folds.of(fit.problem, WAYS[split], seed=seed) if divides else None
+    rows = _named_as_fitted(fit, parts)
     return FittedTables(
         agreed.robot, rows, fit, doubts_first(notes), folds, admitted.tables, options
     )
+
+
+def _named_as_fitted(fit: ModelFit, parts: Sequence[StationRows]) -> tuple[StationRows, ...]:
+    """Return the rows of the stations without those that the fit left out, by its names."""
+    pairs = zip(screened(fit, parts), fit.problem.stations, strict=True)
+    return tuple(replace(part, name=at.name) for part, at in pairs)
 
 
 def _setups(options: Options) -> Callable[[str], Setup]:

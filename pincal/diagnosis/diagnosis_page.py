@@ -317,14 +317,21 @@ def _answer(found: DiagnosisFile) -> Section:
         bullets(_next_steps(found)),
         *plain_notes(found.warnings),
     )
+    errors = _errors_before_and_after(found) if found.changed else _errors_now(found)
+    return Section("answer", "Has it changed?", (*first, errors, *then), style="panel")
+
+
+def _errors_now(found: DiagnosisFile) -> Markup:
+    before = found.gap["before"]
+    return facts(
+        (f"{words} error", sourced(f"{before[key]:.4f} mm", f"{_FILE}/gap/before/{key}"))
+        for key, words in _STATISTICS.items()
+    )
+
+
+def _errors_before_and_after(found: DiagnosisFile) -> Markup:
     before = found.gap["before"]
     after = found.gap["after"]
-    if not found.changed:
-        errors = facts(
-            (f"{words} error", sourced(f"{before[key]:.4f} mm", f"{_FILE}/gap/before/{key}"))
-            for key, words in _STATISTICS.items()
-        )
-        return Section("answer", "Has it changed?", (*first, errors, *then), style="panel")
     shown = glance(
         [
             (
@@ -338,8 +345,7 @@ def _answer(found: DiagnosisFile) -> Section:
             for key, words in _STATISTICS.items()
         ]
     )
-    blocks = (*first, arranged("glance", *shown), *then)
-    return Section("answer", "Has it changed?", blocks, style="panel")
+    return arranged("glance", *shown)
 
 
 def _next_steps(found: DiagnosisFile) -> Iterator[str | Markup]:

@@ -336,7 +336,9 @@ class _Products:
         candidate = self.candidate[at]
         for k, some in piece.blocks:
             part = added.poses(some)
-            inner, g, cross = np.zeros((c, c)), np.zeros(c), np.zeros((model.size, c))
+            inner = np.zeros((c, c))
+            g = np.zeros(c)
+            cross = np.zeros((model.size, c))
             part.add_gram(piece.residuals[:, some], inner, g, candidate)
             model.poses(some).add_products(part, cross)
             self.g[k][span(at)] += g

@@ -219,23 +219,25 @@ def repeat_table(found: MeasuredFile) -> Table | None:
     return Table("Repeatability", columns, rows, notes) if rows else None
 
 
+_GAUGE_COLUMNS = (
+    Column("of", kind=Kind.NAME),
+    Column("quantity", kind=Kind.LABEL),
+    *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in ("EV", "AV", "GRR")),
+    Column("95 % interval", kind=Kind.LABEL),
+    Column("PV", kind=Kind.NUMBER, show=fixed(4)),
+    Column("unit", kind=Kind.LABEL),
+    Column("%GRR", kind=Kind.NUMBER, show=show_percent),
+    Column("ndc", kind=Kind.NUMBER),
+    Column("P/T", kind=Kind.NUMBER, show=show_percent),
+)
+
+
 def gauge_table(found: MeasuredFile) -> Table | None:
     """Return repeatability and reproducibility; None where one appraiser measured, or nobody
     twice.
     """
     if not found.gauge:
         return None
-    columns = (
-        Column("of", kind=Kind.NAME),
-        Column("quantity", kind=Kind.LABEL),
-        *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in ("EV", "AV", "GRR")),
-        Column("95 % interval", kind=Kind.LABEL),
-        Column("PV", kind=Kind.NUMBER, show=fixed(4)),
-        Column("unit", kind=Kind.LABEL),
-        Column("%GRR", kind=Kind.NUMBER, show=show_percent),
-        Column("ndc", kind=Kind.NUMBER),
-        Column("P/T", kind=Kind.NUMBER, show=show_percent),
-    )
     rows: tuple[tuple[Cell, ...], ...] = tuple(
         (
             counted(of.parts, of.kind),
@@ -258,7 +260,7 @@ def gauge_table(found: MeasuredFile) -> Table | None:
         "analysis of variance (AIAG MSA): EV repeatability, AV reproducibility between appraisers, "
         "PV between features; %GRR: of the total, P/T: six GRR of the tolerance.",
     )
-    return Table("Gauge repeatability and reproducibility", columns, rows, notes)
+    return Table("Gauge repeatability and reproducibility", _GAUGE_COLUMNS, rows, notes)
 
 
 def closing_lines(found: MeasuredFile) -> Iterator[str]:

@@ -321,7 +321,8 @@ def _log_ratios(q: np.ndarray, Q: np.ndarray) -> np.ndarray:
         Q: shape (..., n, n), their covariances.
     """
     if q.shape[-1] == 1:
-        information, along = Q[..., 0], q
+        information = Q[..., 0]
+        along = q
     else:
         information, axes = np.linalg.eigh(Q)
         along = (q[..., None, :] @ axes)[..., 0, :]

@@ -514,7 +514,9 @@ class _RestrictedLikelihood:
                 break
             misfit, there = self.with_memory(longer)
             if misfit < float(best.fun) + CRITERIA.as_likely:
-                least, share, memory = misfit, there, longer
+                least = misfit
+                share = there
+                memory = longer
                 break
         phi = float(1.0 - np.exp(-memory))
         return _Remembered(self.white - least, phi, float(expit(share)))

@@ -59,7 +59,7 @@ from pincal.report.illustrations import (
 )
 from pincal.report.judgement import judged, next_steps, unidentified_groups
 from pincal.report.report_numbers import REPORT
-from pincal.report.subject import Subject
+from pincal.report.subject import RowErrors, Subject
 from pincal.report.words import (
     TERMS,
     effect_meaning,
@@ -73,7 +73,7 @@ from pincal.thresholds import Count, Scale
 from pincal.units import fixed
 from pincal.validate.accuracy import ERROR_UNITS, cycle_words, leading_unit
 from pincal.validate.misfit import Verdict
-from pincal.validate.outcome import StationRecord
+from pincal.validate.outcome import Expanded, StationRecord
 
 REPEATED = Markup(
     "<b>Pose accuracy AP</b> is the distance from the predicted pose to the mean of its "
@@ -219,39 +219,39 @@ def _worth(subject: Subject) -> Iterator[Markup]:
     found = subject.result.uncertainty
     if found is UNSET or subject.result.doubt:
         return
-    here, anywhere = (f"{RESULT}/uncertainty/{name}_mm" for name in ("here", "anywhere"))
     yield heading("What this means for a tolerance")
     errors = subject.result.error["calibrated"][subject.part]
-    items = []
+    items = [_worth_to_measure(found)]
     if "p95_mm" in errors:
         within = sourced(
             _size(errors["p95_mm"], "mm"), f"{RESULT}/error/calibrated/{subject.part}/p95_mm"
         )
-        items.append(
-            rich(
-                "<b>To drill or place</b>: 95 of 100 readings lay within {} of where the model "
-                "predicts, the noise of the instrument included.",
-                within,
-            )
+        to_place = rich(
+            "<b>To drill or place</b>: 95 of 100 readings lay within {} of where the model "
+            "predicts, the noise of the instrument included.",
+            within,
         )
+        items.insert(0, to_place)
+    yield bullets(items)
+    yield paragraph(rich("This rests on {}.", found.rests_on), "mute")
+
+
+def _worth_to_measure(found: Expanded) -> Markup:
+    here, anywhere = (f"{RESULT}/uncertainty/{name}_mm" for name in ("here", "anywhere"))
     words = (
         "<b>To measure</b>: U (k = {:.0f}) of a coordinate is {} at these poses, {} anywhere. A "
         "hole with a tolerance of ± {:g} mm is {} (ISO 14253-1). Only a tenth of the tolerance is "
         "lost to U from ± {} on."
     )
-    items.append(
-        rich(
-            words,
-            found.k,
-            sourced(_size(found.here_mm, "mm"), here),
-            sourced(_size(found.anywhere_mm, "mm"), anywhere),
-            EXAMPLE,
-            decided_words(found.here_mm, EXAMPLE),
-            sourced(f"{LOST * found.here_mm:.2g} mm", here, times=LOST),
-        )
+    return rich(
+        words,
+        found.k,
+        sourced(_size(found.here_mm, "mm"), here),
+        sourced(_size(found.anywhere_mm, "mm"), anywhere),
+        EXAMPLE,
+        decided_words(found.here_mm, EXAMPLE),
+        sourced(f"{LOST * found.here_mm:.2g} mm", here, times=LOST),
     )
-    yield bullets(items)
-    yield paragraph(rich("This rests on {}.", found.rests_on), "mute")
 
 
 def decided_words(uncertainty: float, tolerance: float) -> str:
@@ -415,21 +415,8 @@ _CLOCKS = (
 def accuracy(subject: Subject) -> Section:
     """Errors before and after, and their distribution."""
     result = subject.result
-    intro = rich(
-        "The error at a pose is the distance from the predicted to the measured target: the "
-        "<b>accuracy</b> of a single measurement (ISO 9283). It is not the <b>repeatability</b>, "
-        "the scatter between repeated measurements of a pose, which no calibration improves. "
-        "“Nominal” is the robot of the URDF, with only the placement of instrument and target "
-        "fitted."
-    )
-    if "mean_mm" not in result.error["calibrated"]["train"]:
-        intro = rich(
-            "An IMU measures no positions: an error is a reading, filtered in time, minus "
-            "its prediction. "
-            "Most of it is vibration of the arm and noise, which no calibration improves."
-        )
     leading = (leading_unit(result.error["calibrated"]["train"]),)
-    blocks: list[PageBlock] = [paragraph(intro)]
+    blocks: list[PageBlock] = [paragraph(_meaning_of_errors(result))]
     if not result.rows["test"]:
         text = (
             "No rows were held out: the errors are those of the poses that were fitted. Expect "
@@ -445,6 +432,22 @@ def accuracy(subject: Subject) -> Section:
         *_replicates(result),
     ]
     return Section("accuracy", "Before and after", tuple(blocks), "Accuracy")
+
+
+def _meaning_of_errors(result: Result) -> Markup:
+    if "mean_mm" not in result.error["calibrated"]["train"]:
+        return rich(
+            "An IMU measures no positions: an error is a reading, filtered in time, minus "
+            "its prediction. "
+            "Most of it is vibration of the arm and noise, which no calibration improves."
+        )
+    return rich(
+        "The error at a pose is the distance from the predicted to the measured target: the "
+        "<b>accuracy</b> of a single measurement (ISO 9283). It is not the <b>repeatability</b>, "
+        "the scatter between repeated measurements of a pose, which no calibration improves. "
+        "“Nominal” is the robot of the URDF, with only the placement of instrument and target "
+        "fitted."
+    )
 
 
 def _other_readings(subject: Subject, units: Sequence[str]) -> Iterator[PageBlock]:
@@ -574,28 +577,31 @@ def _moved(records: Sequence[StationRecord]) -> Iterator[PageBlock]:
     yield figures("moved", course_drawings(records))
 
 
-def where(subject: Subject) -> Section:
-    """Errors by joint position, over the workspace, and in the order of measurement."""
-    first = subject.readings[0]
-    is_timed = subject.calibration.stations[0].train.time is not None
+def _by_joint(readings: RowErrors) -> tuple[Markup, ...]:
+    """Return the errors by the position of each joint, or that there are too few poses."""
+    drawn = [*joint_drawings(readings)]
+    if not drawn:
+        few_poses = f"{len(readings.line)} poses are too few to draw the error by joint position."
+        return (paragraph(few_poses, "mute"),)
     key = Markup(
         '<span class="key"><span style="background:var(--before)"></span>before'
         '<span style="background:var(--after)"></span>after</span>'
     )
-    by_joint = (
+    words = (
         "Lines are medians, bands contain 90 % of all poses, fitted and held out. A "
         "calibrated arm has flat bands; a "
         "remaining periodic pattern or slope means that the model lacks an effect of this joint. "
     )
+    return (paragraph(rich("{}{}", words, key)), figures("joint", drawn))
+
+
+def where(subject: Subject) -> Section:
+    """Errors by joint position, over the workspace, and in the order of measurement."""
+    first = subject.readings[0]
+    is_timed = subject.calibration.stations[0].train.time is not None
     line = "" if is_timed else " No times were recorded, so the line of the table is used instead."
     residual = rich("A <b>residual</b> is the measured minus the predicted value.{}", line)
-    drawn = [*joint_drawings(first)]
-    few_poses = f"{len(first.line)} poses are too few to draw the error by joint position."
-    joints = (
-        (paragraph(rich("{}{}", by_joint, key)), figures("joint", drawn))
-        if drawn
-        else (paragraph(few_poses, "mute"),)
-    )
+    joints = _by_joint(first)
     # What a search has found says it more briefly.
     is_told = subject.search is not None
     blocks = (

@@ -111,12 +111,16 @@ def write_acceptance_plan(
     else:
         _print(found, wanted)
         if sphere is not None:
-            place = ", ".join(f"{1e3 * axis:.0f}" for axis in sphere[0])
-            click.echo(
-                f"{len(sphere[1])} contacts with a sphere at {place} mm of the base frame written "
-                f"to {wanted.sphere}: --sphere {wanted.sphere} --sphere-diameter ..."
-            )
+            _print_sphere(*sphere, wanted)
     return Exit.DONE
+
+
+def _print_sphere(centre: np.ndarray, q: np.ndarray, wanted: OutputWanted) -> None:
+    place = ", ".join(f"{1e3 * axis:.0f}" for axis in centre)
+    click.echo(
+        f"{len(q)} contacts with a sphere at {place} mm of the base frame written "
+        f"to {wanted.sphere}: --sphere {wanted.sphere} --sphere-diameter ..."
+    )
 
 
 def _sphere(

@@ -77,13 +77,13 @@ class InterimArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(InterimArguments, examples=_EXAMPLES, exits=(Exit.INACCURATE,))
+@verb(InterimArguments, examples=_EXAMPLES, exits=(Exit.CHANGED,))
 def interim_verb(arguments: InterimArguments) -> Exit:
     """Check a calibrated robot at intervals, by a few points.
 
     Tells whether anything has moved since the calibration, and what: the base, the tool, a joint,
     or all lengths, as by temperature. The noise need not be known, and a base that walks by
-    micrometres a day is drift, which adds to uncertainties, and no alarm. The exit code is 5 after
+    micrometres a day is drift, which adds to uncertainties, and no alarm. The exit code is 6 after
     an alarm.
     """
     from pincal.calibration.check_record import record_of, record_path
@@ -112,11 +112,10 @@ def interim_verb(arguments: InterimArguments) -> Exit:
     if arguments.general.as_json:
         print_json(as_plain(last, len(checked.record.checks)))
     else:
-        for heading, text in lines_of(checked.record):
-            click.echo(f"{heading:10}{text}")
-        click.echo(f"written to {path}")
+        lines = [f"{heading:10}{text}" for heading, text in lines_of(checked.record)]
+        click.echo("\n".join([*lines, f"written to {path}"]))
     echo_notes(notes, quiet=arguments.general.quiet)
-    return Exit.INACCURATE if last.has_failed else Exit.DONE
+    return Exit.CHANGED if last.has_failed else Exit.DONE
 
 
 def kept_aside(path: Path) -> Path:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from textwrap import wrap
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pincal.calibration.result_tables import INTERVAL, ParameterRow
@@ -62,22 +63,8 @@ def deviation_figure(series: Mapping[str, np.ndarray], *, remark: str = "") -> F
     )
     panels = figure.subplots(1, len(series), sharey=True, squeeze=False)[0]
     for k, (axes, (name, deviations)) in enumerate(zip(panels, series.items(), strict=True)):
-        sizes = 1e3 * np.asarray(deviations, float)
         colour = style.COLOURS[k % len(style.COLOURS)]
-        shown = np.maximum(sizes, _SMALLEST)
-        axes.plot(
-            range(1, len(sizes) + 1), shown, ".", color=colour, markersize=4, label="one pose"
-        )
-        mean = max(float(sizes.mean()), _SMALLEST)
-        axes.axhline(mean, color=INK, linewidth=1.0, linestyle="--", label="mean of all poses")
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axes.set_title(
-            f"{drawable(name)}\nmean {_length(sizes.mean())}, max {_length(sizes.max())}",
-            fontsize=10,
-        )
-        axes.set_xlabel("pose")
-        axes.grid(visible=True, which="major", color=style.GRID, linewidth=0.6)
+        _draw_deviations(axes, drawable(name), 1e3 * np.asarray(deviations, float), colour)
     panels[0].set_ylabel("deviation [mm]")
     handles, labels = panels[0].get_legend_handles_labels()
     # The dots of each panel have a colour of their own.
@@ -85,6 +72,21 @@ def deviation_figure(series: Mapping[str, np.ndarray], *, remark: str = "") -> F
     if lines:
         figure.supxlabel("\n".join(lines), fontsize=9, x=0.01, ha="left")
     return figure
+
+
+def _draw_deviations(axes: Axes, name: str, sizes_mm: np.ndarray, colour: str) -> None:
+    """Draw the deviations of one model, shape (N,) [mm], pose by pose, with their mean."""
+    shown = np.maximum(sizes_mm, _SMALLEST)
+    axes.plot(range(1, len(shown) + 1), shown, ".", color=colour, markersize=4, label="one pose")
+    mean = max(float(sizes_mm.mean()), _SMALLEST)
+    axes.axhline(mean, color=INK, linewidth=1.0, linestyle="--", label="mean of all poses")
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.set_title(
+        f"{name}\nmean {_length(sizes_mm.mean())}, max {_length(sizes_mm.max())}", fontsize=10
+    )
+    axes.set_xlabel("pose")
+    axes.grid(visible=True, which="major", color=style.GRID, linewidth=0.6)
 
 
 def _length(millimetres: float) -> str:
