@@ -23,6 +23,8 @@ ALLOWED = {
     "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on, and its clock",
     "pincal.compensate.ik_problem": "moves joints as if their offsets were free",
     "pincal.discover.smooth_rest": "makes what has no name, which is no candidate",
+    "pincal.identify.motion_fields": "what the sag of drives moves is no shift of the readings",
+    "pincal.fleet.checked_motion": "lengths may have grown since the calibration",
     "pincal.design.design_model": "makes them for a sensor that has not measured yet",
 }
 # Who may tell parameters apart by the name of the effect that they belong to, and why.
@@ -31,6 +33,7 @@ ALLOWED_TEXTS = {
     "pincal.identify.calibrate": "the paper's stages are lists of names",
     "pincal.io.urdf_export": "notes what a URDF can't hold",
     "pincal.viewer.scene": "draws where the base is known",
+    "pincal.calibration.improvement": "an IMU shows angles of the geometry",
     "pincal.demo.cli.demo": "hides an effect of the simulator",
 }
 

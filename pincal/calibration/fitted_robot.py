@@ -84,7 +84,8 @@ class FittedRobot:
         statement: what the calibration states of the model; None where it is not known.
 
     Example:
-        >>> from pincal import Chain, Robot
+        >>> from pincal import Robot
+        >>> from pincal.model.chain import Chain
         >>> from pincal.parameters import estimate_of
         >>> model = Model(Chain.of(Robot.from_urdf("ur10")), ())
         >>> covered = Covered(np.tile([-1.0, 1.0], (6, 1)), np.array([0.0, 5.0]))

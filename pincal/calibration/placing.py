@@ -295,7 +295,9 @@ def place_station(
         BadInputError: if the rows are too few, or too similar, to determine the poses.
 
     Example:
-        >>> from pincal import Chain, Conditions, Model, Options, Robot
+        >>> from pincal import Conditions, Options, Robot
+        >>> from pincal.model.chain import Chain
+        >>> from pincal.model.model import Model
         >>> from pincal import calibrate, measurements_from_arrays
         >>> robot = Robot.from_urdf("ur10")
         >>> q = robot.random_configurations(40, np.random.default_rng(0))

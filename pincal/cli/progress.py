@@ -129,7 +129,7 @@ def _shortened(text: str, width: int) -> str:
 
     Example:
         >>> _shortened("found gear_ripple of joint_2: residual 0.1 -> 0.05 mm", 30)
-        'found gear_ripple of joint_2: …'
+        'found gear_ripple of …'
     """
     if len(text) <= width:
         return text

@@ -110,9 +110,8 @@ class CheckMotion:
     @property
     def by_parameters(self) -> np.ndarray:
         """Jacobian by the parameters of the calibration, shape (R, P)."""
-        A = self._rows[0]
-        own = A[self._wide.model.n_parameters :]
-        return np.vstack([A[: self._n], own]).T
+        of_model, own = self._wide.split(self._rows[0])
+        return np.vstack([of_model[: self._n], own]).T
 
     @cached_property
     def changes(self) -> np.ndarray:

@@ -39,6 +39,18 @@ whose last check failed, and its uncertainties include the drift since the calib
 """
 
 
+_SHOWN = (
+    "station",
+    "new_station",
+    "record",
+    "day",
+    "false_alarms",
+    "noise",
+    "as_json",
+    "quiet",
+)
+
+
 @dataclass(frozen=True, kw_only=True)
 class InterimArguments:
     """Arguments of interim."""
@@ -77,7 +89,7 @@ class InterimArguments:
     general: GeneralOptions = group("General")
 
 
-@verb(InterimArguments, examples=_EXAMPLES, exits=(Exit.CHANGED,))
+@verb(InterimArguments, examples=_EXAMPLES, exits=(Exit.CHANGED,), shown=_SHOWN)
 def interim_verb(arguments: InterimArguments) -> Exit:
     """Check a calibrated robot at intervals, by a few points.
 
@@ -175,7 +187,10 @@ def odds(log_e: float) -> str:
         >>> odds(-2.0), odds(log(250.0)), odds(60.0)
         ('0.14', '250', '10^26')
     """
-    return f"{exp(log_e):.2g}" if log_e < log(1e6) else f"10^{log_e / log(10.0):.0f}"
+    if log_e >= log(1e6):
+        return f"10^{log_e / log(10.0):.0f}"
+    rounded = f"{exp(log_e):.2g}"
+    return f"{float(rounded):.0f}" if float(rounded) >= 10.0 else rounded
 
 
 def moved_words(change: CheckedChange) -> str:
