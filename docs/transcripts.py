@@ -86,7 +86,7 @@ def _commands(text: str) -> list[str]:
 def _printed(command: str) -> str:
     """Run a command, and return it with what it printed."""
     words = shlex.split(command.replace("\\\n", " "), comments=True)
-    if words[0] == "pincal" and "$(" not in command:
+    if words[0] == "pincal" and "$(" not in command and "|" not in words:
         text = _called(words[1:])
     else:
         shell = f'pincal() {{ {shlex.quote(sys.executable)} -m pincal "$@"; }}; {command}'
