@@ -341,6 +341,17 @@ def test_a_dropped_file_is_shown_and_saved(made: Made, tmp_path: Path) -> None:
     assert told[3] == "Save weld-corrected.csv" and told[4].encode("latin-1") == found and told[5]
 
 
+@ROOMS
+def test_what_the_picture_shows_is_said_in_sentences(made: Made, tmp_path: Path) -> None:
+    """Names of joints that are more than their numbers end with a full stop, before what a reader can do."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here: nothing to open a page with")
+    said, numbered = answered(made.page, "draw(); return [$('legend').textContent, JOINTS.every(isNumbered)];", tmp_path)
+
+    names = "" if numbered else r"J1: \w+(, J\d: \w+)+\. "
+    assert re.fullmatch(names + r"Drag to turn, scroll or pinch to zoom\.", said)
+
+
 @pytest.mark.long
 @ROOMS
 def test_all_joints_are_in_view_and_named(made: Made, tmp_path: Path) -> None:

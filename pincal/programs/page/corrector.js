@@ -280,8 +280,13 @@ function draw() {
     Object.assign(ctx, { lineWidth: 2, strokeStyle: colour("text") });
     ctx.stroke();
   }
+  const names = JOINTS.every(isNumbered) ? "" : `${JOINTS.map((name, i) => `J${i + 1}: ${name}`).slice(0, 9).join(", ")}. `;
   $("legend").textContent = good.length ? `Arrows: from the intended point to where this robot goes without correction, ${factor.toLocaleString("en")} times as long; the longest is ${(1e3 * longest).toFixed(3)} mm.`
-    : `${JOINTS.map((name, i) => `J${i + 1}: ${name}`).slice(0, JOINTS.every((name, i) => name.replace(/\D/g, "") === `${i + 1}`) ? 0 : 9).join(", ")} Drag to turn, scroll or pinch to zoom.`.trim();
+    : `${names}Drag to turn, scroll or pinch to zoom.`;
+}
+
+function isNumbered(name, i) {
+  return name.replace(/\D/g, "") === `${i + 1}`;
 }
 
 function look() {
