@@ -663,10 +663,34 @@ def test_rows_that_are_not_reached_are_told_and_the_rest_is_served(bench: Bench,
     assert [(row["line"], row["status"]) for row in result["not_ok"]] == [(6, "unreachable")]
     assert result["not_ok"][0]["error_mm"] > 4e4 and result["rows"] == 12
     assert "line 6: unreachable" in told.err
+    bench.compensate(columns)
+    said = capsys.readouterr().out
+    assert re.search(r"not reached +1 row, off by up to [0-9.]+ mm \(line 6\);\n +they need other targets", said)
+    assert float(re.search(r"off by up to ([0-9.]+) mm", said).group(1)) == round(result["not_ok"][0]["error_mm"], 4)  # type: ignore[union-attr]
+    assert "singular" not in said
     assert bench.compensate(columns, "--quiet", "--strict", code=4)["status"][4] == "unreachable"
     assert capsys.readouterr().err == ""
     nowhere = columns | {"x": columns["x"] + 50.0}
     assert np.all(bench.compensate(nowhere, code=4)["status"] == "unreachable")
+
+
+def test_singular_rows_are_no_misses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Where all positions are met, nothing is said to be missed: the orientation is, in the worst line of these."""
+    robot = ARMS["ur10"]()
+    model = Model(Chain.of(robot), GEOMETRIC)
+    values = np.zeros(model.n_parameters)
+    values[model.index("wrist_1_joint.alpha")] = values[model.index("elbow_joint.s_x")] = 3e-3
+    known(model, values).save(tmp_path / "model.json")
+    q = np.array([[0.3, -1.2, 1.1, -0.8, wrist, 0.4] for wrist in (0.0, 1.2)])
+    write_table(tmp_path / "program.csv", dict(zip(robot.joint_names, q.T, strict=True)))
+    code = run("compensate", tmp_path / "model.json", tmp_path / "program.csv", "--out", tmp_path / "out.csv")
+    told = capsys.readouterr()
+
+    assert code == 0
+    assert "2 rows: 1 ok, 1 singular" in told.out
+    assert "not reached" not in told.out
+    off = re.search(r"singular +1 row: positions met, orientations off by up to ([0-9.]+) mrad \(line 2\);", told.out)
+    assert off is not None and float(off.group(1)) > 0.1
 
 
 @pytest.mark.parametrize(

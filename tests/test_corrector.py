@@ -341,6 +341,17 @@ def test_a_dropped_file_is_shown_and_saved(made: Made, tmp_path: Path) -> None:
     assert told[3] == "Save weld-corrected.csv" and told[4].encode("latin-1") == found and told[5]
 
 
+@ROOMS
+def test_what_the_picture_shows_is_said_in_sentences(made: Made, tmp_path: Path) -> None:
+    """Names of joints that are more than their numbers end with a full stop, before what a reader can do."""
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here: nothing to open a page with")
+    said, numbered = answered(made.page, "draw(); return [$('legend').textContent, JOINTS.every(isNumbered)];", tmp_path)
+
+    names = "" if numbered else r"J1: \w+(, J\d: \w+)+\. "
+    assert re.fullmatch(names + r"Drag to turn, scroll or pinch to zoom\.", said)
+
+
 @pytest.mark.long
 @ROOMS
 def test_all_joints_are_in_view_and_named(made: Made, tmp_path: Path) -> None:
@@ -364,7 +375,7 @@ def test_all_joints_are_in_view_and_named(made: Made, tmp_path: Path) -> None:
     assert len(pictures) == 12
     for k, (box, names) in enumerate(pictures):
         assert [name for name, *_ in names] == [f"J{i + 1}" for i in range(len(names))] and len(names) == 6
-        assert all(x >= 0 and x + wide <= box[0] and 0 <= y <= box[1] for _, x, y, wide in names)
+        assert all(x >= 0 and x + wide <= box[0] - 5.9 and 0 <= y <= box[1] for _, x, y, wide in names)
         for i, (_, x, y, wide) in enumerate(names):
             assert all(abs(y - b) >= 14 or x > a + w or a > x + wide for _, a, b, w in names[:i])
         places = np.array([name[1:3] for name in names])

@@ -20,7 +20,7 @@ from pincal.calibration.fit_evidence import KeptEvidence
 from pincal.calibration.placing import place_station
 from pincal.cli import main
 from pincal.diagnosis.diagnosis_file import DiagnosisFile
-from pincal.diagnosis.diagnosis_page import excluded_table, headline
+from pincal.diagnosis.diagnosis_page import excluded_table, headline, lines
 from pincal.diagnosis.excluded import most_different_poses, separation, tell_apart
 from pincal.diagnosis.lineup import ChangeHypotheses
 from pincal.diagnosis.robot_diagnosis import Diagnosis, changes_since
@@ -158,6 +158,19 @@ def same(change_examples: Path) -> tuple[FittedRobot, Measurements]:
     """Return a robot that is as it was calibrated, and rows measured since."""
     model = calibrated(change_examples / "cases", "null25_heavy_6r")
     return model, rows(change_examples / "cases" / "null25_heavy_6r" / "new.csv", model.model.chain.robot)
+
+
+def test_what_is_printed_of_an_unchanged_robot(same: tuple[FittedRobot, Measurements]) -> None:
+    """Without a change there is no other one, in words or in the key of the table; far is not said in powers of ten."""
+    found = pincal.diagnose(*same)
+    far = msgspec.structs.replace(found.found.station, moved_mm=11107.525, turned_mrad=0.034891)
+    said = "\n".join(lines(msgspec.structs.replace(found.found, station=far)))
+    notes = " ".join(map(str, excluded_table(found.found, same[0].model.chain.robot.joint_names).notes))
+
+    assert not found.changed
+    assert "probability: any " in said and "any other" not in said
+    assert re.search(r"instrument moved by 11107\.5[23] mm, turned by 0\.03 mrad", said)
+    assert "changed:" not in notes and "alternative:" not in notes and "Dash:" in notes
 
 
 @pytest.mark.parametrize("case", [c if c in QUICK else pytest.param(c, marks=pytest.mark.long) for c in CASES])

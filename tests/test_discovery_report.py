@@ -13,6 +13,7 @@ import pytest
 from discovery_cases import SIGMA, Case, draw_case
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from rich.console import Console
 from scipy.special import fdtrc
 
@@ -30,7 +31,7 @@ from pincal.discover.first_order import ScoreResult
 from pincal.discover.levers import on_steps
 from pincal.discover.locate import _window, locate
 from pincal.discover.policy import POLICY
-from pincal.discover.report.found_figures import effect_figure, shrinking_figure
+from pincal.discover.report.found_figures import effect_figure, shrinking_figure, stability_figure
 from pincal.discover.report.found_words import gain_words
 from pincal.discover.report.search_answer import verdict_of_search
 from pincal.discover.run import Discovery, run_discovery
@@ -437,6 +438,17 @@ def _run(*arguments: object) -> object:
     with pytest.raises(SystemExit) as ended:
         main([str(argument) for argument in arguments])
     return ended.value.code
+
+
+@pytest.mark.parametrize("name", ["joint_elasticity of joint_2", "gear_eccentricity of shoulder_lift_joint"])
+def test_the_label_of_subsamples_is_whole(name: str) -> None:
+    """Beside long names the axis is narrow; what it shows stands within the figure."""
+    figure = stability_figure({name: 20, "gear_ratio of joint_1": 3}, 20, 0.6)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    label = figure.axes[0].xaxis.label.get_window_extent(canvas.get_renderer())
+
+    assert label.x0 >= 0.0 and label.x1 <= figure.bbox.width
 
 
 @pytest.mark.long

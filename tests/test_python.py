@@ -15,6 +15,7 @@ import pytest
 from pinocchio.visualize import MeshcatVisualizer
 
 import pincal
+from pincal.export.exported import Exported
 from pincal.sensors.registry import known_fields
 from pincal.simulate import TrueMachine, plan_poses
 from pincal.viewer import deviation_fields
@@ -75,6 +76,7 @@ def test_what_is_printed_is_short(calibration: pincal.Calibration, table: pincal
         "FittedRobot('ur10': 60 rows": fit,
         "Chain('ur10': 6 joints": fit.problem.chain,
         "Model('ur10': ": fit.model,
+        "Exported(arm.h arm.c: 2 files, ": Exported({"arm.h": b"int n;\n", "arm.c": b"\n" * 100_000}),
     }
     for begins, thing in shown.items():
         assert repr(thing).startswith(begins) and len(repr(thing)) < 200 and "\n" not in repr(thing)

@@ -494,14 +494,32 @@ def _summary(result: dict[str, Any]) -> Iterator[str]:
         f"  joints to command  meet them with an uncertainty of {result['sigma_mm']:.4f} mm rms in "
         f"{frame}"
     )
-    if result["not_ok"]:
-        # Only where a row is not reached does more remain than rounding.
-        yield f"  not reached        remain {_sizes(result['error']['commanded'])} over all rows"
+    yield from _not_ok_lines(result["not_ok"])
     if result["change"]:
         change = result["change"]
         size = format_joint(change["value"], change["unit"], ".4g")
         yield f"  largest change     {size} of a joint ({change['joint']}, line {change['line']})"
     yield f"written to {result['out']}"
+
+
+def _not_ok_lines(not_ok: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield what the rows that are not ok lack and need; singular ones lack orientation alone."""
+    singular = [row for row in not_ok if row["status"] == "singular"]
+    missed = [row for row in not_ok if row["status"] != "singular"]
+    if singular:
+        worst = max(singular, key=lambda row: float(row["error_mrad"]))
+        yield (
+            f"  singular           {counted(len(singular), 'row')}: positions met, orientations "
+            f"off by up to {worst['error_mrad']:.4f} mrad (line {worst['line']});"
+        )
+        yield "                     if that is too much, move their targets off singular poses"
+    if missed:
+        worst = max(missed, key=lambda row: float(row["error_mm"]))
+        yield (
+            f"  not reached        {counted(len(missed), 'row')}, off by up to "
+            f"{worst['error_mm']:.4f} mm (line {worst['line']});"
+        )
+        yield "                     they need other targets, or to start from other joints"
 
 
 def _sizes(error: dict[str, float]) -> str:

@@ -66,7 +66,7 @@ class Compensation:
 
     def __repr__(self) -> str:
         return (
-            f"Compensation({int(self.is_ok.sum())} of {len(self.q)} rows reached, in the "
+            f"Compensation({int(self.is_ok.sum())} of {len(self.q)} rows ok, in the "
             f"frame {self.frame!r})"
         )
 

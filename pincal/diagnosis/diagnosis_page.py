@@ -197,10 +197,11 @@ def excluded_table(found: DiagnosisFile, joint_names: Sequence[str]) -> Table:
         )
         for name, on in smallest.items()
     )
+    words = {_CHANGED: "found, see above", _RIVAL: "could be the cause instead, see above"}
+    said = "".join(f"{word}: {what}. " for word, what in words.items() if word in happened.values())
     notes = (
-        f"In mm. {_CHANGED}: found, see above. {_RIVAL}: could be the cause instead, see above. "
-        "Dash: not observable in these poses, or not on this joint. Sizes in SI units are in "
-        "diagnosis.json.",
+        f"In mm. {said}Dash: not observable in these poses, or not on this joint. Sizes in SI "
+        "units are in diagnosis.json.",
     )
     return Table(
         "Smallest change detected with a probability of 90 %, as motion of the target",
@@ -239,8 +240,8 @@ def _named_above(changes: Iterable[ChangeEntry]) -> dict[tuple[str, str], str]:
 def set_up_words(found: DiagnosisFile) -> str:
     """Return the displacements of instrument and target in words."""
     at = found.station
-    parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.4g} mm"]
-    parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.4g} mrad"]
+    parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.2f} mm"]
+    parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.2f} mrad"]
     parts += (
         []
         if at.target_moved_mm is None
@@ -271,8 +272,9 @@ def lines(found: DiagnosisFile) -> Iterator[str]:
         first = [entry for entry in found.excluded if entry.effect == found.excluded[0].effect]
         largest = max(first, key=lambda entry: entry.smallest)
         size = format_small(largest.smallest, largest.unit)
+        kind = f"other {first[0].effect}" if found.changes else first[0].effect
         yield (
-            f"excluded with 90 % probability: any other {first[0].effect} of at least "
+            f"excluded with 90 % probability: any {kind} of at least "
             f"{size} ({largest.tip_mm:.2f} mm at "
             f"the target); all {len(found.excluded)} in diagnosis.json"
         )

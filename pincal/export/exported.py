@@ -21,7 +21,7 @@ from pincal.atomic import write_atomic
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.compensate_numbers import COMPENSATION
 from pincal.compensate.robot_frames import in_base_frame
-from pincal.errors import BadInputError, OutputError, nearest_first
+from pincal.errors import BadInputError, OutputError, counted, nearest_first
 from pincal.export.formulas import Formulas, sides_following
 from pincal.model.conditions import Conditions
 from pincal.plugins import Registry
@@ -29,7 +29,7 @@ from pincal.satellites import Place
 from pincal.thresholds import Count, Scale
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Exported:
     """A calibrated robot in some format.
 
@@ -44,6 +44,11 @@ class Exported:
     files: dict[str, bytes]
     notes: tuple[str, ...] = ()
     max_error_m: float | None = None
+
+    def __repr__(self) -> str:
+        size = sum(len(content) for content in self.files.values())
+        names = " ".join(name for name in self.files if name) or "no name"
+        return f"Exported({names}: {counted(len(self.files), 'file')}, {size} bytes)"
 
     @property
     def text(self) -> str:

@@ -58,7 +58,7 @@ def stability_figure(counts: Mapping[str, int], of: int, sure: float) -> Figure:
     axes.barh(range(len(names)), numbers, height=0.6, color=colours)
     axes.axvline(sure * of, color=INK, linewidth=1.0, linestyle="--")
     axes.set(xlim=(0, of), ylim=(-0.7, len(names) - 0.3))
-    dress(axes, x=f"named in this many of {of} subsamples")
+    dress(axes, x=f"named in how many of {of}")
     axes.set_yticks(range(len(names)), names, fontsize=SMALL, color=INK)
     return figure
 

@@ -169,7 +169,7 @@ def _card(k: int, entry: FoundEffect) -> Markup:
     )
     shown = merged(lines, "<br>")
     explained = rich(
-        'mean held-out error {}; p-value: <span class="nw">{}</span>',
+        'mean held-out error {}; p-value: <span class="nw">{}</span>.',
         sourced(gain_words(entry), *_gain_pointers(at, entry)),
         sourced(show_chance(entry.p_value), f"{at}/p_value"),
     )

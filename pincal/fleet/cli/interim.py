@@ -171,7 +171,8 @@ def lines_of(record: CheckRecord) -> Iterator[tuple[str, str]]:
     )
     yield (
         "evidence",
-        f"{odds(check.log_e)} that something has changed; an alarm from {check.limit:.3g} on",
+        f"readings {odds(check.log_e)} times as likely if something has changed; an alarm from "
+        f"{check.limit:.3g} on",
     )
     yield "verdict", "ALARM: not as calibrated" if check.has_failed else "no change found"
     yield "drift", f"u = {check.drift * 1e3:.2g} mm of a coordinate since the calibration"

@@ -213,12 +213,14 @@ function bounds() {
   const radius = points.reduce((most, p) => Math.max(most, Math.hypot(...p.map((v, i) => v - middle[i]))), 0.05 * ABOUT.reach);
   return Object.assign(SEEN, { of: result, start: String(options.start), middle, radius });
 }
-// Write the names of joints beside these, none over another.
+// Write the names of joints beside these, none over another and none over the edge.
 function label(ctx, places, paint) {
+  const right = ctx.canvas.getBoundingClientRect().width - 6;
   const taken = [], names = JOINTS.length <= 9 ? JOINTS.map((_, i) => `J${i + 1}`) : JOINTS;
   Object.assign(ctx, { font: "600 12px system-ui, sans-serif", fillStyle: paint, textBaseline: "middle" });
-  places.forEach(([x, y], i) => {
+  places.forEach(([beside, y], i) => {
     const text = ABOUT.follows.length === JOINTS.length ? names[i] : JOINTS[ABOUT.follows[i][0]], wide = ctx.measureText(text).width;
+    const x = Math.min(beside, right - wide);
     let at = y;
     while (taken.some(([left, top, w]) => Math.abs(top - at) < 14 && x < left + w + 4 && left < x + wide + 4)) at += 14;
     taken.push([x, at, wide]);
@@ -280,8 +282,13 @@ function draw() {
     Object.assign(ctx, { lineWidth: 2, strokeStyle: colour("text") });
     ctx.stroke();
   }
+  const names = JOINTS.every(isNumbered) ? "" : `${JOINTS.map((name, i) => `J${i + 1}: ${name}`).slice(0, 9).join(", ")}. `;
   $("legend").textContent = good.length ? `Arrows: from the intended point to where this robot goes without correction, ${factor.toLocaleString("en")} times as long; the longest is ${(1e3 * longest).toFixed(3)} mm.`
-    : `${JOINTS.map((name, i) => `J${i + 1}: ${name}`).slice(0, JOINTS.every((name, i) => name.replace(/\D/g, "") === `${i + 1}`) ? 0 : 9).join(", ")} Drag to turn, scroll or pinch to zoom.`.trim();
+    : `${names}Drag to turn, scroll or pinch to zoom.`;
+}
+
+function isNumbered(name, i) {
+  return name.replace(/\D/g, "") === `${i + 1}`;
 }
 
 function look() {
