@@ -74,10 +74,11 @@ def __getattr__(name: str) -> Any:
     home = _moved(new) or _homes().get(new)
     if home is None:
         raise AttributeError(f"module 'pincal' has no attribute {name!r}")
+    found = getattr(importlib.import_module(home), new)
     if name in _RENAMED or _moved(name):
+        # After the import: libraries set filters in it, by which Python forgets what it has shown.
         place = f"{home}.{new}" if _moved(new) else f"pincal.{_RENAMED[name]}"
         warnings.warn(f"pincal.{name} is now {place}", DeprecationWarning, stacklevel=2)
-    found = getattr(importlib.import_module(home), new)
     return getattr(found, part) if part else found
 
 

@@ -126,6 +126,11 @@ def test_another_robot_takes_nothing_of_the_cells_robot(folder: Path, capsys: py
         ("[id]\nrobt = '1'", "cell.toml: id.robt: no such entry; expected one of robot"),
         ("id = 3", "cell.toml: id = 3; expected a table [id]"),
         ("robot", "cell.toml: can't be read"),
+        ("robot = ''", "cell.toml: robot = ''; expected a URDF or xacro file"),
+        ("robot = '.'", "cell.toml: robot = '.'; expected a URDF or xacro file"),
+        ("robot = ['a', 'b']", "cell.toml: robot = ['a', 'b']; expected a URDF or xacro file"),
+        (f"payload = {'1' * 5000}", "cell.toml: can't be read"),
+        ('points = "a\\u0000b"', r"cell.toml: points = 'a\x00b'; expected text without the character NUL"),
     ],
 )
 def test_what_a_cell_can_not_say_is_refused(text: str, told: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -134,6 +139,13 @@ def test_what_a_cell_can_not_say_is_refused(text: str, told: str, folder: Path, 
     assert run("calibrate", "robot.urdf", "tracker.csv") == 3
     assert told in capsys.readouterr().err
     assert not (folder / "results").exists()
+
+
+def test_a_cell_of_windows_is_read(tmp_path: Path) -> None:
+    """With a byte order mark and its ends of lines."""
+    path = tmp_path / "cell.toml"
+    path.write_bytes(b"\xef\xbb\xbf" + b'noise = "0.05mm"\r\ntip = "tool0"\r\n')
+    assert CellFile.read(path).entries == {"noise": "0.05mm", "tip": "tool0"}
 
 
 @pytest.mark.parametrize("words", [["--set", "nois=1mm"], ["--set", "noise"], ["--noise", "1mm", "--set", "noise=2mm"]])

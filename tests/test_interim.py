@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -233,8 +235,9 @@ def test_rows_are_judged_once_and_in_their_order() -> None:
             checked(same, found, 4)
     with pytest.raises(BadInputError, match=r"measured on 2026-01-03, but the last check"):
         checked(arm().table(), found, 2)
-    with pytest.raises(BadInputError, match="expected an ISO date"):
-        found.checked(arm().table(), "yesterday")
+    for day in ("yesterday", "20260105", "2026-W02-1"):
+        with pytest.raises(BadInputError, match="expected an ISO date"):
+            found.checked(arm().table(), day)
 
 
 def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
@@ -264,6 +267,20 @@ def test_a_file_that_is_no_record_is_refused(change: dict[str, object], tmp_path
     five_days().record.save(path)
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(BadInputError, match=r"model\.checks\.json.*expected"):
+        load_record(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("day", "foo"), ("day", "20260101"), ("sigma", [0.0]), ("sigma", []), ("joints", ["a", "a"])]
+)
+def test_rows_of_a_damaged_record_are_refused_with_their_key(key: str, value: object, tmp_path: Path) -> None:
+    """Before anything is judged by them."""
+    path = tmp_path / "model.checks.json"
+    five_days().record.save(path)
+    content = json.loads(path.read_text())
+    content["checks"][1]["rows"][key] = value
+    path.write_text(json.dumps(content))
+    with pytest.raises(BadInputError, match=rf"model\.checks\.json: checks\[1\]\.rows\.{key}: .*expected.*backup"):
         load_record(path)
 
 
@@ -340,6 +357,18 @@ def test_a_record_may_stand_elsewhere(folder: Path) -> None:
     assert run("interim", model, str(folder / "mon.csv"), "--record", str(folder / "r.json"), "--quiet") == 0
     assert load_record(folder / "r.json").last is not None
     assert run("interim", model, str(folder / "mon.csv"), "--record", model) == 3
+
+
+def test_runs_at_once_all_enter_the_record(folder: Path) -> None:
+    """The later one is judged together with the check of the other, and does not replace it."""
+    place = folder / "at_once.json"
+    names = [f"at_once_{k}.csv" for k in range(3)]
+    for name in names:
+        write(arm().table(), folder / name)
+    words = [sys.executable, "-m", "pincal", "interim", str(folder / "model.json"), "--quiet", "--record", str(place)]
+    running = [subprocess.Popen([*words, str(folder / name)], stdout=subprocess.DEVNULL) for name in names]
+    assert [one.wait(timeout=120) for one in running] == [0, 0, 0]
+    assert sorted(check.rows.table for check in load_record(place).checks) == names
 
 
 def test_the_study_draws_what_it_says() -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import inspect
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -55,6 +57,14 @@ def test_names_stand_by_topic_and_few_are_enough() -> None:
     for name, home in moved.items():
         with pytest.warns(DeprecationWarning, match=f"pincal.{name} is now {home}.{name}$"):
             assert getattr(pincal, name) is getattr(importlib.import_module(home), name)
+
+
+def test_a_moved_name_warns_once_a_line(tmp_path: Path) -> None:
+    """Also at its first use, which imports what sets filters of warnings."""
+    script = tmp_path / "moved.py"
+    script.write_text("from pincal import Chain\n")
+    done = subprocess.run([sys.executable, "-W", "default", script], capture_output=True, text=True, check=True)
+    assert done.stderr.count("pincal.Chain is now pincal.model.chain.Chain") == 1
 
 
 def test_every_column_is_a_keyword() -> None:

@@ -229,10 +229,16 @@ def _require_day(day: str) -> None:
     Raises:
         BadInputError: if it is no ISO date.
     """
+    if not _is_day(day):
+        raise BadInputError(f"day {day!r}; expected an ISO date such as 2026-11-03")
+
+
+def _is_day(text: str) -> bool:
+    """Return whether a text is a date as YYYY-MM-DD, whose order as text is that of the days."""
     try:
-        date.fromisoformat(day)
+        return date.fromisoformat(text).isoformat() == text
     except ValueError:
-        raise BadInputError(f"day {day!r}; expected an ISO date such as 2026-11-03") from None
+        return False
 
 
 def _mark(columns: dict[str, list[Any]]) -> str:
@@ -283,7 +289,30 @@ def load_record(path: str | os.PathLike[str]) -> CheckRecord:
     Raises:
         BadInputError: if the file can't be read, or a value is missing or invalid.
     """
-    return read_json(path, CheckRecord, _FILE)
+    found = read_json(path, CheckRecord, _FILE)
+    for number, check in enumerate(found.checks):
+        _require_rows(f"{os.fspath(path)}: checks[{number}].rows", check.rows)
+    return found
+
+
+def _require_rows(where: str, rows: CheckedRows) -> None:
+    """Refuse rows of a record that was edited by hand, with a day or a noise that is none.
+
+    Raises:
+        BadInputError: with the key.
+    """
+    if not _is_day(rows.day):
+        raise BadInputError(
+            f"{where}.day: is {rows.day!r}; expected an ISO date such as 2026-11-03; {_FILE.advice}"
+        )
+    if not rows.sigma or not all(0.0 < sigma <= LARGEST for sigma in rows.sigma):
+        raise BadInputError(
+            f"{where}.sigma: is {list(rows.sigma)}; expected positive numbers; {_FILE.advice}"
+        )
+    if len(set(rows.joints)) < len(rows.joints):
+        raise BadInputError(
+            f"{where}.joints: {', '.join(rows.joints)}; expected each joint once; {_FILE.advice}"
+        )
 
 
 def record_of(

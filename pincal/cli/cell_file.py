@@ -123,6 +123,12 @@ class CellFile:
         if not isinstance(stated, dict):
             raise BadInputError(f"{path}: {IDENTITY} = {stated!r}; expected a table [{IDENTITY}]")
         entries = {key: _words(f"{path}: {key}", value) for key, value in content.items()}
+        robot = entries.get("robot", ".urdf")
+        if not isinstance(robot, str) or not robot or (path.parent / robot).is_dir():
+            raise BadInputError(
+                f"{path}: robot = {content['robot']!r}; expected a URDF or xacro file, or the name "
+                "of a robot of example-robot-data"
+            )
         located = {key: _located(path.parent, key, value) for key, value in entries.items()}
         return cls(path, located, _identity(path, stated))
 

@@ -5,7 +5,6 @@ and ball of a probe, from a file ``sensor.toml``.
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pincal.errors import BadInputError, nearest_first
-from pincal.io.keyed_table import DefaultUnits, KeyedTable
+from pincal.io.keyed_table import DefaultUnits, KeyedTable, read_toml
 from pincal.robot.se3 import rotation_of_rpy, transform
 from pincal.sensors.lens import DISTORTION, PINHOLE, Lens
 
@@ -79,13 +78,7 @@ class FlangeSensor:
                 none.
         """
         path = Path(path)
-        try:
-            tables = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise BadInputError(
-                f"{path}: can't be read ({error}); expected TOML with tables mount, camera, noise "
-                "or probe"
-            ) from None
+        tables = read_toml(path, "TOML with tables mount, camera, noise or probe")
         for name, table in tables.items():
             if name not in _KNOWN:
                 known = ", ".join(nearest_first([name], _KNOWN))

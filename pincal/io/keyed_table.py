@@ -41,9 +41,30 @@ def read_toml(path: str | os.PathLike[str], expected: str) -> dict[str, Any]:
         BadInputError: if it can't be read or is no TOML.
     """
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        # Windows' editors begin a file with a byte order mark.
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
+        # ValueError: no UTF-8, no TOML, or an integer of thousands of digits.
         raise BadInputError(f"{path}: can't be read ({error}); expected {expected}") from None
+    for key, value in content.items():
+        _require_no_nul(f"{path}: {key}", value)
+    return content
+
+
+def _require_no_nul(where: str, value: Any) -> None:
+    """Refuse text with the character NUL, which no name of a file or of a joint has.
+
+    Raises:
+        BadInputError: with its place.
+    """
+    if isinstance(value, dict):
+        for key, each in value.items():
+            _require_no_nul(f"{where}.{key}", each)
+    elif isinstance(value, list):
+        for each in value:
+            _require_no_nul(where, each)
+    elif isinstance(value, str) and "\0" in value:
+        raise BadInputError(f"{where} = {value!r}; expected text without the character NUL")
 
 
 def require_known(where: str, keys: Iterable[str], known: Iterable[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from datetime import date
 from math import exp, log
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from pincal.atomic import one_at_a_time
 from pincal.cli.arguments import Output, argument, group, option, verb
 from pincal.cli.common import GeneralOptions, TableArguments, model_argument
 from pincal.cli.identity_options import HEADING, IdentityOptions
@@ -21,6 +23,8 @@ from pincal.thresholds import Count
 
 if TYPE_CHECKING:
     from pincal.calibration.check_record import CheckedChange, CheckRecord, InterimCheck
+    from pincal.calibration.fitted_robot import FittedRobot
+    from pincal.measure.measurements import Measurements
 
 # Characters of a calibration's fingerprint in the name of its record.
 _MARK: Count = 8
@@ -98,17 +102,39 @@ def interim_verb(arguments: InterimArguments) -> Exit:
     micrometres a day is drift, which adds to uncertainties, and no alarm. The exit code is 6 after
     an alarm.
     """
-    from pincal.calibration.check_record import record_of, record_path
+    from pincal.calibration.check_record import record_path
     from pincal.calibration.fitted_robot import load_model
     from pincal.cli.inputs import load_table
-    from pincal.fleet.checked_robot import CheckedRobot
 
     fitted = load_model(arguments.model)
     notes = list(arguments.identity.of_model(fitted.identity, arguments.model))
     path = arguments.record or record_path(arguments.model)
-    record, other = record_of(fitted, path)
     robot = fitted.robot_model().model.chain.robot
     table = load_table(robot, arguments.data, options=arguments.table.options)
+    # Of two runs at once, the later one would replace the check of the other.
+    with one_at_a_time(path.parent) if path.parent.is_dir() else nullcontext():
+        record, note = _recorded(arguments, fitted, table, path)
+    notes += [note] if note is not None else []
+    last = record.checks[-1]
+    if arguments.general.as_json:
+        print_json(as_plain(last, len(record.checks)))
+    else:
+        lines = [f"{heading:10}{text}" for heading, text in lines_of(record)]
+        click.echo("\n".join([*lines, f"written to {path}"]))
+    echo_notes(notes, quiet=arguments.general.quiet)
+    return Exit.CHANGED if last.has_failed else Exit.DONE
+
+
+def _recorded(
+    arguments: InterimArguments, fitted: FittedRobot, table: Measurements, path: Path
+) -> tuple[CheckRecord, str | None]:
+    """Judge a table together with all before, and write the record; return it, and a note where
+    the file was of another calibration.
+    """
+    from pincal.calibration.check_record import record_of
+    from pincal.fleet.checked_robot import CheckedRobot
+
+    record, other = record_of(fitted, path)
     checked = CheckedRobot.of(fitted, record).checked(
         table,
         arguments.day or date.today().isoformat(),
@@ -117,17 +143,9 @@ def interim_verb(arguments: InterimArguments) -> Exit:
         sigma=arguments.noise,
         false_alarms=arguments.false_alarms,
     )
-    if other is not None:
-        notes.append(f"{other}; kept as {kept_aside(path)}")
+    note = None if other is None else f"{other}; kept as {kept_aside(path)}"
     checked.record.save(path)
-    last = checked.record.checks[-1]
-    if arguments.general.as_json:
-        print_json(as_plain(last, len(checked.record.checks)))
-    else:
-        lines = [f"{heading:10}{text}" for heading, text in lines_of(checked.record)]
-        click.echo("\n".join([*lines, f"written to {path}"]))
-    echo_notes(notes, quiet=arguments.general.quiet)
-    return Exit.CHANGED if last.has_failed else Exit.DONE
+    return checked.record, note
 
 
 def kept_aside(path: Path) -> Path:
