@@ -184,6 +184,31 @@ def test_check_writes_a_cell_of_what_it_was_told_and_suggests_the_short_command(
     assert "pincal calibrate tracker.csv --noise 0.1mm\n" in capsys.readouterr().out
 
 
+def test_check_suggests_the_short_command_where_the_cell_says_the_same(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Whoever wrote the cell; with other words than its own the whole command is suggested."""
+    cell('robot = "robot.urdf"\nnoise = "0.05mm"\n')
+    assert run("check", "robot.urdf", "tracker.csv", "--noise", "0.05mm") == 0
+    assert "pincal calibrate tracker.csv\n" in capsys.readouterr().out
+    assert run("check", "robot.urdf", "tracker.csv", "--noise", "0.1mm") == 0
+    assert "pincal calibrate robot.urdf tracker.csv --noise 0.1mm\n" in capsys.readouterr().out
+
+
+def test_known_places_of_a_command_line_stand_in_place_of_those_of_the_cell(
+    folder: Path, kuka: Robot, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One distance on the command line is all that is known, whatever the cell knows of the sockets."""
+    contacts = ["simulate", "robot.urdf", "--sockets", "3", "--poses", "40", "--noise", "0.05mm"]
+    assert run(*contacts, "--points-out", "sockets.csv", "--out", "contacts.csv", "--no-floor") == 0
+    known = ["--socket-distance", *Path("sockets.csv").read_text().splitlines()[1].split(",")[:1]]
+    other = Path("sockets.csv").read_text().splitlines()[2].split(",")[0]
+    capsys.readouterr()
+    assert run("check", "contacts.csv", *known, other, "100mm", "--json") in (0, 3)
+    said = capsys.readouterr().err
+    assert "cell.toml: " in said and "points" not in said.split("\n")[0]
+
+
 def test_a_written_cell_is_valid_with_every_comment_removed(tmp_path: Path) -> None:
     """The examples in it can be used as they are."""
     path = tmp_path / "cell.toml"

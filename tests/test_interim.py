@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -9,6 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from interim_cases import INSTRUMENT, TOOL, CheckedArm, checked_arm, day_of
 from interim_study import checks_of
@@ -336,6 +338,22 @@ def test_the_command_keeps_a_record_and_tells_an_alarm(folder: Path, capsys: pyt
     out = capsys.readouterr().out
     assert "ALARM" in out and "joint_3: offset" in out
     assert [check.has_failed for check in load_record(folder / "model.checks.json").checks] == [False, False, True]
+
+
+def test_a_table_that_no_change_explains_is_not_recorded(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor is a day to come: one or the other would spoil every later check."""
+    shutil.copy(folder / "model.json", tmp_path)
+    model = str(tmp_path / "model.json")
+    wrong = pl.read_csv(folder / "mon.csv").with_columns(pl.col("x", "y", "z") * 1e3)
+    wrong.write_csv(tmp_path / "wrong.csv")
+    assert run("interim", model, str(tmp_path / "wrong.csv"), "--day", "2026-01-05") == 3
+    assert "belong to another robot or target" in capsys.readouterr().err
+    assert run("interim", model, str(folder / "mon.csv"), "--day", "2999-01-05") == 3
+    assert "is to come" in capsys.readouterr().err
+    assert not (tmp_path / "model.checks.json").exists()
+    assert run("interim", model, str(folder / "mon.csv"), "--day", "2026-01-05") == 0
 
 
 def test_the_record_of_an_earlier_calibration_is_kept(

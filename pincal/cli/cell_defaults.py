@@ -40,6 +40,8 @@ _META = "pincal.cell"
 _ROBOT_FIELD = "robot"
 # Endings of robots and of models, which are no tables.
 _NO_TABLES = (".urdf", ".xacro", ".xml", ".json", ".toml")
+# Keys of places and distances that are known, one of which stands in place of the others.
+_KNOWN_PLACES = ("points", "distances", "socket_distance")
 # Fields of options that only say what is printed.
 _PRINTING = ("verbose", "as_json", "quiet")
 _OF_ID = f"{IDENTITY}."
@@ -194,10 +196,14 @@ class _Reader:
         assert taken.cell is not None
         entries = taken.cell.entries
         is_other = self._is_other(taken.cell, robot)
+        # What the command line knows of sockets and points stands in place of what the cell knows.
+        states_places = any(self.keys.get(name) in _KNOWN_PLACES for name in self.given)
         for parameter in self.command.params:
             name = str(parameter.name)
             key = self.keys.get(name, "")
             if key not in entries or name == _ROBOT_FIELD or (is_other and key in KEYS_OF_ROBOT):
+                continue
+            if key in _KNOWN_PLACES and states_places:
                 continue
             value = entries[key]
             if parameter.multiple and not isinstance(value, tuple):
@@ -288,7 +294,7 @@ class _Reader:
                 continue
             if name in self.keys:
                 taken.given[self.keys[name]] = self.given[name]
-            elif name not in (CELL_FIELD, SETTINGS, ENTRIES, *_PRINTING):
+            elif name not in (SETTINGS, ENTRIES, *_PRINTING):
                 taken.beyond += _words_of(parameter, self.given[name])
         for key in (SETTINGS, ENTRIES):
             for text in self.given.get(key, ()):
@@ -425,11 +431,8 @@ def is_cell_beside(given: Mapping[str, Any], place: Path) -> bool | None:
     if taken is None or not taken.is_wanted or not path.is_file():
         return None
     entries = CellFile.read(path).entries
-    own = {key: _as_read(value) for key, value in given.items()}
-    return own.keys() == entries.keys() and all(
-        _is_same(entries[key], value) if isinstance(value, str) else entries[key] == value
-        for key, value in own.items()
-    )
+    holds_all = all(_holds(entries, key, value) for key, value in given.items())
+    return given.keys() == entries.keys() and holds_all
 
 
 def _as_read(value: Any) -> Any:
@@ -440,8 +443,24 @@ def _as_read(value: Any) -> Any:
 
 
 def words_beyond_cell() -> tuple[str, ...] | None:
-    """Return the options of the present command line that the cell file does not hold that it
-    wrote; None if it wrote none.
+    """Return the options of the present command line that its cell file does not hold, be it
+    written by it or there before; None if there is none, or one that says something else.
     """
     taken = _taken()
-    return None if taken is None or taken.written is None else tuple(taken.beyond)
+    if taken is None:
+        return None
+    if taken.written is None:
+        entries = {} if taken.cell is None else taken.cell.entries
+        if not all(_holds(entries, key, value) for key, value in taken.given.items()):
+            return None
+    is_there = taken.written is not None or taken.cell is not None
+    return tuple(taken.beyond) if is_there else None
+
+
+def _holds(entries: Mapping[str, Any], key: str, value: Any) -> bool:
+    """Return whether a cell gives a value, as on a command line."""
+    if key not in entries:
+        return False
+    if isinstance(value, str):
+        return _is_same(entries[key], value)
+    return bool(entries[key] == _as_read(value))

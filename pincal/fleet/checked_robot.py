@@ -102,7 +102,8 @@ class CheckedRobot:
         Raises:
             BadInputError: for rows that were checked before, or that the model was fitted to, too
                 few of them, a day before the last check, or a rate outside 0 to 0.5.
-            MeasurementError: if the table can't be of this robot and station.
+            MeasurementError: if the table can't be of this robot and station, or misses the model
+                by more than any change explains.
         """
         if not 0.0 < false_alarms < 0.5:
             raise BadInputError(
@@ -121,7 +122,22 @@ class CheckedRobot:
         )
         self._refuse_known(rows)
         series = CheckSeries(self.fitted, (*(one.rows for one in self.record.checks), rows))
-        return replace(self, record=self.record.with_check(series.judged(false_alarms)))
+        check = series.judged(false_alarms)
+        self._refuse_strange(check)
+        return replace(self, record=self.record.with_check(check))
+
+    def _refuse_strange(self, check: InterimCheck) -> None:
+        """Refuse readings that no change of a robot explains: recorded, they would be an alarm that
+        no later check takes back.
+        """
+        reach = self.fitted.robot_model().model.chain.robot.reach
+        if check.unit == "m" and check.error > CHANGES.strange * reach:
+            raise MeasurementError(
+                f"{check.rows.table}: readings miss the model by {1e3 * check.error:.0f} mm rms, "
+                f"where the robot reaches {reach:.2f} m. They belong to another robot or target, "
+                "the instrument was set up anew (--new-station), or columns or units are wrong; "
+                "expected readings of this robot as it was calibrated. Nothing was recorded"
+            )
 
     def _table(self, measurements: Measurements, station: str | None) -> Measurements:
         """Return the means of stops of a table.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass
-from datetime import date
+from datetime import date, timedelta
 from math import exp, log
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from pincal.cli.common import GeneralOptions, TableArguments, model_argument
 from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, print_json
 from pincal.cli.quantities import LENGTH
-from pincal.errors import Exit
+from pincal.errors import BadInputError, Exit
 from pincal.thresholds import Count
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def _recorded(
     record, other = record_of(fitted, path)
     checked = CheckedRobot.of(fitted, record).checked(
         table,
-        arguments.day or date.today().isoformat(),
+        _day(arguments),
         station=arguments.station,
         is_new_station=arguments.new_station,
         sigma=arguments.noise,
@@ -146,6 +146,23 @@ def _recorded(
     note = None if other is None else f"{other}; kept as {kept_aside(path)}"
     checked.record.save(path)
     return checked.record, note
+
+
+def _day(arguments: InterimArguments) -> str:
+    """Return the day of a check.
+
+    Raises:
+        BadInputError: for one to come: checks of today would then be refused as earlier.
+    """
+    today = date.today()
+    # Where it is tomorrow already.
+    latest = (today + timedelta(days=1)).isoformat()
+    if arguments.day is not None and arguments.day > latest:
+        raise BadInputError(
+            f"--day {arguments.day}: is to come; expected the day of the readings, {today} at the "
+            "latest"
+        )
+    return arguments.day or today.isoformat()
 
 
 def kept_aside(path: Path) -> Path:
