@@ -111,6 +111,12 @@ def _explained(result: Result, verdict: Verdict) -> str:
 def unjudged(result: Result) -> str:
     """Return why a model whose noise was estimated is not judged, and what would judge it."""
     option = noise_option(result)
+    if not option and result.noise.get("declared"):
+        return (
+            "The noise of some readings was estimated from their residuals, which can't show "
+            "whether effects are missing: measure more poses with the instrument whose noise is "
+            "declared"
+        )
     cure = (
         f"state the instrument's own ({option}), or measure ten poses three times"
         if option
