@@ -222,7 +222,7 @@ def _print(found: list[Validation], result: dict[str, Any], notes: Sequence[Note
             )
         )
     for each in found:
-        out.print(hanging(f"{each.name}:", f"{_place_words(each)}; {each.verdict}"))
+        out.print(hanging(f"{each.name}:", f"{_place_words(each)}; {_JUDGED[each.verdict]}"))
     out.print(error_table(_errors(found, result)))
     for each in found:
         if each.by_coverage is not None:
@@ -248,6 +248,14 @@ def _print_repeated(found: Validation, out: Console) -> None:
         out.print(hanging("cycles:", cycle_words(iso)))
         iso = None
     print_replicates(iso, lack, out)
+
+
+# What a verdict says of rows, by its value.
+_JUDGED = {
+    "adequate": "errors are no larger than the model states: adequate",
+    "not adequate": "errors are larger than the model states: not adequate",
+    "not judged": "not judged",
+}
 
 
 def _place_words(found: Validation) -> str:
