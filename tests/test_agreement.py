@@ -173,7 +173,8 @@ def test_a_strange_table_costs_a_fixed_number_of_fits(
     with pytest.raises(MeasurementError, match="with only base and tool fitted"):
         run_calibration(kuka, replace(table, q=table.q[order]), Options(effects=GEOMETRIC))
     assert len(looked) > 80
-    assert len(fits) == trials._PLACED + 1
+    # Beside the likeliest, the rows as they are, once to be refused and once to tell what a cure removes.
+    assert len(fits) == trials._PLACED + 2
 
 
 def test_a_noisy_instrument_may_be_declared_in_the_table(kuka: Robot, table: Measurements) -> None:

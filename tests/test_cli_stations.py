@@ -208,7 +208,7 @@ def test_a_station_is_predicted_by_the_others(days: list[Path], tmp_path: Path, 
         f"geometry alone {np.mean(geometric):.4f} mm"
     )
     assert result["error"]["calibrated"]["test"]["mean_mm"] == pytest.approx(np.mean(means), rel=2e-3)
-    assert "On set-ups not used by the calibration" in (tmp_path / "report.html").read_text()
+    assert "errors on set-ups not used by the calibration" in (tmp_path / "report.html").read_text()
 
 
 def aligned(fit: pincal.FittedRobot, table: pincal.Measurements) -> float:
