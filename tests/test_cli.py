@@ -265,7 +265,7 @@ def test_the_next_command_of_check_is_one(tmp_path, columns, capsys, monkeypatch
     assert run("check", *given) == 0
     words = " ".join(capsys.readouterr().out.split("\nnext ")[1].split("\nmore ")[0].split())
     _, verb, *rest = shlex.split(words, comments=True)
-    assert (verb, rest) == ("calibrate", [*given, "--out", "results"])
+    assert (verb, rest) == ("calibrate", [*given, "--noise", "0.05mm"])
     assert run(verb, *rest) == 0
     inputs = json.loads(Path("results/model.json").read_text())["provenance"]["inputs"]
     assert list(inputs) == ["tracker.csv", "log.csv", "kuka.urdf"]
