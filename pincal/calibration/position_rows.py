@@ -155,8 +155,8 @@ class LeftOutRows:
 
 def _known_noise(fit: ModelFit, k: int, block: int = 0) -> np.ndarray:
     """Return the variance of a component of a block of each row that is known to be of the
-    readings, shape (N,) [m^2 or rad^2]: the declared noise, or what the stops of its pose show,
-    whichever is more.
+    readings, shape (N,) [m^2 or rad^2]: the declared noise, or what the stops of its pose or the
+    targets of a stop show, whichever is more.
     """
     at = fit.problem.stations[k]
     scatter = fit.scatter.get(at.name)
@@ -166,6 +166,11 @@ def _known_noise(fit: ModelFit, k: int, block: int = 0) -> np.ndarray:
         of_row = (1.0, 1.0) if scatter.of_single else (scatter.readings, scatter.stops)
         shown = scatter.of_row(*of_row)
         size = max(size, float(shown[block]))
+    if at.arrival is not None and at.arrival.rows.max(initial=0) > 1:
+        # Readings of a stop differ by their own noise, whatever a model lacks there.
+        sigma = fit.solution.sigma[fit.problem.block_spans[k].start + block]
+        component = at.block_rows[block].start
+        size = max(size, float(sigma / at.arrival.size[component]) ** 2)
     return np.asarray(size / np.maximum(at.weights, 1e-300) ** 2)
 
 

@@ -149,13 +149,38 @@ def residual_structure(fit: ModelFit, rows: Sequence[PositionRows]) -> Structure
     some = [
         of.select(np.sort(chosen[station[chosen] == k] - counts[k])) for k, of in enumerate(kept)
     ]
-    noise = np.concatenate([of.expected_noise for of in some])
     return structure_among(
-        np.vstack([of.fitted for of in some]),
-        np.vstack([of.q for of in some]),
-        np.concatenate([of.levers for of in some], axis=1),
-        np.concatenate([of.motions_by(fit) for of in some], axis=1),
-        noise,
+        *_means_of_poses(
+            np.vstack([of.fitted for of in some]),
+            np.vstack([of.q for of in some]),
+            np.concatenate([of.levers for of in some], axis=1),
+            np.concatenate([of.motions_by(fit) for of in some], axis=1),
+            np.concatenate([of.expected_noise for of in some]),
+        )
+    )
+
+
+def _means_of_poses(
+    residuals: np.ndarray,
+    q: np.ndarray,
+    levers: np.ndarray,
+    motions: np.ndarray,
+    noise: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the means over the readings of each pose; arguments as of :func:`structure_among`.
+
+    Several targets of a stop share how the drives arrived, which is alike at no other pose: as rows
+    of their own they would pass for an error that near poses share.
+    """
+    poses, pose, counts = np.unique(q, axis=0, return_inverse=True, return_counts=True)
+    shares = np.zeros((len(poses), len(q)))
+    shares[pose.ravel(), np.arange(len(q))] = 1.0 / counts[pose.ravel()]
+    return (
+        shares @ residuals,
+        poses,
+        np.einsum("pn,jna->jpa", shares, levers),
+        np.einsum("pn,fna->fpa", shares, motions),
+        shares**2 @ noise,
     )
 
 

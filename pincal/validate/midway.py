@@ -169,6 +169,10 @@ def change_in(
     found = _judged(rows)
     if not found.is_step or (along is not None and found.follows(along[order[few]])):
         return None
+    # What sags in a rigid model is none of what changed.
+    sagging = _rows(station.select(order[few]), values, free, at, sags=True)
+    if sagging.fitted.shape != rows.fitted.shape and not _judged(sagging).is_step:
+        return None
     first, *others = found.causes()
     place = (
         order[few[found.best.row]]
@@ -189,8 +193,12 @@ def _places(lines: np.ndarray, few: np.ndarray) -> np.ndarray:
     return np.asarray(np.cumsum(gaps))
 
 
-def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray) -> _Rows:
-    """Return the data of rows in order."""
+def _rows(
+    station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray, *, sags: bool = False
+) -> _Rows:
+    """Return the data of rows in order; with ``sags``, what compliances of the drives move counts
+    as fitted, too.
+    """
     # Displacements follow from the readings without whitening.
     station = replace(station, whitening=None, serial=None, arrival=None)
     n = len(station)
@@ -199,8 +207,9 @@ def _rows(station: Station, values: np.ndarray, free: np.ndarray, at: np.ndarray
         for _, _, jacobian in station.linearise_shared(values, free)
     )
     J = np.concatenate([part.transpose(2, 1, 0) for part in parts])
-    # What sags in a rigid model is none of what changed.
-    J = np.concatenate([J, sag_of_drives(station, values)], axis=2).reshape(3 * n, -1)
+    if sags:
+        J = np.concatenate([J, sag_of_drives(station, values)], axis=2)
+    J = J.reshape(3 * n, -1)
     J = J / np.maximum(np.linalg.norm(J, axis=0), 1e-300)
     sizes, axes = np.linalg.eigh(J.T @ J)
     kept = sizes > _RANK**2 * sizes[-1]
