@@ -445,13 +445,19 @@ def test_import_does_not_load_polars() -> None:
 
 
 @pytest.mark.long
-def test_a_million_rows_read_in_seconds(tmp_path: Path) -> None:
-    """A table of a million rows and nine columns reads in less than 3 s."""
+def test_a_million_rows_read_as_fast_as_numpy_parses_them(tmp_path: Path) -> None:
+    """A million rows of nine columns read within twice the processor time that `numpy.loadtxt` takes for their numbers.
+
+    A ratio in one run: seconds say how busy the machine is (2.6 s of processor time against 2.5 s when this was written).
+    """
     path, rng = tmp_path / "big.csv", np.random.default_rng(0)
     names = tuple(f"joint_{i}" for i in range(1, 7))
     write_table(path, {name: rng.normal(size=10**6) for name in (*names, "x [mm]", "y [mm]", "z [mm]")})
-    start = time.perf_counter()
+    begun = time.process_time()
     table = read_measurements(path, names)
+    ours = time.process_time() - begun
+    begun = time.process_time()
+    numbers = np.loadtxt(path, delimiter=",", skiprows=1)
 
-    assert time.perf_counter() - start < 3
-    assert len(table) == 10**6
+    assert len(table) == len(numbers) == 10**6
+    assert ours < 2.0 * (time.process_time() - begun)
