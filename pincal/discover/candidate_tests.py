@@ -60,7 +60,6 @@ class Search:
         frames: moment frames to choose from.
         nameless: kinds of the unnamed dependences that are candidates, see :func:`nameless_kind`;
             default: all.
-        remainder: whether what is smooth in the joints and has no name may enter last.
     """
 
     policy: Policy
@@ -69,7 +68,6 @@ class Search:
     groups: np.ndarray
     frames: tuple[MomentFrame, ...] = ()
     nameless: Collection[object] | None = None
-    remainder: bool = False
 
     def taking_part(self, nameless: Iterable[Effect]) -> list[Effect]:
         """Return the unnamed dependences that are candidates."""
