@@ -293,7 +293,7 @@ def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
     Where noise was declared or readings were repeated, the verdict tells whether residuals are
     noise; what may be hidden in it is then of another estimate. Else it is their structure: of an
     e-value E the part 1 - 1 / E of what is not known to be of the readings or the parameters counts
-    as the model's.
+    as the model's; of contacts, which no instrument reads, all of it.
     """
     stations = [k for k, at in enumerate(fit.problem.stations) if gives_positions(at)]
     rows = [PositionRows.of(fit, k) for k in stations]
@@ -304,9 +304,20 @@ def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
     structure = residual_structure(fit, rows)
     if verdict is Verdict.ADEQUATE:
         return _hidden(structure)
-    evidence = structure.evidence()
-    found = _shown(fit, rows) if evidence > 1.0 else None
-    return found.part(1.0 - 1.0 / evidence) if found else None
+    return _suspected(fit, rows, structure.evidence())
+
+
+def _suspected(fit: ModelFit, rows: Sequence[PositionRows], evidence: float) -> Discrepancy | None:
+    """Return what a model lacks where no noise is known, by the e-value that residuals are not
+    noise alone.
+
+    A contact has no instrument: what it shows is the robot's, whether it has structure or not.
+    """
+    doubt = min(1.0 / max(evidence, _SMALLEST), 1.0)
+    if not any(of.at.sensor.is_of_joints for of in rows):
+        found = _shown(fit, rows) if doubt < 1.0 else None
+        return found.part(1.0 - doubt) if found else None
+    return _shown(fit, [of if of.at.sensor.is_of_joints else of.with_noise(doubt) for of in rows])
 
 
 def _hidden(structure: Structure) -> Discrepancy | None:

@@ -97,6 +97,10 @@ class PositionRows:
         """Variance of a coordinate of the readings, shape (N,) [m^2]: known, or else by the fit."""
         return np.where(self.noise > 0.0, self.noise, self.fitted_noise)
 
+    def with_noise(self, part: float) -> PositionRows:
+        """Return the rows with a part of the variance of the fit known to be of the readings."""
+        return replace(self, noise=np.maximum(self.noise, part * self.fitted_noise))
+
     def motions_by(self, fit: ModelFit) -> np.ndarray:
         """Return the displacement of each row's target by one prior of each free parameter of the
         fit, shape (F, N, 3) [m].
