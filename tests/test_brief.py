@@ -74,7 +74,7 @@ def test_without_a_declared_noise_it_is_asked_for(tables: Path, tmp_path: Path, 
     assert run(verb, *rest) == 0
     lines = capsys.readouterr().out.splitlines()
     assert said(lines, "verdict").startswith("adequate. ")
-    assert said(lines, "next").startswith(f"pincal compensate {out / 'model.json'} program.csv")
+    assert said(lines, "next").startswith(f"pincal compensate {out / 'model.json'} PROGRAM.csv")
 
 
 def test_a_dry_calibration_is_a_check(
