@@ -74,7 +74,7 @@ def test_without_a_declared_noise_it_is_asked_for(tables: Path, tmp_path: Path, 
     assert run(verb, *rest) == 0
     lines = capsys.readouterr().out.splitlines()
     assert said(lines, "verdict").startswith("adequate. ")
-    assert said(lines, "next").startswith(f"pincal compensate {out / 'model.json'} program.csv")
+    assert said(lines, "next").startswith(f"pincal compensate {out / 'model.json'} PROGRAM.csv")
 
 
 def test_a_dry_calibration_is_a_check(
@@ -90,6 +90,27 @@ def test_a_dry_calibration_is_a_check(
         assert run("calibrate", *words, "--dry") == 0
         assert capsys.readouterr().out == checked
         assert not [*tmp_path.glob("results*")]
+
+
+def test_check_and_calibrate_leave_rows_out_alike(tables: Path, tmp_path: Path, capsys: Capture) -> None:
+    """Before a fit as after it, the error of the nominal robot is the same by each way, and is named alike."""
+    words = (URDF, tables / "tracker.csv", "--quiet")
+    assert run("check", *words, "--json") == 0
+    checked = json.loads(capsys.readouterr().out)
+    assert run("calibrate", *words, "--out", tmp_path / "out") == 0
+    lines = capsys.readouterr().out.splitlines()
+    nominal = json.loads((tmp_path / "out" / "result.json").read_text())["error"]["nominal"]
+    by_way = {way: nominal[way] for way in nominal if way not in ("train", "test")}
+
+    assert set(checked["ways"]) == set(by_way) == {"regions", "stretches"}
+    for way, of_way in by_way.items():
+        for name, value in checked["ways"][way].items():
+            assert of_way[name] == pytest.approx(value, rel=1e-9), (way, name)
+    assert checked["nominal"] == max(checked["ways"].values(), key=lambda of: of["mean_mm"])
+    assert run("check", *words) == 0
+    before = said(capsys.readouterr().out.splitlines(), "before")
+    headline = f" {nominal['test']['mean_mm']:.4f}"
+    assert headline in before and headline in said(lines, "before")
 
 
 @pytest.mark.parametrize("more", [(), ("--split", "station")])
