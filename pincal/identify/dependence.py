@@ -217,7 +217,10 @@ class _FittedStation:
         (of_model, _) = self.station.split(self.values)
         if not sensor.reads_pose or any(block.size != 3 for block in sensor.blocks):
             return (None,)
-        return None, self.station.model.predict(of_model, self.station.conditions)[:, :, :3]
+        conditions = self.station.conditions
+        if conditions.at_moments is not conditions:
+            return None, self.station.model.predict(of_model, conditions)[:, :, :3]
+        return None, self.station.poses_read(of_model)[:, :, :3]
 
     def residuals(self, turns: np.ndarray | None) -> np.ndarray:
         """Return the weighted residuals in units of the noise, shape (m, N), in one of
