@@ -476,6 +476,29 @@ def test_gaps_do_no_harm(logs: Tables, tmp_path: Path) -> None:
     assert laid(session)[0] == pytest.approx(0.4, abs=0.02)
 
 
+@pytest.mark.parametrize(
+    ("seconds", "moves", "said"),
+    [
+        (0.2, True, r"the log of the joints has no 1\.5 s without a gap"),
+        (0.5, True, "no reading lies where the joints were logged"),
+        (2.0, True, "no reading lies where the joints were logged"),
+        (20.0, False, "expected readings at 50 Hz or more over some minutes"),
+    ],
+)
+def test_logs_shorter_than_a_filter_are_refused(
+    logs: Tables, seconds: float, moves: bool, said: str, tmp_path: Path
+) -> None:
+    """Of an IMU whose windows, or the second over which its noise is averaged, are longer; or that always reads the same."""
+    tables = copied({name: logs[name] for name in ("joints", "imu")})
+    for name, table in tables.items():
+        rows = np.arange(500, 500 + int(100 * seconds))
+        still = [column for column in table if column != "time" and not moves]
+        tables[name] = {column: values[rows] for column, values in table.items()}
+        tables[name] |= {column: np.full(len(rows), tables[name][column][0]) for column in still}
+    with pytest.raises(MeasurementError, match=said):
+        laid(read(tmp_path, tables)[0])
+
+
 def test_rows_that_lack_a_cell_are_left_out(logs: Tables, tmp_path: Path) -> None:
     """Of joints and times as of readings: one table of all streams, each row of one, is a session."""
     import polars as pl

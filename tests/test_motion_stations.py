@@ -19,6 +19,7 @@ from pincal.calibration.caveats import CaveatKind, findings_on_order, findings_o
 from pincal.calibration.placing import place_station
 from pincal.calibration.result_tables import clock_words
 from pincal.calibration.station_information import SharedInformation
+from pincal.calibration.validation import validate_rows
 from pincal.errors import BadInputError, Exit, MeasurementError
 from pincal.identify import many_rows
 from pincal.identify.fit import ModelFit
@@ -172,6 +173,31 @@ def test_a_clock_that_slips_has_a_step_with_its_uncertainty(day: Path, tmp_path:
     found.fit.save(tmp_path / "model.json")
     again = pincal.load_model(tmp_path / "model.json")
     assert "clock.step_1" in again.estimate.names
+
+
+@pytest.mark.long
+def test_a_clock_that_slips_on_another_day_is_no_change_of_the_robot(
+    day: Path, fit: pincal.FittedRobot, tmp_path: Path
+) -> None:
+    """Neither for a validation nor for a diagnosis: the step is found as in a calibration, and said."""
+    simulated(tmp_path / "later", "--log-rates", "80,80,50", "--pose-seed", "9", "--setup-seed", "9")
+    session = pincal.read_session(ROBOT, tmp_path / "later")
+    assert session.tracker is not None
+    slipped = session.tracker.time - 4e-3 * (np.arange(len(session.tracker)) >= 600)
+    tracker = replace(session.tracker, time=slipped)
+    (whole,), (table,) = (
+        pincal.session_tables(ROBOT, [replace(session, imu=None, tracker=of)]).values() for of in (session.tracker, tracker)
+    )
+    found, sound = (place_station(fit, of) for of in (table, whole))
+    judged = validate_rows(fit.each, table)
+
+    assert found.table.moving is not None and sound.table.moving is not None and not sound.table.moving.steps
+    ((at, size),) = found.table.moving.steps
+    assert at == pytest.approx(slipped[600], abs=0.1) and size == pytest.approx(4e-3, abs=2e-4)
+    assert found.solution.estimated[0] == pytest.approx(sound.solution.estimated[0], rel=0.05)
+    assert judged.misfit.ratio == pytest.approx(validate_rows(fit.each, whole).misfit.ratio, rel=0.05)
+    assert any("steps by +4" in note.text for note in judged.notes) and not judged.doubt
+    assert not pincal.diagnose(fit, table).changed
 
 
 @pytest.mark.long

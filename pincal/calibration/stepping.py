@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from pincal.measure.measurements import Measurements
-from pincal.validate.clock_jumps import SteppingClocksError
+from pincal.validate.clock_jumps import SteppingClock, SteppingClocksError
 
 
 def with_steps(
@@ -18,12 +18,23 @@ def with_steps(
             has its joints in another order.
     """
     again = dict(tables)
-    for name, steps in found.steps.items():
-        moving = tables[name].moving
-        if moving is None or moving.course is None:
+    for name, clock in found.clocks.items():
+        stepping = laid_again(tables[name], clock)
+        if stepping is None:
             raise found
-        again[name] = moving.course.with_steps(tables[name], steps)
+        again[name] = stepping
     return again
+
+
+def laid_again(table: Measurements, clock: SteppingClock) -> Measurements | None:
+    """Return a table by another clock; None if the course of its arm is not known, as where it has
+    its joints in another order.
+    """
+    moving = table.moving
+    if moving is None or moving.course is None:
+        return None
+    found: Measurements = moving.course.with_clock(table, clock.clock, clock.steps)
+    return found
 
 
 def step_notes(tables: Mapping[str, Measurements]) -> Iterator[str]:

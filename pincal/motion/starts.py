@@ -97,6 +97,12 @@ def start_imu(
     rows = ImuRows.of(
         imu.time, imu.readings[FORCE.name], imu.readings[RATE.name], window or Window(_WIDTH)
     )
+    if not len(rows):
+        raise MeasurementError(
+            f"{imu.name}: {len(imu)} different rows in {np.ptp(imu.time):.3g} s, nowhere enough "
+            "for a mean over a quarter of a second; expected readings at 50 Hz or more over some "
+            "minutes of motion: log again"
+        )
     found = _turned(arm, imu, rows)
     if found is None:
         sessions = [_of_session(name, other) for name, other in others]
