@@ -37,6 +37,7 @@ def test_gains_are_those_of_least_squares(pair: PairOfJoints, m: float, n: float
     step = np.linalg.lstsq(columns, target)[0]
 
     np.testing.assert_allclose(pair.gains(np.array([m]), np.array([n])), np.sum((columns @ step) ** 2), rtol=1e-4)
+    np.testing.assert_allclose(pair.gain(m, n), pair.gains(np.array([m]), np.array([n])), rtol=1e-9)
 
 
 def test_the_strongest_wave_has_the_true_orders(pair: PairOfJoints) -> None:

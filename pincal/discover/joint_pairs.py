@@ -90,12 +90,24 @@ class PairOfJoints:
         peak = self.peak
 
         def loss(shift: np.ndarray) -> float:
-            own, other = peak.start + peak.steps * shift
-            return -float(self.gains(np.array([own]), np.array([other]))[0, 0])
+            return -self.gain(*(peak.start + peak.steps * shift).tolist())
 
         found = minimize(loss, peak.shift, method="Nelder-Mead", bounds=[(-1.0, 1.0)] * 2)
         own, other = (round(float(k), WAVES.digits) for k in peak.start + peak.steps * found.x)
         return -float(found.fun), (own, other)
+
+    def gain(self, m: float, n: float) -> float:
+        """Return the gain of the wave of one pair of orders, by its four functions themselves."""
+        own = m * self.own
+        other = n * self.others
+        of_own = np.stack([np.cos(own), np.sin(own)])
+        of_other = np.stack([np.cos(other), np.sin(other)])
+        basis = (of_own[:, None] * of_other).reshape(_FUNCTIONS, -1)
+        S = (basis * self.lever) @ basis.T
+        # As of the exponentials in `gains`, of which each function is a quarter of four.
+        S.flat[:: _FUNCTIONS + 1] += WAVES.map_seen * self.lever.sum() / _FUNCTIONS
+        b = basis @ self.along
+        return float(b @ np.linalg.solve(S, b))
 
     def gains(self, m: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Return the gains of waves of orders m of the joint, shape (M,), and n of the other, shape
