@@ -32,6 +32,7 @@ from pincal.identify.dependence import (
     serial_noise,
 )
 from pincal.identify.fit import ModelFit
+from pincal.identify.many_rows import spread_rows
 from pincal.identify.split import ways_held_out
 from pincal.identify.whitening import Serial
 from pincal.measure.measurements import Measurements
@@ -64,6 +65,14 @@ def table(robot: Robot, n: int, noise: np.ndarray, seed: int = 0, **columns: np.
 
 
 # One observation for each pose
+
+
+def test_few_rows_beside_many_are_in_a_sample() -> None:
+    """Eight poses beside the rows of an IMU, which tell no lengths; stations of one size are sampled as one table."""
+    rows = spread_rows([8, 13_000, 40], 2_000)
+
+    assert set(range(8)) | set(range(13_008, 13_048)) <= set(rows.tolist()) and 1_900 < len(rows) < 2_050
+    np.testing.assert_array_equal(spread_rows([5_000, 6_000, 5_000], 4_000), np.linspace(0, 15_999, 4_000).astype(int))
 
 
 def test_copies_of_rows_change_nothing(kuka: Robot) -> None:

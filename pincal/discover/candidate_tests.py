@@ -32,6 +32,7 @@ from pincal.discover.policy import TESTING, Policy
 from pincal.discover.scatter import p_value_of_uneven_noise
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
 from pincal.identify.fit import ModelFit
+from pincal.identify.many_rows import spread_rows
 from pincal.identify.station import Station
 from pincal.model.at_station import changed_effects, own_effects
 from pincal.model.catalogue.bearing_features import bearing_features
@@ -398,15 +399,15 @@ def _place(effect: Effect) -> tuple[str | None, str | None, bool]:
 
 
 def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
-    """Return a fit on a sample of its rows, evenly spread, that is enough to select effects, and
-    their indices.
+    """Return a fit on a sample of its rows, spread over each station, that is enough to select
+    effects, and their indices.
     """
     sizes = [station.reading_size for station in fit.problem.stations]
     n = len(fit.problem)
     most = policy.enough_readings // max(sizes)
     if n <= most:
         return fit, np.arange(n)
-    rows = np.linspace(0, n - 1, most).astype(int)
+    rows = spread_rows(list(map(len, fit.problem.stations)), most)
     few = list[Station]()
     for whole, span in zip(fit.problem.stations, fit.problem.rows, strict=True):
         own = rows[(rows >= span.start) & (rows < span.stop)] - span.start
