@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -71,6 +71,13 @@ class Search:
     frames: tuple[MomentFrame, ...] = ()
     nameless: Collection[object] | None = None
     remainder: bool = False
+    _latest: list[GivenNuisances] = field(default_factory=list, init=False, repr=False)
+
+    def tests_of(self, fit: ModelFit) -> GivenNuisances:
+        """Return the tests against a fit; of the latest one, common parts are kept."""
+        if not self._latest or self._latest[0].fit is not fit:
+            self._latest[:] = [GivenNuisances(fit, self.groups)]
+        return self._latest[0]
 
     def taking_part(self, nameless: Iterable[Effect]) -> list[Effect]:
         """Return the unnamed dependences that are candidates."""
@@ -93,7 +100,7 @@ def nameless_kind(effect: Effect) -> object:
 
 def choose(fit: ModelFit, search: Search) -> Decision | None:
     """Return the best explanation of the residuals of a fit, if it is accepted."""
-    test = GivenNuisances(fit)
+    test = search.tests_of(fit)
     every = addable(fit, search)
     names = table_of(fit, search, test, every)
     best = next((names.rows[i].effect for i in names.passed(search.policy)), None)
@@ -154,7 +161,7 @@ def hidden_wave(fit: ModelFit, search: Search) -> Decision | None:
     among = len({effect.identity for effect in every})
     if not waves:
         return None
-    table = table_of(fit, search, GivenNuisances(fit), waves, among=among)
+    table = table_of(fit, search, search.tests_of(fit), waves, among=among)
     return decide(table, lambda _: table, search.policy)
 
 
