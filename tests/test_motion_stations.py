@@ -169,7 +169,7 @@ def test_a_clock_that_slips_has_a_step_with_its_uncertainty(day: Path, tmp_path:
     assert step.size_s == pytest.approx(4e-3, abs=4.0 * step.size_sigma_s) and step.size_sigma_s < 2e-4
     assert found.fit.solution.estimated[0] == pytest.approx(3e-5, rel=0.1)
     assert "steps by +4" in " ".join(note.text for note in found.result.warnings)
-    assert re.search(r"from 1\d\.\d* s on \+[34]\.\d* \+- 0\.\d* ms", clock_words(clock))
+    assert re.search(r"from 1\d\.\d* s on \+[34]\.\d* ± 0\.\d* ms", clock_words(clock))
     found.fit.save(tmp_path / "model.json")
     again = pincal.load_model(tmp_path / "model.json")
     assert "clock.step_1" in again.estimate.names
