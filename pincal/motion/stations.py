@@ -23,6 +23,7 @@ from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.motion_numbers import FOLLOWING, ON_PATH
 from pincal.motion.moving_arm import MovingArm
+from pincal.motion.polling import at_samples
 from pincal.motion.reading_starts import start_readings
 from pincal.motion.sessions import Session
 from pincal.motion.starts import OtherMotionError, aligned_forces, start_imu, steady
@@ -176,6 +177,10 @@ def _imu_table(
     arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingArm]]
 ) -> Measurements:
     start = start_imu(arm, imu, window=Window(WIDTH), others=others)
+    sampled = at_samples(arm, imu, start.clock, start.mount)
+    if sampled is not None:
+        imu = sampled
+        start = start_imu(arm, imu, window=Window(WIDTH), others=others)
     delay = aligned_forces(arm, start)
     rows = ImuRows.of(
         imu.time, imu.readings[FORCE.name], imu.readings[RATE.name], Window(WIDTH), delay=delay
