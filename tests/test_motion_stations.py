@@ -361,6 +361,7 @@ def test_an_imu_in_a_table_of_poses_is_refused() -> None:
         pincal.calibrate(ROBOT, table, GEOMETRY)
 
 
+@pytest.mark.long
 def test_causes_are_not_looked_for_by_an_imu_alone(day: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever their number; what to add, or to run instead, is said."""
     table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]
