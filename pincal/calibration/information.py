@@ -22,6 +22,7 @@ from pincal.identify.quadratic import ROUNDING, Quadratic
 from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_matrix
 from pincal.io.entries import ParameterEntry, plain, restoring
 from pincal.io.strict_json import Fault, FileKind, built, read_json, write_json
+from pincal.model.catalogue.remainder import SmoothRemainder
 from pincal.parameters import Estimate, Parameter, estimate_of
 from pincal.robot.robot import Robot
 from pincal.thresholds import Count, Scale
@@ -44,7 +45,8 @@ class RobotInformation(Record, frozen=True, kw_only=True):
     In units of the noise it is square - 2 g x + x H x over deviations x of the robot's parameters,
     an information form (Bierman 1977), see :mod:`pincal.identify.quadratic`. ``a + b`` is the
     information of the rows of both: that of a joint fit, linearised where each was fitted. Base,
-    targets and instrument of each station are eliminated.
+    targets and instrument of each station are eliminated, and with its prior what is smooth in the
+    joints and has no name, whose functions are those of one table.
 
     Attributes:
         format: what the file is.
@@ -103,7 +105,7 @@ class RobotInformation(Record, frozen=True, kw_only=True):
         priors = {
             p.name: (p, float(size)) for p, size in zip(problem.parameters, sizes, strict=True)
         }
-        return cls.of_form(nominal, robot.name, geometry_of(robot), priors)
+        return cls.of_form(_of_causes(nominal, priors), robot.name, geometry_of(robot), priors)
 
     @classmethod
     def of_form(
@@ -185,6 +187,18 @@ class RobotInformation(Record, frozen=True, kw_only=True):
     def text(self) -> str:
         """Return its JSON, as :func:`information_of` takes it."""
         return json.dumps(plain(self), allow_nan=False)
+
+
+def _of_causes(form: Quadratic, priors: Mapping[str, tuple[Parameter, float]]) -> Quadratic:
+    """Return information without the amplitudes of what is smooth and has no name."""
+    known = [priors[name] for name in form.names]
+    smooth = np.array([p.effect == SmoothRemainder.name for p, _ in known], bool)
+    if not smooth.any():
+        return form
+    at = np.flatnonzero(smooth)
+    names = [form.names[i] for i in at]
+    sizes = np.array([size for _, size in known])[at]
+    return (form + Quadratic.of_prior(names, sizes)).released(at).held(at)
 
 
 def geometry_of(robot: Robot) -> int:

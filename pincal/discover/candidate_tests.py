@@ -61,7 +61,6 @@ class Search:
         frames: moment frames to choose from.
         nameless: kinds of the unnamed dependences that are candidates, see :func:`nameless_kind`;
             default: all.
-        remainder: whether what is smooth in the joints and has no name may enter last.
     """
 
     policy: Policy
@@ -70,7 +69,6 @@ class Search:
     groups: np.ndarray
     frames: tuple[MomentFrame, ...] = ()
     nameless: Collection[object] | None = None
-    remainder: bool = False
     _latest: list[GivenNuisances] = field(default_factory=list, init=False, repr=False)
 
     def tests_of(self, fit: ModelFit) -> GivenNuisances:

@@ -248,6 +248,73 @@ class Untestable(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     reason: str
 
 
+class SmoothPart(msgspec.Struct, frozen=True, kw_only=True):
+    """A part of what is smooth in the joints and has no name.
+
+    Attributes:
+        errs: "drive": each drive errs; "base": the target is displaced along the base's axes.
+        depends_on: the joints of whose positions it is a function.
+        length_rad: over which errors are alike [rad].
+        size: root mean square of the error of a drive, or of a coordinate of the target, over the
+            fitted rows [``unit``].
+        sigma: standard deviation of the same where no pose was measured nearby [``unit``].
+        unit: "rad" or "m".
+        parameters: number of its amplitudes, which are in ``model.json``.
+    """
+
+    errs: Literal["drive", "base"]
+    depends_on: tuple[str, ...]
+    length_rad: float
+    size: float
+    sigma: float
+    unit: Literal["rad", "m"]
+    parameters: int
+
+
+class Region(msgspec.Struct, frozen=True, kw_only=True):
+    """A region of joint space, predicted by fits of the others.
+
+    Attributes:
+        rows: number of its rows.
+        calibrated_mm: mean error by geometry and elasticity [mm].
+        named_mm: by these and the names that were found.
+        smooth_mm: with what has no name as well.
+        centre: mean position of each joint [rad or m].
+    """
+
+    rows: int
+    calibrated_mm: float
+    named_mm: float
+    smooth_mm: float
+    centre: dict[str, float]
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether it is predicted worse than by names alone."""
+        return self.smooth_mm > self.named_mm
+
+
+class Smooth(msgspec.Struct, frozen=True, kw_only=True):
+    """What is smooth in the joints and has no name: it predicts, and says nothing of causes.
+
+    Attributes:
+        parts: the errors.
+        named_mm: mean error of all rows, region by region left out, without it [mm].
+        smooth_mm: with it.
+        regions: the regions, one by one.
+    """
+
+    parts: tuple[SmoothPart, ...]
+    named_mm: float
+    smooth_mm: float
+    regions: tuple[Region, ...]
+
+    @property
+    def doubtful(self) -> tuple[Region, ...]:
+        """The regions that are predicted worse than by names alone."""
+        return tuple(region for region in self.regions if region.is_worse)
+
+
 class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Results of a discovery, the content of ``discovery.json``.
 
@@ -271,6 +338,8 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         warnings: further messages, doubts first, as in ``result.json``.
         held_out: the gap on rows held out in each way, "regions" of joint space and "stretches" of
             consecutive rows; ``gap`` is the one that is larger at the end.
+        remainder: what is smooth in the joints and has no name, as far as it predicts regions that
+            were left out; none otherwise, or if it was not asked for.
     """
 
     noise_floor_mm: float
@@ -289,3 +358,4 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     approach_from: str | None = None
     warnings: tuple[Note, ...] = ()
     held_out: dict[str, dict[Literal["before", "after"], Gap]] = {}
+    remainder: Smooth | None = None

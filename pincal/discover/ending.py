@@ -330,7 +330,7 @@ def _as_suggested(state: SearchState, step: SearchStep, search: Search) -> Searc
     return state
 
 
-def widened(trail: History) -> ModelFit:
+def widened(trail: History, last: ModelFit | None = None) -> ModelFit:
     r"""Return the last fit of a discovery with a covariance that includes the uncertainty of its
     model.
 
@@ -351,10 +351,12 @@ def widened(trail: History) -> ModelFit:
     1 for no candidate (Bayesian model averaging: Hoeting et al. 1999, Stat. Sci. 14, 382-417); for
     bearings the same of each direction and place separately, :math:`e_b`. The fit's own parameters
     add their effective number p. So the covariance is that of noise with a variance
-    :math:`1 + (e_m + e_c + e_b) / p` times as large.
+    :math:`1 + (e_m + e_c + e_b) / p` times as large. ``last`` is the fit with what has no name as
+    well; default: that in which the search ended.
     """
-    fit = trail.final
-    few, _ = sampled(fit, trail.policy)
+    named = trail.final
+    fit = named if last is None else last
+    few, _ = sampled(named, trail.policy)
     rows = len(fit.problem) / max(len(few.problem), 1)
     noise = float(np.mean((fit.solution.estimated / fit.solution.sigma) ** 2))
     features = score_test_given_nuisances(few, missing_features(few))

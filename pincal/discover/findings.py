@@ -40,6 +40,7 @@ from pincal.discover.locate import Located, locate
 from pincal.discover.policy import TESTING, WHERE
 from pincal.discover.scatter import Excess, find_excess
 from pincal.discover.shrink import PartialResidual, period_of
+from pincal.discover.smooth_rest import SmoothRest
 from pincal.discover.steps import History, SearchStep
 from pincal.identify.fit import ModelFit, without
 from pincal.identify.fit_levers import levers
@@ -66,6 +67,7 @@ def findings_of(
     *,
     gaps: tuple[Stage, ...],
     traces: tuple[PartialResidual, ...],
+    rest: SmoothRest | None = None,
     measured: ModelFit | None = None,
     held_out: Mapping[str, dict[Literal["before", "after"], Gap]] | None = None,
     approach_from: str | None = None,
@@ -75,9 +77,10 @@ def findings_of(
 
     Args:
         fit: the final fit, with a covariance that includes the selection.
-        trail: the history.
+        trail: the history, of names.
         gaps: the errors at the start and after each change of the model.
         traces: partial residuals of each effect.
+        rest: what entered the fit without a name; None if nothing did.
         measured: the last fit over the means of each stop; default:
             those of the fit.
         held_out: the errors at the start and in the end on rows held out in each way.
@@ -111,6 +114,7 @@ def findings_of(
         unexplained_mm=unexplained,
         approach_from=approach_from,
         held_out=dict(held_out or {}),
+        remainder=None if rest is None else rest.found_in(fit),
     )
 
 

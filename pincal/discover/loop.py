@@ -27,7 +27,6 @@ from pincal.discover.ending import fit_all_rows, name_lines
 from pincal.discover.levers import missing_compliances
 from pincal.discover.policy import POLICY, TESTING, Policy
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
-from pincal.discover.smooth_rest import add_remainder
 from pincal.discover.steps import (
     History,
     SearchState,
@@ -66,7 +65,6 @@ def discover_effects(
     extra: Sequence[Effect] = (),
     policy: Policy = POLICY,
     nameless: Collection[object] | None = None,
-    remainder: bool = False,
 ) -> History:
     """Find the effects that a fit lacks.
 
@@ -79,14 +77,11 @@ def discover_effects(
         policy: thresholds and limits.
         nameless: kinds of the unnamed dependences that are candidates (``nameless_kind``); default:
             all.
-        remainder: whether what is smooth in the joints and has no name may enter last.
     """
 
     def searched(first: ModelFit) -> History:
         few, rows = sampled(first, policy)
-        search = Search(
-            policy, tuple(extra), first, groups[rows], tuple(frames), nameless, remainder
-        )
+        search = Search(policy, tuple(extra), first, groups[rows], tuple(frames), nameless)
         state = SearchState(few)
         for step_on in _PASSES:
             state = step_on(state, search)
@@ -434,7 +429,6 @@ _PASSES: tuple[Callable[[SearchState, Search], SearchState], ...] = (
     drop_unneeded,
     judge_remainders,
     add_prior_elasticity,
-    add_remainder,
     fit_all_rows,
     refine_time_constants,
     merge_parts,

@@ -34,6 +34,7 @@ _STAGE = "test_tones.py::test_a_stage_is_found_at_its_order"
 _QUIET = "test_tones.py::test_sound_residuals_show_no_wave"
 _LINE = "test_tones.py::test_what_the_span_does_not_tell_apart_is_one_line"
 _REMAINDER = "test_remainder.py::test_a_smooth_error_of_all_joints_is_predicted"
+_WORSE = "test_remainder.py::test_a_region_that_is_worse_refuses_it"
 _SOUND_REMAINDER = "test_remainder.py::test_noise_has_no_remainder"
 _PEAK = "test_joint_pairs.py::test_what_is_not_refined_would_not_be_found"
 _OF_TWO = "test_joint_pairs.py::test_a_wave_of_two_joints_is_found_with_its_orders"
@@ -522,14 +523,14 @@ class RemainderNumbers:
         (0.25, 0.5, 1.0, 2.0, 4.0),
         "rad",
         _REMAINDER,
-        "over which errors of drives may be alike",
+        "over which errors may be alike",
         "chosen: shorter ones are drive curves, longer ones are geometry",
     )
     sizes: tuple[float, ...] = _number(
         (1e-5, 2e-5, 4e-5, 8e-5, 1.6e-4, 3.2e-4, 6.4e-4),
-        "rad",
+        "rad or m",
         _REMAINDER,
-        "that errors of drives may have",
+        "that errors of drives, and displacements, may have",
         "from what no one measures to 2 arcmin, by factors of 2",
     )
     together: int = _number(
@@ -545,7 +546,66 @@ class RemainderNumbers:
         "waves",
         _REMAINDER,
         "of each pair of joints",
-        "chosen: with six drives 360 numbers in a file, and a microsecond or two of a prediction",
+        "chosen: with six drives 360 amplitudes, of which readings tell some dozens; twice as many "
+        "waves predicted no better in as many sums, and lengthen the file",
+    )
+    rows: int = _number(
+        400,
+        "rows",
+        _REMAINDER,
+        "of which the likelihood is computed",
+        "chosen: two sizes and two lengths need no more",
+    )
+    tried_together: int = _number(
+        2,
+        "lengths",
+        _REMAINDER,
+        "of each kind that are tried with those of the other kind",
+        "chosen: only the time depends on it",
+    )
+    tried: int = _number(
+        3,
+        "remainders",
+        _REMAINDER,
+        "that are fitted at most, the likeliest ones, until regions that are left out are "
+        "predicted better",
+        "chosen: only the time depends on it",
+    )
+    noise: tuple[float, float] = _number(
+        (0.05, 1.2),
+        "ratio",
+        _REMAINDER,
+        "least and largest variance of the noise beside a remainder, to that without",
+        "chosen: a remainder that explains 95 % of the squares is a missing name",
+    )
+    noises: int = _number(
+        30,
+        "variances",
+        _REMAINDER,
+        "between these two that are tried",
+        "chosen: steps of a tenth",
+    )
+    told: float = _number(
+        0.3,
+        "ratio",
+        _REMAINDER,
+        "information of all rows on a direction of the amplitudes, to that of its prior, at least",
+        "chosen: the variance of what is left out would be a quarter smaller at most",
+    )
+    most: int = _number(
+        96,
+        "amplitudes",
+        _REMAINDER,
+        "at most, those of which readings tell most",
+        "chosen: at new poses of an arm displaced by .25 mm .164 mm are left with 64, .144 with "
+        "96, .139 with 128, whose file is half as large again",
+    )
+    digits: int = _number(
+        4,
+        "digits",
+        _REMAINDER,
+        "behind the point, of a wave's part in a sum",
+        "chosen: the file is shorter, and the sums are what the file says",
     )
     evidence: float = _number(
         4.6,
@@ -553,6 +613,14 @@ class RemainderNumbers:
         _SOUND_REMAINDER,
         "in favour of a remainder, at least",
         "100 to 1, as for a name",
+    )
+    worse: float = _number(
+        0.02,
+        "probability",
+        _WORSE,
+        "by chance, of a region that is left out being predicted as much worse than by geometry "
+        "and elasticity; below it a remainder does not enter",
+        "chosen: about two standard errors; of 25 regions every other one has few rows",
     )
 
 

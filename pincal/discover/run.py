@@ -50,7 +50,7 @@ from pincal.discover.loop import discover_effects, withdraw_names_at_change
 from pincal.discover.policy import POLICY, TESTING, Policy
 from pincal.discover.scatter import arrivals_within
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
-from pincal.discover.smooth_rest import note_on_remainder
+from pincal.discover.smooth_rest import SmoothRest, note_on_remainder, with_remainder
 from pincal.discover.steps import History, listed
 from pincal.errors import BadInputError, PincalError
 from pincal.identify.calibrate import (
@@ -204,13 +204,13 @@ def run_discovery(
     frames = tuple(choices.pop("moment_frames", ())) or _usual_frames(options)
     options = replace(options, moment_frame=frames[0])
     remainder = choices.pop("remainder", False)
-    search = partial(_search, frames=frames, extra=extra, policy=policy, remainder=remainder)
+    search = partial(_search, frames=frames, extra=extra, policy=policy)
     left_out: Iterable[LeftOut] = ()
     held_back: dict[str, Any] = {"test_fraction": 0.0, "split": "both", **choices}
     if held_back["split"] == "station":
         # Stations are held out instead of rows.
         held_back |= {"test_fraction": 0.0, "split": "random"}
-        others = partial(_discovered, search)
+        others = partial(_discovered, search, remainder=remainder)
         left_out = leave_out_stations(robot, tables, options, fit_others=others, executor=executor)
     if executor is not None:
         wake(executor, stability, begin_subsamples.__module__)
@@ -218,7 +218,7 @@ def run_discovery(
     trail, notes = search(first)
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # The following runs while workers search the halves.
-    ended = _Ended.of(first, trail)
+    ended = _Ended.of(first, trail, remainder=remainder)
     findings = ended.findings
     if stability:
         findings = with_subsamples(findings, halves(), bootstrap_last(trail))
@@ -251,7 +251,9 @@ class _Ended:
 
     Attributes:
         first: the fit from which it started, with its tables.
-        trail: its history.
+        named: its history.
+        trail: the same, with what entered without a name.
+        rest: what entered without a name; None if nothing did.
         fit: its last fit, with the uncertainty of its model; as in the URDF if no effect was found
             and the readings do not improve the robot.
         validated: the errors of this fit at rows that were held out; None without any.
@@ -263,7 +265,9 @@ class _Ended:
     """
 
     first: FittedTables
+    named: History
     trail: History
+    rest: SmoothRest | None
     fit: ModelFit
     validated: Validated | None
     gaps: tuple[Stage, ...]
@@ -272,11 +276,13 @@ class _Ended:
     findings: Findings
 
     @classmethod
-    def of(cls, first: FittedTables, trail: History) -> _Ended:
-        """Return what the last fit of a search shows."""
+    def of(cls, first: FittedTables, named: History, *, remainder: bool) -> _Ended:
+        """Return what the last fit of a search shows, perhaps with what has no name."""
         # Without any effect a robot that the readings do not improve stays as in its URDF.
-        harmless = first.fit if trail.steps else without_harm(first.fit)
-        fit = harmless if harmless.is_kept else widened(trail)
+        harmless = first.fit if named.steps else without_harm(first.fit)
+        is_kept = harmless.is_kept
+        trail, rest = with_remainder(named) if remainder and not is_kept else (named, None)
+        fit = harmless if is_kept else widened(named, trail.final)
         traces = partial_residuals(trail)
         # Rows that the first model could not describe may be sound.
         fit = replace(fit, nominal=nominal_without_outliers(fit))
@@ -285,11 +291,13 @@ class _Ended:
         origins = ", ".join(
             dict.fromkeys(filter(None, (rows.train.approach_from for rows in first.stations)))
         )
-        measured = by_stops(trail.final, first.stations)
-        arrivals = arrivals_within(trail.final)
+        # Neither names nor verdict depend on what has no name.
+        measured = by_stops(named.final, first.stations)
+        arrivals = arrivals_within(named.final)
         findings = findings_of(
             fit,
-            trail,
+            named,
+            rest=rest,
             gaps=gaps,
             traces=traces,
             measured=measured,
@@ -297,7 +305,7 @@ class _Ended:
             approach_from=origins or None,
             arrivals=arrivals,
         )
-        return cls(first, trail, fit, validated, gaps, traces, arrivals, findings)
+        return cls(first, named, trail, rest, fit, validated, gaps, traces, arrivals, findings)
 
     def discovery(
         self,
@@ -311,18 +319,20 @@ class _Ended:
         [s].
         """
         first = self.first
-        result = result_of(
-            self.fit,
-            first.stations,
-            seconds=time.perf_counter() - begun,
-            notes=notes,
-            left_out=left_out,
-            validated=self.validated,
-            arrivals=self.arrivals,
-        )
+        if self.rest is not None:
+            notes = doubts_first([*notes, note_on_remainder(self.rest)])
+        seconds = time.perf_counter() - begun
+        given = partial(result_of, rows=first.stations, notes=notes, left_out=left_out)
+        given = partial(given, seconds=seconds, arrivals=self.arrivals)
+        result = given(self.fit, validated=self.validated)
         # The search decides whether the model is inadequate; whether it is adequate, the rule
         # common to all commands.
-        verdict = result.verdict_of(incomplete=findings.verdict is Verdict.NOT_ADEQUATE)
+        incomplete = findings.verdict is Verdict.NOT_ADEQUATE
+        verdict = result.verdict_of(incomplete=incomplete)
+        if self.rest is not None:
+            named = widened(self.named)
+            validated = Validated.of(named, first.stations, first.folds)
+            verdict = given(named, validated=validated).verdict_of(incomplete=incomplete)
         known, result = stated(self.fit, result, verdict)
         final = Calibration(first.robot, first.stations, known, result, notes, self.validated)
         findings = changed(findings, verdict=verdict, warnings=result.warnings)
@@ -335,13 +345,10 @@ def _search(
     frames: tuple[MomentFrame, ...],
     extra: tuple[Effect, ...],
     policy: Policy,
-    remainder: bool,
 ) -> tuple[History, tuple[Note, ...]]:
     """Return the history of a search from a calibration on, and notes."""
     blocks = np.concatenate(_regions(first)) % TESTING.blocks
-    found = discover_effects(
-        first.fit, blocks, frames=frames, extra=extra, policy=policy, remainder=remainder
-    )
+    found = discover_effects(first.fit, blocks, frames=frames, extra=extra, policy=policy)
     trail = withdraw_names_at_change(found, partial(is_shifted, rows=first.stations))
     problem = trail.final.problem
     tables = (rows.train for rows in first.stations)
@@ -363,8 +370,6 @@ def _search(
         notes.append(
             f"moments are computed as with --moment-frame {frame}, which fits better than {was}"
         )
-    if remainder:
-        notes.append(note_on_remainder(trail))
     if of_joints := note_on_joints(trail.final):
         notes.append(of_joints)
     return trail, doubts_first(notes)
@@ -380,10 +385,12 @@ def _discovered(
     robot: Robot,
     tables: dict[str, Measurements],
     options: Options,
+    *,
+    remainder: bool,
 ) -> FittedRobot:
     """Return the final fit of a discovery on all rows of some stations."""
     trail, _ = search(fit_admitted(robot, tables, options))
-    return FittedRobot.of(trail.final)
+    return FittedRobot.of((with_remainder(trail)[0] if remainder else trail).final)
 
 
 @dataclass(frozen=True)

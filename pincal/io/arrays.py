@@ -206,7 +206,7 @@ def _shape_in(hint: Any) -> ArrayShape | None:
 
 
 # Most parameters whose covariance is written to the last bit, in less than 1 MB.
-_MOST_EXACT: Count = 300
+_MOST_EXACT: Count = 100
 # Largest covariance that pincal writes.
 _MOST_ROWS: Count = 1500
 _BITS: Count = 50

@@ -15,6 +15,7 @@ from pincal.discover.report.found_words import (
     bootstrap_words,
     effect_words,
     line_words,
+    smooth_words,
     subsample_only_words,
 )
 from pincal.discover.report.search_answer import SearchAnswer
@@ -96,6 +97,8 @@ def print_discovery(found: Discovery, out: Console) -> None:
             f"{scatter.missing}"
         )
         out.print(one_line(text), markup=False)
+    if findings.remainder is not None:
+        out.print(hanging("unnamed, smooth", smooth_words(findings.remainder)))
     joints = found.calibration.fit.problem.chain.robot.joint_names
     lost = ((e.effect, e.joint, e.reason) for e in findings.not_testable)
     for line in not_testable(lost, len(joints)):

@@ -15,10 +15,12 @@ from pincal.discover.report.found_drawings import (
 from pincal.discover.report.found_tables import by_reason, stage_table
 from pincal.discover.report.found_words import (
     HINTS,
+    SMOOTH_PARTS,
     bootstrap_words,
     effect_words,
     gain_words,
     line_words,
+    smooth_trust,
     subsample_only_words,
 )
 from pincal.discover.run import Discovery
@@ -40,7 +42,14 @@ from pincal.report.blocks import (
 from pincal.report.illustrations import figures
 from pincal.report.words import effect_meaning
 from pincal.thresholds import Count
-from pincal.units import format_digits, show_chance, show_measured, show_percent, small_unit
+from pincal.units import (
+    format_digits,
+    format_small,
+    show_chance,
+    show_measured,
+    show_percent,
+    small_unit,
+)
 
 # An effect with more parameters than this is a curve; its numbers are in discovery.json.
 _FEW: Count = 4
@@ -59,6 +68,7 @@ def found_section(discovery: Discovery) -> Section:
         heading("Effects found"),
         *_named(found),
         *(paragraph(_scattering(entry), "note") for entry in found.scatter),
+        *_smooth(found),
         heading("How the error decreased"),
         figures("search", gap_drawings(discovery)),
         *_pose_by_pose(discovery),
@@ -135,6 +145,35 @@ def _scattering(entry: ScatteringJoint) -> str:
         "pose, independently of "
         f"all recorded quantities. Record {entry.missing}: it may explain the scatter."
     )
+
+
+def _smooth(found: Findings) -> Iterator[PageBlock]:
+    """Yield what is smooth in the joints and has no name, if it entered the model."""
+    if (smooth := found.remainder) is None:
+        return
+    at = f"{FOUND}/remainder"
+    yield heading("Unnamed, smooth")
+    parts = (
+        rich(
+            "<b>{}</b>, {} rms over the fitted rows, alike over {}",
+            SMOOTH_PARTS[part.errs],
+            sourced(format_small(part.size, part.unit), f"{at}/parts/{k}/size"),
+            sourced(f"{part.length_rad:g} rad", f"{at}/parts/{k}/length_rad"),
+        )
+        for k, part in enumerate(smooth.parts)
+    )
+    yield bullets(parts)
+    yield paragraph(
+        rich(
+            "Each region of joint space was predicted by fits of the others: {} on average with "
+            "this, {} without. It is in all predictions and corrections of this model, with its "
+            "uncertainty, and says nothing of causes. Its parts are smooth functions of pairs of "
+            "joints; a cause that is found later takes its place.",
+            sourced(f"{smooth.smooth_mm:.4f} mm", f"{at}/smooth_mm"),
+            sourced(f"{smooth.named_mm:.4f} mm", f"{at}/named_mm"),
+        )
+    )
+    yield paragraph(smooth_trust(smooth), "care" if smooth.doubtful else "mute")
 
 
 def _named(found: Findings) -> Iterator[PageBlock]:

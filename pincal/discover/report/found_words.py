@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from pincal.discover.discovery_file import Bootstrap, EffectName, Findings, FoundEffect
+from pincal.discover.discovery_file import Bootstrap, EffectName, Findings, FoundEffect, Smooth
+from pincal.units import format_small
 
 # Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}
@@ -65,6 +66,43 @@ def line_words(entry: FoundEffect) -> str:
 
 
 HINTS = "Hints: named in less than 60 % of the subsamples"
+
+
+SMOOTH_PARTS = {
+    "drive": "errors of the drives",
+    "base": "displacements along the axes of the base",
+}
+"""Parts of what is smooth in the joints and has no name, in words."""
+
+
+def smooth_words(smooth: Smooth) -> str:
+    """Return what is smooth in the joints and has no name, what it gains, and where not to trust
+    it.
+    """
+    parts = " and ".join(
+        f"{SMOOTH_PARTS[part.errs]}, {format_small(part.size, part.unit)} rms, alike over "
+        f"{part.length_rad:g} rad"
+        for part in smooth.parts
+    )
+    return (
+        f"{parts}; regions left out are predicted to {smooth.smooth_mm:.4f} mm, without it to "
+        f"{smooth.named_mm:.4f}. It says nothing of causes. {smooth_trust(smooth)}"
+    )
+
+
+def smooth_trust(smooth: Smooth) -> str:
+    """Return where what has no name may not be trusted."""
+    far = (
+        "Where no pose was measured nearby it is not known: one standard deviation is "
+        + " and ".join(format_small(part.sigma, part.unit) for part in smooth.parts)
+    )
+    if not smooth.doubtful:
+        return f"{far}."
+    rows = sum(region.rows for region in smooth.doubtful)
+    return (
+        f"{far}. Of {len(smooth.regions)} regions {len(smooth.doubtful)}, with {rows} rows, are "
+        "predicted no better with it (discovery.json says which)."
+    )
 
 
 def subsample_only_words(found: Findings) -> str:
