@@ -43,9 +43,15 @@ def step_notes(tables: Mapping[str, Measurements]) -> Iterator[str]:
         steps = () if table.moving is None else table.moving.steps
         if not steps:
             continue
-        each = ", ".join(f"by {1e3 * size:+.3g} ms at {at:.6g} s" for at, size in steps)
+        each = ", ".join(f"by {_shown(size)} at {at:.6g} s" for at, size in steps)
         yield (
             f"{table.source}: its clock, or that of the joints, steps {each} of its stamps, as "
-            "when a counted frame is lost, or a sample is missed by polling at nearly the rate of "
-            "the device; steps are estimated like offset and drift, rows around them are left out"
+            "when a counted frame is lost, a clock is set, or a sample is missed by polling at "
+            "nearly the rate of the device; steps are estimated like offset and drift, rows around "
+            "them are left out"
         )
+
+
+def _shown(size: float) -> str:
+    """Return a step of a clock [s] in words."""
+    return f"{size:+.4g} s" if abs(size) >= 1.0 else f"{1e3 * size:+.3g} ms"
