@@ -129,6 +129,24 @@ def test_opposite_quaternions_are_one_orientation(kuka: Robot) -> None:
 # The order of rows
 
 
+def test_predictions_are_as_uncertain_as_an_instrument_that_wanders_makes_them(kuka: Robot) -> None:
+    """Of a random walk the rows tell where the instrument was on average: u is about what predictions are off, not mm."""
+    rng = np.random.default_rng(8)
+    others = kuka.random_configurations(100, rng)
+    truth = paper_positions(others, tool_offset=(0.05, 0.03, 0.12), with_elasticity=False)
+    off, u = [], []
+    for seed in range(4):
+        walk = np.cumsum(6e-6 * rng.standard_normal((150, 3)), axis=0)
+        rows = table(kuka, 150, walk + 0.2 * NOISE * rng.standard_normal((150, 3)), seed)
+        found = run_calibration(kuka, rows, Options(effects=GEOMETRIC)).fit
+        assert found.fit.problem.stations[0].serial is not None
+        poses, sigma = found.predict(others, return_sigma=True)
+        off.append(poses[:, :, 3] - truth)
+        u.append(sigma)
+    assert np.mean(np.abs(off) < 1.96 * np.array(u)) > 0.85
+    assert np.sqrt(np.mean(np.square(u))) < 2.0 * np.sqrt(np.mean(np.square(off)))
+
+
 def test_innovations_weigh_by_the_inverse_of_the_covariance() -> None:
     """Products of innovations are those with V^-1, rows in any order, with gaps, some that tell nothing of the next."""
     rng = np.random.default_rng(4)

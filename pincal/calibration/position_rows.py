@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pincal.calibration.wandering import wandered
 from pincal.identify.fit import ModelFit
 from pincal.identify.motion_fields import displacements_by_drives
 from pincal.identify.station import Station
@@ -159,8 +160,8 @@ class LeftOutRows:
 
 def _known_noise(fit: ModelFit, k: int, block: int = 0) -> np.ndarray:
     """Return the variance of a component of a block of each row that is known to be of the
-    readings, shape (N,) [m^2 or rad^2]: the declared noise, or what the stops of its pose or the
-    targets of a stop show, whichever is more.
+    readings, shape (N,) [m^2 or rad^2]: the declared noise, what the stops of its pose or the
+    targets of a stop show, or what persists along the rows, whichever is most.
     """
     at = fit.problem.stations[k]
     scatter = fit.scatter.get(at.name)
@@ -175,6 +176,7 @@ def _known_noise(fit: ModelFit, k: int, block: int = 0) -> np.ndarray:
         sigma = fit.solution.sigma[fit.problem.block_spans[k].start + block]
         component = at.block_rows[block].start
         size = max(size, float(sigma / at.arrival.size[component]) ** 2)
+    size = max(size, wandered(fit, k, block))
     return np.asarray(size / np.maximum(at.weights, 1e-300) ** 2)
 
 

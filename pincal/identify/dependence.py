@@ -140,15 +140,7 @@ def placed_at_mean(fit: ModelFit) -> ModelFit:
     for (station, places, _), rows in zip(fit.stations, fit.problem.rows, strict=True):
         if station.serial is None:
             continue
-        parameters = station.parameters
-        of_base = station.serial.turns is None
-        moved = np.array(
-            [
-                p.is_extrinsic and p.unit == "m" and (p.element == "base") == of_base
-                for p in parameters
-            ]
-        )
-        moved &= fit.solution.free[places]
+        moved = displaced_by(station, station.serial) & fit.solution.free[places]
         if moved.any():
             weights = station.weights * fit.solution.weights[rows]
             parts = list(station.linearise(values[places], moved))
@@ -159,6 +151,19 @@ def placed_at_mean(fit: ModelFit) -> ModelFit:
                 J.reshape(len(J), -1).T, left.ravel(), rcond=None
             )[0]
     return replace(fit, solution=replace(fit.solution, values=values))
+
+
+def displaced_by(station: Station, serial: Serial) -> np.ndarray:
+    """Return which parameters of a station are coordinates of what an error that persists
+    displaces, shape (P,): of the base in the instrument's frame, or of targets.
+    """
+    of_base = serial.turns is None
+    return np.array(
+        [
+            p.is_extrinsic and p.unit == "m" and (p.element == "base") == of_base
+            for p in station.parameters
+        ]
+    )
 
 
 def is_dependent(fit: ModelFit) -> bool:

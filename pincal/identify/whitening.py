@@ -160,6 +160,24 @@ class Serial:
         )
         return max(1.0 - share * together - (1.0 - share) / n, 1e-12)
 
+    def about_mean(self, component: int) -> float:
+        """Return the part of the variance of a component's rows about their mean that persists."""
+        share = float(self.share[component])
+        spread = self._spread(float(self.phi[component]), share)
+        return max(1.0 - (1.0 - share) / spread, 0.0)
+
+    def of_mean(self, component: int) -> float:
+        """Return the variance of the mean of what persists, in units of that of the rows about
+        their mean.
+
+        The start of a random walk is where it would be without it: its mean is from there by twice
+        the variance about the mean, and no process is farther.
+        """
+        share = float(self.share[component])
+        spread = self._spread(float(self.phi[component]), share)
+        together = 1.0 - spread - (1.0 - share) / max(len(self.position), 1)
+        return min(max(together, 0.0) / spread, 2.0 * self.about_mean(component))
+
     @property
     def log_determinant(self) -> float:
         """Logarithm of the determinant of the covariance, relative to white noise of
