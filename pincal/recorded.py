@@ -160,9 +160,11 @@ class Recorded:
 class ArmCourse(Protocol):
     """The course of an arm in motion from which rows of a table were taken."""
 
-    def with_steps(self, table: Any, steps: Sequence[tuple[float, float]]) -> Any:
-        """Return a table of its rows, with the joints where they were if the instrument's clock
-        also steps: at the stamp of the first reading after each step [s], by a size [s].
+    def with_clock(
+        self, table: Any, clock: tuple[float, float, float], steps: Sequence[tuple[float, float]]
+    ) -> Any:
+        """Return a table of its rows, with the joints where they were by another clock of the
+        instrument: ``clock`` and ``steps`` are those of :class:`Moving`.
 
         Rows too near a step to be of either side are left out.
         """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import html
 import io
+import re
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -246,10 +247,22 @@ def _html_row(
             mark + (f' data-from="{html.escape(_pointers(source, column.key))}"' * bool(column.key))
             for mark, column in zip(marks, columns, strict=True)
         ]
-    cells = "".join(
-        f"<{tag}{mark}>{html.escape(text)}</{tag}>" for mark, text in zip(marks, texts, strict=True)
-    )
+    shown = [
+        _breakable(text) if column.kind is Kind.NAME and tag == "td" else html.escape(text)
+        for column, text in zip(columns, texts, strict=True)
+    ]
+    cells = "".join(f"<{tag}{mark}>{text}</{tag}>" for mark, text in zip(marks, shown, strict=True))
     return f'<tr class="{tone}">{cells}</tr>' if tone else f"<tr>{cells}</tr>"
+
+
+def _breakable(name: str) -> str:
+    """Return a name for a page, which may be broken behind its dots, slashes and underscores.
+
+    Example:
+        >>> _breakable("tool.x"), _breakable("a<b/imu.gyro_xx")
+        ('tool.<wbr>x', 'a&lt;b/<wbr>imu.<wbr>gyro_<wbr>xx')
+    """
+    return re.sub(r"([./_])(?=[^./_])", r"\1<wbr>", html.escape(name))
 
 
 def _pointers(source: str, keys: str) -> str:

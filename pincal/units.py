@@ -119,6 +119,8 @@ def in_unit(values: np.ndarray, unit: str) -> np.ndarray:
 # Plausible gravity other than zero [m/s^2], from orbit to a hundred times that on earth.
 _LEAST_GRAVITY: Scale = 1e-6
 _MOST_GRAVITY: Scale = 1e3
+# Gravity on earth is 9.76 to 9.84; to a percent of it.
+_OF_EARTH: Scale = 0.1
 GRAVITIES = f"0 0 0, or a vector of {_LEAST_GRAVITY:g} to {_MOST_GRAVITY:g} m/s^2"
 """Plausible gravity in words."""
 
@@ -132,6 +134,16 @@ def is_gravity(vector: Sequence[float]) -> bool:
     """
     size = math.hypot(*vector)
     return size == 0.0 or _LEAST_GRAVITY <= size <= _MOST_GRAVITY
+
+
+def is_of_earth(vector: Sequence[float]) -> bool:
+    """Return whether a vector is as long as gravity anywhere on earth, to a percent [m/s^2].
+
+    Example:
+        >>> [is_of_earth((0.0, 0.0, z)) for z in (-9.81, -9.8, -1.0, 0.0)]
+        [True, True, False, False]
+    """
+    return abs(math.hypot(*vector) - STANDARD_GRAVITY) <= _OF_EARTH
 
 
 def plain_number(text: str) -> float:

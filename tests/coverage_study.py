@@ -2,9 +2,9 @@
 
 ``python tests/coverage_study.py real`` calibrates on a part of each real series of ``../shared/data`` and predicts the rest:
 whole regions of joint space, the last stretch of the rows, or all but a few poses. ``other`` predicts the other series of
-the same UR10, placed by some of its rows; ``sockets`` the arms whose ball was held in sockets; ``elastic`` the simulated
-elastic arms; ``fleet`` arms with the geometry of its machines; ``simulated`` arms with something hidden that the model may
-not describe; ``rows`` the kinds of tables of ``rows_study.py``.
+the same UR10, placed by some of its rows; ``sockets`` the arms whose ball was held in sockets, each place and regions of
+joint space left out; ``elastic`` the simulated elastic arms; ``fleet`` arms with the geometry of its machines;
+``simulated`` arms with something hidden that the model may not describe; ``rows`` the kinds of tables of ``rows_study.py``.
 
 A coordinate counts as held if it is within 1.96 (95 %) or 1.0 (68 %) standard uncertainties of its prediction. Rates of one
 calibration have the exact interval (Clopper and Pearson) for as many independent coordinates as blocks of rows show (Korn
@@ -138,16 +138,26 @@ def sockets(arguments: argparse.Namespace) -> Iterator[Case]:
         robot = Robot.from_urdf(DATA / robot_of if is_file else robot_of)
         tables = [read_measurements(DATA / path, robot) for path in paths]
         table = tables[0] if len(tables) == 1 else concatenate(tables)
+        assert table.socket is not None
+        place = np.array([str(socket).rstrip("/0123456789") for socket in table.socket])
+        divisions = {f"place {of}": place == of for of in np.unique(place)}
         for seed in range(arguments.seeds):
-            out = left_out_of(table, "regions", arguments.rows, seed)
+            divisions[f"regions {seed}"] = left_out_of(table, "regions", arguments.rows, seed)
+        for division, out in divisions.items():
             found = run_calibration(robot, table.select(~out), Options())
-            rows = table.select(out)
-            station = found.fit.readings(rows)
-            places = found.fit.predict(station.conditions)[:, :, 3]
-            assert rows.socket is not None
-            socket = np.unique(rows.socket, return_inverse=True)[1]
-            of = Judged(found.fit, station.conditions, -places, 0.0, socket=socket)
-            yield f"{name} regions {seed}", of, found.result.verdict_of().value
+            yield f"{name} {division}", in_sockets(found.fit, table.select(out)), found.result.verdict_of().value
+
+
+def in_sockets(model: FittedRobot, rows: Measurements) -> Judged:
+    """Return the predictions of contacts that were not fitted, relative to each other."""
+    assert rows.socket is not None
+    socket = np.unique(rows.socket, return_inverse=True)[1]
+    conditions = model.readings(rows).conditions
+    places = model.predict(conditions)[:, :, 3]
+    middle = np.array([np.median(places[socket == of], axis=0) for of in range(int(socket.max()) + 1)])
+    size = np.linalg.norm(places - middle[socket], axis=1)
+    kept = np.flatnonzero(size < WRONG * np.median(size))
+    return Judged(model, conditions.select(kept), -places[kept], 0.0, socket=socket[kept])
 
 
 def elastic(arguments: argparse.Namespace) -> Iterator[Case]:

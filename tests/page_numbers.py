@@ -12,7 +12,7 @@ from html.parser import HTMLParser
 from typing import Any
 
 # Elements without an end.
-VOID = ("meta", "br", "link", "img", "hr")
+VOID = ("meta", "br", "link", "img", "hr", "wbr")
 NUMBER = re.compile(r"(?<![\w.^])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 # What a unit on a page is in SI units: these are few, and no business of the library's own tables.
 IN_SI = {"mm": 1e-3, "mrad": 1e-3, "µrad": 1e-6, "µm": 1e-6, "px": 1.0, "ppm": 1e-6, "%": 1e-2, "µrad/(N m)": 1e-6}

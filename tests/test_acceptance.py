@@ -205,6 +205,7 @@ def test_a_plan_of_probing_touches_the_sphere() -> None:
     assert np.sum(away * tips[:, :3, 2], axis=1).max() < 0.0
 
 
+@pytest.mark.long
 def test_the_command_probes_a_sphere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Planned, touched by the arm of the calibration, and judged; options that belong together are asked for."""
     out, sphere = tmp_path / "test.csv", tmp_path / "test_sphere.csv"

@@ -74,7 +74,7 @@ def test_without_a_declared_noise_it_is_asked_for(tables: Path, tmp_path: Path, 
     assert run(verb, *rest) == 0
     lines = capsys.readouterr().out.splitlines()
     assert said(lines, "verdict").startswith("adequate. ")
-    assert said(lines, "next").startswith(f"pincal compensate {out / 'model.json'} program.csv")
+    assert said(lines, "next").startswith(f"pincal compensate {out / 'model.json'} PROGRAM.csv")
 
 
 def test_a_dry_calibration_is_a_check(
@@ -92,6 +92,27 @@ def test_a_dry_calibration_is_a_check(
         assert not [*tmp_path.glob("results*")]
 
 
+def test_check_and_calibrate_leave_rows_out_alike(tables: Path, tmp_path: Path, capsys: Capture) -> None:
+    """Before a fit as after it, the error of the nominal robot is the same by each way, and is named alike."""
+    words = (URDF, tables / "tracker.csv", "--quiet")
+    assert run("check", *words, "--json") == 0
+    checked = json.loads(capsys.readouterr().out)
+    assert run("calibrate", *words, "--out", tmp_path / "out") == 0
+    lines = capsys.readouterr().out.splitlines()
+    nominal = json.loads((tmp_path / "out" / "result.json").read_text())["error"]["nominal"]
+    by_way = {way: nominal[way] for way in nominal if way not in ("train", "test")}
+
+    assert set(checked["ways"]) == set(by_way) == {"regions", "stretches"}
+    for way, of_way in by_way.items():
+        for name, value in checked["ways"][way].items():
+            assert of_way[name] == pytest.approx(value, rel=1e-9), (way, name)
+    assert checked["nominal"] == max(checked["ways"].values(), key=lambda of: of["mean_mm"])
+    assert run("check", *words) == 0
+    before = said(capsys.readouterr().out.splitlines(), "before")
+    headline = f" {nominal['test']['mean_mm']:.4f}"
+    assert headline in before and headline in said(lines, "before")
+
+
 @pytest.mark.parametrize("more", [(), ("--split", "station")])
 def test_three_stations_take_fourteen_lines(tables: Path, tmp_path: Path, more: tuple[str, ...], capsys: Capture) -> None:
     """With or without leaving each out."""
@@ -99,9 +120,10 @@ def test_three_stations_take_fourteen_lines(tables: Path, tmp_path: Path, more: 
     printed(capsys, "calibrate", URDF, *days, "--noise", "0.05mm", "--out", tmp_path / "out", *more)
 
 
+# Robot, table, and of how many rows each is taken: what is printed is of as many lines with few of them.
 REAL = {
-    "ur5": ("ur5", "ur5_tracker/grid.csv"),
-    "panda": ("panda", "panda_sockets/panda_3.csv"),
+    "ur5": ("ur5", "ur5_tracker/grid.csv", 4),
+    "panda": ("panda", "panda_sockets/panda_3.csv", 1),
 }
 
 
@@ -110,10 +132,12 @@ REAL = {
 @pytest.mark.parametrize("name", REAL)
 def test_real_tables_take_fourteen_lines(name: str, verb: str, shared_data: Path, tmp_path: Path, capsys: Capture) -> None:
     """Every effect found is named with its joint."""
-    robot, file = REAL[name]
-    out = tmp_path / "out"
+    robot, file, every = REAL[name]
+    out, table = tmp_path / "out", tmp_path / Path(file).name
+    head, *rows = (shared_data / file).read_text(encoding="utf-8").splitlines(keepends=True)
+    table.write_text("".join([head, *rows[::every]]), encoding="utf-8")
     more = ("--stability", "0") if verb == "discover" else ()
-    lines = printed(capsys, verb, robot, shared_data / file, "--out", out, *more)
+    lines = printed(capsys, verb, robot, table, "--out", out, *more)
     if verb == "discover":
         found = json.loads((out / "discovery.json").read_text())["effects"]
         assert found and all(entry["joint"] in said(lines, "found") for entry in found if entry["joint"])

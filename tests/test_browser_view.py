@@ -92,6 +92,48 @@ def test_the_page_shows_the_robot_and_its_layers(
     assert bright(browser) == pytest.approx(shown, rel=0.05)
 
 
+# Each label that is shown: its text and its box in the picture; then the picture's own box.
+BOXES = """
+const box = (e) => { const r = e.getBoundingClientRect(); return [r.left, r.top, r.right, r.bottom]; };
+const shown = [...document.querySelectorAll('#labels span')].filter((e) => e.style.visibility === 'visible');
+return [shown.map((e) => [e.textContent, box(e)]), box(document.getElementById('view'))];
+"""
+
+
+@pytest.mark.long
+@ROOMS
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+def test_no_label_covers_another_or_is_cut(
+    browser: Any, ur10: Robot, rng: np.random.Generator, tmp_path: Path, width: int, height: int
+) -> None:
+    """From wherever one looks, labels are apart and whole within the picture; frames have theirs before the joints."""
+    write_html(tmp_path / "view.html", build_scene(machine(ur10, rng), grid=30))
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 720}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        opened(browser, (tmp_path / "view.html").as_uri())
+        for azimuth in np.linspace(0.0, 2.0 * np.pi, 7)[:-1]:
+            browser.execute_script(
+                "const c = viewer.camera.position.sub(viewer.controls.target), r = Math.hypot(c.x, c.z);"
+                "c.x = r * Math.cos(arguments[0]); c.z = r * Math.sin(arguments[0]); c.add(viewer.controls.target);"
+                "viewer.render(); viewer.render()",
+                float(azimuth),
+            )
+            shown, view = browser.execute_script(BOXES)
+            names = [name for name, _ in shown]
+            boxes = np.array([box for _, box in shown])
+            assert {"base", "tool"} <= set(names)
+            assert len(set(names) & set(ur10.joint_names)) >= 4
+            assert np.all(boxes[:, :2] >= view[:2]) and np.all(boxes[:, 2:] <= view[2:])
+            for i, one in enumerate(boxes):
+                apart = (boxes[:, :2] >= one[2:]) | (boxes[:, 2:] <= one[:2])
+                assert np.all(np.delete(np.any(apart, axis=1), i)), names[i]
+        browser.execute_script("viewer.set_property(['frames'], 'visible', false); viewer.render()")
+        assert not {"base", "tool", "x"} & {name for name, _ in browser.execute_script(BOXES)[0]}
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
 @pytest.mark.long
 def test_the_slider_moves_the_robot_to_the_measured_points(
     browser: Any, ur10: Robot, rng: np.random.Generator, tmp_path: Path

@@ -104,6 +104,31 @@ def test_none_is_no_cell(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: 
     assert run("check", "tracker.csv") == 2
 
 
+@pytest.mark.parametrize(("gravity", "told"), [((0, 0, 0), "no joint bears a load"), ((0, 0, -1), "in proportion")])
+def test_gravity_that_is_nowhere_on_earth_is_said(
+    folder: Path, capsys: pytest.CaptureFixture[str], gravity: tuple[int, int, int], told: str
+) -> None:
+    """It may be meant, as in orbit; a unit vector or zeros to be filled in mostly are not."""
+    cell(f'robot = "robot.urdf"\nnoise = "0.05mm"\ngravity = {list(gravity)}\n')
+    assert run("check", "tracker.csv") == 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert "note: gravity 0 0" in said and "nowhere on earth (9.76 to 9.84)" in said and told in said
+    cell('robot = "robot.urdf"\nnoise = "0.05mm"\ngravity = [0, 0, -9.8]\n')
+    assert run("check", "tracker.csv") == 0
+    assert "nowhere on earth" not in capsys.readouterr().err
+
+
+def test_a_file_of_the_cell_that_is_overridden_may_be_gone(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Only what is taken has to be there."""
+    cell('robot = "gone.urdf"\nnoise = "0.05mm"\npoints = "gone.csv"\n')
+    assert run("check", "robot.urdf", "tracker.csv") == 3
+    assert "cell.toml: points = 'gone.csv'" in capsys.readouterr().err
+    assert run("check", "tracker.csv") == 3
+    assert "cell.toml: robot = 'gone.urdf': there is no such file; expected one" in capsys.readouterr().err
+    cell('robot = "gone.urdf"\nnoise = "0.05mm"\n')
+    assert checked(capsys, "robot.urdf", "tracker.csv")[0]["noise"]["sigma_m"] == pytest.approx(5e-5)
+
+
 def test_another_robot_takes_nothing_of_the_cells_robot(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Its signs and its load are not those of the robot on the command line; the instrument is the same."""
     shutil.copy("robot.urdf", "other.urdf")
@@ -128,6 +153,7 @@ def test_another_robot_takes_nothing_of_the_cells_robot(folder: Path, capsys: py
         ("robot", "cell.toml: can't be read"),
         ("robot = ''", "cell.toml: robot = ''; expected a URDF or xacro file"),
         ("robot = '.'", "cell.toml: robot = '.'; expected a URDF or xacro file"),
+        ("points = 'gone.csv'", "cell.toml: points = 'gone.csv': there is no such file; expected one relative to cell.toml"),
         ("robot = ['a', 'b']", "cell.toml: robot = ['a', 'b']; expected a URDF or xacro file"),
         (f"payload = {'1' * 5000}", "cell.toml: can't be read"),
         ('points = "a\\u0000b"', r"cell.toml: points = 'a\x00b'; expected text without the character NUL"),

@@ -130,7 +130,12 @@ def test_a_hidden_effect_is_named_with_its_joint(kind: str, seed: int) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("kind", "seed"), [(kind, 9700 + i) for i, kind in enumerate((*NAMED, *SOFT, *FOREIGN, *(6 * ("null",))))]
+    ("kind", "seed"),
+    [
+        # Every third before each commit, all of them where rates are counted.
+        pytest.param(kind, 9700 + i, marks=pytest.mark.rates if i % 3 else ())
+        for i, kind in enumerate((*NAMED, *SOFT, *FOREIGN, *(6 * ("null",))))
+    ],
 )
 def test_drawn_cases_come_out_as_they_are_known_to(kind: str, seed: int) -> None:
     """One of each kind on an arm whose frames are anywhere, the first that was drawn, and six without an effect."""

@@ -5,8 +5,10 @@ Errors are drawn here by a formula of their own: the discrepancy is judged by da
 
 import numpy as np
 import pytest
+from machines import kuka as true_kuka
 
-from pincal import Robot, calibrate, load_model, measurements_from_arrays, run_calibration
+from pincal import Measurements, Robot, calibrate, load_model, measurements_from_arrays, run_calibration
+from pincal import simulate as sim
 from pincal.calibration.discrepancy import Discrepancy, discrepancy_of
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.left_out_variance import fitted_variances, left_out_variances
@@ -191,3 +193,42 @@ def test_orientations_are_as_uncertain_as_drives_and_the_rest_make_them(rng: np.
     sigma = np.sqrt(learned.turn_variances(axes[:, 1000:]))
     assert np.mean(np.abs(off[1000:]) < 1.96 * sigma) == pytest.approx(0.95, abs=0.01)
     assert np.mean(np.abs(off[1000:]) < sigma) == pytest.approx(0.683, abs=0.02)
+
+
+SOCKETS = {"a": (1.6, 0.3, 0.8), "b": (1.6, -0.4, 0.8), "c": (1.2, 0.9, 1.2)}
+READ = 1e-4
+# Differences of two positions.
+APART = np.hstack([-np.eye(3), np.eye(3)])
+
+
+def _contacts(seed: int, each: int) -> Measurements:
+    """Return contacts of a machine with errors of its geometry, whose joints are read with an error of their own."""
+    rng = np.random.default_rng(seed)
+    machine = true_kuka().draw_errors(rng, sigma_length=1e-3, sigma_angle=1e-3)
+    setup = sim.Contact(fixed=SOCKETS, tool=(0.05, 0.03, 0.12), sigma=0.0)
+    table = setup.measure(machine, setup.plan(machine.nominal, each * len(SOCKETS), rng=rng), rng=rng)
+    q = np.column_stack([table[name] for name in machine.names])
+    q += READ * rng.standard_normal(q.shape)
+    return measurements_from_arrays(machine.names, q, socket=np.array(table["socket"]))
+
+
+@pytest.mark.parametrize("each", [14, 25])
+def test_what_contacts_show_is_the_robots(each: int, kuka: Robot) -> None:
+    """No instrument reads contacts: where they scatter without structure, intervals of differences hold it all the same."""
+    hits = {"all": list[np.ndarray](), "parameters": list[np.ndarray]()}
+    for seed in range(4):
+        table = _contacts(seed, each + 15)
+        at = {name: np.flatnonzero(np.array(table.socket) == name) for name in SOCKETS}
+        found = run_calibration(kuka, table.select(np.concatenate([rows[:each] for rows in at.values()])), Options()).fit
+        for rows in at.values():
+            conditions = found.readings(table.select(rows[each:])).conditions
+            places = found.predict(conditions)[:, :, 3]
+            for first in range(len(places) - 1):
+                sources = found.covariance_of(conditions.select(np.array([first, first + 1]))).sources
+                off = np.abs(places[first + 1] - places[first])
+                along = {name: np.diag(of.through(APART)) for name, of in sources.items()}
+                hits["all"].append(off < 1.96 * np.sqrt(sum(along.values())))
+                hits["parameters"].append(off < 1.96 * np.sqrt(along["parameters"]))
+    rates = {name: float(np.mean(of)) for name, of in hits.items()}
+    assert 0.93 < rates["all"] < 0.99
+    assert rates["parameters"] < 0.7

@@ -141,7 +141,8 @@ def test_a_cluster_that_is_not_installed_is_named(words: list[str], absent: str,
     assert f"{absent} is not installed: run pip install" in said and "Traceback" not in said
 
 
-@pytest.mark.parametrize("seed", ["3", pytest.param("8", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", ["3", pytest.param("8", marks=pytest.mark.rates)])
 def test_any_arm_is_calibrated_to_the_noise(tmp_path: Path, seed: str) -> None:
     """A random arm is predicted to below its noise of 0.05 mm, and its URDF has the model's geometry."""
     text = run("any_6r_arm.py", "--seed", seed, "--out", "arm", folder=tmp_path)
@@ -163,7 +164,7 @@ def test_any_arm_leaves_nothing_behind_without_a_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("effect", ["gear_eccentricity", pytest.param("backlash", marks=pytest.mark.long)])
+@pytest.mark.parametrize("effect", ["gear_eccentricity", pytest.param("backlash", marks=pytest.mark.rates)])
 def test_a_hidden_effect_is_named_and_the_gap_closes(tmp_path: Path, effect: str) -> None:
     """Geometry alone is off by a millimetre; what is found has the name and the size of what was hidden."""
     text = run("hidden_effect.py", "--effect", effect, folder=tmp_path)
@@ -178,7 +179,7 @@ def test_a_hidden_effect_is_named_and_the_gap_closes(tmp_path: Path, effect: str
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", ["1", "4"])
+@pytest.mark.parametrize("seed", ["1", pytest.param("4", marks=pytest.mark.rates)])
 def test_a_corrected_program_arrives(tmp_path: Path, seed: str) -> None:
     """A machine with more effects than any model misses by a centimetre, and then by less than twice the noise."""
     text = run("compensate.py", "--seed", seed, folder=tmp_path)

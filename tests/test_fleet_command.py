@@ -189,6 +189,7 @@ def test_a_model_keeps_what_its_rows_say(arm: Robot, folder: Path) -> None:
     assert np.linalg.eigvalsh(new.information.H - model.information.H).min() > -1e-6 * np.abs(new.information.H).max()
 
 
+@pytest.mark.long
 def test_a_design_begins_with_what_is_known(arm: Robot, folder: Path, of: Path) -> None:
     """The closed form: without any row its covariance is that of the type."""
     known = load_type(of).prior_of(arm, OPTIONS.effects)

@@ -21,7 +21,8 @@ from scipy.stats import multivariate_normal
 from test_cli import run
 
 from pincal import Measurements
-from pincal.calibration.check_record import CheckedRows, load_record, record_of
+from pincal.calibration.check_record import CheckedRows, Withdrawal, load_record, record_of
+from pincal.cli.checked import last_check
 from pincal.errors import BadInputError, MeasurementError
 from pincal.fleet.checked_robot import CheckedRobot, CheckSeries
 from pincal.fleet.fleet_numbers import WATCH
@@ -261,6 +262,8 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
         {"format": "pincal-model"},
         {"checks": [{"rows": {}}]},
         {"model": 3},
+        {"model": "robot 17"},
+        {"model": "A" * 64},
     ],
 )
 def test_a_file_that_is_no_record_is_refused(change: dict[str, object], tmp_path: Path) -> None:
@@ -273,7 +276,8 @@ def test_a_file_that_is_no_record_is_refused(change: dict[str, object], tmp_path
 
 
 @pytest.mark.parametrize(
-    ("key", "value"), [("day", "foo"), ("day", "20260101"), ("sigma", [0.0]), ("sigma", []), ("joints", ["a", "a"])]
+    ("key", "value"),
+    [("day", "foo"), ("day", "20260101"), ("sigma", [0.0]), ("sigma", []), ("joints", ["a", "a"]), ("mark", "x")],
 )
 def test_rows_of_a_damaged_record_are_refused_with_their_key(key: str, value: object, tmp_path: Path) -> None:
     """Before anything is judged by them."""
@@ -338,6 +342,89 @@ def test_the_command_keeps_a_record_and_tells_an_alarm(folder: Path, capsys: pyt
     out = capsys.readouterr().out
     assert "ALARM" in out and "joint_3: offset" in out
     assert [check.has_failed for check in load_record(folder / "model.checks.json").checks] == [False, False, True]
+
+
+def test_a_withdrawn_check_does_not_count_and_is_kept() -> None:
+    """What is judged later is what a record without it shows, to the last digit."""
+    days = [day_of(k) for k in range(1, 5)]
+    tables = [arm().table(), arm().table(arm().bent(1e-3)), arm().table(), arm().table()]
+    whole = sound = CheckedRobot.of(arm().fitted)
+    for k, (table, day) in enumerate(zip(tables, days, strict=True)):
+        whole = whole.checked(table, day)
+        sound = sound if k == 1 else sound.checked(table, day)
+    assert whole.record.checks[-1].has_failed and not sound.record.checks[-1].has_failed
+
+    left = whole.withdrawn(days[1], "nest was loose", days[3])
+    assert left.record.counting == sound.record.checks
+    assert left.record.last == sound.record.last
+    gone = left.record.checks[1]
+    assert gone.rows == whole.record.checks[1].rows and gone.has_failed
+    assert gone.withdrawn == Withdrawal(day=days[3], reason="nest was loose")
+    assert left.record.withdrawn_words == f"number 2 of {days[1]} (nest was loose)"
+    # Its table may be checked again, as where it was given a wrong day.
+    assert len(left.checked(tables[1], days[3]).record.counting) == 4
+    for which, words in ((days[1], "no such check"), ("9", "no such check"), ("", "no such check")):
+        with pytest.raises(BadInputError, match=words):
+            left.withdrawn(which, "why", days[3])
+    with pytest.raises(BadInputError, match="no reason"):
+        left.withdrawn(days[0], " ", days[3])
+    twice = left.checked(arm().table(), days[3])
+    with pytest.raises(BadInputError, match="several checks, numbers 4, 5"):
+        twice.withdrawn(days[3], "why", days[3])
+    assert twice.withdrawn("4", "why", days[3]).record.withdrawn_words.endswith(f"number 4 of {days[3]} (why)")
+
+
+def test_the_command_withdraws_a_check(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """An alarm is gone with it; measure and certificate say so; nothing is written where it is refused."""
+    model, record = str(folder / "model.json"), tmp_path / "checks.json"
+    words = ("interim", model, "--record", str(record))
+    assert run(*words, str(folder / "mon.csv"), "--day", "2026-01-05") == 0
+    assert run(*words, str(folder / "bad.csv"), "--day", "2026-01-06") == 6
+    before = record.read_bytes()
+    capsys.readouterr()
+    for given, code, said in (
+        (("--withdraw", "2026-01-09", "--reason", "x"), 3, "checks.json: --withdraw 2026-01-09: no such check"),
+        (("--withdraw", "2026-01-06"), 2, "--reason TEXT"),
+        (("--withdraw", "2026-01-06", "--reason", "x", str(folder / "tue.csv")), 2, "takes no table"),
+        (("--reason", "x", str(folder / "tue.csv")), 2, "--withdraw DAY"),
+        ((), 2, "TODAY.csv"),
+        ((str(folder / "tue.csv"), "--day", "2026-01-01"), 3, "the last check in .*checks.json is of 2026-01-06"),
+        ((str(folder / "tue.csv"), "--day", "monday"), 3, "--day: day 'monday'; expected an ISO date"),
+    ):
+        assert run(*words, *given) == code
+        assert re.search(said, " ".join(capsys.readouterr().err.split()))
+        assert record.read_bytes() == before
+    assert run(*words, "--withdraw", "2", "--reason", "the nest was loose", "--json") == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert (shown["check"], shown["verdict"]) == (1, "checked")
+    assert shown["withdrawn"][0]["check"] == 2 and shown["withdrawn"][0]["withdrawn"]["reason"] == "the nest was loose"
+    found = load_record(record)
+    assert [check.withdrawn is None for check in found.checks] == [True, False]
+    assert last_check(folder / "model.json", record) == (
+        found.checks[0],
+        ("interim checks that were withdrawn: number 2 of 2026-01-06 (the nest was loose)",),
+    )
+    assert run(*words, str(folder / "tue.csv"), "--day", "2026-01-06") == 0
+    out = capsys.readouterr().out
+    assert "number 3 since" in out and "withdrawn number 2 of 2026-01-06 (the nest was loose)" in out
+    for number in ("1", "3"):
+        assert run(*words, "--withdraw", number, "--reason", "x") == 0
+    assert "none of its checks counts" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("value", "key"),
+    [({"day": "soon", "reason": "x"}, "day"), ({"day": "2026-01-01", "reason": " "}, "reason")],
+)
+def test_a_withdrawal_without_day_or_reason_is_refused(value: dict[str, str], key: str, tmp_path: Path) -> None:
+    """Of a record that was edited by hand."""
+    path = tmp_path / "model.checks.json"
+    five_days().record.save(path)
+    content = json.loads(path.read_text())
+    content["checks"][0]["withdrawn"] = value
+    path.write_text(json.dumps(content))
+    with pytest.raises(BadInputError, match=rf"model\.checks\.json: checks\[0\]\.withdrawn\.{key}"):
+        load_record(path)
 
 
 def test_a_table_that_no_change_explains_is_not_recorded(

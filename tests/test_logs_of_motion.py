@@ -16,8 +16,12 @@ from pincal.builtin import kuka_urdf_path
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.labels import Label, joint_families, vector_columns
 from pincal.measure.table import write_table
+from pincal.motion.joint_path import JointPath
+from pincal.motion.moving_arm import MovingArm
+from pincal.motion.polling import at_samples
 from pincal.motion.sessions import Session, read_streams
 from pincal.motion.stamps import in_order
+from pincal.motion.starts import start_imu
 from pincal.motion.stations import session_tables
 from pincal.motion.stream import Stream, checked_imu, interpolated
 from pincal.robot.robot import Robot
@@ -437,6 +441,32 @@ def test_an_imu_that_is_polled_at_nearly_its_own_rate_is_told(logs: Tables, tmp_
     assert re.search(r"imu.csv: \d+ rows, .* repeat the previous one .* was it polled at nearly its own rate", told)
 
 
+@pytest.mark.parametrize("rate", [82.0, 97.0, 100.4, 130.0])
+def test_an_imu_that_is_polled_has_the_times_of_its_samples(logs: Tables, rate: float, tmp_path: Path) -> None:
+    """Whose delays, up to a sample, follow the rates of an arm; stamps of samples with jitter are left as they are."""
+    tables, rng = copied({name: logs[name] for name in ("joints", "imu")}), np.random.default_rng(0)
+    imu, true = tables["imu"], logs["imu"]["time"]
+    polls = np.arange(true[0] + 0.5, true[-1], 1.0 / rate)
+    polls += rng.uniform(0.0, 1e-3, len(polls))
+    rows = np.searchsorted(true, polls) - 1
+    stamps = {"samples": true + rng.uniform(0.0, 1e-3, len(true)), "polls": polls + rng.uniform(0.0, 2e-4, len(polls))}
+    found = dict[str, Stream | None]()
+    for name, time in stamps.items():
+        read_at = rows if name == "polls" else np.arange(len(true))
+        # The number of a row in the log tells which sample it has.
+        tables["imu"] = {column: values[read_at] for column, values in imu.items()} | {"time": time}
+        session, _ = read(tmp_path, tables)
+        assert session.imu is not None
+        arm = MovingArm.of(ROBOT, JointPath.through(session.joints.time, session.joints.readings["q"]))
+        start = start_imu(arm, session.imu)
+        found[name] = at_samples(arm, session.imu, start.clock, start.mount)
+    assert found["samples"] is None and found["polls"] is not None
+
+    late = found["polls"].time - true[rows[found["polls"].lines - 2]]
+    assert np.ptp(polls - true[rows]) > 8e-3
+    assert np.quantile(np.abs(late - np.median(late)), 0.99) < 5e-4 and len(late) > 0.85 * len(np.unique(rows))
+
+
 @pytest.mark.parametrize("digits", [6, 15])
 def test_what_was_interpolated_is_no_reading(logs: Tables, digits: int, tmp_path: Path) -> None:
     """Straight lines across the time in which a target was lost, of any digits; an arm that moves straight on is read."""
@@ -474,6 +504,29 @@ def test_gaps_do_no_harm(logs: Tables, tmp_path: Path) -> None:
     session, told = read(tmp_path, tables)
     assert "joints.csv: 1 gaps of more" in told and "imu.csv: 1 gaps of more" in told
     assert laid(session)[0] == pytest.approx(0.4, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "moves", "said"),
+    [
+        (0.2, True, r"the log of the joints has no 1\.5 s without a gap"),
+        (0.5, True, "no reading lies where the joints were logged"),
+        (2.0, True, "no reading lies where the joints were logged"),
+        (20.0, False, "expected readings at 50 Hz or more over some minutes"),
+    ],
+)
+def test_logs_shorter_than_a_filter_are_refused(
+    logs: Tables, seconds: float, moves: bool, said: str, tmp_path: Path
+) -> None:
+    """Of an IMU whose windows, or the second over which its noise is averaged, are longer; or that always reads the same."""
+    tables = copied({name: logs[name] for name in ("joints", "imu")})
+    for name, table in tables.items():
+        rows = np.arange(500, 500 + int(100 * seconds))
+        still = [column for column in table if column != "time" and not moves]
+        tables[name] = {column: values[rows] for column, values in table.items()}
+        tables[name] |= {column: np.full(len(rows), tables[name][column][0]) for column in still}
+    with pytest.raises(MeasurementError, match=said):
+        laid(read(tmp_path, tables)[0])
 
 
 def test_rows_that_lack_a_cell_are_left_out(logs: Tables, tmp_path: Path) -> None:

@@ -24,6 +24,8 @@ from pincal.motion.clocks import Clock, aligned, correlate
 from pincal.motion.imu_rows import ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm, inertial_loads, level_chain
+from pincal.motion.starts import start_positions
+from pincal.motion.stream import Stream
 from pincal.parameters import FRAME_SYMBOLS
 from pincal.robot.robot import Robot
 from pincal.robot.urdf_file import find_file
@@ -332,6 +334,22 @@ def test_a_clock_that_runs_at_another_rate_is_caught(session: tuple[MovingArm, d
     found = aligned(stamps, position, poses, arm.path.covers, Clock(-0.75 + 0.1), source="tracker")
     assert found.clock.drift == pytest.approx(1062e-6, abs=60e-6)
     assert np.abs(found.clock.to_joints(stamps) - TRUE["tracker"].to_joints(stamps)).max() < 2e-3
+
+
+def test_a_clock_that_was_set_by_seconds_is_read_on_both_sides(kuka: Robot) -> None:
+    """The gap that it leaves in its stamps is none in the motion; a gap of both, such as a lost target, is no step."""
+    _, path = driven(kuka, 60.0)
+    joints, time = logged(path, 60.0), np.arange(2.0, 58.0, 0.02)
+    arm = MovingArm(kuka, JointPath.through(*joints))
+    position = kuka.forward_kinematics(path.at(time)) @ np.array([0.1, 0.0, 0.2, 1.0])
+    was_set = time + 0.7 + 5.0 * (time > 30.0)
+    seen = (time < 30.0) | (time > 35.0)
+    for stamps, rows, steps in ((was_set, slice(None), [(35.72, -5.0)]), (time + 0.7, seen, [])):
+        stream = Stream("tracker.csv", stamps[rows], {"position": position[rows, :3]}, {})
+        clock = start_positions(arm, stream, position[rows, :3])
+        assert [at for at, _ in clock.steps] == pytest.approx([at for at, _ in steps], abs=0.03)
+        assert [size for _, size in clock.steps] == pytest.approx([size for _, size in steps], abs=1e-4)
+        assert clock.to_joints(stamps[:1])[0] == pytest.approx(2.0, abs=1e-4)
 
 
 def test_a_jump_of_a_clock_is_found_to_the_row(rng: np.random.Generator) -> None:

@@ -19,6 +19,7 @@ from pincal.calibration.caveats import CaveatKind, findings_on_order, findings_o
 from pincal.calibration.placing import place_station
 from pincal.calibration.result_tables import clock_words
 from pincal.calibration.station_information import SharedInformation
+from pincal.calibration.validation import validate_rows
 from pincal.errors import BadInputError, Exit, MeasurementError
 from pincal.identify import many_rows
 from pincal.identify.fit import ModelFit
@@ -168,10 +169,35 @@ def test_a_clock_that_slips_has_a_step_with_its_uncertainty(day: Path, tmp_path:
     assert step.size_s == pytest.approx(4e-3, abs=4.0 * step.size_sigma_s) and step.size_sigma_s < 2e-4
     assert found.fit.solution.estimated[0] == pytest.approx(3e-5, rel=0.1)
     assert "steps by +4" in " ".join(note.text for note in found.result.warnings)
-    assert re.search(r"from 1\d\.\d* s on \+[34]\.\d* \+- 0\.\d* ms", clock_words(clock))
+    assert re.search(r"from 1\d\.\d* s on \+[34]\.\d* ± 0\.\d* ms", clock_words(clock))
     found.fit.save(tmp_path / "model.json")
     again = pincal.load_model(tmp_path / "model.json")
     assert "clock.step_1" in again.estimate.names
+
+
+@pytest.mark.long
+def test_a_clock_that_slips_on_another_day_is_no_change_of_the_robot(
+    day: Path, fit: pincal.FittedRobot, tmp_path: Path
+) -> None:
+    """Neither for a validation nor for a diagnosis: the step is found as in a calibration, and said."""
+    simulated(tmp_path / "later", "--log-rates", "80,80,50", "--pose-seed", "9", "--setup-seed", "9")
+    session = pincal.read_session(ROBOT, tmp_path / "later")
+    assert session.tracker is not None
+    slipped = session.tracker.time - 4e-3 * (np.arange(len(session.tracker)) >= 600)
+    tracker = replace(session.tracker, time=slipped)
+    (whole,), (table,) = (
+        pincal.session_tables(ROBOT, [replace(session, imu=None, tracker=of)]).values() for of in (session.tracker, tracker)
+    )
+    found, sound = (place_station(fit, of) for of in (table, whole))
+    judged = validate_rows(fit.each, table)
+
+    assert found.table.moving is not None and sound.table.moving is not None and not sound.table.moving.steps
+    ((at, size),) = found.table.moving.steps
+    assert at == pytest.approx(slipped[600], abs=0.1) and size == pytest.approx(4e-3, abs=2e-4)
+    assert found.solution.estimated[0] == pytest.approx(sound.solution.estimated[0], rel=0.05)
+    assert judged.misfit.ratio == pytest.approx(validate_rows(fit.each, whole).misfit.ratio, rel=0.05)
+    assert any("steps by +4" in note.text for note in judged.notes) and not judged.doubt
+    assert not pincal.diagnose(fit, table).changed
 
 
 @pytest.mark.long
@@ -335,6 +361,7 @@ def test_an_imu_in_a_table_of_poses_is_refused() -> None:
         pincal.calibrate(ROBOT, table, GEOMETRY)
 
 
+@pytest.mark.long
 def test_causes_are_not_looked_for_by_an_imu_alone(day: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Whatever their number; what to add, or to run instead, is said."""
     table = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]

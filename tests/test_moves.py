@@ -71,7 +71,7 @@ def test_a_jump_between_two_days_is_named_with_its_interval(robot: Robot) -> Non
     words = station_changes(records)
     doubts = [str(note) for note in run.result.warnings if "moved by" in str(note)]
     assert [doubt.startswith("wednesday: joint_3.theta moved by 0.") for doubt in doubts] == [True]
-    assert words.startswith("joint_3.theta at wednesday by 0.") and "mrad +- 0.0" in words and "thursday" not in words
+    assert words.startswith("joint_3.theta at wednesday by 0.") and "mrad ± 0.0" in words and "thursday" not in words
     table = moved_table(records)
     assert table is not None and [row[2] for row in table.rows] == list(DAYS[1:])
 

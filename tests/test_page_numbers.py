@@ -70,6 +70,7 @@ def test_every_number_of_a_calibration_is_in_its_result(runs: dict[str, Calibrat
     assert len(page.shown) > len(run.result.parameters)
 
 
+@pytest.mark.long
 def test_every_number_of_a_search_is_in_its_result() -> None:
     """Those of the calibration in result.json, those of what was found in discovery.json."""
     found = discovered()

@@ -253,7 +253,7 @@ def mutated(content: bytes, other: bytes, rng: np.random.Generator) -> bytes:
 
 @pytest.mark.long
 @pytest.mark.parametrize("language", LANGUAGES)
-@pytest.mark.parametrize("count", [MUTATIONS // 3, pytest.param(MUTATIONS, marks=pytest.mark.rates)])
+@pytest.mark.parametrize("count", [MUTATIONS // 8, pytest.param(MUTATIONS, marks=pytest.mark.rates)])
 def test_a_program_that_is_not_whole_is_never_made_wrong(
     language: str, count: int, real_arm: Callable[[np.ndarray], np.ndarray]
 ) -> None:

@@ -15,7 +15,7 @@ from pincal.calibration.result_tables import ParameterRow, parameter_table
 from pincal.cli import main, progress, show_progress
 from pincal.cli.progress import console
 from pincal.identify.explain import Cause, Reason, Status
-from pincal.result_table import one_line
+from pincal.result_table import hanging, one_line
 
 REASON = Reason(Cause.ALIASED, tuple(f"joint_{i}.theta" for i in range(1, 7)))
 ROW = ParameterRow("joint_1.k_z", "rad/(N m)", 0.0, -1.234e-7, 1e-8, Status.UNIDENTIFIABLE, REASON)
@@ -170,6 +170,17 @@ def test_tables_fit_a_page_whatever_names_say(capsys: pytest.CaptureFixture[str]
     assert max(map(len, text.splitlines())) <= 100
     assert "\x1b" not in text and "<script>" in text and "[/red]" in text and not set("│┃━") & set(text)
     assert "a_very_long_name_" * 8 in "".join(line.split()[0] for line in text.splitlines() if line.strip())
+
+
+def test_redirected_text_has_no_blanks_at_the_ends_of_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither tables nor paragraphs fill their lines; blanks within them and what ends no line stay."""
+    out = console()
+    out.print(parameter_table([ROW]))
+    out.print(hanging("verdict ", "adequate. " * 20))
+    out.print("a  b ", end="")
+    lines = capsys.readouterr().out.split("\n")
+    assert len(lines) > 5 and lines[-1] == "a  b "
+    assert [line for line in lines[:-1] if line != line.rstrip()] == []
 
 
 def test_a_terminal_has_boxes() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pincal.identify.quadratic import Quadratic
+from pincal.identify.quadratic import Factor, Quadratic
 
 NAMES = ("a", "b", "c", "d", "e")
 
@@ -90,3 +90,16 @@ def test_what_is_not_seen_has_no_rank(rows: tuple[np.ndarray, np.ndarray]) -> No
     assert form.gain(np.array([1, 3]))[1] == 1
     assert form.released(np.array([1])).gain(np.array([3])) == (0.0, 0)
     assert form.released(np.array([1])).chance(np.array([3])) == 1.0
+
+
+def test_information_that_rounding_makes_less_than_none_is_factorised(rows: tuple[np.ndarray, np.ndarray]) -> None:
+    """What remains of rows that were taken out again, where a direction is told by no other; not if it is far from that."""
+    J, r = rows
+    J[:, 4] = J[:, 3] * 2.0
+    scale = np.linalg.norm(J, axis=0)
+    nothing = np.outer([0.0, 0.0, 0.0, 1.0, -1.0], [0.0, 0.0, 0.0, 1.0, -1.0]) * np.outer(scale, scale)
+    taken = float(np.sum(r**2)) - left(J[:, :4], r)
+
+    assert np.sum(Factor.of(J.T @ J - 1e-11 * nothing).half(J.T @ r) ** 2) == pytest.approx(taken, rel=1e-6)
+    with pytest.raises(np.linalg.LinAlgError):
+        Factor.of(J.T @ J - 1e-3 * nothing)

@@ -394,6 +394,16 @@ def test_fingers_mimics_and_floating_bases_off_the_path_are_locked() -> None:
     assert_same_kinematics(robot, robot.random_configurations(5, np.random.default_rng(0)))
 
 
+@pytest.mark.parametrize(("name", "count"), [("panda", "2 joints off the path"), ("talos_arm", "1 joint off the path")])
+def test_a_robot_by_name_is_called_by_its_file_not_by_where_that_is_installed(name: str, count: str) -> None:
+    """In notes and in errors."""
+    with pytest.warns(PincalWarning, match=count) as caught:
+        Robot.from_urdf(name)
+    assert str(caught[0].message).startswith(f"{find_file(name).name}: ")
+    with pytest.raises(RobotFileError, match=r"^[a-z_]*\.urdf: unknown link 'nowhere'"):
+        Robot.from_urdf(name, tip="nowhere")
+
+
 @pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 @pytest.mark.parametrize("flange", ["tool0", "robot_flange", "my_tcp", "left_ee_link"])
 def test_tool_names_of_makers_are_preferred(flange: str) -> None:

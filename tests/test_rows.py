@@ -32,6 +32,7 @@ from pincal.identify.dependence import (
     serial_noise,
 )
 from pincal.identify.fit import ModelFit
+from pincal.identify.many_rows import spread_rows
 from pincal.identify.split import ways_held_out
 from pincal.identify.whitening import Serial
 from pincal.measure.measurements import Measurements
@@ -64,6 +65,14 @@ def table(robot: Robot, n: int, noise: np.ndarray, seed: int = 0, **columns: np.
 
 
 # One observation for each pose
+
+
+def test_few_rows_beside_many_are_in_a_sample() -> None:
+    """Eight poses beside the rows of an IMU, which tell no lengths; stations of one size are sampled as one table."""
+    rows = spread_rows([8, 13_000, 40], 2_000)
+
+    assert set(range(8)) | set(range(13_008, 13_048)) <= set(rows.tolist()) and 1_900 < len(rows) < 2_050
+    np.testing.assert_array_equal(spread_rows([5_000, 6_000, 5_000], 4_000), np.linspace(0, 15_999, 4_000).astype(int))
 
 
 def test_copies_of_rows_change_nothing(kuka: Robot) -> None:
@@ -118,6 +127,24 @@ def test_opposite_quaternions_are_one_orientation(kuka: Robot) -> None:
 
 
 # The order of rows
+
+
+def test_predictions_are_as_uncertain_as_an_instrument_that_wanders_makes_them(kuka: Robot) -> None:
+    """Of a random walk the rows tell where the instrument was on average: u is about what predictions are off, not mm."""
+    rng = np.random.default_rng(8)
+    others = kuka.random_configurations(100, rng)
+    truth = paper_positions(others, tool_offset=(0.05, 0.03, 0.12), with_elasticity=False)
+    off, u = [], []
+    for seed in range(4):
+        walk = np.cumsum(6e-6 * rng.standard_normal((150, 3)), axis=0)
+        rows = table(kuka, 150, walk + 0.2 * NOISE * rng.standard_normal((150, 3)), seed)
+        found = run_calibration(kuka, rows, Options(effects=GEOMETRIC)).fit
+        assert found.fit.problem.stations[0].serial is not None
+        poses, sigma = found.predict(others, return_sigma=True)
+        off.append(poses[:, :, 3] - truth)
+        u.append(sigma)
+    assert np.mean(np.abs(off) < 1.96 * np.array(u)) > 0.85
+    assert np.sqrt(np.mean(np.square(u))) < 2.0 * np.sqrt(np.mean(np.square(off)))
 
 
 def test_innovations_weigh_by_the_inverse_of_the_covariance() -> None:

@@ -20,6 +20,7 @@ from pincal.discover import drive_curves
 from pincal.discover.drive_curves import CurveSquares, resolved, smoothed
 from pincal.discover.levers import situation_of
 from pincal.discover.policy import CURVES, POLICY
+from pincal.discover.score_tests import GivenNuisances
 from pincal.identify.calibrate import fit_tables, refit
 from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import Form
@@ -145,7 +146,7 @@ def test_a_curve_enters_as_it_would_end(fits: tuple[ModelFit, ModelFit]) -> None
     coarse, fine = fits
     curve = next(e for e in coarse.options.effects if isinstance(e, TransmissionError))
     smooth = next(e for e in fine.options.effects if isinstance(e, TransmissionError))
-    entered, heights, _ = resolved(refit(coarse, GEOMETRIC), curve, np.zeros(len(coarse.problem), int))
+    entered, heights, _ = resolved(GivenNuisances(refit(coarse, GEOMETRIC)), curve, np.zeros(len(coarse.problem), int))
 
     assert isinstance(entered, TransmissionError) and entered.roughness and smooth.roughness
     assert entered.size == pytest.approx(smooth.size, abs=2)

@@ -21,7 +21,7 @@ from pincal.motion.motion_numbers import CLOCKS
 from pincal.motion.starts import check_clock
 from pincal.recorded import Moving
 from pincal.robot.robot import Robot
-from pincal.validate.clock_jumps import SteppingClocksError
+from pincal.validate.clock_jumps import SteppingClock, SteppingClocksError
 
 NOISE = 1e-3
 
@@ -144,7 +144,7 @@ def test_a_table_whose_course_is_not_known_is_refused(robot: Robot) -> None:
     table: Measurements = measurements_from_arrays(
         robot.joint_names, robot.random_configurations(5, np.random.default_rng(0)), position=np.eye(5)[:, :3]
     )
-    error = SteppingClocksError("it jumps", {"": ((1.0, 8e-3),)})
+    error = SteppingClocksError("it jumps", {"": SteppingClock((0.0, 0.0, 0.0), ((1.0, 8e-3),))})
     with pytest.raises(SteppingClocksError, match="it jumps"):
         with_steps({"": table}, error)
     stepping = table.__class__(**{**vars(table), "moving": Moving(steps=((1.0, 8.3e-3),))})

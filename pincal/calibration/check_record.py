@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Iterable
 from datetime import date
 from pathlib import Path
@@ -20,12 +21,16 @@ import numpy as np
 from pincal.errors import BadInputError
 from pincal.io.strict_json import FileKind, read_json, write_json
 from pincal.measure.measurements import Measurements, validated
+from pincal.thresholds import Count
 from pincal.units import LARGEST
 
 if TYPE_CHECKING:
     from pincal.calibration.fitted_robot import FittedRobot
 
 CheckVerdict = Literal["checked", "alarm"]
+# Numbers of checks that a message lists.
+_LISTED: Count = 6
+_FINGERPRINT = re.compile("[0-9a-f]{64}")
 CHECKED: CheckVerdict = "checked"
 ALARM: CheckVerdict = "alarm"
 _FILE = FileKind(
@@ -91,10 +96,9 @@ class CheckedRows(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
         Raises:
             BadInputError: if the day is no ISO date.
         """
-        _require_day(day)
         columns = {name: array.tolist() for name, array in table.columns().items()}
         return cls(
-            day=day,
+            day=required_day(day),
             table=table.source,
             mark=_mark(columns),
             station=station,
@@ -125,6 +129,18 @@ class CheckedRows(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
         return validated(self.joints, arrays, source=self.table, units={})
 
 
+class Withdrawal(msgspec.Struct, frozen=True, kw_only=True):
+    """That a check does not count, though the record keeps it.
+
+    Attributes:
+        day: on which it was withdrawn, an ISO date.
+        reason: why.
+    """
+
+    day: str
+    reason: str
+
+
 class InterimCheck(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One interim check: its rows, and what all checks up to it show.
 
@@ -143,6 +159,7 @@ class InterimCheck(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
         drift: standard uncertainty of a coordinate of a position by what has moved since the
             calibration [m].
         change: what has moved, after an alarm.
+        withdrawn: that it does not count, and why; what it showed is as of its own day.
     """
 
     rows: CheckedRows
@@ -158,6 +175,7 @@ class InterimCheck(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     noise: float
     drift: float
     change: CheckedChange | None = None
+    withdrawn: Withdrawal | None = None
 
     @property
     def day(self) -> str:
@@ -186,7 +204,7 @@ class CheckRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
         format_version: of the file.
         model: fingerprint of the calibrated model.
         robot: its name.
-        checks: in the order of their days.
+        checks: those that count in the order of their days, and those that were withdrawn.
     """
 
     format: Literal["pincal-checks"] = msgspec.field(default="pincal-checks")
@@ -197,8 +215,42 @@ class CheckRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
     @property
     def last(self) -> InterimCheck | None:
-        """The last check; None before the first one."""
-        return self.checks[-1] if self.checks else None
+        """The last check that counts; None before the first one."""
+        return next((check for check in reversed(self.checks) if not check.withdrawn), None)
+
+    @property
+    def counting(self) -> tuple[InterimCheck, ...]:
+        """The checks that were not withdrawn."""
+        return tuple(check for check in self.checks if check.withdrawn is None)
+
+    @property
+    def withdrawn_words(self) -> str:
+        """Which checks were withdrawn, and why; "" for none."""
+        words = [
+            f"number {number} of {check.day} ({check.withdrawn.reason})"
+            for number, check in enumerate(self.checks, 1)
+            if check.withdrawn is not None
+        ]
+        return ", ".join(words)
+
+    def number_of(self, which: str) -> int:
+        """Return the number of a check that counts, from 1, by its day or its number.
+
+        Raises:
+            BadInputError: if there is none, or several on this day.
+        """
+        numbers = [number for number, check in enumerate(self.checks, 1) if not check.withdrawn]
+        found = [n for n in numbers if which in (str(n), self.checks[n - 1].day)]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            listed = ", ".join(map(str, found))
+            raise BadInputError(f"{which}: several checks, numbers {listed}; expected one of these")
+        days = ", ".join(f"{n} ({self.checks[n - 1].day})" for n in numbers[-_LISTED:])
+        raise BadInputError(
+            f"{which}: no such check; expected the day or the number of one that counts: "
+            f"{days or 'there is none'}"
+        )
 
     def with_check(self, check: InterimCheck) -> CheckRecord:
         """Return the record with a further check.
@@ -223,14 +275,15 @@ class CheckRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
         write_json(path, head | msgspec.to_builtins(self), indent=None)
 
 
-def _require_day(day: str) -> None:
-    """Refuse a day that is none.
+def required_day(day: str) -> str:
+    """Return a day.
 
     Raises:
         BadInputError: if it is no ISO date.
     """
     if not _is_day(day):
         raise BadInputError(f"day {day!r}; expected an ISO date such as 2026-11-03")
+    return day
 
 
 def _is_day(text: str) -> bool:
@@ -290,9 +343,40 @@ def load_record(path: str | os.PathLike[str]) -> CheckRecord:
         BadInputError: if the file can't be read, or a value is missing or invalid.
     """
     found = read_json(path, CheckRecord, _FILE)
+    _require_fingerprint(f"{os.fspath(path)}: model", found.model)
     for number, check in enumerate(found.checks):
-        _require_rows(f"{os.fspath(path)}: checks[{number}].rows", check.rows)
+        where = f"{os.fspath(path)}: checks[{number}]"
+        _require_rows(f"{where}.rows", check.rows)
+        if check.withdrawn is not None:
+            _require_withdrawal(f"{where}.withdrawn", check.withdrawn)
     return found
+
+
+def _require_fingerprint(where: str, text: str) -> None:
+    """Refuse a fingerprint that is none.
+
+    Raises:
+        BadInputError: with the key.
+    """
+    if not _FINGERPRINT.fullmatch(text):
+        raise BadInputError(
+            f"{where}: is {text!r}; expected a SHA-256, 64 digits from 0 to f; {_FILE.advice}"
+        )
+
+
+def _require_withdrawal(where: str, found: Withdrawal) -> None:
+    """Refuse a withdrawal without a day or a reason.
+
+    Raises:
+        BadInputError: with the key.
+    """
+    if not _is_day(found.day):
+        raise BadInputError(
+            f"{where}.day: is {found.day!r}; expected an ISO date such as 2026-11-03; "
+            f"{_FILE.advice}"
+        )
+    if not found.reason.strip():
+        raise BadInputError(f"{where}.reason: is empty; expected why; {_FILE.advice}")
 
 
 def _require_rows(where: str, rows: CheckedRows) -> None:
@@ -305,6 +389,7 @@ def _require_rows(where: str, rows: CheckedRows) -> None:
         raise BadInputError(
             f"{where}.day: is {rows.day!r}; expected an ISO date such as 2026-11-03; {_FILE.advice}"
         )
+    _require_fingerprint(f"{where}.mark", rows.mark)
     if not rows.sigma or not all(0.0 < sigma <= LARGEST for sigma in rows.sigma):
         raise BadInputError(
             f"{where}.sigma: is {list(rows.sigma)}; expected positive numbers; {_FILE.advice}"

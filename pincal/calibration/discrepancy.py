@@ -18,8 +18,9 @@ better than the poses. The covariance of f_j is a sum over lengths,
 and all variances are linear in the products of the residuals of two poses: non-negative least
 squares, once plain and once weighted by the covariances found, estimate them. What is known to be
 of the readings and of the parameters of the fit without the region is not of the discrepancy: the
-uncertainty of predictions counts parameters beside it. A factor brings the intervals to what the
-residuals show (a conformal quantile: Barber et al. 2021, Ann. Stat. 49, 486-507).
+uncertainty of predictions counts parameters beside it. A factor brings the mean square of the
+residuals, in units of their uncertainty, to 1: of few poses it scatters less than a quantile of
+them. As many poses as there are tell it, so that intervals are those of Student's distribution.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import numpy as np
 from msgspec.structs import replace as changed
 from scipy.linalg import block_diag, solve_triangular
 from scipy.optimize import nnls
+from scipy.special import ndtri, stdtrit
 
 from pincal.calibration.calibration_numbers import DISCREPANCY
 from pincal.calibration.left_out_variance import fitted_variances, left_out_variances
@@ -62,8 +64,8 @@ _ANGLES: Count = 128
 _RIDGE: Scale = 1e-10
 # Smallest variance [m^2].
 _SMALLEST: Scale = 1e-300
-# Standard deviations that hold 95 % of a normal variable.
-_NORMAL: Scale = 1.959964
+# Probability below the upper end of intervals of 95 %.
+_LEVEL: Scale = 0.975
 
 
 class Discrepancy(Record, frozen=True, kw_only=True):
@@ -139,8 +141,8 @@ class Discrepancy(Record, frozen=True, kw_only=True):
         variance = of_drives + rest + noise
         if not np.all(variance > 0.0):
             return self
-        reached = np.quantile(np.abs(residuals) / np.sqrt(variance)[:, None], DISCREPANCY.covered)
-        return changed(self, turn_rest=rest, turn_factor=float(reached) / _NORMAL)
+        size = np.sqrt(np.mean(residuals**2 / variance[:, None]))
+        return changed(self, turn_rest=rest, turn_factor=float(size) * _widened(len(residuals)))
 
     def errors(self, q: np.ndarray, levers: np.ndarray) -> SharedErrors:
         """Return the errors of the target's positions at N poses, as far as they share them.
@@ -221,12 +223,17 @@ def discrepancy_of(
         np.einsum("naa->na", plain.variances(levers)),
         np.einsum("naa->na", known),
     )
-    return changed(plain, factor=factor) if factor else None
+    return changed(plain, factor=factor * _widened(len(residuals))) if factor else None
+
+
+def _widened(n: int) -> float:
+    """Return the factor on standard deviations that n poses not fitted have shown."""
+    return DISCREPANCY.farther * float(stdtrit(n, _LEVEL) / ndtri(_LEVEL))
 
 
 def _factor(residuals: np.ndarray, lacking: np.ndarray, known: np.ndarray) -> float:
-    """Return the factor on the standard deviations of what is lacking by which intervals cover what
-    they say; 0 where what is known does already.
+    """Return the factor on the standard deviations of what is lacking by which residuals are as
+    large as they say; 0 where what is known says so already.
 
     Args:
         residuals: shape (N, 3).
@@ -235,8 +242,7 @@ def _factor(residuals: np.ndarray, lacking: np.ndarray, known: np.ndarray) -> fl
     """
 
     def covers(factor: float) -> bool:
-        u = np.sqrt(factor**2 * lacking + known)
-        return bool(np.mean(np.abs(residuals) <= _NORMAL * u) >= DISCREPANCY.covered)
+        return bool(np.mean(residuals**2 / (factor**2 * lacking + known + _SMALLEST)) <= 1.0)
 
     if covers(0.0) or not np.any(lacking):
         return 0.0
@@ -293,7 +299,7 @@ def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
     Where noise was declared or readings were repeated, the verdict tells whether residuals are
     noise; what may be hidden in it is then of another estimate. Else it is their structure: of an
     e-value E the part 1 - 1 / E of what is not known to be of the readings or the parameters counts
-    as the model's.
+    as the model's; of contacts, which no instrument reads, all of it.
     """
     stations = [k for k, at in enumerate(fit.problem.stations) if gives_positions(at)]
     rows = [PositionRows.of(fit, k) for k in stations]
@@ -304,9 +310,20 @@ def discrepancy_in(fit: ModelFit, verdict: Verdict) -> Discrepancy | None:
     structure = residual_structure(fit, rows)
     if verdict is Verdict.ADEQUATE:
         return _hidden(structure)
-    evidence = structure.evidence()
-    found = _shown(fit, rows) if evidence > 1.0 else None
-    return found.part(1.0 - 1.0 / evidence) if found else None
+    return _suspected(fit, rows, structure.evidence())
+
+
+def _suspected(fit: ModelFit, rows: Sequence[PositionRows], evidence: float) -> Discrepancy | None:
+    """Return what a model lacks where no noise is known, by the e-value that residuals are not
+    noise alone.
+
+    A contact has no instrument: what it shows is the robot's, whether it has structure or not.
+    """
+    doubt = min(1.0 / max(evidence, _SMALLEST), 1.0)
+    if not any(of.at.sensor.is_of_joints for of in rows):
+        found = _shown(fit, rows) if doubt < 1.0 else None
+        return found.part(1.0 - doubt) if found else None
+    return _shown(fit, [of if of.at.sensor.is_of_joints else of.with_noise(doubt) for of in rows])
 
 
 def _hidden(structure: Structure) -> Discrepancy | None:

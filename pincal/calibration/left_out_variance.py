@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from pincal.calibration.wandering import covariance_at_mean
 from pincal.identify.fit import ModelFit
 from pincal.thresholds import Scale
 
@@ -76,7 +77,7 @@ def _roots_without(fit: ModelFit, fold: np.ndarray) -> list[np.ndarray]:
 
 def _root(fit: ModelFit) -> np.ndarray:
     """Return a root of the covariance of the free parameters, shape (F, r)."""
-    variances, axes = np.linalg.eigh(fit.solution.known.joint_covariance.dense())
+    variances, axes = np.linalg.eigh(covariance_at_mean(fit, of_rows=True).dense())
     some = variances > 0.0
     return np.asarray(axes[:, some] * np.sqrt(variances[some]))
 

@@ -20,6 +20,7 @@ from pincal.calibration.covered import of_the_day
 from pincal.calibration.day_notes import note_on, notes_on_day
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.row_noise import RowNoise, noise_of_rows
+from pincal.calibration.stepping import laid_again, step_notes
 from pincal.errors import BadInputError
 from pincal.identify.beliefs import bounds_of
 from pincal.identify.fit import Priors, Solution
@@ -43,6 +44,7 @@ from pincal.robot.se3 import rotation_vectors
 from pincal.sensors.setup import Setup
 from pincal.thresholds import Count, Scale
 from pincal.units import format_readable
+from pincal.validate.clock_jumps import SteppingClock, stepping_clock
 from pincal.validate.misfit import Misfit, misfit_at
 
 # Multiple of its noise at which a block of readings tells nothing, and halvings of the range of a
@@ -127,6 +129,14 @@ class Placed:
     def table(self) -> Measurements:
         """The rows: the mean of each stop."""
         return self.stops.table
+
+    def stepping(self, table: Measurements) -> Measurements:
+        """Return the table of its rows, or one with more of them, by its clock with its steps."""
+        found = self.table.moving
+        given = table.moving
+        if found is None or given is None or found.steps == given.steps:
+            return table
+        return laid_again(table, SteppingClock(found.clock, found.steps)) or table
 
     @cached_property
     def shared(self) -> SharedNoise | None:
@@ -289,10 +299,12 @@ def place_station(
             model without any, estimated from the rows.
 
     Returns:
-        The robot at the new station. Outliers are left out.
+        The robot at the new station. Outliers are left out. Of an arm in motion its clock has the
+        steps that the rows show, as in a calibration.
 
     Raises:
-        BadInputError: if the rows are too few, or too similar, to determine the poses.
+        BadInputError: if the rows are too few, or too similar, to determine the poses, or a clock
+            steps more often than one does.
 
     Example:
         >>> from pincal import Conditions, Options, Robot
@@ -310,7 +322,29 @@ def place_station(
         >>> round(found.moved.instrument, 6), found.moved.target < 1e-9
         (0.866025, True)
     """
-    visit = _Visit.of(calibrated, measurements)
+    found = _at_station(_Visit.of(calibrated, measurements), sigma_orientation)
+    # A step shows others that it hid.
+    while (clock := _stepping_clock(found)) is not None:
+        stepping = laid_again(found.table, clock)
+        if stepping is None:
+            break
+        found = _at_station(_Visit.of(calibrated, stepping), sigma_orientation)
+    told = tuple(step_notes({"": found.table}))
+    return replace(found, notes=(*found.notes, *told))
+
+
+def _stepping_clock(placed: Placed) -> SteppingClock | None:
+    """Return the clock with further steps that the rows of a station show, as for a calibration;
+    None if they show none.
+    """
+    solution = placed.solution
+    return stepping_clock(
+        placed.table, placed.station, solution.values, solution.free, solution.estimated
+    )
+
+
+def _at_station(visit: _Visit, sigma_orientation: float | None) -> Placed:
+    """Return the robot at a new station, whose clock has the steps of its rows."""
     known = visit.known
     stops = visit.stops
     check_placeable(stops.table, visit.setup)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pincal.calibration.wandering import wandered
 from pincal.identify.fit import ModelFit
 from pincal.identify.motion_fields import displacements_by_drives
 from pincal.identify.station import Station
@@ -97,6 +98,10 @@ class PositionRows:
         """Variance of a coordinate of the readings, shape (N,) [m^2]: known, or else by the fit."""
         return np.where(self.noise > 0.0, self.noise, self.fitted_noise)
 
+    def with_noise(self, part: float) -> PositionRows:
+        """Return the rows with a part of the variance of the fit known to be of the readings."""
+        return replace(self, noise=np.maximum(self.noise, part * self.fitted_noise))
+
     def motions_by(self, fit: ModelFit) -> np.ndarray:
         """Return the displacement of each row's target by one prior of each free parameter of the
         fit, shape (F, N, 3) [m].
@@ -155,8 +160,8 @@ class LeftOutRows:
 
 def _known_noise(fit: ModelFit, k: int, block: int = 0) -> np.ndarray:
     """Return the variance of a component of a block of each row that is known to be of the
-    readings, shape (N,) [m^2 or rad^2]: the declared noise, or what the stops of its pose or the
-    targets of a stop show, whichever is more.
+    readings, shape (N,) [m^2 or rad^2]: the declared noise, what the stops of its pose or the
+    targets of a stop show, or what persists along the rows, whichever is most.
     """
     at = fit.problem.stations[k]
     scatter = fit.scatter.get(at.name)
@@ -171,6 +176,7 @@ def _known_noise(fit: ModelFit, k: int, block: int = 0) -> np.ndarray:
         sigma = fit.solution.sigma[fit.problem.block_spans[k].start + block]
         component = at.block_rows[block].start
         size = max(size, float(sigma / at.arrival.size[component]) ** 2)
+    size = max(size, wandered(fit, k, block))
     return np.asarray(size / np.maximum(at.weights, 1e-300) ** 2)
 
 

@@ -82,7 +82,9 @@ class DataReport:
         rows: number of rows.
         joints: coverage of each joint.
         nominal: errors with only base and tool fitted, each pose predicted by a fit without it, as
-            a calibration has them.
+            a calibration has them: of the way of leaving rows out in which they are larger.
+        ways: these by each way, "regions", "stretches", ...; empty if no row can be left out, and
+            ``nominal`` is then of the rows that were used.
         noise: standard deviations, declared or of a preliminary fit, and their origin.
         rank: number of directions that the poses determine better than the priors do.
         released: number of parameters that a fit would release.
@@ -96,6 +98,7 @@ class DataReport:
     rows: int
     joints: tuple[JointRange, ...]
     nominal: dict[str, float]
+    ways: dict[str, dict[str, float]]
     noise: dict[str, Any]
     rank: int
     released: int
@@ -135,11 +138,13 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     further = {name: _FURTHER[name](robot, fit) for name in _FURTHER.names()}
     notes += [note for found in further.values() for note in found.notes]
     posterior = fit.solution.posterior
+    ways = _nominal_by_way(fit, tables)
     return DataReport(
         kind=" and ".join(dict.fromkeys(table.kind for table in tables.values())),
         rows=sum(map(len, tables.values())),
         joints=tuple(_ranges(robot, fit.problem.conditions.q)),
-        nominal=_nominal(fit, tables),
+        nominal=ways[headline_of(ways)] if ways else _nominal_of_fitted(fit),
+        ways=ways,
         noise=_noise(fit),
         rank=posterior.identifiable_rank,
         released=int(fit.solution.free.sum()),
@@ -166,19 +171,24 @@ def _noise(fit: ModelFit) -> dict[str, Any]:
     return found | repeated
 
 
-def _nominal(fit: ModelFit, tables: Mapping[str, Measurements]) -> dict[str, float]:
-    """Return the errors of the nominal robot: at rows that were not used to place it, or else at
-    those that were.
+def _nominal_by_way(
+    fit: ModelFit, tables: Mapping[str, Measurements]
+) -> dict[str, dict[str, float]]:
+    """Return the errors of the nominal robot at rows that were not used to place it, by each way of
+    leaving rows out.
     """
     rows = [
         replace(StationRows.of(name, table), name=at.name)
         for (name, table), at in zip(tables.items(), fit.problem.stations, strict=True)
     ]
-    found = nominal_errors(fit, rows, Folds.of(fit.problem, WAYS["both"]))
-    fitted = error_statistics(
+    return nominal_errors(fit, rows, Folds.of(fit.problem, WAYS["both"]))
+
+
+def _nominal_of_fitted(fit: ModelFit) -> dict[str, float]:
+    """Return the errors of the nominal robot at the rows that were used to place it."""
+    return error_statistics(
         pose_error_sizes(at, fit.nominal.values[places]) for at, places, _ in fit.stations
     )
-    return found.get(headline_of(found), fitted)
 
 
 def _ranges(robot: Robot, poses: np.ndarray) -> Iterator[JointRange]:

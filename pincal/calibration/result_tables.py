@@ -19,6 +19,7 @@ from pincal.robot.se3 import placed, rotation_vectors
 from pincal.thresholds import Count, Scale
 from pincal.units import (
     Quantity,
+    Unit,
     fixed,
     format_readable,
     readable_unit,
@@ -41,6 +42,8 @@ PARTS = {
 }
 """Names of the parts of a data set."""
 
+# Decimal places of nominal values in mm and mrad: 1 nm and 1 nrad.
+_NOMINAL_PLACES: Count = 6
 INTERVAL: Scale = 1.96
 """Half-width of a 95 % interval, in standard deviations."""
 
@@ -298,12 +301,12 @@ def clock_words(clock: ClockRecord) -> str:
     """Return offset and drift of an instrument's clock with 95 % intervals, in words."""
     half = f"{1e3 * INTERVAL * clock.offset_sigma_s:.2g} ms"
     words = (
-        f"{clock.offset_s:+.5f} s +- {half}, drift {clock.drift_ppm:+.1f} +- "
+        f"{clock.offset_s:+.5f} s ± {half}, drift {clock.drift_ppm:+.1f} ± "
         f"{INTERVAL * clock.drift_sigma_ppm:.2g} ppm"
     )
     if clock.gyro_early_s is not None and clock.gyro_early_sigma_s is not None:
         words += (
-            f"; its gyroscope {1e3 * clock.gyro_early_s:+.2f} +- "
+            f"; its gyroscope {1e3 * clock.gyro_early_s:+.2f} ± "
             f"{1e3 * INTERVAL * clock.gyro_early_sigma_s:.2g} ms"
         )
     words += "".join(f"; {words_of_step}" for words_of_step in _step_words(clock))
@@ -314,16 +317,16 @@ def _step_words(clock: ClockRecord) -> Iterator[str]:
     """Yield the steps of a clock with 95 % intervals, in words."""
     for step in clock.steps:
         half = 1e3 * INTERVAL * step.size_sigma_s
-        yield f"from {step.at_s:.6g} s on {1e3 * step.size_s:+.2f} +- {half:.2g} ms"
+        yield f"from {step.at_s:.6g} s on {1e3 * step.size_s:+.2f} ± {half:.2g} ms"
 
 
 def clock_table(clocks: Sequence[ClockRecord]) -> Table:
     """Return the table of the clocks of instruments that measure in motion: corrections to their
     time stamps.
     """
-    offsets = (("offset", "s", 5), ("+-", "ms", 3))
-    drifts = (("drift", "ppm", 1), ("+-", "ppm", 2))
-    heads = (*offsets, *drifts, ("gyroscope", "ms", 3), ("+-", "ms", 3))
+    offsets = (("offset", "s", 5), ("±", "ms", 3))
+    drifts = (("drift", "ppm", 1), ("±", "ppm", 2))
+    heads = (*offsets, *drifts, ("gyroscope", "ms", 3), ("±", "ms", 3))
     columns = (
         Column("station", kind=Kind.NAME),
         *(Column(name, u, Kind.NUMBER, fixed(n)) for name, u, n in heads),
@@ -342,7 +345,7 @@ def clock_table(clocks: Sequence[ClockRecord]) -> Table:
         )
     note = (
         "correction to the time stamps of a station at the middle of its session; for a gyroscope "
-        "in addition to its accelerometer's; +- 95 %"
+        "in addition to its accelerometer's; ± 95 %"
     )
     steps = (
         f"stamps of {at.station or 'the instrument'} {words}, where its clock or the joints' steps"
@@ -422,7 +425,7 @@ def station_changes(stations: Sequence[StationRecord]) -> str:
         if entry["moved"]
     ]
     words = [
-        f"{entry['name']} at {name} by {format_readable(entry['change'], entry['unit'])} +- "
+        f"{entry['name']} at {name} by {format_readable(entry['change'], entry['unit'])} ± "
         f"{format_readable(INTERVAL * entry['sigma'], entry['unit'], '.2g')} (95 %)"
         for name, entry in moved[:_MOST_NAMED]
     ]
@@ -521,7 +524,7 @@ def rounded_table(parameters: Sequence[ParameterRow], places: Iterable[int]) -> 
     rows = tuple(
         (
             row.name,
-            f"{row.nominal * readable_unit(row.unit).factor:.6g}",
+            _show_nominal(row.nominal, readable_unit(row.unit)),
             show_measured(row.value, row.sigma, readable_unit(row.unit)),
             row.unit,
             row.status,
@@ -532,6 +535,17 @@ def rounded_table(parameters: Sequence[ParameterRow], places: Iterable[int]) -> 
     sources = tuple(f"result.json#/parameters/{k}/{{}}" for k, _ in chosen)
     tones = tuple(_TONES[row.status] for _, row in chosen)
     return Table("Parameters", columns, rows, tones=tones, sources=sources)
+
+
+def _show_nominal(value: float, unit: Unit) -> str:
+    """Return a nominal value; what the arithmetic of frames leaves in place of zero is zero.
+
+    Example:
+        >>> _show_nominal(6.1e-17, Unit(1e3, "mm")), _show_nominal(0.0945, Unit(1e3, "mm"))
+        ('0', '94.5')
+    """
+    shown = value * unit.factor
+    return f"{shown if unit.factor == 1.0 else round(shown, _NOMINAL_PLACES):z.6g}"
 
 
 def estimate_table(estimate: Estimate) -> Table:

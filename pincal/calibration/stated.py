@@ -12,6 +12,7 @@ from pincal.calibration.elsewhere import elsewhere_of, placed_station, random_co
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.model_statement import COVERAGE_FACTOR, ModelStatement, RestsOn
 from pincal.calibration.result import Result
+from pincal.calibration.wandering import covariance_at_mean
 from pincal.identify.fit import ModelFit
 from pincal.model.conditions import Conditions
 from pincal.thresholds import Count
@@ -26,7 +27,9 @@ def stated(fit: ModelFit, result: Result, verdict: Verdict) -> tuple[FittedRobot
     """Return the robot of a fit with what it lacks and what it states, and the result with its
     uncertainties.
     """
-    robot = replace(FittedRobot.of(fit), discrepancy=discrepancy_in(fit, verdict))
+    robot = FittedRobot.of(fit)
+    estimate = replace(robot.estimate, covariance=covariance_at_mean(fit, of_rows=False))
+    robot = replace(robot, estimate=estimate, discrepancy=discrepancy_in(fit, verdict))
     statement = _statement(robot, result, verdict)
     expanded = None
     if statement.here is not None and statement.anywhere is not None:

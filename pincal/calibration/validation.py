@@ -463,6 +463,7 @@ def _may_have_measured(model: FittedRobot, measurements: Measurements) -> bool:
 
 def _refitted(name: str, table: Measurements, placed: Placed) -> Validation:
     model = placed.model
+    table = placed.stepping(table)
     doubt = doubt_of(placed)
     at = table, model, model.readings(table), placed.solution.free, placed.moved, placed.misfit
     return Validation(name, "refitted", *at, doubt=doubt, of_day=placed.notes)

@@ -160,11 +160,14 @@ def _of_checks(
     place = record_path(path)
     record, _ = record_of(fitted, place)
     last = None if record is None else record.last
+    withdrawn = "" if record is None else record.withdrawn_words
+    beside = {"withdrawn checks": withdrawn} if withdrawn else {}
     if last is None:
-        return (), {"interim checks": "none"}, {}
+        files = {place.name: file_hash(place)} if withdrawn else {}
+        return (), {"interim checks": "none", **beside}, files
     alarm = (f"the last interim check raised an alarm: {last.words}",) if last.has_failed else ()
     drift = f"drift since the calibration u = {last.drift * 1e3:.2g} mm a coordinate"
-    facts = {"interim checks": f"{last.words}; {drift}"}
+    facts = {"interim checks": f"{last.words}; {drift}", **beside}
     return alarm, facts, {place.name: file_hash(place)}
 
 

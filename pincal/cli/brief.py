@@ -13,14 +13,13 @@ from rich.console import Console
 from pincal.calibration import result_tables
 from pincal.calibration.calibration import Calibration
 from pincal.calibration.result import Result
-from pincal.cli.screen import arm_words, held_out_words, noise_line
+from pincal.cli.screen import arm_words, error_words, held_out_words, noise_line
 from pincal.errors import counted
 from pincal.notes import Note, doubts_first
 from pincal.report.judgement import Act, SearchReport, judged, steps_after
 from pincal.report.words import elsewhere_size, elsewhere_words
 from pincal.result_table import hanging, one_line
 from pincal.thresholds import Count
-from pincal.validate.accuracy import leading_unit
 
 # Lines of a summary; the last two say where more stands, and what was written.
 _LINES: Count = 14
@@ -161,22 +160,10 @@ def _sizes(result: Result, model: str) -> tuple[str, list[str]]:
     follow with their mean error.
     """
     by_part = result.error[model]
-    part = "test" if "test" in by_part else "train"
-    values = by_part[part]
-    unit = leading_unit(values)
-    words = (
-        f"mean {values[f'mean_{unit}']:.4f} {unit}, 95 % {values[f'p95_{unit}']:.4f}, max "
-        f"{values[f'max_{unit}']:.4f}"
-    )
-    named = result_tables.PARTS
-    ways = [way for way in by_part if way not in ("train", "test")]
-    lead = next((way for way in ways if by_part[way] == values), part)
-    others = [
-        f"{named[way].removeprefix('held-out ')} {by_part[way][f'mean_{unit}']:.4f}"
-        for way in ways
-        if way != lead
-    ]
-    return words, ["no rows held out" if lead == "train" else named[lead], *others]
+    ways = {name: by_part[name] for name in by_part if name not in ("train", "test")}
+    if "test" not in by_part:
+        return error_words(by_part["train"], ways)
+    return error_words(by_part["test"], ways, result_tables.PARTS["test"])
 
 
 def _beside(calibration: Calibration) -> Iterator[_Part]:

@@ -176,6 +176,7 @@ class _Reader:
         words = list(self._positional())
         if taken.cell is not None and _ROBOT_FIELD in taken.cell.entries:
             taken.keys.append(_ROBOT_FIELD)
+            taken.cell.require_file(_ROBOT_FIELD)
             return [str(taken.cell.entries[_ROBOT_FIELD])]
         if not words:
             return []
@@ -210,10 +211,11 @@ class _Reader:
                 value = (value,)
             if _is_for_images(key, value) and "px" not in str(parameter.metavar):
                 continue
+            if name not in self.given:
+                taken.cell.require_file(key)
+                taken.keys.append(key)
             self._check(taken.cell, key, parameter, value)
             yield name, value
-            if name not in self.given:
-                taken.keys.append(key)
 
     def _is_other(self, cell: CellFile, robot: Any) -> bool:
         """Return whether a command line names another robot than the cell."""

@@ -132,6 +132,22 @@ class CellFile:
         located = {key: _located(path.parent, key, value) for key, value in entries.items()}
         return cls(path, located, _identity(path, stated))
 
+    def require_file(self, key: str) -> None:
+        """Refuse a file that is not there, of a key that names one.
+
+        Raises:
+            BadInputError: with the key and the file.
+        """
+        value = self.entries.get(key)
+        if not isinstance(value, str) or not value or os.path.exists(value):
+            return
+        if key in _OF_FILES or (key == "robot" and (Path(value).suffix or os.sep in value)):
+            raise BadInputError(
+                f"{self.path}: {key} = {value!r}: there is no such file; expected one relative to "
+                f"{self.path}, or another by the command line; --cell {NO_CELL} takes nothing from "
+                "the cell file"
+            )
+
 
 def _words(where: str, value: Any) -> Any:
     """Return a value as on a command line, of a list a tuple of these."""

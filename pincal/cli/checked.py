@@ -36,7 +36,12 @@ def last_check(
             )
         return None, ()
     found, note = record_of(fitted or load_model(model), path)
-    return None if found is None else found.last, () if note is None else (note,)
+    notes: tuple[str, ...] = () if note is None else (note,)
+    if found is None:
+        return None, notes
+    if found.withdrawn_words:
+        notes += (f"interim checks that were withdrawn: {found.withdrawn_words}",)
+    return found.last, notes
 
 
 def said_by_checks(model: Path) -> tuple[str, ...]:

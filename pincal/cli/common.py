@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,10 +25,10 @@ from pincal.cli.quantities import (
     xacro_argument,
 )
 from pincal.cli.streams import MOTION, Streams
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, warn
 from pincal.measure.table_schema import TABLE_ENDINGS, TableOptions
 from pincal.robot.cell import Beside
-from pincal.units import GRAVITIES, is_gravity
+from pincal.units import GRAVITIES, is_gravity, is_of_earth
 
 if TYPE_CHECKING:
     from pincal.identify.options import Options
@@ -70,6 +71,14 @@ def _check_gravity(
             f"{' '.join(f'{number:g}' for number in given)}; expected {GRAVITIES}",
             context,
             parameter,
+        )
+    if given is not None and not is_of_earth(given):
+        size = math.hypot(*given)
+        loads = "no joint bears a load" if size == 0.0 else "loads are taken in proportion"
+        warn(
+            f"gravity {' '.join(f'{number:g}' for number in given)} is {size:.3g} m/s^2, which it "
+            f"is nowhere on earth (9.76 to 9.84): {loads}; on earth, state it in m/s^2 in the "
+            "robot's base frame, such as 0 0 -9.81"
         )
     return given
 

@@ -286,7 +286,8 @@ def _commands(arguments: FitArguments, result: Result) -> dict[Act, str]:
     return {
         Act.DECLARE: f"{noise}  # your instrument's",
         Act.SEARCH: f"pincal discover {words}",
-        Act.USE: f"pincal compensate {model} program.csv --out new.csv  # or measure, predict",
+        Act.USE: f"pincal compensate {model} PROGRAM.csv --out corrected.csv  "
+        "# your program; or measure, predict",
     }
 
 

@@ -8,9 +8,12 @@ remaining time follows.
 
 from __future__ import annotations
 
+import io
 import logging
+import re
 import sys
 import time
+from typing import TextIO
 
 import click
 from rich.console import Console
@@ -76,12 +79,34 @@ def end_progress() -> None:
     logging.getLogger("pincal").handlers = []
 
 
+class _Redirected(io.TextIOBase):
+    """Text for a file or another program: without the blanks that fill the lines of a screen."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._file.encoding
+
+    def write(self, text: str) -> int:
+        """Write whole lines without the blanks at their ends."""
+        self._file.write(re.sub(r"[ \t]+(?=\n)", "", text))
+        return len(text)
+
+    def flush(self) -> None:
+        """Hand on what has been written."""
+        self._file.flush()
+
+
 def console() -> Console:
     """Return the console for results: stdout, with boxes and colours on a terminal, otherwise plain
     text.
     """
     end_progress()
-    return Console(width=None if sys.stdout.isatty() else _WIDTH, highlight=False)
+    if sys.stdout.isatty():
+        return Console(highlight=False)
+    return Console(width=_WIDTH, highlight=False, file=_Redirected(sys.stdout))  # type: ignore[arg-type]
 
 
 def _left(seconds: float, done: float, of: float) -> str:

@@ -49,7 +49,7 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
     print_doubts(found.warnings, out)
     _line(out, "robot", arm_words(robot))
     _line(out, "rows", f"{found.rows} {found.kind} measurements")
-    _line(out, "before", f"{_nominal(found)}: nominal robot, base and tool fitted")
+    _line(out, "before", _nominal(found))
     _line(out, "noise", noise_line(found.noise, found.kind))
     shares = {
         joint.joint: share
@@ -76,12 +76,36 @@ def print_brief_check(found: DataReport, robot: Robot, out: Console, *, command:
     )
 
 
-def _nominal(found: DataReport, form: str = ".4f") -> str:
-    unit = leading_unit(found.nominal)
-    return (
-        f"mean {found.nominal[f'mean_{unit}']:{form}} {unit}, max "
-        f"{found.nominal[f'max_{unit}']:{form}} {unit}"
+def _nominal(found: DataReport) -> str:
+    """Return the errors of the nominal robot, as a calibration prints them."""
+    words, ways = error_words(found.nominal, found.ways)
+    return "; ".join([f"{words}: nominal, base and tool fitted, {ways[0]}", *ways[1:]])
+
+
+def error_words(
+    values: Mapping[str, float], by_way: Mapping[str, Mapping[str, float]], lead: str = ""
+) -> tuple[str, list[str]]:
+    """Return errors, and of which rows they are; further ways of leaving rows out follow with their
+    mean error.
+
+    Args:
+        values: the errors.
+        by_way: the errors by each way of leaving rows out.
+        lead: of which rows they are if none of these ways has them; default: fitted ones.
+    """
+    unit = leading_unit(values)
+    words = (
+        f"mean {values[f'mean_{unit}']:.4f} {unit}, 95 % {values[f'p95_{unit}']:.4f}, max "
+        f"{values[f'max_{unit}']:.4f}"
     )
+    own = next((way for way in by_way if by_way[way] == values), None)
+    others = [
+        f"{result_tables.PARTS[way].removeprefix('held-out ')} {of[f'mean_{unit}']:.4f}"
+        for way, of in by_way.items()
+        if way != own
+    ]
+    first = (lead or "no rows held out") if own is None else result_tables.PARTS[own]
+    return words, [first, *others]
 
 
 def print_first_notes(told: Sequence[Note | str], out: Console) -> None:
@@ -220,11 +244,7 @@ def print_replicates(iso: Mapping[str, Any] | None, lack: LackOfFit | None, out:
 def print_precheck(precheck: DataReport, out: Console) -> None:
     """Print everything on what a table can identify."""
     print_doubts(precheck.warnings, out)
-    words = (
-        f"{precheck.rows} {precheck.kind} measurements; nominal robot, base and tool fitted: "
-        f"{_nominal(precheck, '.3f')}"
-    )
-    out.print(words)
+    out.print(f"{precheck.rows} {precheck.kind} measurements; {_nominal(precheck)}")
     out.print(f"noise {noise_words(precheck.noise)} ({noise_origin(precheck.noise)})")
     statuses = (parameter.status for parameter in precheck.parameters)
     out.print(rank_words(statuses, rank=precheck.rank, condition=precheck.condition))

@@ -99,9 +99,9 @@ def sizes(change: ChangeEntry) -> str:
         return f"its curve differs by {format_small(change.curve_rms, unit)} rms"
     moved = [(name, p.after - p.before, p.sigma, p.unit) for name, p in change.parameters.items()]
     moved.sort(key=lambda one: -abs(one[1]) / one[2] if one[2] else 0.0)
+    shown = ((name, by, sigma, readable_unit(unit)) for name, by, sigma, unit in moved[:_SHOWN])
     return ", ".join(
-        f"{name} by {format_small(by, unit)} ± {format_small(sigma, unit)}"
-        for name, by, sigma, unit in moved[:_SHOWN]
+        f"{name} by {show_measured(by, sigma, unit)} {unit.name}" for name, by, sigma, unit in shown
     )
 
 

@@ -70,6 +70,7 @@ def update(
     measurements = measurements.in_order_of(model.model.chain.robot)
     some = looked_at(StopRows.of(measurements))
     placed = relocated(model, some, sigma_orientation=sigma_orientation)
+    measurements = placed.stepping(measurements)
     noise = _Declared(sigma, sigma_orientation)
     if anew:
         released = [effect for text in anew for effect in _named(text, model)]
@@ -88,7 +89,7 @@ def update(
             "identifies what has changed and re-estimates it. With --anew EFFECT:JOINT the rows "
             "are added nevertheless, and that effect is re-estimated"
         )
-    wrong = some.readings.rows[np.isin(some.row_of, verdict.wrong_rows)]
+    wrong = placed.stops.readings.rows[np.isin(placed.stops.row_of, verdict.wrong_rows)]
     kept = measurements.select(~np.isin(measurements.rows, wrong))
     known = model.robot_estimate
     return _taken_in(placed, model, kept, noise, earlier=known, before=model.information)

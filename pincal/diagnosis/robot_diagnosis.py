@@ -156,7 +156,8 @@ def diagnose(
     model = calibrated.robot_model(measurements.kind)
     measurements = measurements.in_order_of(model.model.chain.robot)
     whole = StopRows.of(measurements)
-    placed = relocated(model, looked_at(whole), sigma=sigma, sigma_orientation=sigma_orientation)
+    some = looked_at(whole)
+    placed = relocated(model, some, sigma=sigma, sigma_orientation=sigma_orientation)
     judged = _JudgedRows(model, placed, changes_since(model, placed, alpha))
     verdict = judged.verdict
     station = judged.reidentified.readings(placed.table)
@@ -164,7 +165,7 @@ def diagnose(
     _refuse_strange(model, placed.table, after["median_mm"], CHANGES.hopeless)
     nearest = _least_moved(calibrated, judged.reidentified)
     notes = [*judged.notes(), *_averaged(whole, len(measurements)), *_estimated(placed)]
-    notes += _sampled(len(placed.table), whole, len(measurements))
+    notes += _sampled(len(some.table), whole, len(measurements))
     found = DiagnosisFile(
         changed=verdict.changed,
         p_value=verdict.p_value,
@@ -412,7 +413,8 @@ def relocated(
     if sigma is not None:
         stops = replace(stops, table=replace(measurements, sigma=np.full(len(measurements), sigma)))
     placed = place_station(model, stops, sigma_orientation=sigma_orientation)
-    known = int(np.sum(fitted_rows(model.rows, placed.model, stops)))
+    # Rows are known by their joints, which steps of a clock shift.
+    known = int(np.sum(fitted_rows(model.rows, placed.model, placed.stops)))
     if known > CHANGES.same_by_chance:
         raise MeasurementError(
             f"{measurements.source}: the model was fitted to {known} of these "

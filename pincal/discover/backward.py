@@ -225,7 +225,7 @@ def _may_be_remainder(state: SearchState, step: SearchStep) -> bool:
 def _worths(state: SearchState, search: Search) -> dict[SearchStep, float]:
     """Return the loss of the model on held-out blocks without each step, in its standard errors."""
     # The priors are those of the fit, as the model itself is judged.
-    tests = score_test_given_nuisances(state.fit, (), search.groups, wider=1.0)
+    tests = search.tests_of(state.fit)((), search.groups, wider=1.0)
     found = {}
     # Masses bend the arm only through its compliances, and can't replace them.
     heavy = [
@@ -269,7 +269,7 @@ def named_given(
     """Yield, for each of some effects of a fit, the fit without it and the best explanation of its
     residuals.
     """
-    shared = _Shared(GivenNuisances(fit))
+    shared = _Shared(search.tests_of(fit))
     rests = [without(fit, effect) for effect in effects]
     tests = [partial(shared.without, effect) for effect in effects]
     # The effect keeps its own time constant; others have those of the catalogue.
@@ -388,13 +388,10 @@ def _most_left(smooth: Sequence[Effect], fit: ModelFit, search: Search) -> Decis
         return None
 
     def left_out(effect: Effect) -> Unfitted:
-        return Unfitted(
-            standard_errors(
-                score_test_given_nuisances(fit, [effect], search.groups).gains_by_block([0])
-            )
-        )
+        return Unfitted(standard_errors(test([effect], search.groups).gains_by_block([0])))
 
-    tests = score_test_given_nuisances(fit, smooth)
+    test = search.tests_of(fit)
+    tests = test(smooth)
     count = len(smooth)
     scores = [tests.score([i], count) for i in range(count)]
     rows = [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -32,6 +32,7 @@ from pincal.discover.policy import TESTING, Policy
 from pincal.discover.scatter import p_value_of_uneven_noise
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
 from pincal.identify.fit import ModelFit
+from pincal.identify.many_rows import spread_rows
 from pincal.identify.station import Station
 from pincal.model.at_station import changed_effects, own_effects
 from pincal.model.catalogue.bearing_features import bearing_features
@@ -68,6 +69,13 @@ class Search:
     groups: np.ndarray
     frames: tuple[MomentFrame, ...] = ()
     nameless: Collection[object] | None = None
+    _latest: list[GivenNuisances] = field(default_factory=list, init=False, repr=False)
+
+    def tests_of(self, fit: ModelFit) -> GivenNuisances:
+        """Return the tests against a fit; of the latest one, common parts are kept."""
+        if not self._latest or self._latest[0].fit is not fit:
+            self._latest[:] = [GivenNuisances(fit, self.groups)]
+        return self._latest[0]
 
     def taking_part(self, nameless: Iterable[Effect]) -> list[Effect]:
         """Return the unnamed dependences that are candidates."""
@@ -90,7 +98,7 @@ def nameless_kind(effect: Effect) -> object:
 
 def choose(fit: ModelFit, search: Search) -> Decision | None:
     """Return the best explanation of the residuals of a fit, if it is accepted."""
-    test = GivenNuisances(fit)
+    test = search.tests_of(fit)
     every = addable(fit, search)
     names = table_of(fit, search, test, every)
     best = next((names.rows[i].effect for i in names.passed(search.policy)), None)
@@ -151,7 +159,7 @@ def hidden_wave(fit: ModelFit, search: Search) -> Decision | None:
     among = len({effect.identity for effect in every})
     if not waves:
         return None
-    table = table_of(fit, search, GivenNuisances(fit), waves, among=among)
+    table = table_of(fit, search, search.tests_of(fit), waves, among=among)
     return decide(table, lambda _: table, search.policy)
 
 
@@ -396,15 +404,15 @@ def _place(effect: Effect) -> tuple[str | None, str | None, bool]:
 
 
 def sampled(fit: ModelFit, policy: Policy) -> tuple[ModelFit, np.ndarray]:
-    """Return a fit on a sample of its rows, evenly spread, that is enough to select effects, and
-    their indices.
+    """Return a fit on a sample of its rows, spread over each station, that is enough to select
+    effects, and their indices.
     """
     sizes = [station.reading_size for station in fit.problem.stations]
     n = len(fit.problem)
     most = policy.enough_readings // max(sizes)
     if n <= most:
         return fit, np.arange(n)
-    rows = np.linspace(0, n - 1, most).astype(int)
+    rows = spread_rows(list(map(len, fit.problem.stations)), most)
     few = list[Station]()
     for whole, span in zip(fit.problem.stations, fit.problem.rows, strict=True):
         own = rows[(rows >= span.start) & (rows < span.stop)] - span.start

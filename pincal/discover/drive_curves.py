@@ -265,15 +265,15 @@ def notes_on_repeats(robot: Robot, q: np.ndarray) -> Iterator[str]:
 
 
 def resolved(
-    fit: ModelFit, effect: Effect, groups: np.ndarray
+    test: GivenNuisances, effect: Effect, groups: np.ndarray
 ) -> tuple[Effect, np.ndarray, np.ndarray]:
-    """Return an effect that a fit lacks with the resolution that the rows determine; itself if it
-    has none.
+    """Return an effect that a fit, given with its tests, lacks with the resolution that the rows
+    determine; itself if it has none.
 
     A curve's follows from the marginal likelihood, that of other effects from the prediction of
     held-out blocks. Also its parameters, and those of the effect as given, to first order.
     """
-    test = GivenNuisances(fit)
+    fit = test.fit
     estimate = test([effect]).estimate([0])
     if isinstance(effect, Curve) and fit.solution.exit is not Ending.EXACT:
         return *smoothed(fit, [effect])[0][effect], estimate

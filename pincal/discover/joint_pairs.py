@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -30,6 +32,22 @@ from pincal.thresholds import Count
 
 # Parameters of a wave of two joints.
 _FUNCTIONS: Count = 4
+
+
+class _Peak(NamedTuple):
+    """Orders at which a wave of two joints explains most.
+
+    Attributes:
+        start: shape (2,), m and n on a grid.
+        steps: shape (2,), of the grid; 0 for an order that stays.
+        shift: shape (2,), in steps, to the largest gain within a step on a finer grid.
+        gain: there.
+    """
+
+    start: np.ndarray
+    steps: np.ndarray
+    shift: np.ndarray
+    gain: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +70,9 @@ class PairOfJoints:
         band = (0.0, WAVES.smooth)
         return independent_orders(self.own, band) * independent_orders(self.others, band)
 
-    def strongest(self) -> tuple[float, tuple[float, float]]:
-        """Return the gain of the wave that explains most, and its orders m and n."""
+    @cached_property
+    def peak(self) -> _Peak:
+        """The orders on a grid that explain most, and the largest gain close to them."""
         steps = np.array([WAVES.pair_step * resolution_of(q) for q in (self.own, self.others)])
         m, n = (np.arange(0.0, WAVES.smooth, step) for step in steps)
         gains = self.gains(m, n[1:])
@@ -61,14 +80,34 @@ class PairOfJoints:
         start = np.array([m[i], n[1 + j]])
         # A wave of the other joint alone remains one.
         steps *= start > 0.0
+        close = np.linspace(-1.0, 1.0, 2 * WAVES.pair_closer + 1)
+        finer = self.gains(*(at + step * close for at, step in zip(start, steps, strict=True)))
+        i, j = np.unravel_index(int(np.argmax(finer)), finer.shape)
+        return _Peak(start, steps, close[[i, j]], float(finer[i, j]))
+
+    def strongest(self) -> tuple[float, tuple[float, float]]:
+        """Return the gain of the wave that explains most, and its orders m and n."""
+        peak = self.peak
 
         def loss(shift: np.ndarray) -> float:
-            own, other = start + steps * shift
-            return -float(self.gains(np.array([own]), np.array([other]))[0, 0])
+            return -self.gain(*(peak.start + peak.steps * shift).tolist())
 
-        found = minimize(loss, np.zeros(2), method="Nelder-Mead", bounds=[(-1.0, 1.0)] * 2)
-        own, other = (round(float(k), WAVES.digits) for k in start + steps * found.x)
+        found = minimize(loss, peak.shift, method="Nelder-Mead", bounds=[(-1.0, 1.0)] * 2)
+        own, other = (round(float(k), WAVES.digits) for k in peak.start + peak.steps * found.x)
         return -float(found.fun), (own, other)
+
+    def gain(self, m: float, n: float) -> float:
+        """Return the gain of the wave of one pair of orders, by its four functions themselves."""
+        own = m * self.own
+        other = n * self.others
+        of_own = np.stack([np.cos(own), np.sin(own)])
+        of_other = np.stack([np.cos(other), np.sin(other)])
+        basis = (of_own[:, None] * of_other).reshape(_FUNCTIONS, -1)
+        S = (basis * self.lever) @ basis.T
+        # As of the exponentials in `gains`, of which each function is a quarter of four.
+        S.flat[:: _FUNCTIONS + 1] += WAVES.map_seen * self.lever.sum() / _FUNCTIONS
+        b = basis @ self.along
+        return float(b @ np.linalg.solve(S, b))
 
     def gains(self, m: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Return the gains of waves of orders m of the joint, shape (M,), and n of the other, shape
@@ -122,9 +161,14 @@ def likely_waves_of_two(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
             if other != joint
         }
         among = len(turning) * sum(pair.count for pair in pairs.values())
-        waves = {other: pair.strongest() for other, pair in pairs.items()}
+        worth = float(chdtri(_FUNCTIONS, WAVES.worth / among))
+        # Orders are refined only where the gain may then be the largest one, and worth a test.
+        least = WAVES.pair_seen * max(worth, *(pair.peak.gain for pair in pairs.values()))
+        waves = {other: pair.strongest() for other, pair in pairs.items() if pair.peak.gain > least}
+        if not waves:
+            continue
         likeliest = max(waves, key=lambda other: waves[other][0])
         gain, orders = waves[likeliest]
-        if orders[1] and gain > float(chdtri(_FUNCTIONS, WAVES.worth / among)):
+        if orders[1] and gain > worth:
             found.append(wave_of_two(joint, likeliest, orders, among))
     return found

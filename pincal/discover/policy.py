@@ -36,6 +36,7 @@ _LINE = "test_tones.py::test_what_the_span_does_not_tell_apart_is_one_line"
 _REMAINDER = "test_remainder.py::test_a_smooth_error_of_all_joints_is_predicted"
 _WORSE = "test_remainder.py::test_a_region_that_is_worse_refuses_it"
 _SOUND_REMAINDER = "test_remainder.py::test_noise_has_no_remainder"
+_PEAK = "test_joint_pairs.py::test_what_is_not_refined_would_not_be_found"
 _OF_TWO = "test_joint_pairs.py::test_a_wave_of_two_joints_is_found_with_its_orders"
 _FINER = "test_smooth_curves.py::test_intervals_hold_a_curve_as_rough_as_it_is_believed"
 _SMOOTH = "test_smooth_curves.py::test_a_smooth_curve_is_closer_to_the_true_one"
@@ -459,6 +460,20 @@ class WaveNumbers:
         _OF_TWO,
         "steps of the search for waves of two joints",
         "the highest is then seen at three quarters of its square or more, and refined",
+    )
+    pair_closer: int = _number(
+        4,
+        "steps",
+        _PEAK,
+        "on either side of the highest gain of two joints, to bound what refining it finds",
+        "an eighth of a period each, so the highest is seen at 97 % of its square or more",
+    )
+    pair_seen: float = _number(
+        0.9,
+        "ratio",
+        _PEAK,
+        "fraction of the refined gain of two joints that these steps see at least",
+        "97 %, with a margin",
     )
     periods: float = _number(
         1.8,

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -173,6 +174,20 @@ class Tangent:
         form = Form.of(H, g)
         return cls(
             fit, tuple(nuisance), problem, values, free, known, orders, pieces, form, squares
+        )
+
+    @cached_property
+    def joined(self) -> Tangent:
+        """The same columns with all rows in one block."""
+        if len(self.blocks.H) == 1:
+            return self
+        pieces = tuple(
+            tuple(piece._replace(blocks=[(0, slice(0, len(piece.rows)))]) for piece in of_station)
+            for of_station in self.pieces
+        )
+        rows = self.blocks.sum()
+        return replace(
+            self, pieces=pieces, blocks=Form.of(rows.H[None], rows.g[None]), information={}
         )
 
     def tests(self, candidates: Sequence[Effect], *, wider: float = TESTING.wider) -> ScoreTests:
@@ -393,9 +408,16 @@ def nuisances(fit: ModelFit, effects: Sequence[Effect]) -> list[Effect]:
 
 @dataclass(frozen=True)
 class GivenNuisances:
-    """Tests effects against a fit with nuisances projected out; common parts are computed once."""
+    """Tests effects against a fit with nuisances projected out; common parts are computed once.
+
+    Attributes:
+        fit: the fit.
+        groups: shape (N,), blocks of its rows by which some effects will be tested: one pass over
+            the rows then serves all tests. Default: not known.
+    """
 
     fit: ModelFit
+    groups: np.ndarray | None = None
     _tangents: dict[object, Tangent] = field(default_factory=dict, repr=False)
 
     def __call__(
@@ -407,13 +429,15 @@ class GivenNuisances:
     ) -> ScoreTests:
         """Return the tests of candidates; arguments as of :func:`score_test`."""
         nuisance = nuisances(self.fit, effects)
+        blocks = self.groups if groups is None else groups
         key = (
             tuple(effect.identity for effect in nuisance),
-            None if groups is None else groups.tobytes(),
+            None if blocks is None else blocks.tobytes(),
         )
         if key not in self._tangents:
-            self._tangents[key] = Tangent.at(self.fit, nuisance, groups)
-        return self._tangents[key].tests(effects, wider=wider)
+            self._tangents[key] = Tangent.at(self.fit, nuisance, blocks)
+        found = self._tangents[key]
+        return (found.joined if groups is None else found).tests(effects, wider=wider)
 
 
 def score_test_given_nuisances(

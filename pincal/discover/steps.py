@@ -333,7 +333,7 @@ def named_step(
     determine.
     """
     tested = decision.effect
-    effect, start, estimate = resolved(fit, tested, search.groups)
+    effect, start, estimate = resolved(search.tests_of(fit), tested, search.groups)
     after = refit(fit, [*fit.options.effects, effect], start={effect: start}, until=until)
     if isinstance(effect, ExponentialDrift):
         # The time constant is refined once nothing else is missing.

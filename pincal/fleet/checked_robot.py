@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from pincal.calibration.check_record import (
@@ -22,7 +23,9 @@ from pincal.calibration.check_record import (
     CheckedRows,
     CheckRecord,
     InterimCheck,
+    Withdrawal,
     model_mark,
+    required_day,
 )
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import fitted_rows
@@ -121,10 +124,38 @@ class CheckedRobot:
             is_new_station=is_new_station,
         )
         self._refuse_known(rows)
-        series = CheckSeries(self.fitted, (*(one.rows for one in self.record.checks), rows))
+        series = CheckSeries(self.fitted, (*(one.rows for one in self.record.counting), rows))
         check = series.judged(false_alarms)
         self._refuse_strange(check)
         return replace(self, record=self.record.with_check(check))
+
+    def withdrawn(self, which: str, reason: str, day: str) -> CheckedRobot:
+        """Return the robot without a check, which its record keeps with the reason; all later ones
+        are judged again without it.
+
+        Args:
+            which: day of the check, or its number from 1.
+            reason: why it does not count, which must have nothing to do with what it showed: the
+                rate of false alarms holds for checks that were not chosen by their results.
+            day: of the withdrawal, an ISO date.
+
+        Raises:
+            BadInputError: if there is no such check, no reason, or no such day.
+        """
+        if not reason.strip():
+            raise BadInputError(f"check {which}: no reason; expected why it does not count")
+        k = self.record.number_of(which) - 1
+        checks = list(self.record.checks)
+        mark = Withdrawal(day=required_day(day), reason=reason.strip())
+        checks[k] = msgspec.structs.replace(checks[k], withdrawn=mark)
+        before = [check.rows for check in checks[:k] if check.withdrawn is None]
+        for later in range(k + 1, len(checks)):
+            if checks[later].withdrawn is None:
+                before.append(checks[later].rows)
+                series = CheckSeries(self.fitted, tuple(before))
+                checks[later] = series.judged(1.0 / checks[later].limit)
+        record = msgspec.structs.replace(self.record, checks=tuple(checks))
+        return replace(self, record=record)
 
     def _refuse_strange(self, check: InterimCheck) -> None:
         """Refuse readings that no change of a robot explains: recorded, they would be an alarm that
@@ -172,7 +203,7 @@ class CheckedRobot:
 
     def _refuse_known(self, rows: CheckedRows) -> None:
         """Refuse rows that were checked before."""
-        same = next((one for one in self.record.checks if one.rows.mark == rows.mark), None)
+        same = next((one for one in self.record.counting if one.rows.mark == rows.mark), None)
         if same is not None:
             raise BadInputError(
                 f"{rows.table}: these rows were checked on {same.day} already (as "

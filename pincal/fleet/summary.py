@@ -378,7 +378,7 @@ def _off_sheet(of: RobotType) -> str:
     words = []
     for k in ranked[:_NAMED][:count]:
         factor, unit = readable_unit(of.parameters[k].unit)
-        words.append(f"{of.names[k]} {factor * mean[k]:+.3f} +- {factor * half[k]:.3f} {unit}")
+        words.append(f"{of.names[k]} {factor * mean[k]:+.3f} ± {factor * half[k]:.3f} {unit}")
     return f"significantly in {count} of {len(ranked)} parameters" + (
         f": {', '.join(words)}" if words else ""
     )

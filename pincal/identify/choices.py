@@ -20,6 +20,7 @@ from pincal.identify.beliefs import priors_of
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import ModelFit
+from pincal.identify.many_rows import spread_rows
 from pincal.identify.noise import outlier_limit, rounding
 from pincal.identify.problem import Problem
 from pincal.identify.selection import Scored, select_stepwise
@@ -102,11 +103,12 @@ _ROWS: Count = 2000
 
 
 def some_rows_of(fit: ModelFit) -> ModelFit:
-    """Return a fit, unchanged, of as many of its rows, evenly spread, as suffice to choose a
-    convention.
+    """Return a fit, unchanged, of as many of its rows, spread over each station, as suffice to
+    choose a convention.
     """
-    n = len(fit.problem)
-    return fit if n <= _ROWS else fit.select(np.linspace(0, n - 1, _ROWS).astype(int))
+    if len(fit.problem) <= _ROWS:
+        return fit
+    return fit.select(spread_rows(list(map(len, fit.problem.stations)), _ROWS))
 
 
 def best_of(fits: Sequence[ModelFit]) -> MomentFrame:

@@ -59,12 +59,14 @@ _STARTS: tuple[tuple[Scale, Scale], tuple[Scale, Scale], tuple[Scale, Scale]] = 
 # longest first.
 _LONGEST: Scale = 1e5
 _MEMORIES: tuple[Scale, ...] = (3e4, 1e3, 300.0, 100.0, 30.0)
-# Limits of the logit of the share and the log of the memory, and how closely both are found.
+# Limits of the logit of the share and the log of the memory. How closely both are found: in the
+# end, and at first from a second start.
 _LIMITS: tuple[tuple[Scale, Scale], tuple[Scale, Scale]] = (
     (-6.0, 9.0),
     (0.01, float(np.log(_LONGEST))),
 )
 _NEAR_SHARE: Scale = 0.05
+_ROUGH: Scale = 0.5
 # First steps of both.
 _STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 # Relative change of the variance whose effect a closed form tells well enough, and the number of
@@ -138,15 +140,7 @@ def placed_at_mean(fit: ModelFit) -> ModelFit:
     for (station, places, _), rows in zip(fit.stations, fit.problem.rows, strict=True):
         if station.serial is None:
             continue
-        parameters = station.parameters
-        of_base = station.serial.turns is None
-        moved = np.array(
-            [
-                p.is_extrinsic and p.unit == "m" and (p.element == "base") == of_base
-                for p in parameters
-            ]
-        )
-        moved &= fit.solution.free[places]
+        moved = displaced_by(station, station.serial) & fit.solution.free[places]
         if moved.any():
             weights = station.weights * fit.solution.weights[rows]
             parts = list(station.linearise(values[places], moved))
@@ -157,6 +151,19 @@ def placed_at_mean(fit: ModelFit) -> ModelFit:
                 J.reshape(len(J), -1).T, left.ravel(), rcond=None
             )[0]
     return replace(fit, solution=replace(fit.solution, values=values))
+
+
+def displaced_by(station: Station, serial: Serial) -> np.ndarray:
+    """Return which parameters of a station are coordinates of what an error that persists
+    displaces, shape (P,): of the base in the instrument's frame, or of targets.
+    """
+    of_base = serial.turns is None
+    return np.array(
+        [
+            p.is_extrinsic and p.unit == "m" and (p.element == "base") == of_base
+            for p in station.parameters
+        ]
+    )
 
 
 def is_dependent(fit: ModelFit) -> bool:
@@ -217,7 +224,10 @@ class _FittedStation:
         (of_model, _) = self.station.split(self.values)
         if not sensor.reads_pose or any(block.size != 3 for block in sensor.blocks):
             return (None,)
-        return None, self.station.model.predict(of_model, self.station.conditions)[:, :, :3]
+        conditions = self.station.conditions
+        if conditions.at_moments is not conditions:
+            return None, self.station.model.predict(of_model, conditions)[:, :, :3]
+        return None, self.station.poses_read(of_model)[:, :, :3]
 
     def residuals(self, turns: np.ndarray | None) -> np.ndarray:
         """Return the weighted residuals in units of the noise, shape (m, N), in one of
@@ -429,8 +439,18 @@ class _RestrictedLikelihood:
     @cached_property
     def white(self) -> float:
         """-2 l of independent rows."""
+        return self._least(self._products, 0.0)
+
+    @cached_property
+    def _products(self) -> np.ndarray:
+        """The products of the columns, shape (1 + P, 1 + P)."""
         every = self.columns.reshape(len(self.columns), -1)
-        return self._least(every @ every.T, 0.0)
+        return np.asarray(every @ every.T)
+
+    @cached_property
+    def _left(self) -> float:
+        """The likeliest variance of independent rows, over the mean square of the residuals."""
+        return self._likeliest_variance(self._products, 1.0)[1]
 
     def misfit(self, share: float, memory: float) -> float:
         """Return -2 l at the logit of the share and the log of the memory, and the likeliest
@@ -448,23 +468,29 @@ class _RestrictedLikelihood:
     def _least(self, products: np.ndarray, log_determinant: float) -> float:
         """Return -2 l of the likeliest variance, by the products of the whitened columns, shape
         (1 + P, 1 + P), and the log determinant of the whitening.
+        """
+        try:
+            return self._likeliest_variance(products, self._left)[0] + log_determinant
+        except LinAlgError:
+            return 1e300
+
+    def _likeliest_variance(self, products: np.ndarray, start: float) -> tuple[float, float]:
+        """Return -2 l of the likeliest variance, and this over the mean square of the residuals,
+        which is ``start`` at first.
 
         At the optimum the variance is the sum of squares over the degrees of freedom, which hardly
         depend on it: as if they did not, what is left to the optimum has a closed form.
         """
-        noise = max(float(products[0, 0]) / self.columns[0].size, 1e-300)
-        least = 1e300
+        mean = max(float(products[0, 0]) / self.columns[0].size, 1e-300)
+        noise = start * mean
         for _ in range(_TURNS):
-            try:
-                misfit, squares, degrees = self._at(products, noise)
-            except LinAlgError:
-                return 1e300
+            misfit, squares, degrees = self._at(products, noise)
             left = float(np.log(squares / degrees / noise))
             least = misfit - degrees * float(np.expm1(left) - left)
+            noise = squares / degrees
             if abs(left) < _SAME:
                 break
-            noise = squares / degrees
-        return least + log_determinant
+        return least, noise / mean
 
     def _at(self, products: np.ndarray, noise: float) -> tuple[float, float, float]:
         """Return -2 l of a variance, and squares and degrees of freedom of the residuals with its
@@ -472,12 +498,17 @@ class _RestrictedLikelihood:
         """
         readings = self.columns[0].size
         of_rows = products[1:, 1:]
-        H = of_rows / noise
+        # Column-major for LAPACK, in place: copies take as long as the factor.
+        H = np.array(of_rows, order="F")
+        H *= 1.0 / noise
         H.flat[:: len(H) + 1] += self.precision
         pull = products[1:, 0] / noise - self.precision * self.values
         scale = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
-        L = cholesky(H * np.outer(scale, scale) + 1e-10 * np.eye(len(H)), lower=True)
-        step = scale * cho_solve((L, True), scale * pull)
+        H *= scale
+        H *= scale[:, None]
+        H.flat[:: len(H) + 1] += 1e-10
+        L = cholesky(H, lower=True, overwrite_a=True, check_finite=False)
+        step = scale * cho_solve((L, True), scale * pull, check_finite=False)
         inverse, _ = dtrtri(L, lower=1)
         variances = scale**2 * np.sum(inverse**2, axis=0)
         degrees = readings - float(np.sum(1.0 - variances * self.precision))
@@ -501,8 +532,12 @@ class _RestrictedLikelihood:
         """Return the most likely correlated noise; None if it gains too little."""
         starts = [(np.log(s / (1.0 - s)), -np.log(1.0 - phi)) for s, phi in _STARTS]
         likely = sorted(starts, key=lambda start: self.misfit(*start))[:2]
-        tried = [self._near(np.array(start)) for start in likely]
-        best = min(tried, key=lambda found: float(found.fun))
+        best = self._near(np.array(likely[0]))
+        # Another optimum shows soon; mostly it is the same.
+        other = self._near(np.array(likely[1]), _ROUGH)
+        if other.fun < best.fun + _ROUGH and np.any(np.abs(other.x - best.x) > _ROUGH):
+            other = self._near(other.x)
+        best = min(best, other, key=lambda found: float(found.fun))
         least = float(best.fun)
         if self.white - least < CRITERIA.correlated:
             return None
@@ -521,13 +556,15 @@ class _RestrictedLikelihood:
         phi = float(1.0 - np.exp(-memory))
         return _Remembered(self.white - least, phi, float(expit(share)))
 
-    def _near(self, start: np.ndarray) -> OptimizeResult:
-        """Return the optimum near a logit of the share and a log of the memory."""
+    def _near(self, start: np.ndarray, near: float = _NEAR_SHARE) -> OptimizeResult:
+        """Return the optimum near a logit of the share and a log of the memory, both found to
+        within ``near``.
+        """
         low, high = np.transpose(_LIMITS)
         around = np.clip(start + _STEPS, low, high)
         options = {
-            "xatol": _NEAR_SHARE,
-            "fatol": 0.1,
+            "xatol": near,
+            "fatol": 2.0 * near,
             "maxfev": 120,
             "initial_simplex": around,
         }

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cho_solve, cholesky, solve_triangular
 from scipy.special import chdtrc
 
 from pincal.thresholds import Scale
@@ -33,6 +33,9 @@ from pincal.thresholds import Scale
 SEEN: Scale = 1e-5
 # The same where only rounding, some 1e-16 of the largest entry, is to be excluded.
 ROUNDING: Scale = 1e-12
+# Factors by which more is added, and up to which, where rounding leaves less than no information.
+_MORE: Scale = 30.0
+_UNTOLD: Scale = 1e-8
 # The same for finding directions that are unobservable altogether, where weakly observed ones still
 # count: a hundred to a thousand times the rounding of a sum over the rows.
 NULL: Scale = 1e-13
@@ -210,13 +213,26 @@ class Factor:
 
     @classmethod
     def of(cls, H: np.ndarray) -> Factor:
-        """Return the factor of H, shape (F, F), symmetric, which is overwritten."""
+        """Return the factor of H, shape (F, F), symmetric, which is overwritten.
+
+        A direction that nothing tells, such as frames of an instrument without the rows that it
+        saw, may have a little less than no information by rounding: it is then given a little.
+
+        Raises:
+            LinAlgError: if H is far from what information may be.
+        """
         scale = np.asarray(1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300)))
         H *= scale
         H *= scale[:, None]
-        H.flat[:: len(H) + 1] += ROUNDING
-        # Column-major, which spares LAPACK a copy.
-        return cls(scale, cholesky(H.T, lower=True, overwrite_a=True, check_finite=False))
+        more = ROUNDING
+        while True:
+            H.flat[:: len(H) + 1] += more
+            try:
+                return cls(scale, cholesky(H.T, lower=True, check_finite=False))
+            except LinAlgError:
+                if more > _UNTOLD:
+                    raise
+                more *= _MORE
 
     @property
     def log_det(self) -> float:

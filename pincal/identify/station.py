@@ -134,8 +134,10 @@ class Station:
         return len(self.conditions)
 
     def select(self, rows: np.ndarray) -> Station:
-        """Return the station with some of its rows (mask or indices)."""
-        return replace(
+        """Return the station with some of its rows (mask or indices); itself with all in order."""
+        if _are_all(rows, len(self)):
+            return self
+        found = replace(
             self,
             conditions=self.conditions.select(rows),
             sensor=self.sensor.select(rows),
@@ -148,6 +150,10 @@ class Station:
             arrival=None if self.arrival is None else self.arrival.select(rows),
             trusted=None if self.trusted is None else self.trusted[rows],
         )
+        if self.conditions.around is None:
+            known = ((key, poses[rows]) for key, poses in list(self._latest_poses.items()))
+            found._latest_poses.update(known)
+        return found
 
     def sample(self, most: int) -> Station:
         """Return the station with at most ``most`` of its rows, some of everything; itself if it
@@ -169,10 +175,29 @@ class Station:
         (of_model, own) = self.split(values)
         for piece in self._pieces():
             part = self._part(piece)
-            out[:, piece] = part.sensor.residuals(
-                part.model.predict(of_model, part.conditions.at_moments), own
-            )
+            out[:, piece] = part.sensor.residuals(part.poses_read(of_model), own)
         return out
+
+    def poses_read(self, of_model: np.ndarray) -> np.ndarray:
+        """Return the poses that the readings depend on, shape (n, 3, 4), of the model at its
+        values; those of the latest values are known.
+        """
+        known = self._latest_poses.get(of_model.tobytes())
+        if known is not None:
+            return known
+        found = self.model.predict(of_model, self.conditions.at_moments)
+        self._keep(of_model, found)
+        return found
+
+    @cached_property
+    def _latest_poses(self) -> dict[bytes, np.ndarray]:
+        return {}
+
+    def _keep(self, of_model: np.ndarray, poses: np.ndarray) -> None:
+        """Keep the poses at the latest values, if they are few."""
+        self._latest_poses.clear()
+        if len(poses) <= PIECE:
+            self._latest_poses[of_model.tobytes()] = poses
 
     def _white(self, columns: np.ndarray) -> np.ndarray:
         """Return columns, shape (P, m, N), in which the noise of each row is white."""
@@ -248,7 +273,7 @@ class Station:
         (of_model, own) = self.split(values)
         for piece in self._pieces():
             part = self._part(piece)
-            poses = part.model.predict(of_model, part.conditions.at_moments)
+            poses = part.poses_read(of_model)
             off = part.sensor.residuals(poses, own) if residuals is None else residuals[:, piece]
             out[piece] = part.sensor.displacement(off, poses, own)
         return out
@@ -340,6 +365,7 @@ class Station:
         model_free, own_free = self.split(free)
         model_free = model_free & part.model.affects_tip
         poses, motion, shared = part._motion_shared(of_model, model_free)
+        part._keep(of_model, poses)
         curves = [
             (parameters, basis, i)
             for i, group in enumerate(shared)
@@ -431,6 +457,13 @@ class Station:
             serial=serial,
             arrival=arrival,
         )
+
+
+def _are_all(rows: np.ndarray, n: int) -> bool:
+    """Return whether a mask or indices are all of n rows in their order."""
+    if len(rows) != n:
+        return False
+    return bool(rows.all() if rows.dtype == bool else np.array_equal(rows, np.arange(n)))
 
 
 def _is_contiguous(stop: np.ndarray) -> bool:
@@ -552,9 +585,10 @@ def fingerprints(station: Station) -> str:
     ]
     numbers = [c.reshape(len(station), -1) for c in columns if np.issubdtype(c.dtype, np.floating)]
     rows = np.ascontiguousarray(np.hstack(numbers)) + 0.0
-    return base64.b64encode(
-        np.array([zlib.crc32(row.tobytes()) for row in rows], "<u4").tobytes()
-    ).decode()
+    whole = memoryview(rows.tobytes())
+    size = rows.itemsize * rows.shape[1]
+    sums = [zlib.crc32(whole[at : at + size]) for at in range(0, len(whole), size)]
+    return base64.b64encode(np.array(sums, "<u4").tobytes()).decode()
 
 
 def together(*marks: str) -> str:

@@ -26,6 +26,8 @@ from pincal.thresholds import Count
 
 # Poses processed at once, so that their data stay in the cache.
 _TILE: Count = 512
+# Columns whose innovations are computed in turn.
+_AT_ONCE: Count = 8
 
 
 @compiled(nogil=True)
@@ -91,16 +93,20 @@ def filtered(columns, order, decay, gain, scale, back):
     """
     n_columns, m, n = columns.shape
     out = np.empty_like(columns)
-    for d in range(n_columns):
+    known = np.empty(_AT_ONCE)
+    for first in range(0, n_columns, _AT_ONCE):
+        # Some columns in turn, so that none waits for its own last step.
+        size = min(_AT_ONCE, n_columns - first)
         for i in range(m):
-            known = 0.0
+            known[:] = 0.0
             for k in range(n):
                 row = order[k]
-                known *= decay[i, k]
-                here = columns[d, i, row]
-                beyond = here / scale[i, k] if back else here - known
-                out[d, i, row] = known + beyond if back else beyond * scale[i, k]
-                known += gain[i, k] * beyond
+                for c in range(size):
+                    before = known[c] * decay[i, k]
+                    here = columns[first + c, i, row]
+                    beyond = here / scale[i, k] if back else here - before
+                    out[first + c, i, row] = before + beyond if back else beyond * scale[i, k]
+                    known[c] = before + gain[i, k] * beyond
     return out
 
 
@@ -153,6 +159,24 @@ class Serial:
             1.0 if q * n < 1e-6 else 1.0 / n + 2.0 * phi * (n * q - 1.0 + phi**n) / (n * q) ** 2
         )
         return max(1.0 - share * together - (1.0 - share) / n, 1e-12)
+
+    def about_mean(self, component: int) -> float:
+        """Return the part of the variance of a component's rows about their mean that persists."""
+        share = float(self.share[component])
+        spread = self._spread(float(self.phi[component]), share)
+        return max(1.0 - (1.0 - share) / spread, 0.0)
+
+    def of_mean(self, component: int) -> float:
+        """Return the variance of the mean of what persists, in units of that of the rows about
+        their mean.
+
+        The start of a random walk is where it would be without it: its mean is from there by twice
+        the variance about the mean, and no process is farther.
+        """
+        share = float(self.share[component])
+        spread = self._spread(float(self.phi[component]), share)
+        together = 1.0 - spread - (1.0 - share) / max(len(self.position), 1)
+        return min(max(together, 0.0) / spread, 2.0 * self.about_mean(component))
 
     @property
     def log_determinant(self) -> float:

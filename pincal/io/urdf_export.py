@@ -163,14 +163,14 @@ def _segments(tree: UrdfTree, robot: Robot, ends: Collection[str]) -> dict[str, 
         )
         if names != robot.joint_names:
             raise RobotFileError(
-                f"{tree.source}: moving joints {', '.join(names)} between {robot.base!r} "
+                f"{tree.origin}: moving joints {', '.join(names)} between {robot.base!r} "
                 f"and {robot.tip!r}; "
                 f"expected those of the model, {', '.join(robot.joint_names)}: give the "
                 "URDF it was calibrated with"
             )
     if missing:
         raise RobotFileError(
-            f"{tree.source}: no joint {missing[0]!r}; expected those of the model, "
+            f"{tree.origin}: no joint {missing[0]!r}; expected those of the model, "
             f"{', '.join(robot.joint_names)}: give the "
             "URDF it was calibrated with"
         )
@@ -356,7 +356,7 @@ def _check(
             error = max(error, float(np.linalg.norm(difference[:, :, 3], axis=1).max()))
             if not np.abs(difference).max() <= IN_FILES.tip_error:
                 raise RobotFileError(
-                    f"{robot.source}: the calibrated URDF would put {last} up to "
+                    f"{robot.name}: the calibrated URDF would put {last} up to "
                     f"{error:.3g} m from where the model does, "
                     f"expected at most {IN_FILES.tip_error:g} m: give the URDF that the robot "
                     "was calibrated with"

@@ -81,7 +81,7 @@ def read_back(robot: Robot, text: bytes, original: bytes) -> LinksReadTwice:
     found = _readings(robot, text)
     if not found.agree and _readings(robot, original).agree:
         raise RobotFileError(
-            f"{robot.source}: the calibrated URDF would be ambiguous: {found}; report this with "
+            f"{robot.name}: the calibrated URDF would be ambiguous: {found}; report this with "
             "the URDF"
         )
     return found

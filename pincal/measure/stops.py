@@ -242,6 +242,9 @@ def _stops_begin(table: Measurements, pose: np.ndarray, order: np.ndarray) -> np
 
 def _passes_of(pose: np.ndarray, begins: np.ndarray) -> np.ndarray:
     """Return the pass of each row, in order, shape (N,)."""
+    if np.bincount(pose[begins]).max() == 1:
+        # No pose is visited again.
+        return np.zeros(len(pose), int)
     number = 0
     visited = set[int]()
     found = np.empty(len(pose), int)

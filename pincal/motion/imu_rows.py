@@ -141,9 +141,16 @@ def _noise(
     # Share of white noise that the parabola absorbs: the mean of 1 + t^2 + (t^2 - 1)^2 / 2 over the
     # squared window.
     variance /= np.maximum(1.0 - 1.875 * share, 0.1)
-    size = max(round(_LOCAL / (APART * width)), 1)
-    kernel = np.ones(size)
-    local = np.convolve(variance, kernel, "same") / np.convolve(
-        np.ones(len(variance)), kernel, "same"
-    )
-    return np.asarray(np.sqrt(local * share))
+    return np.asarray(np.sqrt(_local_mean(variance, _LOCAL / (APART * width)) * share))
+
+
+def _local_mean(values: np.ndarray, rows: float) -> np.ndarray:
+    """Return means over so many rows about each, fewer at the ends and in a shorter log, shape
+    (N,).
+    """
+    half = int(rows / 2.0)
+    sums = np.concatenate([[0.0], np.cumsum(values)])
+    at = np.arange(len(values))
+    begin = np.maximum(at - half, 0)
+    end = np.minimum(at + half + 1, len(values))
+    return np.asarray((sums[end] - sums[begin]) / (end - begin))

@@ -46,6 +46,7 @@ _BURSTS = _HERE + "test_rows_in_bursts_have_stamps_of_arrival"
 _FIFTY = _HERE + "test_fifty_packets_show_an_even_rate"
 _ALIKE = _HERE + "test_speeds_of_one_motion_are_alike"
 _SURE = _HERE + "test_a_jump_of_a_clock_is_six_standard_deviations"
+_POLLED = _LOGS + "test_an_imu_that_is_polled_has_the_times_of_its_samples"
 _NEIGHBOURS = _HERE + "test_a_reading_off_its_neighbours_is_of_something_else"
 _KNOTS = _HERE + "test_two_knots_are_bridged"
 _TWO = _HERE + "test_a_knot_has_two_readings"
@@ -215,9 +216,28 @@ class PathNumbers:
         "of a gap in the window of a row of an IMU, at most", "chosen")
 
 
+@dataclass(frozen=True, kw_only=True)
+class PollingNumbers:
+    """By which stamps of an IMU are those of polls, and a reading has the time of its sample."""
+
+    clear: float = number(100.0, "ratio", _POLLED,
+        "of the power of a line to the median of a spectrum, from which on it is one",
+        "chosen: of 1e5 powers of noise the largest is 17 times their median")
+    least: float = number(0.5, "ratio", _POLLED,
+        "of the delays that residuals show to those of polls, or its inverse, at least",
+        "chosen: 0.90 to 1.01 were found where a simulated IMU was polled; 0.46 at most for the "
+            "mirror of the rate of its samples at that of polls")
+    unsure: float = number(0.03, "samples", _POLLED,
+        "from the next sample or the last one, within which it is not known which was read",
+        "chosen: some tenths of a millisecond, by which a stamp may be off its poll")
+    gap: float = number(3.0, "medians", _POLLED,
+        "of the steps of a log, above which it has a gap", "as for other streams")
+
+
 # fmt: on
 STREAM = StreamNumbers()
 STAMP = StampNumbers()
 CLOCKS = ClockNumbers()
 FOLLOWING = FollowingNumbers()
 ON_PATH = PathNumbers()
+POLLING = PollingNumbers()

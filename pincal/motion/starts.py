@@ -27,7 +27,7 @@ from pincal.motion.clocks import (
     refuse_uncovered,
 )
 from pincal.motion.imu_rows import ImuRows
-from pincal.motion.motion_numbers import CLOCKS, FOLLOWING
+from pincal.motion.motion_numbers import CLOCKS, FOLLOWING, STREAM
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.stream import Stream
 from pincal.robot.se3 import nearest_rotation, rotation_vectors
@@ -97,6 +97,12 @@ def start_imu(
     rows = ImuRows.of(
         imu.time, imu.readings[FORCE.name], imu.readings[RATE.name], window or Window(_WIDTH)
     )
+    if not len(rows):
+        raise MeasurementError(
+            f"{imu.name}: {len(imu)} different rows in {np.ptp(imu.time):.3g} s, nowhere enough "
+            "for a mean over a quarter of a second; expected readings at 50 Hz or more over some "
+            "minutes of motion: log again"
+        )
     found = _turned(arm, imu, rows)
     if found is None:
         sessions = [_of_session(name, other) for name, other in others]
@@ -144,7 +150,8 @@ def aligned_forces(arm: MovingArm, start: ImuStart) -> float:
 
 def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:
     """Return the alignment of rates with the arm's; None if they do not follow it."""
-    match = _match(arm, imu, rows.time, np.linalg.norm(rows.readings[3:], axis=0), by_rate=True)
+    speed = np.linalg.norm(rows.readings[3:], axis=0)
+    match, clock = _match(arm, imu, rows.time, speed, by_rate=True)
     if not match.is_same:
         return None
     return aligned(
@@ -152,24 +159,57 @@ def _turned(arm: MovingArm, imu: Stream, rows: ImuRows) -> Alignment | None:
         rows.readings[3:].T,
         lambda at, _: arm.ideal(at, rows.window).rate,
         lambda at: arm.path.covers(at, 4.0 * rows.window.width),
-        Clock(match.offset),
+        clock,
         source=imu.name,
     )
 
 
 def _match(
     arm: MovingArm, stream: Stream, time: np.ndarray, speed: np.ndarray, *, by_rate: bool
-) -> SpeedMatch:
-    """Return the match of a stream's speeds with the rotation rate or speed of the arm's tip."""
+) -> tuple[SpeedMatch, Clock]:
+    """Return the match of a stream's speeds with the rotation rate or speed of the arm's tip, and
+    the clock by which they do.
+
+    A clock that was set leaves a gap, on whose sides offsets differ: the match is then that of the
+    part before the first one.
+    """
     grid = arm.path.grid(_GRID)
     tips = arm.ideal(grid).rate if by_rate else np.gradient(arm.tips(grid)[:, :, 3], grid, axis=0)
-    match = correlate(grid, np.linalg.norm(tips, axis=1), time, speed)
+    of_arm = np.linalg.norm(tips, axis=1)
+    match = correlate(grid, of_arm, time, speed)
+    parts = _between_gaps(stream, time)
+    of_parts = [correlate(grid, of_arm, time[part], speed[part]) for part in parts]
+    if len(parts) > 1 and all(one.is_same and one.is_clear for one in of_parts):
+        offsets = np.array([one.offset for one in of_parts])
+        by = np.where(np.abs(np.diff(offsets)) > STREAM.long_gap, np.diff(offsets), 0.0)
+        steps = [
+            (_first_behind_gap(stream, float(time[part][0])), size)
+            for part, size in zip(parts[1:], by.tolist(), strict=True)
+            if size
+        ]
+        if steps:
+            return of_parts[0], Clock(float(offsets[0]), steps=tuple(steps))
     if match.is_same and not match.is_clear:
         warn(
             f"{stream.name}: the motion repeats, so that its clock may be off by a period; start "
             "the logs together, or begin with a motion that does not recur"
         )
-    return match
+    return match, Clock(match.offset)
+
+
+def _first_behind_gap(stream: Stream, stamp: float) -> float:
+    """Return the first stamp of a stream behind its last gap before a stamp [s]."""
+    behind = stream.time[1:][np.diff(stream.time) > stream.gap]
+    return float(np.max(behind[behind <= stamp], initial=stream.time[0]))
+
+
+def _between_gaps(stream: Stream, time: np.ndarray) -> list[np.ndarray]:
+    """Return the rows at stamps, shape (N,) [s], between gaps of a stream, of parts that are long
+    enough to be found in a motion.
+    """
+    begins = np.flatnonzero(np.diff(time) > stream.gap) + 1
+    parts = np.split(np.arange(len(time)), begins)
+    return [part for part in parts if len(part) and np.ptp(time[part]) > FOLLOWING.shortest]
 
 
 def _check_rates(imu: Stream, found: Alignment) -> None:
@@ -301,7 +341,7 @@ def _placed(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Alignment:
     """Return the alignment of positions with the arm's; refuse those that do not follow it, in
     another unit, or in a left-handed frame.
     """
-    match = _match(arm, tracker, *_speeds(tracker, position), by_rate=False)
+    match, clock = _match(arm, tracker, *_speeds(tracker, position), by_rate=False)
     if not match.is_same:
         raise OtherMotionError(
             f"{tracker.name}: its positions do not move as these joints do at any offset of the "
@@ -313,7 +353,7 @@ def _placed(arm: MovingArm, tracker: Stream, position: np.ndarray) -> Alignment:
         position,
         lambda at, _: _features(arm.tips(at)),
         arm.path.covers,
-        Clock(match.offset),
+        clock,
         source=tracker.name,
     )
     sizes = np.linalg.svd(found.matrix[:, :3], compute_uv=False)

@@ -23,6 +23,7 @@ from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.motion_numbers import FOLLOWING, ON_PATH
 from pincal.motion.moving_arm import MovingArm
+from pincal.motion.polling import at_samples
 from pincal.motion.reading_starts import start_readings
 from pincal.motion.sessions import Session
 from pincal.motion.starts import OtherMotionError, aligned_forces, start_imu, steady
@@ -176,6 +177,10 @@ def _imu_table(
     arm: MovingArm, imu: Stream, others: Sequence[tuple[str, MovingArm]]
 ) -> Measurements:
     start = start_imu(arm, imu, window=Window(WIDTH), others=others)
+    sampled = at_samples(arm, imu, start.clock, start.mount)
+    if sampled is not None:
+        imu = sampled
+        start = start_imu(arm, imu, window=Window(WIDTH), others=others)
     delay = aligned_forces(arm, start)
     rows = ImuRows.of(
         imu.time, imu.readings[FORCE.name], imu.readings[RATE.name], Window(WIDTH), delay=delay
@@ -301,18 +306,21 @@ class _Course:
     arm: MovingArm
     offsets: np.ndarray | None
 
-    def with_steps(self, table: Measurements, steps: Sequence[tuple[float, float]]) -> Measurements:
-        """Return a table of its rows with other steps of its clock, see
-        :class:`pincal.recorded.ArmCourse`.
-        """
+    def with_clock(
+        self,
+        table: Measurements,
+        clock: tuple[float, float, float],
+        steps: Sequence[tuple[float, float]],
+    ) -> Measurements:
+        """Return a table of its rows by another clock, see :class:`pincal.recorded.ArmCourse`."""
         before = table.moving
         assert before is not None
         assert table.time is not None
-        clock = Clock(*before.clock, steps=tuple(sorted(steps)))
+        stepping = Clock(*clock, steps=tuple(sorted(steps)))
         margin = 0.0 if self.offsets is None else float(np.abs(self.offsets).max())
-        at = clock.to_joints(table.time)
+        at = stepping.to_joints(table.time)
         inside = self.arm.path.covers(at, margin)
-        inside &= clock.is_clear(table.time, _around_steps(self.arm, margin))
+        inside &= stepping.is_clear(table.time, _around_steps(self.arm, margin))
         refuse_uncovered(inside, source=table.source)
         kept = table.select(inside)
         here, moving = _laid(self, at[inside])
@@ -322,8 +330,8 @@ class _Course:
             velocity=here.velocity,
             moving=replace(
                 moving,
-                clock=before.clock,
-                steps=clock.steps,
+                clock=clock,
+                steps=stepping.steps,
                 delay=before.delay,
                 scatter=before.scatter,
             ),

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 from urllib.parse import quote
 
+import numpy as np
 from markupsafe import Markup
 from msgspec import UNSET
 
@@ -89,6 +90,8 @@ LOST: Scale = 10.0
 _STATISTICS = (("mean", "mean"), ("p95", "95 %"), ("max", "worst"))
 # Number of rejected rows whose lines are listed.
 _LISTED: Count = 12
+# Number of parameters of an instrument that stand among those of the robot.
+_FEW_OWN: Count = 6
 _TONES: dict[str, RowTone] = {Verdict.ADEQUATE: "good", Verdict.NOT_JUDGED: "care"}
 
 
@@ -682,7 +685,7 @@ def parameters(subject: Subject) -> Section:
     blocks: list[PageBlock] = [
         figures("correction", correction_drawings(result.parameters)),
         folded("What the symbols mean", paragraph(symbols)),
-        *_parameter_tables(result.parameters),
+        *_parameter_tables(result.parameters, subject.calibration.fit.fit.problem.is_shared),
     ]
     if result.correlations:
         text = (
@@ -698,15 +701,25 @@ def parameters(subject: Subject) -> Section:
     return Section("parameters", "Parameters", tuple(blocks), "Parameters")
 
 
-def _parameter_tables(parameters: Sequence[ParameterRow]) -> Iterator[PageBlock]:
-    """Yield the tables of what was determined of the robot, of what was not, and of the placement
-    of instrument and target.
+def _parameter_tables(
+    parameters: Sequence[ParameterRow], is_robots: Sequence[bool] | np.ndarray
+) -> Iterator[PageBlock]:
+    """Yield the tables of what was determined of the robot, of what was not, of the placement of
+    instrument and target, and of what is the instrument's own.
+
+    Args:
+        parameters: all parameters.
+        is_robots: shape (P,), which are of the robot, not of a set-up.
     """
     shown = {id(row) for row in shown_parameters(parameters)}
-    parts: dict[str, list[int]] = {"identified": [], "others": [], "placement": []}
+    parts: dict[str, list[int]] = {
+        name: [] for name in ("identified", "others", "placement", "instrument")
+    }
     for k, row in enumerate(parameters):
         if id(row) in shown:
-            parts[_part_of(row)].append(k)
+            parts[_part_of(row, is_robots=bool(is_robots[k]))].append(k)
+    if len(parts["instrument"]) <= _FEW_OWN:
+        parts["identified"] += parts.pop("instrument")
     if parts["identified"]:
         yield rounded_table(parameters, parts["identified"]).without("status", "reason")
     if parts["others"]:
@@ -715,16 +728,21 @@ def _parameter_tables(parameters: Sequence[ParameterRow]) -> Iterator[PageBlock]
     if parts["placement"]:
         table = rounded_table(parameters, parts["placement"]).without("nominal")
         yield folded("Base and tool: where instrument and target stand", table)
+    if own := parts.get("instrument"):
+        words = f"{counted(len(own), 'parameter')} of the instrument: axes, biases, clocks"
+        yield folded(words, rounded_table(parameters, own).without("status", "reason"))
     if hidden := len(parameters) - len(shown):
         yield paragraph(
             f"The coordinates of {hidden // 3} named points are omitted here; result.json has them."
         )
 
 
-def _part_of(row: ParameterRow) -> str:
+def _part_of(row: ParameterRow, *, is_robots: bool) -> str:
     if split_name(row.name)[1] in FRAME_SYMBOLS:
         return "placement"
-    return "identified" if row.status == Status.IDENTIFIED else "others"
+    if row.status != Status.IDENTIFIED:
+        return "others"
+    return "identified" if is_robots else "instrument"
 
 
 def unidentified(subject: Subject) -> Section:

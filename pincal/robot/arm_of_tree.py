@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.errors import BadInputError, RobotFileError, few, nearest_first, warn
+from pincal.errors import BadInputError, RobotFileError, counted, few, nearest_first, warn
 from pincal.robot.closure import Closure
 from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.kinematics import Kinematics
@@ -104,7 +104,7 @@ def _check_moving(tree: UrdfTree, name: str) -> None:
     known = {joint.name: joint for joint in tree.joints}
     if name not in known or known[name].kind not in MOVING_TYPES:
         raise RobotFileError(
-            f"{tree.source}: no moving joint {name!r}; its joints: "
+            f"{tree.origin}: no moving joint {name!r}; its joints: "
             f"{', '.join(nearest_first([name], list(known))[:12])}"
         )
 
@@ -150,7 +150,7 @@ def _moving_joints(
     chosen = [known[name] for name in order if known[name].kind in MOVING_TYPES]
     if len(chosen) > _MOST_JOINTS:
         raise RobotFileError(
-            f"{tree.source}: {len(chosen)} moving joints; expected at most "
+            f"{tree.origin}: {len(chosen)} moving joints; expected at most "
             f"{_MOST_JOINTS}: choose other links"
         )
     return _in_preorder(tree, chosen)
@@ -165,7 +165,7 @@ def _check_base_outside_loops(tree: UrdfTree, base: str, joints: Sequence[UrdfJo
     ]
     if cut:
         raise RobotFileError(
-            f"{tree.source}: base {base!r} is in a loop with {cut[0]!r}; expected a link that "
+            f"{tree.origin}: base {base!r} is in a loop with {cut[0]!r}; expected a link that "
             "carries the loop"
         )
 
@@ -219,7 +219,7 @@ def path_between(
         if locked and not at_rest:
             between = f"{locked[0]!r} between {start!r} and {tip!r} is locked in this robot"
             raise RobotFileError(
-                f"{tree.source}: {between}; expected links with only "
+                f"{tree.origin}: {between}; expected links with only "
                 f"{', '.join(joint_names)} between them"
             )
     model = arm_model(tree.text, tuple(joint_names), tree.source)
@@ -416,7 +416,7 @@ def _attributes(
     links = _Masses.of(arm, mass)
     limits = _with_mimics(*arm.neutral.limits(path), names=names, mimics=mimics)
     on_path = [names[i] for i, _ in arm.way.steps(arm.parents)]
-    choice = Choice(tree.source, names, recorded, on_path, [mimic.source for mimic in mimics])
+    choice = Choice(tree.origin, names, recorded, on_path, [mimic.source for mimic in mimics])
     kinematics = Kinematics.of(arm.frames, types, arm.parents)
     closures = [each.placed(arm.frames.T_base_link) for each in arm.pins]
     closed, notes = _closed(tree, kinematics, closures, limits, choice)
@@ -521,12 +521,13 @@ def _notes(
         shown = ", ".join(joint.name for joint in locked[:6]) + more
         paths = " and ".join(f"from {start} to {tip}" for start, tip in ends)
         way = "path" if len(ends) == 1 else "paths"
+        are = "is locked at its" if len(locked) == 1 else "are locked at their"
         notes += (
-            f"{len(locked)} joints off the {way} {paths} are locked at their neutral "
-            f"position: {shown}",
+            f"{counted(len(locked), 'joint')} off the {way} {paths} {are} neutral position: "
+            f"{shown}",
         )
     for note in notes:
-        warn(f"{tree.source}: {note}")
+        warn(f"{tree.origin}: {note}")
     return notes
 
 
@@ -552,7 +553,7 @@ def _checked_path(
     shared = len([a for a, b in zip(up, down, strict=False) if a is b])
     for joint in (path := (*up[shared:], *down[shared:])):
         if joint.kind not in (*MOVING_TYPES, "fixed"):
-            where = f"{tree.source}: joint {joint.name!r} between {start!r} and {tip!r}"
+            where = f"{tree.origin}: joint {joint.name!r} between {start!r} and {tip!r}"
             expected = (
                 "expected revolute, continuous, prismatic or fixed joints: choose another "
                 "base or tip"
@@ -560,7 +561,7 @@ def _checked_path(
             raise RobotFileError(f"{where} is {joint.kind}; {expected}")
     if not any(joint.kind in MOVING_TYPES for joint in path):
         raise RobotFileError(
-            f"{tree.source}: no moving joint between {start!r} and {tip!r}; choose another tip"
+            f"{tree.origin}: no moving joint between {start!r} and {tip!r}; choose another tip"
         )
     return up[shared:], down[shared:]
 

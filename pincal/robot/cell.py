@@ -106,7 +106,7 @@ def _place_of(
     """
     if of.place is None:
         raise RobotFileError(
-            f"{tree.source}: its placement relative to {first.name} is unknown; expected contacts "
+            f"{tree.origin}: its placement relative to {first.name} is unknown; expected contacts "
             "of the two, one station that sees both, or the placement, as in --beside "
             f"{of.name}={of.source}@1.5,0,0,0,0,3.14159"
         )

@@ -6,11 +6,14 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import PurePath
 
 import numpy as np
 
 from pincal.errors import BadInputError, RobotFileError, nearest_first
 
+# The folder in which a library installs descriptions that are asked for by name.
+_LIBRARY = "example-robot-data"
 MOVING_TYPES = ("revolute", "continuous", "prismatic")
 # Names of the link that a tool is mounted on, in URDFs of ROS-Industrial and makers, most specific
 # first.
@@ -155,7 +158,7 @@ class UrdfTree:
     Attributes:
         text: the URDF.
         name: name of the robot.
-        source: the origin of the text, for messages.
+        source: the file of the text, or what else it came from.
         links: names of the links.
         joints: the joints of the tree.
         root: the link that carries all others.
@@ -172,6 +175,14 @@ class UrdfTree:
     closures: tuple[UrdfClosure, ...] = ()
     notes: tuple[str, ...] = ()
 
+    @property
+    def origin(self) -> str:
+        """What messages call the description: where it was read, and of a file that comes with a
+        library, and was asked for by the robot's name, only the file's own name.
+        """
+        path = PurePath(self.source)
+        return path.name if _LIBRARY in path.parts else self.source
+
     def path(self, base: str, tip: str) -> tuple[UrdfJoint, ...]:
         """Return the joints from link ``base`` to link ``tip``, in this order.
 
@@ -182,13 +193,13 @@ class UrdfTree:
         for role, link in (("base link", base), ("link", tip)):
             if link not in self.links:
                 raise RobotFileError(
-                    f"{self.source}: unknown {role} {link!r}; {known_links(link, self.links)}"
+                    f"{self.origin}: unknown {role} {link!r}; {known_links(link, self.links)}"
                 )
         joints = self.above(tip)
         links = [joint.parent for joint in joints]
         if base != tip and base not in links:
             raise RobotFileError(
-                f"{self.source}: {base!r} is not an ancestor of {tip!r}; expected a base "
+                f"{self.origin}: {base!r} is not an ancestor of {tip!r}; expected a base "
                 "link between the root "
                 f"{self.root!r} and the tip: choose one of {', '.join(reversed(links))}"
             )
@@ -272,7 +283,7 @@ class UrdfTree:
             if total.source not in by_name or total.source in seen:
                 ends = f"between {path[0].parent!r} and {path[-1].child!r}"
                 raise RobotFileError(
-                    f"{self.source}: joint {name!r} {ends} mimics {total.source!r}, which is not "
+                    f"{self.origin}: joint {name!r} {ends} mimics {total.source!r}, which is not "
                     "an independent joint between base and tip: choose another base or tip, or let "
                     "it mimic a joint of the arm"
                 )
@@ -380,7 +391,7 @@ class UrdfTree:
             else f"no serial chain of the joints {', '.join(sorted(names))}"
         )
         raise RobotFileError(
-            f"{self.source}: {problem}; its joints: {', '.join(j.name for j in self.joints)}"
+            f"{self.origin}: {problem}; its joints: {', '.join(j.name for j in self.joints)}"
         )
 
 

@@ -61,7 +61,7 @@ class Pins:
         kind = KINDS.get(closure.kind)
         if kind is None:
             raise RobotFileError(
-                f"{tree.source}: {closure.name!r} closes a loop and is "
+                f"{tree.origin}: {closure.name!r} closes a loop and is "
                 f"{closure.kind or 'of no type'}; expected one of {', '.join(KINDS)}"
             )
         child = T_base_link[1] @ closure.T_child

@@ -53,9 +53,10 @@ def check_agreement(
         # Mistakes in a log of an IMU are found when it is aligned with the motion.
         if not station.sensor.reads_place:
             continue
-        error, left = (
+        # First at the values of which the predictions are known.
+        left, error = (
             typical_residuals(station, values[places])
-            for values in (fit.nominal.values, fit.values)
+            for values in (fit.values, fit.nominal.values)
         )
         trials = Trials(Case(robot, table), _limits(fit, k, table), fit.options.at(station.name))
         suspect = _Suspect(trials, error, left, pulled, bounded)

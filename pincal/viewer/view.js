@@ -127,31 +127,73 @@
     viewer.set_dirty();
   }
 
-  // --- frames, axes, labels ------------------------------------------------------------------------------------
-  function label(text, colour = "#e8ecf1", size = 0.027) {
+  // --- labels: text over the picture, placed so that none covers another and none is cut ----------------------------
+  // The smaller the rank, the sooner a label has its place; what finds none is not shown.
+  const RANKS = { frame: 0, joint: 1, letter: 2 };
+  const labels = [];
+  const overlay = view.appendChild(element("div", { id: "labels" }));
+  function label(text, rank, colour) {
     const shown = text.length > 40 ? `${text.slice(0, 39)}\u2026` : text;
-    const canvas = document.createElement("canvas");
-    const context = canvas.getContext("2d");
-    const font = "500 44px system-ui, sans-serif";
-    context.font = font;
-    canvas.width = Math.ceil(context.measureText(shown).width) + 16;
-    canvas.height = 60;
-    context.font = font;
-    context.textBaseline = "middle";
-    context.lineWidth = 8;
-    context.strokeStyle = "#14181f";
-    context.strokeText(shown, 8, 30);
-    context.fillStyle = colour;
-    context.fillText(shown, 8, 30);
-    const texture = new THREE.CanvasTexture(canvas);
-    texture.minFilter = THREE.LinearFilter;
-    const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map: texture, depthTest: false, sizeAttenuation: false }));
-    sprite.scale.set((size * canvas.width) / canvas.height, size, 1);
-    sprite.center.set(0, 0.5);
-    sprite.renderOrder = 2;
-    return sprite;
+    const box = overlay.appendChild(element("span", { className: rank, textContent: shown }));
+    if (colour) box.style.color = colour;
+    const anchor = new THREE.Object3D();
+    labels.push({ anchor, box, rank: RANKS[rank], place: 0 });
+    return anchor;
   }
 
+  // Places about an anchor, from the one that reads best: parts of the label's width and height between the anchor and
+  // its left upper corner, and how far to go in each direction [px].
+  const GAP = 5, STEP = 17;
+  const PLACES = [0, STEP, 2 * STEP].flatMap((more) => [
+    [0, -0.5, GAP + more, 0], [0, -1, GAP, -more], [0, 0, GAP, more], [-1, -0.5, -GAP - more, 0],
+    [-1, -1, -GAP, -more], [-1, 0, -GAP, more], [-0.5, -1, 0, -GAP - more], [-0.5, 0, 0, GAP + more],
+  ]);
+  function placed(one, at, k) {
+    const [across, down, right, below] = PLACES[k];
+    const left = at.x + across * one.width + right, upper = at.y + down * one.height + below;
+    return { left, upper, right: left + one.width, lower: upper + one.height };
+  }
+  const isShown = (object) => !object || (object.visible && isShown(object.parent));
+  function onScreen(one, point) {
+    // Where the anchor is in the picture [px]; null if nothing of it is seen.
+    if (!isShown(one.anchor)) return null;
+    point.setFromMatrixPosition(one.anchor.matrixWorld).project(viewer.camera);
+    if (Math.abs(point.x) > 1 || Math.abs(point.y) > 1 || Math.abs(point.z) > 1) return null;
+    return { x: (0.5 + 0.5 * point.x) * view.clientWidth, y: (0.5 - 0.5 * point.y) * view.clientHeight };
+  }
+  function placeLabels() {
+    const width = view.clientWidth, height = view.clientHeight, taken = [], point = new THREE.Vector3();
+    const isFree = (box) =>
+      box.left >= 2 && box.upper >= 2 && box.right <= width - 2 && box.lower <= height - 2 &&
+      taken.every((other) => box.left > other.right || box.right < other.left || box.upper > other.lower || box.lower < other.upper);
+    for (const one of labels) {
+      const at = onScreen(one, point);
+      // What had a place keeps it while it is free, so that labels do not jump about as the picture turns.
+      const order = [one.place, ...PLACES.keys()];
+      const k = at ? order.find((index) => isFree(placed(one, at, index))) : undefined;
+      one.box.style.visibility = k === undefined ? "hidden" : "visible";
+      if (k === undefined) continue;
+      const box = placed(one, at, k);
+      one.place = k;
+      taken.push(box);
+      one.box.style.transform = `translate(${box.left}px, ${box.upper}px)`;
+    }
+  }
+  function beginLabels() {
+    labels.sort((one, other) => one.rank - other.rank);
+    for (const one of labels) {
+      const { width, height } = one.box.getBoundingClientRect();
+      one.width = Math.ceil(width);
+      one.height = Math.ceil(height);
+    }
+    const draw = viewer.render.bind(viewer);
+    viewer.render = () => {
+      draw();
+      placeLabels();
+    };
+  }
+
+  // --- frames and axes -----------------------------------------------------------------------------------------
   function rod(start, end, radius, colour) {
     const way = new THREE.Vector3().subVectors(end, start);
     const geometry = new THREE.CylinderGeometry(radius, radius, way.length(), 10);
@@ -171,11 +213,11 @@
       TRIAD.forEach(([name, colour], i) => {
         const end = new THREE.Vector3().setComponent(i, size);
         group.add(rod(new THREE.Vector3(), end, 0.022 * size, colour));
-        const letter = label(name, colour, 0.021);
+        const letter = label(name, "letter", colour);
         letter.position.copy(end).multiplyScalar(1.06);
         group.add(letter);
       });
-      const title = label(frame.name);
+      const title = label(frame.name, "frame");
       title.position.setScalar(-0.1 * size);
       group.add(title);
       viewer.set_object(path, group);
@@ -194,7 +236,7 @@
       const ends = (pair) => [0, 3].map((k) => new THREE.Vector3().fromArray(floats(pair), k));
       group.add(rod(...ends(axis.nominal), radius, NOMINAL));
       group.add(rod(...ends(axis.actual), 1.25 * radius, ACTUAL));
-      const name = label(axis.joint, ACTUAL, 0.016);
+      const name = label(axis.joint, "joint");
       name.position.copy(ends(axis.actual)[1]);
       group.add(name);
       viewer.set_object(path, group);
@@ -392,9 +434,9 @@
     });
     showLegend = () => {
       const [unit, name] = lengthUnit(top);
-      const places = Math.max(0, 1 - Math.floor(Math.log10(top * unit)));
-      const tick = (part) => element("span", { textContent: (part * top * unit).toFixed(places) });
-      ticks.replaceChildren(...[0, 0.25, 0.5, 0.75, 1].map(tick));
+      // The end has two digits, so half of it is exact with three.
+      const tick = (part) => element("span", { textContent: digits(part * top * unit) });
+      ticks.replaceChildren(...[0, 0.5, 1].map(tick));
       ticks.lastChild.textContent = `\u2265 ${ticks.lastChild.textContent} ${name}`;
       shown.textContent = factorWords(factor);
       measure.textContent = `10 cm in the view are ${inWords(Number((0.1 / factor).toPrecision(2)))} of deviation`;
@@ -601,6 +643,7 @@
   buildAxes();
   buildLayers();
   buildPoints();
+  beginLabels();
   panel.append(element("h1", { textContent: scene.title }));
   panel.append(element("p", { className: "quiet", textContent: "Deviations of the robot's target, from nominal to actual" }));
   buildLegend();

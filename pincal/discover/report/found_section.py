@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from markupsafe import Markup
 
@@ -24,6 +24,7 @@ from pincal.discover.report.found_words import (
     subsample_only_words,
 )
 from pincal.discover.run import Discovery
+from pincal.errors import few
 from pincal.report.blocks import (
     PageBlock,
     Section,
@@ -178,7 +179,11 @@ def _smooth(found: Findings) -> Iterator[PageBlock]:
 def _named(found: Findings) -> Iterator[PageBlock]:
     """Yield the effects, hints separately, and in how many subsamples each is found."""
     sure, hints = (
-        tuple(_card(k, entry) for k, entry in enumerate(found.effects) if entry.is_hint == is_hint)
+        tuple(
+            _card(k, entry, _step(found, entry))
+            for k, entry in enumerate(found.effects)
+            if entry.is_hint == is_hint
+        )
         for is_hint in (False, True)
     )
     if sure or not hints:
@@ -196,9 +201,26 @@ def _named(found: Findings) -> Iterator[PageBlock]:
         yield figures("stability", drawings)
 
 
-def _card(k: int, entry: FoundEffect) -> Markup:
+def _step(found: Findings, entry: FoundEffect) -> tuple[FoundEffect, ...]:
+    """Return the effects that entered the model in one step with another, which is not among them:
+    they share the change of the error.
+    """
+    gap = (entry.gap_before_mm, entry.gap_after_mm)
+    return tuple(
+        other
+        for other in found.effects
+        if other is not entry and (other.gap_before_mm, other.gap_after_mm) == gap
+    )
+
+
+def _card(k: int, entry: FoundEffect, others: Sequence[FoundEffect]) -> Markup:
     """Return a card of the k-th effect with its parameters, the change of the error, and the
     alternatives.
+
+    Args:
+        k: its place among the effects.
+        entry: the effect.
+        others: what entered the model together with it.
     """
     values = entry.parameters
     at = f"{FOUND}/effects/{k}"
@@ -207,9 +229,12 @@ def _card(k: int, entry: FoundEffect) -> Markup:
         for name, p in values.items()
     )
     shown = merged(lines, "<br>")
+    names = [effect_words(other) for other in others]
+    together = f", together with {few(names, _FEW)}" if names else ""
     explained = rich(
-        'mean held-out error {}; p-value: <span class="nw">{}</span>.',
+        'mean held-out error {}{}; p-value: <span class="nw">{}</span>.',
         sourced(gain_words(entry), *_gain_pointers(at, entry)),
+        together,
         sourced(show_chance(entry.p_value), f"{at}/p_value"),
     )
     often = f" The search names it {entry.stability} subsamples." if entry.stability else ""
@@ -225,9 +250,9 @@ def _card(k: int, entry: FoundEffect) -> Markup:
     if words := line_words(entry):
         blocks.append(paragraph(f"{words[0].upper()}{words[1:]}."))
     if entry.equivalent:
-        others = "; ".join(effect_words(other) for other in entry.equivalent)
+        alternatives = "; ".join(effect_words(other) for other in entry.equivalent)
         decide = f" To distinguish them: {entry.tell_apart}." if entry.tell_apart else ""
-        blocks.append(paragraph(f"Could also be: {others}.{decide}", "care"))
+        blocks.append(paragraph(f"Could also be: {alternatives}.{decide}", "care"))
     return card(effect_words(entry), *blocks)
 
 

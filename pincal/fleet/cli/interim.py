@@ -35,11 +35,14 @@ Examples:
   pincal interim results/model.json today.csv
   pincal interim results/model.json today.csv --new-station --day 2026-11-29
   pincal interim results/model.json bar.csv --record checks/R17.json --false-alarms 0.01
+  pincal interim results/model.json --withdraw 2026-11-29 --reason "nest of the target was loose"
 
 TODAY.csv is a table like that of the calibration: the same targets, or the same sockets or
 artefact, in three poses or more, such as the same few every day. Each check is added to
 model.checks.json beside the model, and judged together with all before: measure refuses a model
-whose last check failed, and its uncertainties include the drift since the calibration.
+whose last check failed, and its uncertainties include the drift since the calibration. A check that
+was wrong for a reason of its own can be withdrawn: the record keeps it with the reason, and what
+was checked later is judged again without it.
 """
 
 
@@ -48,6 +51,8 @@ _SHOWN = (
     "new_station",
     "record",
     "day",
+    "withdraw",
+    "reason",
     "false_alarms",
     "noise",
     "as_json",
@@ -60,7 +65,9 @@ class InterimArguments:
     """Arguments of interim."""
 
     model: Path = model_argument()
-    data: Path = argument("TODAY.csv", "Measurements of a few poses, as those of the calibration.")
+    data: Path | None = argument(
+        "[TODAY.csv]", "Measurements of a few poses, as those of the calibration.", required=False
+    )
     station: str | None = option(
         "Station of the calibration, with whose instrument and target the rows were measured.",
         metavar="NAME",
@@ -78,6 +85,11 @@ class InterimArguments:
         words="model.checks.json beside the model",
     )
     day: str | None = option("Day of the check.", metavar="YYYY-MM-DD", words="today")
+    withdraw: str | None = option(
+        "In place of a check: withdraw an earlier one, by its day or its number.",
+        metavar="DAY|NUMBER",
+    )
+    reason: str | None = option("Why it is withdrawn.", metavar="TEXT")
     false_alarms: float = option(
         "Probability of any false alarm over the whole life of the calibration, however often it "
         "is checked.",
@@ -106,23 +118,69 @@ def interim_verb(arguments: InterimArguments) -> Exit:
     from pincal.calibration.fitted_robot import load_model
     from pincal.cli.inputs import load_table
 
+    _require_one_task(arguments)
     fitted = load_model(arguments.model)
     notes = list(arguments.identity.of_model(fitted.identity, arguments.model))
     path = arguments.record or record_path(arguments.model)
     robot = fitted.robot_model().model.chain.robot
-    table = load_table(robot, arguments.data, options=arguments.table.options)
+    table = None
+    if arguments.data is not None:
+        table = load_table(robot, arguments.data, options=arguments.table.options)
     # Of two runs at once, the later one would replace the check of the other.
     with one_at_a_time(path.parent) if path.parent.is_dir() else nullcontext():
-        record, note = _recorded(arguments, fitted, table, path)
+        if table is None:
+            record, note = _withdrawn(arguments, fitted, path), None
+        else:
+            record, note = _recorded(arguments, fitted, table, path)
     notes += [note] if note is not None else []
-    last = record.checks[-1]
     if arguments.general.as_json:
-        print_json(as_plain(last, len(record.checks)))
+        print_json(as_plain(record))
     else:
         lines = [f"{heading:10}{text}" for heading, text in lines_of(record)]
         click.echo("\n".join([*lines, f"written to {path}"]))
     echo_notes(notes, quiet=arguments.general.quiet)
-    return Exit.CHANGED if last.has_failed else Exit.DONE
+    last = record.last
+    return Exit.CHANGED if last is not None and last.has_failed else Exit.DONE
+
+
+def _require_one_task(arguments: InterimArguments) -> None:
+    """Refuse a command that neither checks nor withdraws, or both.
+
+    Raises:
+        click.UsageError: with what is expected.
+    """
+    if arguments.withdraw is None:
+        if arguments.data is None:
+            raise click.UsageError("Missing argument 'TODAY.csv'")
+        if arguments.reason is not None:
+            raise click.UsageError("--reason: of what? Expected --withdraw DAY with it")
+    elif arguments.data is not None:
+        raise click.UsageError("--withdraw: takes no table; expected two commands, one for each")
+    elif not (arguments.reason or "").strip():
+        raise click.UsageError("--withdraw: why? Expected --reason TEXT, which the record keeps")
+
+
+def _withdrawn(arguments: InterimArguments, fitted: FittedRobot, path: Path) -> CheckRecord:
+    """Withdraw a check, write the record, and return it.
+
+    Raises:
+        BadInputError: if there is no such check of this calibration.
+    """
+    from pincal.calibration.check_record import record_of
+    from pincal.fleet.checked_robot import CheckedRobot
+
+    record, other = record_of(fitted, path)
+    if record is None:
+        why = "no record there" if other is None else "its checks are of another calibration"
+        raise BadInputError(f"{path}: {why}; expected that of {arguments.model}: --record FILE")
+    robot = CheckedRobot.of(fitted, record)
+    try:
+        number = record.number_of(str(arguments.withdraw))
+    except BadInputError as error:
+        raise BadInputError(f"{path}: --withdraw {error}") from None
+    found = robot.withdrawn(str(number), str(arguments.reason), _day(arguments)).record
+    found.save(path)
+    return found
 
 
 def _recorded(
@@ -135,9 +193,11 @@ def _recorded(
     from pincal.fleet.checked_robot import CheckedRobot
 
     record, other = record_of(fitted, path)
+    day = _day(arguments)
+    _require_later(record, day, path)
     checked = CheckedRobot.of(fitted, record).checked(
         table,
-        _day(arguments),
+        day,
         station=arguments.station,
         is_new_station=arguments.new_station,
         sigma=arguments.noise,
@@ -152,9 +212,16 @@ def _day(arguments: InterimArguments) -> str:
     """Return the day of a check.
 
     Raises:
-        BadInputError: for one to come: checks of today would then be refused as earlier.
+        BadInputError: for none, and for one to come: checks of today would then be refused as
+            earlier.
     """
+    from pincal.calibration.check_record import required_day
+
     today = date.today()
+    try:
+        required_day(arguments.day or today.isoformat())
+    except BadInputError as error:
+        raise BadInputError(f"--day: {error}") from None
     # Where it is tomorrow already.
     latest = (today + timedelta(days=1)).isoformat()
     if arguments.day is not None and arguments.day > latest:
@@ -163,6 +230,20 @@ def _day(arguments: InterimArguments) -> str:
             "latest"
         )
     return arguments.day or today.isoformat()
+
+
+def _require_later(record: CheckRecord | None, day: str, path: Path) -> None:
+    """Refuse a day before the last check of a record.
+
+    Raises:
+        BadInputError: with both, and the record.
+    """
+    last = None if record is None else record.last
+    if last is not None and day < last.day:
+        raise BadInputError(
+            f"--day {day}: the last check in {path} is of {last.day}; expected this day or a later "
+            "one; if that check has a wrong day, withdraw it (--withdraw) and check its table again"
+        )
 
 
 def kept_aside(path: Path) -> Path:
@@ -175,24 +256,49 @@ def kept_aside(path: Path) -> Path:
     return place
 
 
-def as_plain(check: InterimCheck, number: int) -> dict[str, Any]:
-    """Return a check in JSON types, without its rows."""
+def as_plain(record: CheckRecord) -> dict[str, Any]:
+    """Return the last check that counts in JSON types, without its rows, and which do not."""
     import msgspec
 
+    withdrawn = [
+        {"check": number, "day": check.day, **msgspec.to_builtins({"withdrawn": check.withdrawn})}
+        for number, check in enumerate(record.checks, 1)
+        if check.withdrawn is not None
+    ]
+    others = {"withdrawn": withdrawn} if withdrawn else {}
+    check = record.last
+    if check is None:
+        return {"check": None, **others}
     found: dict[str, Any] = msgspec.to_builtins(check)
     rows = found.pop("rows")
     kept = ("day", "table", "station", "is_new_station")
-    return {"check": number, **{name: rows[name] for name in kept if name in rows}, **found}
+    of_rows = {name: rows[name] for name in kept if name in rows}
+    return {"check": _number(record), **of_rows, **found, **others}
+
+
+def _number(record: CheckRecord) -> int:
+    """Return the number of the last check that counts."""
+    return max(n for n, check in enumerate(record.checks, 1) if check.withdrawn is None)
 
 
 def lines_of(record: CheckRecord) -> Iterator[tuple[str, str]]:
-    """Yield what the last check of a record shows: headings and lines."""
-    check = record.checks[-1]
+    """Yield what the last check of a record that counts shows, and which do not count: headings and
+    lines.
+    """
+    check = record.last
+    if check is not None:
+        yield from _lines_of_check(record, check)
+    if record.withdrawn_words:
+        yield "withdrawn", record.withdrawn_words
+    yield "next", _next(check)
+
+
+def _lines_of_check(record: CheckRecord, check: InterimCheck) -> Iterator[tuple[str, str]]:
     rows = check.rows
     placed = "instrument set up anew" if rows.is_new_station else "as calibrated"
     poses = len(rows.columns["q"])
     yield "checked", f"{poses} poses of {record.robot} on {check.day}, {placed}"
-    yield "check", f"number {len(record.checks)} since the calibration"
+    yield "check", f"number {_number(record)} since the calibration"
     scale, unit = (1e3, "mm") if check.unit == "m" else (1.0, check.unit)
     yield (
         "error",
@@ -213,7 +319,6 @@ def lines_of(record: CheckRecord) -> Iterator[tuple[str, str]]:
     yield "drift", f"u = {check.drift * 1e3:.2g} mm of a coordinate since the calibration"
     if check.change is not None:
         yield "moved", moved_words(check.change)
-    yield "next", _next(check)
 
 
 def odds(log_e: float) -> str:
@@ -253,8 +358,10 @@ def _readable(value: float, unit: str) -> str:
     return f"{value:.3g} K" if unit == "K" else f"{value * 1e3:.3g} m{unit}"
 
 
-def _next(check: InterimCheck) -> str:
-    """Return what to do after a check."""
+def _next(check: InterimCheck | None) -> str:
+    """Return what to do after a check, or after all of them were withdrawn."""
+    if check is None:
+        return "check the robot: none of its checks counts"
     if not check.has_failed:
         return "measure on; its uncertainties include the drift"
     return (

@@ -541,7 +541,7 @@ def _next_words(arguments: SimulateArguments, setup: SensorSetup | None) -> list
     """
     if arguments.part.features is not None:
         part = f"--features {arguments.part.features}"
-        return [f"next: pincal measure results/model.json {arguments.out} {part}"]
+        return [f"next: pincal measure MODEL.json {arguments.out} {part}"]
     given = _cell_values(arguments, setup)
     folder = arguments.out.parent
     cell = written_cell("pincal simulate", more=given, place=folder)
