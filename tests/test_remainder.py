@@ -8,21 +8,29 @@ from typing import Any
 import numpy as np
 import pytest
 from machines import kuka as true_kuka
+from test_corrector import answered
+from test_corrector import states_of as page_states
+from test_export import Compiled, calibrated_of, columns_of, conditions_of, loaded, poses_of, units_of
 
 from pincal import load_model
 from pincal import simulate as sim
+from pincal.calibration.fitted_robot import FittedRobot
+from pincal.compensate.compensation import compensate_program
+from pincal.compensate.robot_frames import in_base_frame, program_poses
 from pincal.discover.report.found_section import found_section
 from pincal.discover.report.found_words import smooth_words
 from pincal.discover.run import Discovery, run_discovery
 from pincal.discover.smooth_likelihood import likely_remainders
 from pincal.discover.smooth_rest import LeftOutRegions, with_remainder
 from pincal.errors import BadInputError
+from pincal.export import export_model
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.model.catalogue.remainder import SmoothRemainder, golden_ratio
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
-from pincal.model.effects import ELASTIC
+from pincal.model.effect import Effect
+from pincal.model.effects import ELASTIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.robot.robot import Robot
 
@@ -234,3 +242,84 @@ def test_what_is_none_is_refused(change: dict[str, Any], words: str) -> None:
     """Values that describe no remainder are refused with what is expected."""
     with pytest.raises(BadInputError, match=words):
         replace(SmoothRemainder(("joint_1", "joint_2", "joint_3"), 2, 0.8, 1e-4, 3), **change)
+
+
+def parts(*, modes: bool) -> tuple[SmoothRemainder, SmoothRemainder]:
+    """Return errors of two drives and displacements along the base's axes, in sums of waves or in single ones."""
+    joints = ("joint_1", "joint_2", "joint_3", "joint_5")
+    drives = SmoothRemainder(joints, 2, 0.8, 1e-4, 6, places=("joint_2", "joint_5"))
+    base = SmoothRemainder(joints, 2, 1.2, 1e-4, 6, moves="base")
+    if not modes:
+        return drives, base
+    turned = np.round(0.3 * np.linalg.qr(np.random.default_rng(3).standard_normal((12, 12)))[0], 4).tolist()
+    some = tuple(map(tuple, turned[:5]))
+    return replace(drives, modes=(some, some[:2])), replace(base, modes=(some[:3], some[2:], some[:1]))
+
+
+def uneven(kuka: Robot, *effects: Effect) -> FittedRobot:
+    """Return a calibrated elastic arm with these effects, of values of some tenths of a millimetre."""
+    rng = np.random.default_rng(4)
+    model = Model(Chain.of(kuka, moment_frame="after"), (BaseFrame(), ToolFrame(), *ELASTIC, *effects))
+    units = units_of(model, conditions_of(kuka, 50, rng))
+    return calibrated_of(model, 3e-4 * rng.uniform(-1.0, 1.0, model.n_parameters) / units)
+
+
+@pytest.mark.parametrize("frame", ["instrument", "base"])
+@pytest.mark.parametrize("modes", [False, True])
+def test_exports_have_it(kuka: Robot, modes: bool, frame: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    """C and NumPy agree with the model, forward and back, in the instrument's frame and in the base's."""
+    calibrated = uneven(kuka, *parts(modes=modes))
+    at = poses_of(calibrated, 200, rng)
+    true = (in_base_frame(calibrated) if frame == "base" else calibrated).predict(at)
+    source = loaded(export_model(calibrated, "python", frame=frame).text)
+    compiled = Compiled.of(calibrated, tmp_path, frame)
+    without = calibrated.with_effects(lambda effect: not isinstance(effect, SmoothRemainder))
+    seed = replace(at, q=at.q + rng.normal(0.0, 2e-3, at.q.shape))
+    q, status, _ = compiled.compensate(true, seed)
+    arrived = (in_base_frame(calibrated) if frame == "base" else calibrated).predict(replace(at, q=q))
+
+    np.testing.assert_allclose(source["forward"](at.q, **columns_of(at)), true, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(compiled.forward(at)[0], true, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(arrived[status == 0], true[status == 0], rtol=0.0, atol=2e-10)
+    assert np.mean(status == 0) > 0.95
+    assert np.abs(without.predict(at) - calibrated.predict(at))[:, :, 3].max() > 1e-4
+
+
+def test_the_page_has_it(kuka: Robot, tmp_path: Path) -> None:
+    """In JavaScript the robot is where the model says, and corrections reach their poses."""
+    calibrated = uneven(kuka, *parts(modes=True))
+    at = poses_of(calibrated, 100, np.random.default_rng(3))
+    told = answered(
+        export_model(calibrated, "page").text,
+        f"const S = {page_states(at, kuka.own_joints)};"
+        "return S.map((s) => [calibrated(s)[0], compensate(calibrated, nominal(s)[0], s)]);",
+        tmp_path,
+    )
+    placed = in_base_frame(calibrated)
+    ok = np.array([row[1]["status"] == "ok" for row in told])
+    q = np.array([row[1]["q"] for row in told])
+    arrived = placed.predict(replace(at, q=kuka.spread(q)))
+
+    poses = np.array([row[0] for row in told]).reshape(-1, 3, 4)
+    np.testing.assert_allclose(poses, placed.predict(at), rtol=0.0, atol=1e-12)
+    assert ok.mean() > 0.9
+    np.testing.assert_allclose(arrived[ok], program_poses(calibrated, at)[ok], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", [0, 1])
+def test_compensation_takes_it_away(kuka: Robot, kind: int, rng: np.random.Generator) -> None:
+    """Joint positions that are corrected by a model with it reach the wanted poses; nominal ones are off by what it is."""
+    effect = parts(modes=True)[kind]
+    model = Model(Chain.of(kuka), (BaseFrame(), ToolFrame(), effect))
+    values = np.zeros(model.n_parameters)
+    values[-len(effect.parameters(model.chain)) :] = 2e-4
+    calibrated = calibrated_of(model, values)
+    at = poses_of(calibrated, 50, rng)
+    wanted = program_poses(calibrated, at)
+    found = compensate_program(calibrated, at)
+    reached = found.is_ok
+    there = in_base_frame(calibrated).predict(replace(at, q=found.q))
+
+    assert np.mean(reached) > 0.9
+    np.testing.assert_allclose(there[reached][:, :, 3], wanted[reached][:, :, 3], rtol=0.0, atol=1e-9)
+    assert np.abs(in_base_frame(calibrated).predict(at) - wanted)[:, :, 3].max() > 5e-5
