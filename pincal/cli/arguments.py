@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from pathlib import Path
 from types import NoneType
@@ -227,6 +227,7 @@ class Verb(click.Command):
         about: VerbHelp,
         reads_cell: bool,
         takes_identity: bool,
+        identity_keys: Collection[str] | None,
         **attributes: Any,
     ) -> None:
         super().__init__(params=[each.parameter for each in described], **attributes)
@@ -238,6 +239,7 @@ class Verb(click.Command):
         }
         self._reads_cell = reads_cell
         self._takes_identity = takes_identity
+        self._identity_keys = identity_keys
         self._ending = about.ending
         self.shown = about.shown
 
@@ -261,6 +263,7 @@ class Verb(click.Command):
             args,
             keys=self._cell_keys if self._reads_cell else None,
             takes_identity=self._takes_identity,
+            identity_keys=self._identity_keys,
         )
         return super().parse_args(ctx, words)
 
@@ -374,6 +377,7 @@ def verb(
     shown: tuple[str, ...] | None = None,
     ending: Callable[[], str] | None = None,
     cell: Literal["read", "read, written", "written", "none"] = "read",
+    identity_keys: Collection[str] | None = None,
 ) -> Callable[[Callable[[A], Exit]], Verb]:
     """Return a decorator that makes a command of a function of typed arguments; its docstring is
     the help text.
@@ -392,6 +396,7 @@ def verb(
             none.
         cell: whether a cell file gives what the command line leaves out, and whether the command
             writes one where there is none.
+        identity_keys: what of the identity a cell file may give; default: all.
     """
     codes = sorted({Exit.DONE, Exit.USAGE, Exit.BAD_INPUT, *exits})
     meanings = "; ".join(f"{int(code)} {code.meaning}" for code in codes)
@@ -419,6 +424,7 @@ def verb(
             about=VerbHelp(shown, ending),
             reads_cell=reads_any,
             takes_identity=states_identity or cell.endswith("written"),
+            identity_keys=identity_keys,
             context_settings={"help_option_names": ["-h", "--help"]},
             help=inspect.getdoc(function),
             epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",
