@@ -25,6 +25,8 @@ from pincal.units import LARGEST, plain_numbers
 
 A = TypeVar("A")
 T = TypeVar("T")
+# Keys of an identity that say who issues a document, and for whom.
+_ISSUER = ("laboratory", "customer", "country")
 _HEADING = "heading"
 _HANDED_IN = "handed in"
 _CELL = "cell"
@@ -376,8 +378,7 @@ def verb(
     defaults: Mapping[str, Any] | None = None,
     shown: tuple[str, ...] | None = None,
     ending: Callable[[], str] | None = None,
-    cell: Literal["read", "read, written", "written", "none"] = "read",
-    identity_keys: Collection[str] | None = None,
+    cell: Literal["read", "read issuer", "read, written", "written", "none"] = "read",
 ) -> Callable[[Callable[[A], Exit]], Verb]:
     """Return a decorator that makes a command of a function of typed arguments; its docstring is
     the help text.
@@ -395,8 +396,8 @@ def verb(
         ending: makes lines after the examples, called only when the help text is shown; default:
             none.
         cell: whether a cell file gives what the command line leaves out, and whether the command
-            writes one where there is none.
-        identity_keys: what of the identity a cell file may give; default: all.
+            writes one where there is none; of the identity "read issuer" takes only who issues
+            it, and for whom.
     """
     codes = sorted({Exit.DONE, Exit.USAGE, Exit.BAD_INPUT, *exits})
     meanings = "; ".join(f"{int(code)} {code.meaning}" for code in codes)
@@ -424,7 +425,7 @@ def verb(
             about=VerbHelp(shown, ending),
             reads_cell=reads_any,
             takes_identity=states_identity or cell.endswith("written"),
-            identity_keys=identity_keys,
+            identity_keys=_ISSUER if cell == "read issuer" else None,
             context_settings={"help_option_names": ["-h", "--help"]},
             help=inspect.getdoc(function),
             epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",

@@ -90,7 +90,7 @@ class CertificateArguments:
         return beside if self.out is None else self.out
 
 
-@verb(CertificateArguments, examples=_EXAMPLES, identity_keys=("laboratory", "customer", "country"))
+@verb(CertificateArguments, examples=_EXAMPLES, cell="read issuer")
 def certificate(arguments: CertificateArguments) -> Exit:
     """Certify a calibrated robot, or a measured part.
 
