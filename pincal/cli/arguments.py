@@ -27,6 +27,8 @@ A = TypeVar("A")
 T = TypeVar("T")
 # Keys of an identity that say who issues a document, and for whom.
 _ISSUER = ("laboratory", "customer", "country")
+# Options that only say what is printed.
+_PRINTING = ("--quiet", "--verbose", "--json")
 _HEADING = "heading"
 _HANDED_IN = "handed in"
 _CELL = "cell"
@@ -368,6 +370,13 @@ def _is_text(word: str) -> bool:
 def words_given() -> tuple[str, ...]:
     """Return the words of the command line after the present command."""
     return tuple(click.get_current_context().meta[_WORDS])
+
+
+def words_to_repeat() -> tuple[str, ...]:
+    """Return the words of :func:`words_given` for a further command: without those that only say
+    what this one prints.
+    """
+    return tuple(word for word in words_given() if word not in _PRINTING)
 
 
 def verb(
