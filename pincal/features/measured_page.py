@@ -193,18 +193,20 @@ def _degrees(dof: float | None) -> str:
     return "infinite" if dof is None else f"{dof:.0f}"
 
 
+_REPEAT_COLUMNS = (
+    Column("feature", kind=Kind.NAME),
+    Column("quantity", kind=Kind.LABEL),
+    Column("passes", kind=Kind.NUMBER, key="passes"),
+    Column("s of a pass", kind=Kind.NUMBER, show=fixed(4), key="s"),
+    Column("95 % interval", kind=Kind.LABEL, key="s_interval/0 s_interval/1"),
+    Column("unit", kind=Kind.LABEL),
+    Column("Cg", kind=Kind.NUMBER, show=fixed(2), key="cg"),
+    Column("Cgk", kind=Kind.NUMBER, show=fixed(2), key="cgk"),
+)
+
+
 def repeat_table(found: MeasuredFile) -> Table | None:
     """Return how well the quantities were repeated; None for a single pass."""
-    columns = (
-        Column("feature", kind=Kind.NAME),
-        Column("quantity", kind=Kind.LABEL),
-        Column("passes", kind=Kind.NUMBER, key="passes"),
-        Column("s of a pass", kind=Kind.NUMBER, show=fixed(4), key="s"),
-        Column("95 % interval", kind=Kind.LABEL, key="s_interval/0 s_interval/1"),
-        Column("unit", kind=Kind.LABEL),
-        Column("Cg", kind=Kind.NUMBER, show=fixed(2), key="cg"),
-        Column("Cgk", kind=Kind.NUMBER, show=fixed(2), key="cgk"),
-    )
     chosen = [
         (f"{_FILE}/features/{i}/repeatability/{k}/{{}}", feature, of)
         for i, feature in enumerate(found.features)
@@ -229,7 +231,7 @@ def repeat_table(found: MeasuredFile) -> Table | None:
         "value, as of a calibrated artefact.",
     )
     sources = tuple(source for source, _, _ in chosen)
-    return Table("Repeatability", columns, rows, notes, sources=sources) if rows else None
+    return Table("Repeatability", _REPEAT_COLUMNS, rows, notes, sources=sources) if rows else None
 
 
 _GAUGE_COLUMNS = (
