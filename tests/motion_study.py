@@ -314,6 +314,28 @@ def stressed(seeds: int, duration: float) -> Iterator[str]:
             )
 
 
+def polled(seeds: int, duration: float) -> Iterator[str]:
+    """An IMU alone whose latest sample is read at nearly its own rate: by stamps of polls, and of samples as found."""
+    for name in ARMS:
+        for seed in range(seeds):
+            truth = Truth.draw(name, seed, duration=duration, vibration=0.1)
+            logged = {what: dict(columns) for what, columns in truth.logged().items()}
+            samples, rng = logged["imu"]["time"], np.random.default_rng([seed, 9])
+            polls = np.arange(samples[0] + 0.5, samples[-1], 1.0 / 101.0)
+            polls += rng.uniform(0.0, 1e-3, len(polls))
+            rows = np.searchsorted(samples, polls) - 1
+            late = logged | {"imu": {c: values[rows] for c, values in logged["imu"].items()} | {"time": polls}}
+            with patch("pincal.motion.stations.at_samples", lambda *given: None):
+                tables = {"samples": truth.tables(logged=logged), "polls": truth.tables(logged=late)}
+            tables["polls, as found"] = truth.tables(logged=late)
+            found = {words: calibrated(truth, of).robot_model() for words, of in tables.items()}
+            told = [
+                f"{words} {truth.error(robot):.3f} mm, axes at most {truth.axis_errors(robot).max():.3f} mrad"
+                for words, robot in found.items()
+            ]
+            yield f"{name}, seed {seed}: nominal {truth.error(None):.3f} mm; by stamps of {'; '.join(told)}"
+
+
 def drives(seeds: int, duration: float) -> Iterator[str]:
     """An IMU alone on arms with eccentric gears, ripples, friction and compliance, as fitted and by geometry alone."""
     for name in ARMS:
@@ -425,7 +447,8 @@ def chosen(seeds: int, duration: float) -> Iterator[str]:
 
 
 PARTS = {
-    part.__name__: part for part in (axes, chosen, together, held, coverage, clocks, lag, stressed, drives, speed, picture)
+    part.__name__: part
+    for part in (axes, chosen, together, held, coverage, clocks, lag, stressed, polled, drives, speed, picture)
 }
 
 

@@ -113,12 +113,13 @@ def disagreements(page: PageNumbers, files: Mapping[str, Any]) -> Iterator[str]:
     """Yield each number of a page that is not its entry to the digits that are shown."""
     for of in page.shown:
         numbers = NUMBER.findall(of.text)
-        if len(numbers) < len(of.pointers) and of.text.strip() not in ("-", ""):
+        if len(numbers) < len(of.pointers) and of.text.strip() not in ("-", "", "infinite"):
             yield f"{of.text!r} has fewer numbers than {of.pointers}"
         for text, pointer in zip(numbers, of.pointers, strict=False):
             value, unit = entry(pointer, files)
             word = of.unit_of(text)
-            factor = IN_SI.get(word, 1.0) if unit or word == "%" else 1.0
+            # Some files have lengths in the unit of the page.
+            factor = IN_SI.get(word, 1.0) if (unit and unit != word) or word == "%" else 1.0
             mantissa, _, power = text.partition("e")
             last = 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
             expected = float(value) * of.times / factor

@@ -62,6 +62,8 @@ def test_without_a_declared_noise_it_is_asked_for(tables: Path, tmp_path: Path, 
     assert run("check", URDF, table, "--quiet") == 0
     first = said(capsys.readouterr().out.splitlines(), "next")
     assert first.startswith(f"pincal calibrate {URDF} {table}") and "--noise 0.05mm" in first
+    # What is printed is no part of what is done.
+    assert "--quiet" not in first
 
     lines = printed(capsys, "calibrate", URDF, table, "--out", out)
     assert said(lines, "verdict").startswith("not judged. ") and "(--noise 0.05mm)" in said(lines, "verdict")

@@ -22,7 +22,7 @@ from test_export import calibrated_of, drawn
 from test_identity import STATED
 
 from pincal import Robot
-from pincal.calibration.fitted_robot import FittedRobot
+from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.certificate.certificate_page import certificate_page
 from pincal.certificate.contents import Certificate, Figure, FigureGroup, Issue
 from pincal.certificate.dcc import DCC, DCC_VERSION, SI, digital_certificate
@@ -504,6 +504,34 @@ def test_the_command_writes_both_files_beside_the_results(folder: Path, capsys: 
     printed = capsys.readouterr()
     assert f"doubt: {DOUBT}" in printed.out and "No. C-18" in printed.out
     assert b"<dcc:issueDate>2026-11-30<" in (folder / "dcc.xml").read_bytes()
+
+
+def test_the_cell_says_who_certifies_and_not_what_was_measured(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the model states stays, and what it does not state of robot and readings is not stated."""
+    for name in ("model.json", "result.json"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PINCAL_CELL")
+    known = load_model("model.json").identity
+    stated = {
+        "laboratory": "Lab of the cell",
+        "country": "FR",
+        "customer": "Cust",
+        "place": "Elsewhere",
+        "operator": "E. Lse",
+    }
+    Path("cell.toml").write_text("[id]\n" + "\n".join(f'{key} = "{value}"' for key, value in stated.items()))
+    capsys.readouterr()
+    assert run("certificate", "model.json") == 0
+    assert "cell.toml: id (laboratory, country, customer)\n" in capsys.readouterr().err
+    page = Path("certificate.html").read_text()
+    assert (known.laboratory or stated["laboratory"]) in page and (known.customer or "Cust") in page
+    assert "E. L." not in page and "Elsewhere" not in page
+    assert run("certificate", "model.json", "--set", "id.laboratory=Lab of mine", "--set", "id.place=Hall 9") == 0
+    page = Path("certificate.html").read_text()
+    assert "Lab of mine" in page and "Lab of the cell" not in page and "Hall 9" in page
 
 
 def test_a_certificate_does_not_outlive_its_calibration(tmp_path: Path) -> None:

@@ -23,6 +23,8 @@ ALLOWED = {
     "pincal.identify.initial": "makes the frames of base and tool that a sensor's readings depend on, and its clock",
     "pincal.compensate.ik_problem": "moves joints as if their offsets were free",
     "pincal.discover.smooth_rest": "makes what has no name, which is no candidate",
+    "pincal.discover.smooth_likelihood": "tells how likely errors without a name are",
+    "pincal.calibration.information": "tells of causes, so that what has no name is left out",
     "pincal.identify.motion_fields": "what the sag of drives moves is no shift of the readings",
     "pincal.fleet.checked_motion": "lengths may have grown since the calibration",
     "pincal.design.design_model": "makes them for a sensor that has not measured yet",

@@ -443,16 +443,17 @@ def test_an_imu_that_is_polled_at_nearly_its_own_rate_is_told(logs: Tables, tmp_
 
 @pytest.mark.parametrize("rate", [82.0, 97.0, 100.4, 130.0])
 def test_an_imu_that_is_polled_has_the_times_of_its_samples(logs: Tables, rate: float, tmp_path: Path) -> None:
-    """Whose delays, up to a sample, follow the rates of an arm; stamps of samples with jitter are left as they are."""
+    """Whose delays, up to a sample, follow the rates of an arm; stamps of samples, or that step, are left as they are."""
     tables, rng = copied({name: logs[name] for name in ("joints", "imu")}), np.random.default_rng(0)
     imu, true = tables["imu"], logs["imu"]["time"]
     polls = np.arange(true[0] + 0.5, true[-1], 1.0 / rate)
     polls += rng.uniform(0.0, 1e-3, len(polls))
     rows = np.searchsorted(true, polls) - 1
     stamps = {"samples": true + rng.uniform(0.0, 1e-3, len(true)), "polls": polls + rng.uniform(0.0, 2e-4, len(polls))}
+    stamps["stepping"] = stamps["polls"] + 5e-3 * (polls > 20.0)
     found = dict[str, Stream | None]()
     for name, time in stamps.items():
-        read_at = rows if name == "polls" else np.arange(len(true))
+        read_at = np.arange(len(true)) if name == "samples" else rows
         # The number of a row in the log tells which sample it has.
         tables["imu"] = {column: values[read_at] for column, values in imu.items()} | {"time": time}
         session, _ = read(tmp_path, tables)
@@ -460,7 +461,7 @@ def test_an_imu_that_is_polled_has_the_times_of_its_samples(logs: Tables, rate: 
         arm = MovingArm.of(ROBOT, JointPath.through(session.joints.time, session.joints.readings["q"]))
         start = start_imu(arm, session.imu)
         found[name] = at_samples(arm, session.imu, start.clock, start.mount)
-    assert found["samples"] is None and found["polls"] is not None
+    assert found["samples"] is None and found["stepping"] is None and found["polls"] is not None
 
     late = found["polls"].time - true[rows[found["polls"].lines - 2]]
     assert np.ptp(polls - true[rows]) > 8e-3

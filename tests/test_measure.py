@@ -10,6 +10,7 @@ from pathlib import Path
 import feature_cases as cases
 import numpy as np
 import pytest
+from page_numbers import PageNumbers, disagreements, numbers_without_source
 from scipy.stats import chi2
 
 from pincal import BadInputError, schemas
@@ -18,7 +19,7 @@ from pincal.calibration.model_statement import ModelStatement
 from pincal.cli import main
 from pincal.features.flange_sensor import FlangeSensor
 from pincal.features.measured_file import MeasuredFile
-from pincal.features.measured_page import verdict_words
+from pincal.features.measured_page import measured_page, verdict_words
 from pincal.features.measured_part import MeasuredPart, measure_part
 from pincal.features.part import Part
 from pincal.features.readings import FeatureReadings
@@ -167,6 +168,24 @@ def test_a_hole_that_is_too_wide_does_not_conform(camera: FittedRobot, rng: np.r
     edge = measured(camera, seen_panel(camera, rng, wider=2.5e-4), tmp_path).found
     assert edge.features[0].values["diameter"].decision == "undecided"
     assert verdict_words(edge).startswith("Undecided: 1 of 3 values")
+
+
+def test_every_number_of_the_page_is_in_its_file(camera: FittedRobot, rng: np.random.Generator, tmp_path: Path) -> None:
+    """To the digits that are shown, and each table has pointers; a wrong digit is noticed."""
+    readings = seen_panel(camera, rng, noise=5e-5, passes=4)
+    two = np.where(np.isin(readings.pass_name, ("0", "1")), "ann", "bob")
+    found = measured(camera, replace(readings, appraiser=two), tmp_path).found
+    text = measured_page(found, robot="r", version="0")
+    files = {"measured.json": json.loads(json.dumps(found.report))}
+    page = PageNumbers(text)
+    said = f"{json.dumps(files)} ISO 14253-1 95.45 4.5 {verdict_words(found)}"
+    assert [*disagreements(page, files)] == []
+    assert numbers_without_source(page, said) == []
+    for part in ("/values/", "/budget/", "/repeatability/", "/form_mm", "/gauge/"):
+        assert any(part in pointer for of in page.shown for pointer in of.pointers), part
+    value = f"{found.features[0].values['diameter'].value:.4f}"
+    wrong = PageNumbers(text.replace(f">{value}<", f">{float(value) + 1e-4:.4f}<", 1))
+    assert len([*disagreements(wrong, files)]) == 1
 
 
 def test_passes_give_the_repeatability(camera: FittedRobot, rng: np.random.Generator, tmp_path: Path) -> None:

@@ -65,6 +65,7 @@ def found(kuka: Robot) -> Discovery:
     return searched(kuka, table(kuka, 1.5e-4, 300, 7)[0], remainder=True)
 
 
+@pytest.mark.long
 def test_a_smooth_error_of_all_joints_is_predicted(kuka: Robot, found: Discovery) -> None:
     """At poses that were not measured the error is a quarter less than without; regions left out are predicted better."""
     rows, true = table(kuka, 1.5e-4, 200, 11)
@@ -172,6 +173,7 @@ def test_a_model_file_keeps_it(found: Discovery, tmp_path: Path, rng: np.random.
     np.testing.assert_allclose(*sigmas, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_noise_has_no_remainder(kuka: Robot) -> None:
     """Of a table that the model describes nothing enters, with the noise declared or not."""
     rows = table(kuka, 0.0, 200, 17)[0]

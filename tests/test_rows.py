@@ -247,6 +247,10 @@ def test_a_target_that_wanders_on_the_tool_is_correlated_noise_of_the_target(kuk
     assert not is_dependent(found.fit.fit) and any("target's place on the tool" in note.text for note in found.result.doubts)
     columns = rng.standard_normal((1, 3, 200))
     np.testing.assert_allclose(serial.coloured(serial.innovations(columns)[0]), columns[0], atol=1e-12)
+    weights = rng.uniform(0.5, 2.0, columns.shape[2])
+    np.testing.assert_allclose(
+        serial.innovations(columns, weights), serial.innovations(columns * weights) / weights, atol=1e-12
+    )
 
 
 @pytest.mark.long

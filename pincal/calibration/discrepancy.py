@@ -50,8 +50,10 @@ from pincal.validate.misfit import Verdict
 # Poses from whose pairs the variances are estimated, and their seed.
 _MOST: Count = 100
 _SEED: Count = 0
-# Mean lever of a drive below which it displaces no target [m/rad or m/m].
+# Mean lever of a drive below which it displaces no target [m/rad or m/m], and, as a part of the
+# largest one, below which readings do not tell its error from a rest: it may be longer elsewhere.
 _LEVER: Scale = 1e-3
+_SHORT: Scale = 0.15
 # Part of the mean variance that weights take at least to be of single poses: where the first
 # estimate has none, they would else rest on differences of a few near poses alone.
 _SINGLE: Scale = 0.1
@@ -206,7 +208,8 @@ def discrepancy_of(
         return None
     rng = np.random.default_rng(_SEED)
     some = np.sort(rng.permutation(len(residuals))[:_MOST])
-    moves = np.sqrt(np.mean(np.sum(levers**2, axis=2), axis=1)) > _LEVER
+    lever = np.sqrt(np.mean(np.sum(levers**2, axis=2), axis=1))
+    moves = lever > max(_LEVER, _SHORT * float(lever.max()))
     drives = np.zeros((q.shape[1], len(DRIVE_LENGTHS)))
     drives[moves], rest = _variances(
         residuals[some], q[some][:, moves], levers[moves][:, some], known[some]

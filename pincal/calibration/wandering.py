@@ -89,7 +89,8 @@ class _Placed:
         pieces = station.linearise(fit.solution.values[places], free)
         J = np.concatenate([J for _, _, J in pieces], axis=-1) * weights
         columns = J.reshape(len(J), -1)
-        B, A = columns[is_own], columns[~is_own]
+        B = columns[is_own]
+        A = columns[~is_own]
         inverse = np.linalg.pinv(B @ B.T, hermitian=True)
         variance = float(fit.solution.sigma[fit.problem.block_spans[k].start]) ** 2
         return cls(

@@ -141,10 +141,12 @@ class Issue:
     Attributes:
         number: of the certificate; empty for one made of the checksum of its first file.
         day: on which it is issued.
+        usual: who issues it, and for whom, where nothing else is stated.
     """
 
     number: str
     day: date
+    usual: Identity = field(default_factory=Identity)
 
 
 @dataclass(frozen=True, kw_only=True)

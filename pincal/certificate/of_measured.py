@@ -70,7 +70,7 @@ def certificate_of_measured(folder: Path, stated: Identity, issue: Issue) -> Cer
     found = read_json(path, MeasuredFile, _MEASURED_FILE)
     known = found.id or Identity()
     stated.require(known, str(path))
-    identity = stated.over(known)
+    identity = stated.over(known.over(issue.usual))
     return Certificate(
         title="Certificate of a measured part",
         issue=issue,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from pathlib import Path
 from types import NoneType
@@ -25,6 +25,10 @@ from pincal.units import LARGEST, plain_numbers
 
 A = TypeVar("A")
 T = TypeVar("T")
+# Keys of an identity that say who issues a document, and for whom.
+_ISSUER = ("laboratory", "customer", "country")
+# Options that only say what is printed.
+_PRINTING = ("--quiet", "--verbose", "--json")
 _HEADING = "heading"
 _HANDED_IN = "handed in"
 _CELL = "cell"
@@ -227,6 +231,7 @@ class Verb(click.Command):
         about: VerbHelp,
         reads_cell: bool,
         takes_identity: bool,
+        identity_keys: Collection[str] | None,
         **attributes: Any,
     ) -> None:
         super().__init__(params=[each.parameter for each in described], **attributes)
@@ -238,6 +243,7 @@ class Verb(click.Command):
         }
         self._reads_cell = reads_cell
         self._takes_identity = takes_identity
+        self._identity_keys = identity_keys
         self._ending = about.ending
         self.shown = about.shown
 
@@ -261,6 +267,7 @@ class Verb(click.Command):
             args,
             keys=self._cell_keys if self._reads_cell else None,
             takes_identity=self._takes_identity,
+            identity_keys=self._identity_keys,
         )
         return super().parse_args(ctx, words)
 
@@ -365,6 +372,13 @@ def words_given() -> tuple[str, ...]:
     return tuple(click.get_current_context().meta[_WORDS])
 
 
+def words_to_repeat() -> tuple[str, ...]:
+    """Return the words of :func:`words_given` for a further command: without those that only say
+    what this one prints.
+    """
+    return tuple(word for word in words_given() if word not in _PRINTING)
+
+
 def verb(
     arguments: type[A],
     *,
@@ -373,7 +387,7 @@ def verb(
     defaults: Mapping[str, Any] | None = None,
     shown: tuple[str, ...] | None = None,
     ending: Callable[[], str] | None = None,
-    cell: Literal["read", "read, written", "written", "none"] = "read",
+    cell: Literal["read", "read issuer", "read, written", "written", "none"] = "read",
 ) -> Callable[[Callable[[A], Exit]], Verb]:
     """Return a decorator that makes a command of a function of typed arguments; its docstring is
     the help text.
@@ -391,7 +405,8 @@ def verb(
         ending: makes lines after the examples, called only when the help text is shown; default:
             none.
         cell: whether a cell file gives what the command line leaves out, and whether the command
-            writes one where there is none.
+            writes one where there is none; of the identity "read issuer" takes only who issues
+            it, and for whom.
     """
     codes = sorted({Exit.DONE, Exit.USAGE, Exit.BAD_INPUT, *exits})
     meanings = "; ".join(f"{int(code)} {code.meaning}" for code in codes)
@@ -419,6 +434,7 @@ def verb(
             about=VerbHelp(shown, ending),
             reads_cell=reads_any,
             takes_identity=states_identity or cell.endswith("written"),
+            identity_keys=_ISSUER if cell == "read issuer" else None,
             context_settings={"help_option_names": ["-h", "--help"]},
             help=inspect.getdoc(function),
             epilog=f"\b\n{examples.strip()}\n\nExit codes: {meanings}.",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,7 @@ class _Taken:
         keys: what it gives.
         given: what the command line gives of a cell, by key.
         identity: what the command line states, by key.
+        stated: what the cell file gives of the identity, by key.
         beyond: words of the command line that no cell file holds.
         written: the cell file that the command wrote.
     """
@@ -71,6 +72,7 @@ class _Taken:
     keys: list[str] = field(default_factory=list)
     given: dict[str, Any] = field(default_factory=dict)
     identity: dict[str, str] = field(default_factory=dict)
+    stated: dict[str, str] = field(default_factory=dict)
     beyond: list[str] = field(default_factory=list)
     written: Path | None = None
 
@@ -82,6 +84,7 @@ def filled_from_cell(
     *,
     keys: Mapping[str, str] | None,
     takes_identity: bool,
+    identity_keys: Collection[str] | None,
 ) -> list[str]:
     """Return the words of a command line with what a cell file and ``--set`` give; Click's defaults
     are set.
@@ -93,6 +96,7 @@ def filled_from_cell(
         keys: keys of a cell file by the names of the parameters that they are for; None for a verb
             that reads no cell file.
         takes_identity: whether the verb has a use for an identity.
+        identity_keys: what of the identity a cell file may give; None for all.
 
     Raises:
         BadInputError: for a cell file that can't be read or has a value that is none.
@@ -103,7 +107,15 @@ def filled_from_cell(
     except click.UsageError:
         # It is told when the words are read again.
         return words
-    reader = _Reader(command, context, keys or {}, given, takes_identity, keys is not None)
+    reader = _Reader(
+        command,
+        context,
+        keys or {},
+        given,
+        takes_identity,
+        identity_keys,
+        keys is not None,
+    )
     return reader.words(words)
 
 
@@ -117,6 +129,7 @@ class _Reader:
         keys: keys of a cell file by the names of parameters.
         given: what stands on the command line, as text, by the names of parameters.
         takes_identity: whether the verb has a use for an identity.
+        identity_keys: what of the identity a cell file may give; None for all.
         reads_cell: whether the verb reads a cell file.
     """
 
@@ -125,6 +138,7 @@ class _Reader:
     keys: Mapping[str, str]
     given: Mapping[str, Any]
     takes_identity: bool
+    identity_keys: Collection[str] | None
     reads_cell: bool
 
     def words(self, words: list[str]) -> list[str]:
@@ -279,8 +293,10 @@ class _Reader:
         stated = {
             key: value
             for key, value in cell.identity.items()
+            if self.identity_keys is None or key in self.identity_keys
             if not (is_other and key in ("robot", "controller"))
         }
+        taken.stated = stated
         if stated:
             taken.keys.append(f"{IDENTITY} ({', '.join(stated)})")
         return [word for key, value in stated.items() for word in ("--set", f"id.{key}={value}")]
@@ -373,6 +389,16 @@ def tell_cell() -> None:
     taken = _taken()
     if taken is not None and taken.cell is not None and taken.keys:
         click.echo(f"{taken.cell.path}: {', '.join(taken.keys)}", err=True)
+
+
+def identity_of_cell() -> dict[str, str]:
+    """Return what the present command takes from the cell file of the identity, and its command
+    line does not state.
+    """
+    taken = _taken()
+    if taken is None:
+        return {}
+    return {key: of for key, of in taken.stated.items() if key not in taken.identity}
 
 
 def came_from_cell(key: str) -> bool:

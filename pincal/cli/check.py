@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pincal.cli.arguments import group, option, verb, words_given
+from pincal.cli.arguments import group, option, verb, words_given, words_to_repeat
 from pincal.cli.cell_defaults import words_beyond_cell, written_cell
 from pincal.cli.common import CalibrationOptions, GeneralOptions, InputOptions, verbose_option
 from pincal.cli.outputs import print_json, problem_report
@@ -139,7 +139,7 @@ def _calibrating(found: DataReport, source: InputOptions) -> str:
     from pincal.report.words import noise_to_state
 
     beyond = words_beyond_cell()
-    words = words_given() if beyond is None else (*map(str, source.data), *beyond)
+    words = words_to_repeat() if beyond is None else (*map(str, source.data), *beyond)
     command = shlex.join(["pincal", "calibrate", *(word for word in words if word != DRY)])
     ask = noise_to_state(found.noise)
     return f"{command} {ask}  # your instrument's" if ask else command

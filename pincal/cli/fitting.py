@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from pincal.cli.arguments import group, option, verb, words_given
+from pincal.cli.arguments import group, option, verb, words_to_repeat
 from pincal.cli.check import DRY, run_check
 from pincal.cli.common import (
     CalibrationOptions,
@@ -280,7 +280,7 @@ def _commands(arguments: FitArguments, result: Result) -> dict[Act, str]:
     from pincal.report.judgement import Act, noise_option
 
     verb = click.get_current_context().info_name
-    words = shlex.join(words_given())
+    words = shlex.join(words_to_repeat())
     model = shlex.quote(str(arguments.out / "model.json"))
     noise = f"pincal {verb} {words} {noise_option(result)}"
     return {

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from pincal.cli.arguments import option, pair
+from pincal.cli.cell_defaults import identity_of_cell
 from pincal.errors import BadInputError
 from pincal.identity import KEYS, Identity
 
@@ -49,13 +50,26 @@ class IdentityOptions:
     @property
     def given(self) -> Identity:
         """What was stated; of a key given twice the last value."""
-        return Identity.of(
-            {
-                key.removeprefix(_PREFIX): value
-                for key, value in self.entries
-                if key.startswith(_PREFIX)
-            }
-        )
+        return Identity.of(self._stated)
+
+    @property
+    def _stated(self) -> dict[str, str]:
+        return {
+            key.removeprefix(_PREFIX): value
+            for key, value in self.entries
+            if key.startswith(_PREFIX)
+        }
+
+    @property
+    def of_cell(self) -> Identity:
+        """What the cell file states, and the command line does not."""
+        return Identity.of(identity_of_cell())
+
+    @property
+    def without_cell(self) -> Identity:
+        """What the command line states."""
+        of_cell = identity_of_cell()
+        return Identity.of({k: value for k, value in self._stated.items() if k not in of_cell})
 
     def of_model(self, known: Identity, path: Path) -> Iterator[str]:
         """Yield a note where it can't be checked that a model is of the robot stated, and where

@@ -281,7 +281,10 @@ class _Ended:
         # Without any effect a robot that the readings do not improve stays as in its URDF.
         harmless = first.fit if named.steps else without_harm(first.fit)
         is_kept = harmless.is_kept
-        trail, rest = with_remainder(named) if remainder and not is_kept else (named, None)
+        trail = named
+        rest = None
+        if remainder and not is_kept:
+            trail, rest = with_remainder(named)
         fit = harmless if is_kept else widened(named, trail.final)
         traces = partial_residuals(trail)
         # Rows that the first model could not describe may be sound.

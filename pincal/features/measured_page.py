@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from pincal.errors import counted, few
 from pincal.features.measured_file import FeatureEntry, MeasuredFile, ValueEntry
@@ -75,13 +76,14 @@ def verdict_words(found: MeasuredFile) -> str:
     return f"The part conforms: all of {counted(decided, 'value')}."
 
 
+_FILE = "measured.json#"
 _COLUMNS = (
     Column("feature", kind=Kind.NAME),
     Column("quantity", kind=Kind.LABEL),
-    Column("nominal", kind=Kind.NUMBER),
-    Column("value", kind=Kind.NUMBER),
-    Column("deviation", kind=Kind.NUMBER),
-    Column("U", kind=Kind.NUMBER),
+    Column("nominal", kind=Kind.NUMBER, key="nominal"),
+    Column("value", kind=Kind.NUMBER, key="value"),
+    Column("deviation", kind=Kind.NUMBER, key="deviation"),
+    Column("U", kind=Kind.NUMBER, key="U"),
     Column("unit", kind=Kind.LABEL),
     Column("limits", kind=Kind.LABEL),
     Column("decision", kind=Kind.STATUS),
@@ -98,7 +100,12 @@ def value_table(found: MeasuredFile) -> Table:
         for name, value in feature.values.items()
         if name in QUANTITIES[feature.kind]
     ]
-    return _values(chosen, _COLUMNS, (_EXPANDED, f"Decision rule: {found.rule}."))
+    places = {id(feature): i for i, feature in enumerate(found.features)}
+    sources = tuple(
+        f"{_FILE}/features/{places[id(feature)]}/values/{name}/{{}}" for feature, name, _ in chosen
+    )
+    table = _values(chosen, _COLUMNS, (_EXPANDED, f"Decision rule: {found.rule}."))
+    return replace(table, sources=sources)
 
 
 def short_table(found: MeasuredFile) -> Table:
@@ -167,9 +174,9 @@ def budget_table(found: MeasuredFile) -> Table:
     columns = (
         Column("source"),
         Column("type", kind=Kind.LABEL),
-        Column("u", "mm", Kind.NUMBER, fixed(4)),
-        Column("degrees of freedom", kind=Kind.NUMBER, show=_degrees),
-        Column("share", kind=Kind.NUMBER, show=show_percent),
+        Column("u", "mm", Kind.NUMBER, fixed(4), key="u"),
+        Column("degrees of freedom", kind=Kind.NUMBER, show=_degrees, key="dof"),
+        Column("share", kind=Kind.NUMBER, show=show_percent, key="share"),
     )
     rows = tuple(
         (_SOURCES.get(of.source, of.source), of.type, of.u, of.dof, of.share) for of in found.budget
@@ -178,25 +185,34 @@ def budget_table(found: MeasuredFile) -> Table:
         "Root mean square over all lengths of all features; measured.json has the sources of each "
         "quantity. Type A: by statistics of observations; B: by other means (JCGM 100).",
     )
-    return Table("Where the uncertainty comes from", columns, rows, notes)
+    sources = tuple(f"{_FILE}/budget/{k}/{{}}" for k in range(len(rows)))
+    return Table("Where the uncertainty comes from", columns, rows, notes, sources=sources)
 
 
 def _degrees(dof: float | None) -> str:
     return "infinite" if dof is None else f"{dof:.0f}"
 
 
+_REPEAT_COLUMNS = (
+    Column("feature", kind=Kind.NAME),
+    Column("quantity", kind=Kind.LABEL),
+    Column("passes", kind=Kind.NUMBER, key="passes"),
+    Column("s of a pass", kind=Kind.NUMBER, show=fixed(4), key="s"),
+    Column("95 % interval", kind=Kind.LABEL, key="s_interval/0 s_interval/1"),
+    Column("unit", kind=Kind.LABEL),
+    Column("Cg", kind=Kind.NUMBER, show=fixed(2), key="cg"),
+    Column("Cgk", kind=Kind.NUMBER, show=fixed(2), key="cgk"),
+)
+
+
 def repeat_table(found: MeasuredFile) -> Table | None:
     """Return how well the quantities were repeated; None for a single pass."""
-    columns = (
-        Column("feature", kind=Kind.NAME),
-        Column("quantity", kind=Kind.LABEL),
-        Column("passes", kind=Kind.NUMBER),
-        Column("s of a pass", kind=Kind.NUMBER, show=fixed(4)),
-        Column("95 % interval", kind=Kind.LABEL),
-        Column("unit", kind=Kind.LABEL),
-        Column("Cg", kind=Kind.NUMBER, show=fixed(2)),
-        Column("Cgk", kind=Kind.NUMBER, show=fixed(2)),
-    )
+    chosen = [
+        (f"{_FILE}/features/{i}/repeatability/{k}/{{}}", feature, of)
+        for i, feature in enumerate(found.features)
+        for k, of in enumerate(feature.repeatability)
+        if of.quantity in QUANTITIES[feature.kind]
+    ]
     rows: tuple[tuple[Cell, ...], ...] = tuple(
         (
             feature.name,
@@ -208,27 +224,29 @@ def repeat_table(found: MeasuredFile) -> Table | None:
             of.cg,
             of.cgk,
         )
-        for feature in found.features
-        for of in feature.repeatability
-        if of.quantity in QUANTITIES[feature.kind]
+        for _, feature, of in chosen
     )
     notes = (
         "Cg and Cgk of type 1 need two limits and ten passes; Cgk takes the nominal for the true "
         "value, as of a calibrated artefact.",
     )
-    return Table("Repeatability", columns, rows, notes) if rows else None
+    sources = tuple(source for source, _, _ in chosen)
+    return Table("Repeatability", _REPEAT_COLUMNS, rows, notes, sources=sources) if rows else None
 
 
 _GAUGE_COLUMNS = (
-    Column("of", kind=Kind.NAME),
+    Column("of", kind=Kind.NAME, key="parts"),
     Column("quantity", kind=Kind.LABEL),
-    *(Column(name, kind=Kind.NUMBER, show=fixed(4)) for name in ("EV", "AV", "GRR")),
-    Column("95 % interval", kind=Kind.LABEL),
-    Column("PV", kind=Kind.NUMBER, show=fixed(4)),
+    *(
+        Column(name, kind=Kind.NUMBER, show=fixed(4), key=name.lower())
+        for name in ("EV", "AV", "GRR")
+    ),
+    Column("95 % interval", kind=Kind.LABEL, key="grr_interval/0 grr_interval/1"),
+    Column("PV", kind=Kind.NUMBER, show=fixed(4), key="pv"),
     Column("unit", kind=Kind.LABEL),
-    Column("%GRR", kind=Kind.NUMBER, show=show_percent),
-    Column("ndc", kind=Kind.NUMBER),
-    Column("P/T", kind=Kind.NUMBER, show=show_percent),
+    Column("%GRR", kind=Kind.NUMBER, show=show_percent, key="share"),
+    Column("ndc", kind=Kind.NUMBER, key="ndc"),
+    Column("P/T", kind=Kind.NUMBER, show=show_percent, key="of_tolerance"),
 )
 
 
@@ -260,7 +278,9 @@ def gauge_table(found: MeasuredFile) -> Table | None:
         "analysis of variance (AIAG MSA): EV repeatability, AV reproducibility between appraisers, "
         "PV between features; %GRR: of the total, P/T: six GRR of the tolerance.",
     )
-    return Table("Gauge repeatability and reproducibility", _GAUGE_COLUMNS, rows, notes)
+    sources = tuple(f"{_FILE}/gauge/{k}/{{}}" for k in range(len(rows)))
+    title = "Gauge repeatability and reproducibility"
+    return Table(title, _GAUGE_COLUMNS, rows, notes, sources=sources)
 
 
 def closing_lines(found: MeasuredFile) -> Iterator[str]:
@@ -333,23 +353,23 @@ def _next_steps(found: MeasuredFile) -> Iterator[str]:
 
 
 def _form(found: MeasuredFile) -> Section | None:
+    chosen = [(i, of) for i, of in enumerate(found.features) if of.kind not in DERIVED_KINDS]
     rows: tuple[tuple[Cell, ...], ...] = tuple(
-        (of.name, of.kind, of.form_mm, of.readings, of.stops)
-        for of in found.features
-        if of.kind not in DERIVED_KINDS
+        (of.name, of.kind, of.form_mm, of.readings, of.stops) for _, of in chosen
     )
     columns = (
         Column("feature", kind=Kind.NAME),
         Column("kind", kind=Kind.LABEL),
-        Column("form", "mm", Kind.NUMBER, fixed(4)),
-        Column("readings", kind=Kind.NUMBER),
-        Column("stops", kind=Kind.NUMBER),
+        Column("form", "mm", Kind.NUMBER, fixed(4), key="form_mm"),
+        Column("readings", kind=Kind.NUMBER, key="readings"),
+        Column("stops", kind=Kind.NUMBER, key="stops"),
     )
     notes = (
         "Form: peak-to-valley deviation of the points from the fitted feature; it contains the "
         "errors of the points.",
     )
-    table = Table("Form and readings", columns, rows, notes)
+    sources = tuple(f"{_FILE}/features/{i}/{{}}" for i, _ in chosen)
+    table = Table("Form and readings", columns, rows, notes, sources=sources)
     return Section("form", "Form", (table,), label="Form")
 
 

@@ -83,13 +83,14 @@ def recursion(phi, share, gaps, counted):
 
 
 @compiled(nogil=True)
-def filtered(columns, order, decay, gain, scale, back):
+def filtered(columns, weights, order, decay, gain, scale, back):
     """Return the innovations of columns, shape (D, m, N), along rows in an order, each times its
     scale (a Kalman filter).
 
     The prediction of a row is ``decay`` times the last estimate, which is corrected by ``gain``
-    times the innovation; order has shape (N,), the others (m, N), in this order. With ``back``
-    columns are returned for given innovations.
+    times the innovation; order has shape (N,), the others (m, N), in this order. Rows are filtered
+    times ``weights``, shape (N,), and returned without. With ``back`` columns are returned for
+    given innovations.
     """
     n_columns, m, n = columns.shape
     out = np.empty_like(columns)
@@ -101,11 +102,13 @@ def filtered(columns, order, decay, gain, scale, back):
             known[:] = 0.0
             for k in range(n):
                 row = order[k]
+                weight = weights[row]
                 for c in range(size):
                     before = known[c] * decay[i, k]
-                    here = columns[first + c, i, row]
+                    here = columns[first + c, i, row] * weight
                     beyond = here / scale[i, k] if back else here - before
-                    out[first + c, i, row] = before + beyond if back else beyond * scale[i, k]
+                    found = before + beyond if back else beyond * scale[i, k]
+                    out[first + c, i, row] = found / weight
                     known[c] = before + gain[i, k] * beyond
     return out
 
@@ -185,15 +188,19 @@ class Serial:
         """
         return -2.0 * float(np.sum(np.log(self._recursion[3])))
 
-    def innovations(self, columns: np.ndarray) -> np.ndarray:
-        """Return columns of all rows, shape (D, m, N), whitened to white noise of the same size."""
+    def innovations(self, columns: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
+        """Return columns of all rows, shape (D, m, N), whitened to white noise of the same size;
+        it is that of rows times ``weights``, shape (N,), by default 1.
+        """
         if self.turns is not None:
             columns = turned_into(self.turns, columns)
-        return np.asarray(filtered(np.ascontiguousarray(columns), *self._recursion, False))
+        weights = np.ones(columns.shape[2]) if weights is None else np.ascontiguousarray(weights)
+        return np.asarray(filtered(np.ascontiguousarray(columns), weights, *self._recursion, False))
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
         """Return white noise, shape (m, N), with this correlation."""
-        found = np.asarray(filtered(np.ascontiguousarray(noise[None]), *self._recursion, True)[0])
+        columns = np.ascontiguousarray(noise[None])
+        found = np.asarray(filtered(columns, np.ones(noise.shape[1]), *self._recursion, True)[0])
         return found if self.turns is None else turned_into(self.turns.swapaxes(1, 2), found)
 
 

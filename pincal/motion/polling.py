@@ -15,7 +15,9 @@ are those of the samples.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +37,8 @@ _FINE: Count = 2
 _PARTS: Count = 12
 _BEATS: Scale = 3.0
 _DEGREE: Count = 2
+# Part of the usual variance of delays from which on a part of a log tells their size.
+_TOLD: Scale = 0.3
 # Lines that are tried, and their width in those of a log.
 _PEAKS: Count = 6
 _WIDTH: Scale = 2.0
@@ -64,8 +68,8 @@ def at_samples(arm: MovingArm, imu: Stream, clock: Clock, mount: np.ndarray) -> 
     is_sure = np.abs(since - np.round(since)) > POLLING.unsure
     found = replace(imu, time=imu.time - line.late(imu.time)).select(is_new & is_sure)
     warn(
-        f"{imu.name}: its rates are late by up to a sample, as where an IMU that takes one every "
-        f"{1e3 * line.period:.5g} ms is polled; the times of its samples are used instead, "
+        f"{imu.name}: its rates are late by varying parts of a sample, as where an IMU with one "
+        f"every {1e3 * line.period:.5g} ms is polled; the times of its samples are used instead, "
         f"{len(imu) - len(found)} rows close to two samples are left out: log the device's own "
         "stamps"
     )
@@ -144,16 +148,31 @@ class _Delays:
         middles = [part.mean() for part in np.array_split(self.time, count)]
         return np.array(found), np.array(middles)
 
-    def explained_by(self, line: _Line) -> tuple[float, float]:
-        """Return by how much a line reduces the sum of squared residuals [rad^2/s^2], and the size
-        of its delays for that relative to those of polls.
-        """
+    def parts(self) -> Iterator[_Delays]:
+        """Yield the log, and parts of it in the order of time."""
+        yield self
+        for rows in np.array_split(np.arange(len(self.time)), _PARTS):
+            yield _Delays(self.time[rows], self.products[rows], self.squares[rows], self.start)
+
+    def explained_by(self, line: _Line) -> _Explained:
+        """Return what delays by a line explain."""
         late = line.late(self.time + self.start)
         late -= np.average(late, weights=self.squares)
         known = float(np.sum(self.squares * late**2))
         size = -float(np.sum(self.products * late)) / max(known, 1e-300)
+        usual = float(np.sum(self.squares)) * line.period**2 / 12.0
         # A later reading never has residuals of the other sign.
-        return (size**2 * known if size > 0.0 else 0.0), size
+        return _Explained(max(size, 0.0) ** 2 * known, size, known > _TOLD * usual)
+
+
+class _Explained(NamedTuple):
+    """What delays explain: by how much the sum of squared residuals falls [rad^2/s^2], their size
+    for that relative to those of polls, and whether enough samples are passed to tell it.
+    """
+
+    gain: float
+    size: float
+    tells: bool
 
 
 @dataclass(frozen=True)
@@ -199,9 +218,16 @@ def _line(delays: _Delays) -> _Line | None:
         peak = float(frequencies[np.argmax(left)])
         left[np.abs(frequencies - peak) < width] = 0.0
         line = _with_phases(delays, peak)
-        found.append((*delays.explained_by(line), line))
-    _, size, best = max(found, key=lambda one: one[0])
-    return best if POLLING.least < size < 1.0 / POLLING.least else None
+        found.append((delays.explained_by(line).gain, line))
+    _, best = max(found, key=lambda one: one[0])
+    return best if all(_is_of_polls(part.explained_by(best)) for part in delays.parts()) else None
+
+
+def _is_of_polls(explained: _Explained) -> bool:
+    """Return whether delays are those of polls, if a part of a log tells: a clock that stepped, or
+    a device that was reset, has others from there on.
+    """
+    return not explained.tells or POLLING.least < explained.size < 1.0 / POLLING.least
 
 
 def _with_phases(delays: _Delays, frequency: float) -> _Line:

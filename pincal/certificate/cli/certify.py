@@ -30,8 +30,8 @@ Examples:
   pincal certificate results --out results --set "id.laboratory=Example Ltd" --set id.country=DE
 
 DIR then holds certificate.html, one page of A4 to print and sign, and dcc.xml, the same as a
-digital calibration certificate of PTB. What neither the model nor --set states is marked as not
-stated.
+digital calibration certificate of PTB. Laboratory, customer and country that neither --set nor the
+model states are taken from the cell file; the rest is marked as not stated.
 """
 
 
@@ -90,7 +90,7 @@ class CertificateArguments:
         return beside if self.out is None else self.out
 
 
-@verb(CertificateArguments, examples=_EXAMPLES, cell="none")
+@verb(CertificateArguments, examples=_EXAMPLES, cell="read issuer")
 def certificate(arguments: CertificateArguments) -> Exit:
     """Certify a calibrated robot, or a measured part.
 
@@ -119,9 +119,9 @@ def _certificate(arguments: CertificateArguments) -> Certificate:
     from pincal.io.result_folder import MODEL
 
     day = arguments.issued or datetime.datetime.now(tz=datetime.UTC).date()
-    issue = Issue(number=arguments.number, day=day)
     source = arguments.source
-    stated = arguments.identity.given
+    stated = arguments.identity.without_cell
+    issue = Issue(number=arguments.number, day=day, usual=arguments.identity.of_cell)
     if source.name == MEASURED and source.is_file():
         return certificate_of_measured(source.parent, stated, issue)
     if not source.is_dir():

@@ -91,6 +91,15 @@ def print_discovery(found: Discovery, out: Console) -> None:
     print_elsewhere(found.calibration.result, out)
     for entry in findings.effects:
         _print_effect(entry, out)
+    _print_nameless(findings, out)
+    joints = found.calibration.fit.problem.chain.robot.joint_names
+    lost = ((e.effect, e.joint, e.reason) for e in findings.not_testable)
+    for line in not_testable(lost, len(joints)):
+        out.print(line)
+
+
+def _print_nameless(findings: Findings, out: Console) -> None:
+    """Print what scatters, and what is smooth and has no name."""
     for scatter in findings.scatter:
         text = (
             f"{scatter.joint} scatters by {scatter.sigma_rad * 1e3:.3f} mrad; record "
@@ -99,10 +108,6 @@ def print_discovery(found: Discovery, out: Console) -> None:
         out.print(one_line(text), markup=False)
     if findings.remainder is not None:
         out.print(hanging("unnamed, smooth", smooth_words(findings.remainder)))
-    joints = found.calibration.fit.problem.chain.robot.joint_names
-    lost = ((e.effect, e.joint, e.reason) for e in findings.not_testable)
-    for line in not_testable(lost, len(joints)):
-        out.print(line)
 
 
 def _print_effects(findings: Findings, out: Console) -> None:

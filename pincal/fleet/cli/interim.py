@@ -129,7 +129,8 @@ def interim_verb(arguments: InterimArguments) -> Exit:
     # Of two runs at once, the later one would replace the check of the other.
     with one_at_a_time(path.parent) if path.parent.is_dir() else nullcontext():
         if table is None:
-            record, note = _withdrawn(arguments, fitted, path), None
+            record = _withdrawn(arguments, fitted, path)
+            note = None
         else:
             record, note = _recorded(arguments, fitted, table, path)
     notes += [note] if note is not None else []

@@ -121,9 +121,11 @@ class SmoothRemainder(Effect):
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Amplitudes of the sums of waves of each place in turn [rad or m]."""
         size = self.size / float(np.sqrt(self.count))
-        unit, of = ("rad", "{}.smooth_{}") if self.moves == "drive" else ("m", "arm.smooth_{}_{}")
+        is_of_drives = self.moves == "drive"
+        label = "{}.smooth_{}" if is_of_drives else "arm.smooth_{}_{}"
+        unit = "rad" if is_of_drives else "m"
         return tuple(
-            Parameter(of.format(place, k + 1), unit, self.name, 0.0, size / norm)
+            Parameter(label.format(place, k + 1), unit, self.name, 0.0, size / norm)
             for place, sums in zip(self.erring, self.sums, strict=True)
             for k, norm in enumerate(np.linalg.norm(sums, axis=1).tolist())
         )
