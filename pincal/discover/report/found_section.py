@@ -229,14 +229,7 @@ def _card(k: int, entry: FoundEffect, others: Sequence[FoundEffect]) -> Markup:
         for name, p in values.items()
     )
     shown = merged(lines, "<br>")
-    names = [effect_words(other) for other in others]
-    together = f", together with {few(names, _FEW)}" if names else ""
-    explained = rich(
-        'mean held-out error {}{}; p-value: <span class="nw">{}</span>.',
-        sourced(gain_words(entry), *_gain_pointers(at, entry)),
-        together,
-        sourced(show_chance(entry.p_value), f"{at}/p_value"),
-    )
+    explained = _gain(at, entry, others)
     often = f" The search names it {entry.stability} subsamples." if entry.stability else ""
     blocks = [
         paragraph(effect_meaning(entry.effect), "mute"),
@@ -254,6 +247,20 @@ def _card(k: int, entry: FoundEffect, others: Sequence[FoundEffect]) -> Markup:
         decide = f" To distinguish them: {entry.tell_apart}." if entry.tell_apart else ""
         blocks.append(paragraph(f"Could also be: {alternatives}.{decide}", "care"))
     return card(effect_words(entry), *blocks)
+
+
+def _gain(at: str, entry: FoundEffect, others: Sequence[FoundEffect]) -> Markup:
+    """Return by how much an effect, with what entered the model together with it, reduced the
+    error, and its p-value.
+    """
+    names = [effect_words(other) for other in others]
+    together = f", together with {few(names, _FEW)}" if names else ""
+    return rich(
+        'mean held-out error {}{}; p-value: <span class="nw">{}</span>.',
+        sourced(gain_words(entry), *_gain_pointers(at, entry)),
+        together,
+        sourced(show_chance(entry.p_value), f"{at}/p_value"),
+    )
 
 
 def _gain_pointers(at: str, entry: FoundEffect) -> list[str]:
