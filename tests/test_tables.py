@@ -38,7 +38,8 @@ class Cells(HTMLParser):
             self.rows.append([])
         if tag in ("td", "th"):
             self.rows[-1].append("")
-        self._inside = tag in ("td", "th")
+        # Where a line may break, the text goes on.
+        self._inside = tag in ("td", "th") or (self._inside and tag == "wbr")
 
     def handle_endtag(self, tag):
         """End a cell."""

@@ -97,7 +97,7 @@ def test_it_introduces_itself_in_a_few_words(found: pincal.FittedRobot) -> None:
     """The repr fits a line, the summary a few, and a notebook shows the table of parameters."""
     assert "kuka_kr125_2" in repr(found) and len(repr(found)) < 120
     assert "kuka_kr125_2, 6 joints from" in found.summary() and len(found.summary().splitlines()) <= 4
-    assert "<table" in found._repr_html_() and "joint_2.s_x" in found._repr_html_()
+    assert "<table" in found._repr_html_() and "joint_2.s_x" in found._repr_html_().replace("<wbr>", "")
 
 
 def test_what_only_base_and_tool_explain_travels_with_the_file(fit: pincal.FittedRobot, tmp_path: Path) -> None:
