@@ -6,6 +6,7 @@ structures. Structures of files of satellites are handed in.
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,8 @@ def schema_of(name: str) -> dict[str, Any]:
         >>> schema_of("camera")["$defs"]["CameraFile"]["required"]
         ['fx', 'fy', 'u0', 'v0']
     """
-    return {"$schema": _DRAFT, **msgspec.json.schema(structure_of(name), schema_hook=_own)}
+    schema = msgspec.json.schema(structure_of(name), schema_hook=_own)
+    return {"$schema": _DRAFT, **_with_even_margins(schema)}
 
 
 def shipped(name: str) -> Path:
@@ -70,6 +72,20 @@ def shipped(name: str) -> Path:
 def text_of(name: str) -> str:
     """Return the schema of a file as text."""
     return json.dumps(schema_of(name), indent=1, sort_keys=True) + "\n"
+
+
+def _with_even_margins(node: Any) -> Any:
+    """Return a part of a schema with its descriptions free of the indent of their docstrings, which
+    some versions of Python and of msgspec leave in.
+    """
+    if isinstance(node, list):
+        return [_with_even_margins(each) for each in node]
+    if not isinstance(node, dict):
+        return node
+    found = {key: _with_even_margins(value) for key, value in node.items()}
+    if isinstance(text := found.get("description"), str):
+        found["description"] = inspect.cleandoc(text)
+    return found
 
 
 def _own(kind: type) -> dict[str, Any]:
