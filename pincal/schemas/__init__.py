@@ -31,6 +31,8 @@ _FILES: dict[str, type] = {
 }
 _FURTHER: Place[type] = Place("schemas")
 _DRAFT = "https://json-schema.org/draft/2020-12/schema"
+# Keywords that not all supported versions of msgspec write; 0.23 is the first with this one.
+_OF_SOME_VERSIONS = ("propertyNames",)
 
 
 def names() -> tuple[str, ...]:
@@ -61,7 +63,7 @@ def schema_of(name: str) -> dict[str, Any]:
         ['fx', 'fy', 'u0', 'v0']
     """
     schema = msgspec.json.schema(structure_of(name), schema_hook=_own)
-    return {"$schema": _DRAFT, **_with_even_margins(schema)}
+    return {"$schema": _DRAFT, **_as_of_all_versions(schema)}
 
 
 def shipped(name: str) -> Path:
@@ -74,15 +76,20 @@ def text_of(name: str) -> str:
     return json.dumps(schema_of(name), indent=1, sort_keys=True) + "\n"
 
 
-def _with_even_margins(node: Any) -> Any:
-    """Return a part of a schema with its descriptions free of the indent of their docstrings, which
-    some versions of Python and of msgspec leave in.
+def _as_of_all_versions(node: Any) -> Any:
+    """Return a part of a schema as all supported versions of Python and msgspec write it.
+
+    Some leave the indent of docstrings in descriptions.
     """
     if isinstance(node, list):
-        return [_with_even_margins(each) for each in node]
+        return [_as_of_all_versions(each) for each in node]
     if not isinstance(node, dict):
         return node
-    found = {key: _with_even_margins(value) for key, value in node.items()}
+    found = {
+        key: _as_of_all_versions(value)
+        for key, value in node.items()
+        if key not in _OF_SOME_VERSIONS
+    }
     if isinstance(text := found.get("description"), str):
         found["description"] = inspect.cleandoc(text)
     return found
