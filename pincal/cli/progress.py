@@ -13,7 +13,7 @@ import logging
 import re
 import sys
 import time
-from typing import TextIO
+from typing import Any, TextIO
 
 import click
 from rich.console import Console
@@ -106,7 +106,8 @@ def console() -> Console:
     end_progress()
     if sys.stdout.isatty():
         return Console(highlight=False)
-    return Console(width=_WIDTH, highlight=False, file=_Redirected(sys.stdout))  # type: ignore[arg-type]
+    plain: Any = _Redirected(sys.stdout)
+    return Console(width=_WIDTH, highlight=False, file=plain)
 
 
 def _left(seconds: float, done: float, of: float) -> str:

@@ -619,7 +619,8 @@ class RemainderNumbers:
         "probability",
         _WORSE,
         "by chance, of a region that is left out being predicted as much worse than by geometry "
-        "and elasticity; below it a remainder does not enter",
+        "and elasticity, or by the names too if they are worse there; below it a remainder does "
+        "not enter",
         "chosen: about two standard errors; of 25 regions every other one has few rows",
     )
 
