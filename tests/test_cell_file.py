@@ -125,6 +125,9 @@ def test_a_file_of_the_cell_that_is_overridden_may_be_gone(folder: Path, capsys:
     assert "cell.toml: points = 'gone.csv'" in capsys.readouterr().err
     assert run("check", "tracker.csv") == 3
     assert "cell.toml: robot = 'gone.urdf': there is no such file; expected one" in capsys.readouterr().err
+    cell('robot = "ur99"\n')
+    assert run("check", "tracker.csv") == 3
+    assert "cell.toml: robot = 'ur99' is neither a file nor a robot" in capsys.readouterr().err
     cell('robot = "gone.urdf"\nnoise = "0.05mm"\n')
     assert checked(capsys, "robot.urdf", "tracker.csv")[0]["noise"]["sigma_m"] == pytest.approx(5e-5)
 

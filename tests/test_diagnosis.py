@@ -164,7 +164,7 @@ def test_what_is_printed_of_an_unchanged_robot(same: tuple[FittedRobot, Measurem
     """Without a change there is no other one, in words or in the key of the table; far is not said in powers of ten."""
     found = pincal.diagnose(*same)
     far = msgspec.structs.replace(found.found.station, moved_mm=11107.525, turned_mrad=0.034891)
-    said = "\n".join(lines(msgspec.structs.replace(found.found, station=far)))
+    said = "\n".join(text for _, text in lines(msgspec.structs.replace(found.found, station=far)))
     notes = " ".join(map(str, excluded_table(found.found, same[0].model.chain.robot.joint_names).notes))
 
     assert not found.changed

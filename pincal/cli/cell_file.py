@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from pincal.atomic import replacing
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, RobotFileError
 from pincal.identity import KEYS as ID_KEYS
 from pincal.identity import Identity
 from pincal.io.keyed_table import read_toml, require_known
@@ -133,7 +133,8 @@ class CellFile:
         return cls(path, located, _identity(path, stated))
 
     def require_file(self, key: str) -> None:
-        """Refuse a file that is not there, of a key that names one.
+        """Refuse a file that is not there, of a key that names one, and a robot that is neither a
+        file nor one of the library.
 
         Raises:
             BadInputError: with the key and the file.
@@ -147,6 +148,16 @@ class CellFile:
                 f"{self.path}, or another by the command line; --cell {NO_CELL} takes nothing from "
                 "the cell file"
             )
+        if key == "robot":
+            self._require_of_library(value)
+
+    def _require_of_library(self, name: str) -> None:
+        from pincal.robot.urdf_file import find_file
+
+        try:
+            find_file(name)
+        except RobotFileError as error:
+            raise BadInputError(f"{self.path}: robot = {error}") from None
 
 
 def _words(where: str, value: Any) -> Any:

@@ -86,7 +86,7 @@ def error_words(
     values: Mapping[str, float], by_way: Mapping[str, Mapping[str, float]], lead: str = ""
 ) -> tuple[str, list[str]]:
     """Return errors, and of which rows they are; further ways of leaving rows out follow with their
-    mean error.
+    mean error, unless it is the same.
 
     Args:
         values: the errors.
@@ -102,7 +102,8 @@ def error_words(
     others = [
         f"{result_tables.PARTS[way].removeprefix('held-out ')} {of[f'mean_{unit}']:.4f}"
         for way, of in by_way.items()
-        if way != own
+        # Of few rows each is left out alone, whichever way.
+        if of != values
     ]
     first = (lead or "no rows held out") if own is None else result_tables.PARTS[own]
     return words, [first, *others]
@@ -148,6 +149,24 @@ def arm_words(robot: Robot, option: str = " (--tip takes another link)") -> str:
 
 def _line(out: Console, name: str, text: str) -> None:
     out.print(hanging(f"{name:8s}", one_line(text)), markup=False)
+
+
+def print_lines(
+    lines: Iterable[tuple[str, str]], out: Console, *, following: str | None = None
+) -> None:
+    """Print headings and lines, each behind its heading, and what to do next.
+
+    Args:
+        lines: headings and lines.
+        out: where to print.
+        following: the command to give next, in one line whatever the width; None for none.
+    """
+    lines = tuple(lines)
+    width = max((len(heading) for heading, _ in lines), default=0)
+    for heading, text in lines:
+        out.print(hanging(f"{heading:{width}s}", text), markup=False)
+    if following is not None:
+        out.print(f"{'next':{width}s} {one_line(following)}", markup=False, soft_wrap=True)
 
 
 def print_result(result: Result, out: Console) -> None:

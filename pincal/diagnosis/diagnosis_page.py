@@ -35,7 +35,14 @@ from pincal.report.html import render
 from pincal.report.words import effect_meaning
 from pincal.result_table import Cell, Column, Kind, Table
 from pincal.thresholds import Count, Scale
-from pincal.units import fixed, format_small, readable_unit, show_chance, show_measured
+from pincal.units import (
+    fixed,
+    format_readable,
+    format_small,
+    readable_unit,
+    show_chance,
+    show_measured,
+)
 
 _STATISTICS = {"mean_mm": "mean", "p95_mm": "95 %", "max_mm": "worst"}
 _FILE = "diagnosis.json#"
@@ -44,6 +51,8 @@ _RIVAL = "alternative"
 # Number of parameters that are named in a line.
 _SHOWN: Count = 3
 _ARCSEC: Scale = 180.0 * 3600.0 / np.pi
+# Angle from which on an instrument was set up anew [mrad], and is not just a little off.
+_ANOTHER_SET_UP_MRAD: Scale = 100.0
 
 
 def headline(found: DiagnosisFile) -> str:
@@ -241,7 +250,7 @@ def set_up_words(found: DiagnosisFile) -> str:
     """Return the displacements of instrument and target in words."""
     at = found.station
     parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.2f} mm"]
-    parts += [] if at.turned_mrad is None else [f"turned by {at.turned_mrad:.2f} mrad"]
+    parts += [] if at.turned_mrad is None else [f"turned by {_turn(at.turned_mrad)}"]
     parts += (
         []
         if at.target_moved_mm is None
@@ -250,34 +259,41 @@ def set_up_words(found: DiagnosisFile) -> str:
     return ", ".join(parts) or "these readings do not determine the placement of the instrument"
 
 
-def lines(found: DiagnosisFile) -> Iterator[str]:
-    """Yield the summary of a diagnosis for the terminal."""
-    yield headline(found)
+def _turn(turned_mrad: float) -> str:
+    """Return an angle between two set-ups: how far one is off in mrad, another one in degrees."""
+    if turned_mrad < _ANOTHER_SET_UP_MRAD:
+        return f"{turned_mrad:.2f} mrad"
+    return f"{np.degrees(turned_mrad * 1e-3):.2f} deg"
+
+
+def lines(found: DiagnosisFile) -> Iterator[tuple[str, str]]:
+    """Yield the summary of a diagnosis for the terminal: headings and lines."""
+    yield "verdict", headline(found)
     for change in found.changes:
         if change.equivalent:
             yield (
-                f"  {in_words(change)} could also be {'; '.join(map(in_words, change.equivalent))}"
+                "or",
+                f"{'; '.join(map(in_words, change.equivalent))}, instead of {in_words(change)}; to "
+                f"distinguish: {change.tell_apart}",
             )
-            yield f"  to distinguish: {change.tell_apart}"
     before, after = (found.gap[key]["mean_mm"] for key in ("before", "after"))
-    if found.changed:
-        yield (
-            f"mean error {before:.4f} mm with the old model, {after:.4f} mm with the "
-            "re-identified one"
-        )
-    else:
-        yield f"mean error {before:.4f} mm"
-    yield f"{set_up_words(found)}; this is not a change of the robot"
+    mended = f" with the old model, {after:.4f} mm with the re-identified one"
+    yield "error", f"mean {before:.4f} mm{mended if found.changed else ''}"
+    yield "set-up", f"{set_up_words(found)}; this is not a change of the robot"
     if found.excluded:
-        first = [entry for entry in found.excluded if entry.effect == found.excluded[0].effect]
-        largest = max(first, key=lambda entry: entry.smallest)
-        size = format_small(largest.smallest, largest.unit)
-        kind = f"other {first[0].effect}" if found.changes else first[0].effect
-        yield (
-            f"excluded with 90 % probability: any {kind} of at least "
-            f"{size} ({largest.tip_mm:.2f} mm at "
-            f"the target); all {len(found.excluded)} in diagnosis.json"
-        )
+        yield "excluded", _excluded_words(found)
+
+
+def _excluded_words(found: DiagnosisFile) -> str:
+    """Return what the first kind of change that the poses exclude can be at most."""
+    kind = found.excluded[0].effect
+    of_kind = (entry for entry in found.excluded if entry.effect == kind)
+    largest = max(of_kind, key=lambda entry: entry.smallest)
+    return (
+        f"with 90 % probability: any {'other ' if found.changes else ''}{kind} of at least "
+        f"{format_readable(largest.smallest, largest.unit)} ({largest.tip_mm:.2f} mm at the "
+        f"target); all {len(found.excluded)} in diagnosis.json"
+    )
 
 
 def diagnosis_page(diagnosis: Diagnosis, *, version: str) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, partial, reduce
+from functools import cache, partial
 
 import numpy as np
 
@@ -43,7 +43,7 @@ from pincal.discover.levers import missing_from, situation_of
 from pincal.discover.policy import CURVES, TESTING, WAVES, Policy
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
 from pincal.discover.steps import SearchState, SearchStep, listed, named_step
-from pincal.identify.calibrate import refit
+from pincal.identify.calibrate import refitted_without
 from pincal.identify.fit import ModelFit, without
 from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.effect import Curve, Effect, ExponentialDrift, Family, Harmonic, Resolvable
@@ -150,7 +150,7 @@ def drop_unneeded(state: SearchState, search: Search) -> SearchState:
 
 
 def _refitted_without(fit: ModelFit, step: SearchStep) -> ModelFit:
-    return refit(fit, reduce(without, with_features(fit, step.effects), fit).options.effects)
+    return refitted_without(fit, with_features(fit, step.effects))
 
 
 def _fails(
@@ -361,7 +361,7 @@ def _with_whole(
     state: SearchState, step: SearchStep, whole: Decision, search: Search
 ) -> SearchState:
     """Return the state with a simple curve replaced by the whole curve of the drive."""
-    rest = without(state.fit, step.effect)
+    rest = refitted_without(state.fit, [step.effect])
     score = score_test_given_nuisances(rest, [whole.effect]).score([0], int(whole.row.among))
     new = named_step(rest, replace(whole, row=replace(whole.row, score=score)), search)
     log.info("%s is part of %s", listed(step.effects), listed(new.effects))

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Literal
 
 import numpy as np
@@ -42,7 +41,8 @@ from pincal.discover.scatter import Excess, find_excess
 from pincal.discover.shrink import PartialResidual, period_of
 from pincal.discover.smooth_rest import SmoothRest
 from pincal.discover.steps import History, SearchStep
-from pincal.identify.fit import ModelFit, without
+from pincal.identify.calibrate import refitted_without
+from pincal.identify.fit import ModelFit
 from pincal.identify.fit_levers import levers
 from pincal.model.catalogue import untestable
 from pincal.model.effect import Effect, Harmonic
@@ -428,13 +428,13 @@ def bootstrap_last(trail: History) -> Bootstrap | None:
 
     Data drawn from the model without it, with the estimated noise, are tested against all
     candidates, and the best score is compared with that of the real data. That tests the selection
-    as a whole, unlike the p-value of a single candidate. To first order nothing is refitted: with
+    as a whole, unlike the p-value of a single candidate. To first order no draw is fitted: with
     normal noise the projected products b' of the score tests are normal, with covariance S'.
     """
     steps = [step for step in trail.steps if not step.is_elastic]
     if not steps:
         return None
-    rest = reduce(without, steps[-1].effects, trail.final)
+    rest = refitted_without(trail.final, steps[-1].effects)
     tests = named_tests(rest, trail.extra, trail.policy, steps[-1].effects)
     return Bootstrap.of(
         steps[-1].effect, p_value=chance_of_best(tests, TESTING.drawn), draws=TESTING.drawn

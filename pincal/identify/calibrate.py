@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from enum import Enum
 from fnmatch import filter as filter_names
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ from pincal.identify.dependence import (
     with_serial,
 )
 from pincal.identify.equations import Linearised
-from pincal.identify.fit import FitStage, ModelFit, Solution
+from pincal.identify.fit import FitStage, ModelFit, Solution, without
 from pincal.identify.initial import begin
 from pincal.identify.many_rows import over_all
 from pincal.identify.noise import is_exact, rounding, usual_sizes
@@ -421,6 +422,15 @@ def refit(
         begun.values[begun.problem.places_at(effect)] = values
     begun = replace(begun, priors=priors_of(begun.problem, begun.options))
     return _solved(begun, begun.values if start is None else begun.solution, until=until)
+
+
+def refitted_without(fit: ModelFit, effects: Iterable[Effect]) -> ModelFit:
+    """Fit the same readings without some effects of a fit, all others jointly.
+
+    A test of what was left out needs it: unless the others are at their best, what they would take
+    up counts as noise.
+    """
+    return refit(fit, reduce(without, effects, fit).options.effects)
 
 
 def reweighted_by_visits(fit: ModelFit, tables: Mapping[str, Measurements]) -> ModelFit:

@@ -385,6 +385,7 @@ def _print_program(missed: dict[str, dict[str, float]], screen: Console) -> None
 
 
 def _print_collision(diagnosis: Diagnosis, screen: Console) -> None:
+    from pincal.cli.screen import print_lines
     from pincal.diagnosis.diagnosis_page import lines
 
     screen.rule("A collision")
@@ -393,8 +394,7 @@ def _print_collision(diagnosis: Diagnosis, screen: Console) -> None:
         "tracker has been moved.\n"
         f"{_HIT_ROWS} poses are measured. Has the robot changed, and if so, how?\n"
     )
-    for line in lines(diagnosis.found):
-        screen.print(line)
+    print_lines(lines(diagnosis.found), screen)
 
 
 def _print_files(out: Path, screen: Console) -> None:

@@ -4,6 +4,7 @@ to it.
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -138,7 +139,7 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
     if arguments.general.as_json:
         print_json(found.report)
     else:
-        _print_found(found.found)
+        _print_found(found.found, _next(found.found, arguments))
         click.echo(f"written to {arguments.out}: diagnosis.json model.json report.html")
     echo_notes([*found.found.warnings, *unchecked], quiet=arguments.general.quiet)
     if not found.found.is_judged:
@@ -148,15 +149,29 @@ def diagnose_verb(arguments: DiagnoseArguments) -> Exit:
     return Exit.CHANGED if found.changed else Exit.DONE
 
 
-def _print_found(found: DiagnosisFile) -> None:
-    """Print the doubts about a diagnosis, what changed, and the curves of the drives that did."""
+def _next(found: DiagnosisFile, arguments: DiagnoseArguments) -> str:
+    """Return the one thing to do next, as a command if there is one."""
+    model = shlex.quote(str(arguments.out / "model.json"))
+    named = [change for change in found.changes if change.parameters]
+    if named:
+        use = f"pincal compensate {model} PROGRAM.csv --out corrected.csv"
+        return f"{use}  # until {named[0].joint or 'the arm'} is repaired"
+    if found.changed or not found.is_judged:
+        return "measure more poses, and calibrate again"
+    words = shlex.join([str(arguments.model), str(arguments.data)])
+    return f"pincal update {words} --out updated  # takes these poses into the model"
+
+
+def _print_found(found: DiagnosisFile, following: str) -> None:
+    """Print the doubts about a diagnosis, what changed, what to do next, and the curves of the
+    drives that changed.
+    """
     from pincal.cli.progress import console
-    from pincal.cli.screen import print_doubts
+    from pincal.cli.screen import print_doubts, print_lines
     from pincal.diagnosis.diagnosis_page import curve_table, lines
 
     print_doubts(found.warnings, console())
-    for line in lines(found):
-        click.echo(line)
+    print_lines(lines(found), console(), following=following)
     if found.curves is not None:
         console().print(curve_table(found.curves))
 

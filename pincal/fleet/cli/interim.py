@@ -117,6 +117,8 @@ def interim_verb(arguments: InterimArguments) -> Exit:
     from pincal.calibration.check_record import record_path
     from pincal.calibration.fitted_robot import load_model
     from pincal.cli.inputs import load_table
+    from pincal.cli.progress import console
+    from pincal.cli.screen import print_lines
 
     _require_one_task(arguments)
     fitted = load_model(arguments.model)
@@ -137,8 +139,8 @@ def interim_verb(arguments: InterimArguments) -> Exit:
     if arguments.general.as_json:
         print_json(as_plain(record))
     else:
-        lines = [f"{heading:10}{text}" for heading, text in lines_of(record)]
-        click.echo("\n".join([*lines, f"written to {path}"]))
+        print_lines(lines_of(record), console())
+        click.echo(f"written to {path}")
     echo_notes(notes, quiet=arguments.general.quiet)
     last = record.last
     return Exit.CHANGED if last is not None and last.has_failed else Exit.DONE
