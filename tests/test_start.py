@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from _pytest.mark import ParameterSet
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
@@ -22,7 +23,6 @@ from pincal.sensors.distance import DistanceSensor
 from pincal.sensors.pose import PoseSensor, PositionSensor
 from pincal.sensors.sensor import Sensor
 
-PLACEMENTS = [*range(2), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 30))]
 POSES = 80
 # Errors of a real arm as it comes: some tenths of a mm and mrad at each joint.
 LENGTH, ANGLE = 3e-4, 3e-4
@@ -36,6 +36,14 @@ READ: dict[str, Callable[[np.ndarray], Sensor]] = {
     "distance": lambda seen: DistanceSensor(np.linalg.norm(seen[:, :3, 3], axis=1)),
 }
 KINDS = tuple(READ)
+# Two placements in every run, some more before each commit, all of them where rates are counted.
+SOME, MORE, ALL = 2, 6, 30
+
+
+def draws(n: int = ALL) -> list[ParameterSet]:
+    """Return seeds of placements and arms, with the marks of when they are drawn."""
+    marks = {seed: [pytest.mark.long, *([pytest.mark.rates] if seed >= MORE else [])] for seed in range(SOME, n)}
+    return [pytest.param(seed, marks=marks.get(seed, ())) for seed in range(n)]
 
 
 @cache
@@ -124,7 +132,7 @@ def assert_found(fit: ModelFit, scene: Scene, kind: str, *, values: np.ndarray |
     assert np.median(residuals) < WITHIN
 
 
-@pytest.mark.parametrize("seed", PLACEMENTS)
+@pytest.mark.parametrize("seed", draws())
 @pytest.mark.parametrize("n_targets", [1, 3])
 @pytest.mark.parametrize("kind", KINDS)
 def test_any_placement_is_found(kuka: Robot, kind: str, n_targets: int, seed: int) -> None:
@@ -135,7 +143,7 @@ def test_any_placement_is_found(kuka: Robot, kind: str, n_targets: int, seed: in
     assert_found(fit_tables(kuka, measure(scene, kind, seed, rng), FRAMES_ONLY), scene, kind)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", draws(5))
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_tracker_upside_down_five_metres_away_is_found(kuka: Robot, kind: str, seed: int) -> None:
     """A tracker 5 m away that hangs from the ceiling, and a target half a metre off the flange, are nothing special."""
@@ -148,7 +156,7 @@ def test_a_tracker_upside_down_five_metres_away_is_found(kuka: Robot, kind: str,
     assert_found(fit_tables(kuka, measure(scene, kind, seed, rng), FRAMES_ONLY), scene, kind)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", draws(5))
 @pytest.mark.parametrize("kind", KINDS)
 def test_instrument_and_tool_at_the_robots_own_frames_are_found(kuka: Robot, kind: str, seed: int) -> None:
     """Base and tool where the URDF has them are no exception, though nothing has to be found."""
@@ -159,7 +167,7 @@ def test_instrument_and_tool_at_the_robots_own_frames_are_found(kuka: Robot, kin
     assert_found(fit_tables(kuka, measure(scene, kind, seed, rng), FRAMES_ONLY), scene, kind)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", draws(8))
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_dozen_poses_are_enough(kuka: Robot, kind: str, seed: int) -> None:
     """Where the rows are too few for the linear equations, the fit finds base and tool all the same."""
@@ -169,7 +177,7 @@ def test_a_dozen_poses_are_enough(kuka: Robot, kind: str, seed: int) -> None:
     assert_found(fit_tables(kuka, measure(scene, kind, seed, rng, poses=12), FRAMES_ONLY), scene, kind)
 
 
-@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 8))])
+@pytest.mark.parametrize("seed", draws(8))
 @pytest.mark.parametrize("kind", KINDS)
 def test_outliers_do_not_pull_base_and_tool(kuka: Robot, kind: str, seed: int) -> None:
     """One reading in twenty that is half a metre off leaves base and tool where they are at the end of the fit."""

@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 import pinocchio as pin
 import pytest
+from _pytest.mark import ParameterSet
 from example_robot_data import robots_loader
 
 from pincal.errors import RobotFileError
@@ -22,6 +23,12 @@ pytestmark = pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 EXACT = 1e-12
 # Joints of one robot of each kind: two arms, a humanoid, a lifting torso with a head.
 QUICK = ("baxter", "talos", "tiago_pro")
+# And before each commit: grippers with joints that turn for ever or slide, legs, legs with one or two arms, a hand, bodies
+# with and without sliding joints and mimics, fingers by the dozen. Before a release all; the others are variants of these.
+OF_EACH_KIND = (
+    *("bravo7_gripper", "panda", "anymal", "bolt", "anymal_kinova", "centauro", "allegro_right_hand", "human", "icub"),
+    *("alex_sake_hands", "romeo", "pr2", "talos_full", "tiago", "tiago_dual"),
+)
 # Pairs of tips of one robot that are looked at: hands have many fingers.
 MOST_PAIRS = 40
 
@@ -44,8 +51,17 @@ def trees() -> list[str]:
     return [name for path, name in found.items() if len(tips_of(read_urdf(str(path)))) > 1]
 
 
+def marked(name: str) -> ParameterSet:
+    """Return a robot with the marks of when it is looked at."""
+    others = () if name in OF_EACH_KIND else (pytest.mark.products,)
+    return pytest.param(name, marks=() if name in QUICK else (pytest.mark.long, *others))
+
+
+TREES = [marked(name) for name in trees()]
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.long) for n in trees()])
+@pytest.mark.parametrize("name", TREES)
 def test_any_two_links_stand_to_each_other_as_pinocchio_has_them(name: str, rng: np.random.Generator) -> None:
     """From the root to every tip and from tip to tip, as a robot of its own and as a path of the whole tree."""
     tree = read_urdf(str(find_file(name)))
@@ -64,7 +80,7 @@ def test_any_two_links_stand_to_each_other_as_pinocchio_has_them(name: str, rng:
         np.testing.assert_allclose(found, whole.forward_kinematics(q, path)[:, :3], rtol=0.0, atol=EXACT)
 
 
-@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.long) for n in trees()])
+@pytest.mark.parametrize("name", TREES)
 def test_each_joint_bears_what_hangs_on_its_side_of_the_tree(name: str, rng: np.random.Generator) -> None:
     """The moment about each axis is minus the generalised gravity of the whole tree, whatever the path."""
     tree = read_urdf(str(find_file(name)))
