@@ -8,6 +8,7 @@ from machines import kuka as true_kuka
 from rates import is_at_most
 from scipy.special import chdtrc
 
+from pincal import calibrate
 from pincal import simulate as sim
 from pincal.discover.joint_pairs import PairOfJoints, likely_waves_of_two
 from pincal.discover.run import Discovery, run_discovery
@@ -93,6 +94,22 @@ def test_a_wave_of_two_joints_is_found_with_its_orders(found: Discovery) -> None
 def test_what_was_found_is_not_sought_again(found: Discovery) -> None:
     """No further wave is worth a test once it is in the model; nor is one in noise alone."""
     assert not likely_waves_of_two(found.trail.final, found.calibration.robot.joint_names)
+
+
+def test_a_joint_that_hardly_moved_has_no_waves(kuka: Robot) -> None:
+    """One whose span tells no order up to the finest from none is left out, and the others are searched as without it."""
+    rng = np.random.default_rng(4)
+    q = kuka.random_configurations(120, rng)
+    q[:, 5] = rng.uniform(0.0, 0.1, len(q))
+    there = q.copy()
+    there[:, 1] += 4e-4 * np.sin(2.0 * q[:, 1]) * np.cos(3.0 * q[:, 0])
+    position = kuka.forward_kinematics(there)[:, :3, 3] + 2e-5 * rng.standard_normal((len(q), 3))
+    rows = measurements_from_arrays(kuka.joint_names, q, position=position)
+    fit = calibrate(kuka, rows, Options(effects=GEOMETRIC)).fit
+    (wave,) = likely_waves_of_two(fit, ["joint_2", "joint_6"])
+
+    assert isinstance(wave, Unnamed)
+    assert (wave.joint, wave.depends_on) == ("joint_2", "joint_1")
 
 
 def test_waves_of_other_orders_are_other_effects() -> None:

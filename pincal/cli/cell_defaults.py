@@ -341,8 +341,10 @@ def _words_of(parameter: click.Parameter, value: Any) -> Iterator[str]:
     """Yield the words of an option as they may stand on a command line."""
     values = value if parameter.multiple else [value]
     for each in values:
-        yield parameter.opts[0]
-        if not (isinstance(parameter, click.Option) and parameter.is_flag):
+        is_flag = isinstance(parameter, click.Option) and parameter.is_flag
+        is_off = is_flag and not each and parameter.secondary_opts
+        yield parameter.secondary_opts[0] if is_off else parameter.opts[0]
+        if not is_flag:
             yield from each if isinstance(each, tuple | list) else [str(each)]
 
 

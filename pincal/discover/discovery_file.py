@@ -272,13 +272,15 @@ class SmoothPart(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Region(msgspec.Struct, frozen=True, kw_only=True):
-    """A region of joint space, predicted by fits of the others.
+    """A region of joint space, predicted by fits of the others; of ten rows or more, if the table
+    has them.
 
     Attributes:
         rows: number of its rows.
-        calibrated_mm: mean error by geometry and elasticity [mm].
+        calibrated_mm: mean error by geometry and elasticity, as ``pincal calibrate`` fits them
+            [mm].
         named_mm: by these and the names that were found.
-        smooth_mm: with what has no name as well.
+        smooth_mm: with what has no name as well; nowhere more than ``calibrated_mm``.
         centre: mean position of each joint [rad or m].
     """
 
@@ -339,7 +341,8 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         held_out: the gap on rows held out in each way, "regions" of joint space and "stretches" of
             consecutive rows; ``gap`` is the one that is larger at the end.
         remainder: what is smooth in the joints and has no name, as far as it predicts regions that
-            were left out; none otherwise, or if it was not asked for.
+            were left out, and none of them worse than by geometry and elasticity; none otherwise,
+            or if it was not wanted.
     """
 
     noise_floor_mm: float

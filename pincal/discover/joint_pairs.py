@@ -136,6 +136,13 @@ class PairOfJoints:
         return np.asarray(np.sum(b.conj() * np.linalg.solve(S, b[..., None])[..., 0], axis=-1).real)
 
 
+def _tells_orders(q: np.ndarray) -> bool:
+    """Return whether positions of a joint, shape (N,), reach far enough to tell any order searched
+    from none.
+    """
+    return bool(WAVES.pair_step * resolution_of(q) < WAVES.smooth)
+
+
 def likely_waves_of_two(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
     """Return for each of some joints the wave of its own and another's position that explains most,
     if it is worth a test.
@@ -158,8 +165,10 @@ def likely_waves_of_two(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
         pairs = {
             other: PairOfJoints(own, situation.positions(other), b, v)
             for other in others
-            if other != joint
+            if other != joint and _tells_orders(situation.positions(other))
         }
+        if not pairs:
+            continue
         among = len(turning) * sum(pair.count for pair in pairs.values())
         worth = float(chdtri(_FUNCTIONS, WAVES.worth / among))
         # Orders are refined only where the gain may then be the largest one, and worth a test.

@@ -614,14 +614,21 @@ class RemainderNumbers:
         "in favour of a remainder, at least",
         "100 to 1, as for a name",
     )
-    worse: float = _number(
-        0.02,
-        "probability",
+    region: int = _number(
+        10,
+        "rows",
         _WORSE,
-        "by chance, of a region that is left out being predicted as much worse than by geometry "
-        "and elasticity, or by the names too if they are worse there; below it a remainder does "
-        "not enter",
-        "chosen: about two standard errors; of 25 regions every other one has few rows",
+        "of a region that is left out, at least, that its mean error counts; one of fewer rows is "
+        "one with its neighbour",
+        "chosen: of fewer the mean is not known to a sixth",
+    )
+    narrower: tuple[float, ...] = _number(
+        (0.5, 0.25),
+        "ratio",
+        _WORSE,
+        "of the sizes of a remainder with less freedom to the likeliest ones, which is tried where "
+        "a region that is left out is predicted worse than by geometry and elasticity",
+        "chosen: less still would gain little",
     )
 
 

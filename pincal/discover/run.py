@@ -169,7 +169,8 @@ def run_discovery(
         moment_frames: moment frames to choose from by the data; default: as in the options. The
             first is kept unless another fits significantly better.
         remainder: whether what is smooth in the joints and has no name may enter the model after
-            the last name, where it predicts regions that were left out; default: no.
+            the last name, where it predicts regions that were left out, and none of them worse than
+            by geometry and elasticity alone; default: yes.
 
     Returns:
         The calibration with all effects found, and the history of the search.
@@ -203,7 +204,7 @@ def run_discovery(
     begun = time.perf_counter()
     frames = tuple(choices.pop("moment_frames", ())) or _usual_frames(options)
     options = replace(options, moment_frame=frames[0])
-    remainder = choices.pop("remainder", False)
+    remainder = choices.pop("remainder", True)
     search = partial(_search, frames=frames, extra=extra, policy=policy)
     left_out: Iterable[LeftOut] = ()
     held_back: dict[str, Any] = {"test_fraction": 0.0, "split": "both", **choices}

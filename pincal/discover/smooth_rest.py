@@ -6,68 +6,34 @@ through the arm's Jacobian, or of the target along the base's axes, or both
 largest evidence (:mod:`pincal.discover.smooth_likelihood`).
 
 The remainder enters only if regions of joint space that are left out are predicted better with it,
-all parameters fitted again, by more than their scatter, and none of them worse than by its own
-scatter than by geometry and elasticity alone. It is no name: it says nothing of causes, and neither
-names nor verdict depend on it.
+all parameters fitted again, by more than their scatter, and none of them worse than by geometry and
+elasticity alone. Where one is, it is tried with less freedom. It is no name: it says nothing of
+causes, and neither names nor verdict depend on it.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
-from scipy.special import chdtrc, stdtr
+from scipy.special import chdtrc
 
-from pincal.discover.decisions import standard_errors
 from pincal.discover.discovery_file import Region, Smooth, SmoothPart
 from pincal.discover.ending import joint_noise, weighed
-from pincal.discover.policy import REMAINDER, TESTING
+from pincal.discover.policy import REMAINDER
+from pincal.discover.smooth_judge import LeftOutRegions, RegionJudge
 from pincal.discover.smooth_likelihood import likely_remainders
 from pincal.discover.steps import History
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.dependence import placed_at_mean
 from pincal.identify.fit import ModelFit
-from pincal.identify.folds import Folds, left_out_residuals
+from pincal.identify.folds import Folds
 from pincal.model.catalogue.remainder import SmoothRemainder
-from pincal.validate.accuracy import pose_error_sizes
 from pincal.validate.misfit import MISFIT
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class LeftOutRegions:
-    """Mean errors of regions of joint space, each predicted by fits of the others [mm].
-
-    Attributes:
-        rows: shape (R,), number of rows of each region.
-        plain: shape (R,), by geometry and elasticity.
-        before: shape (R,), by these and the names that were found.
-        after: shape (R,), with the remainder as well.
-        spread: shape (R,), standard error of ``after`` less the larger of the others.
-    """
-
-    rows: np.ndarray
-    plain: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    spread: np.ndarray
-
-    @property
-    def is_better(self) -> bool:
-        """Whether all regions together are predicted better with the remainder, and none worse than
-        its own scatter allows.
-        """
-        gains = self.rows * (self.before - self.after)
-        worse = self.after - np.maximum(self.plain, self.before)
-        chance = stdtr(self.rows - 1.0, -worse / self.spread)
-        return bool(
-            standard_errors(gains) > TESTING.predicts
-            and not np.any((worse > 0.0) & (chance < REMAINDER.worse))
-        )
 
 
 @dataclass(frozen=True)
@@ -117,16 +83,63 @@ def with_remainder(trail: History) -> tuple[History, SmoothRest | None]:
     folds = Folds.of(fit.problem, ("regions",)).of_way
     if "regions" not in folds:
         return trail, None
-    judge = _Judge(trail, folds["regions"])
+    tried = _tried(fit, RegionJudge(trail, folds["regions"]))
+    found = next((one for one in tried if one.regions.is_nowhere_worse), None)
+    if found is None:
+        return trail, None
+    for effect in found.rest.effects:
+        log.info("unnamed, smooth: %s over %.2f rad", effect.moves, effect.length)
+    changed = trail.changed(found.after, trail.steps, found.rest.effects, ())
+    return changed, found.rest
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A remainder, the fit with it, and what regions that are left out say of it."""
+
+    after: ModelFit
+    rest: SmoothRest
+
+    @property
+    def regions(self) -> LeftOutRegions:
+        return self.rest.regions
+
+
+def _tried(fit: ModelFit, judge: RegionJudge) -> Iterator[_Tried]:
+    """Yield remainders that predict: the likeliest ones, and then that of these which predicts best
+    with less freedom.
+
+    The less its amplitudes may be, the more must be known of them, so that less is predicted where
+    little was measured.
+    """
+    found = list[_Tried]()
     for effects in likely_remainders(fit)[: REMAINDER.tried]:
-        after = _fitted(fit, effects)
-        regions = judge.regions(after)
-        if regions is not None and regions.is_better:
-            for effect in effects:
-                log.info("unnamed, smooth: %s over %.2f rad", effect.moves, effect.length)
-            changed = trail.changed(after, trail.steps, effects, ())
-            return changed, SmoothRest(effects, regions, judge.centres)
-    return trail, None
+        if (one := _judged(fit, effects, judge)) is not None:
+            found.append(one)
+            yield one
+    if not found:
+        return
+    best = min(found, key=lambda one: one.regions.mean)
+    for factor in REMAINDER.narrower:
+        narrower = tuple(
+            replace(effect, size=float(f"{effect.size * factor:.3g}"))
+            for effect in best.rest.effects
+        )
+        if (one := _judged(fit, narrower, judge)) is not None:
+            yield one
+
+
+def _judged(
+    fit: ModelFit, effects: tuple[SmoothRemainder, ...], judge: RegionJudge
+) -> _Tried | None:
+    """Return a remainder with its fit, if all regions that are left out are predicted better with
+    it.
+    """
+    after = _fitted(fit, effects)
+    regions = judge.regions(after)
+    if regions is None or not regions.predicts:
+        return None
+    return _Tried(after, SmoothRest(effects, regions, judge.centres))
 
 
 def _alike(fit: ModelFit) -> ModelFit:
@@ -155,76 +168,6 @@ def _is_explained(fit: ModelFit) -> bool:
     """Return whether the residuals are no larger than a declared noise."""
     solution = fit.solution
     return fit.is_declared and bool(chdtrc(solution.degrees, solution.chi2) >= MISFIT)
-
-
-@dataclass(frozen=True, eq=False)
-class _Judge:
-    """Errors of regions, shape (N,), that are left out, by fits of the others."""
-
-    trail: History
-    fold: np.ndarray
-
-    @cached_property
-    def without(self) -> np.ndarray:
-        """Errors without a remainder by geometry and elasticity, and by the names as well, shape
-        (2, N) [mm].
-        """
-        before = self.trail.final
-        steps = [step for step in self.trail.steps if not step.is_elastic]
-        named = {effect.identity for step in steps for effect in step.effects}
-        bare = [effect for effect in before.options.effects if effect.identity not in named]
-        plain = refit(before, bare, start={}, until=Tolerance.CLOSE) if named else before
-        return np.array([_left_out(fit, self.fold) for fit in (plain, before)])
-
-    @cached_property
-    def rows(self) -> list[np.ndarray]:
-        """The rows of each region that count, shape (N,) each; empty where no error is known."""
-        known = np.isfinite(self.without).all(axis=0)
-        known &= self.trail.final.solution.weights > 0.0
-        return [known & (self.fold == k) for k in np.unique(self.fold[known])]
-
-    @property
-    def centres(self) -> np.ndarray:
-        """Mean joint positions of each region, shape (R, n)."""
-        q = self.trail.final.problem.conditions.q
-        return np.array([q[rows].mean(axis=0) for rows in self.rows])
-
-    def regions(self, after: ModelFit) -> LeftOutRegions | None:
-        """Return the errors with the remainder of a fit; None where no error is known."""
-        errors = np.vstack([self.without, _left_out(after, self.fold)])
-        if not self.rows or not np.isfinite(errors[:, np.any(self.rows, axis=0)]).all():
-            return None
-        plain, before, last = np.array([errors[:, rows].mean(axis=1) for rows in self.rows]).T
-        spread = np.array([_spread(errors[:, rows]) for rows in self.rows])
-        counts = np.array([np.count_nonzero(rows) for rows in self.rows])
-        return LeftOutRegions(counts, plain, before, last, spread)
-
-
-def _spread(errors: np.ndarray) -> float:
-    """Return the standard error of the mean of the last errors less the larger of the others, shape
-    (3, n); infinite for a single row.
-    """
-    if errors.shape[1] < 2:
-        return np.inf
-    largest = int(np.argmax(errors[:2].mean(axis=1)))
-    differences = errors[2] - errors[largest]
-    return float(differences.std(ddof=1) / np.sqrt(len(differences)))
-
-
-def _left_out(fit: ModelFit, fold: np.ndarray) -> np.ndarray:
-    """Return the error of each row by the fit without its fold, shape (N,) [mm]; nan of readings
-    that have none.
-    """
-    fit = placed_at_mean(fit)
-    (by_station,) = left_out_residuals(fit, fit.solution, [fold])
-    found = np.full(len(fold), np.nan)
-    for (station, places, _), rows, residuals in zip(
-        fit.stations, fit.problem.rows, by_station, strict=True
-    ):
-        sizes = pose_error_sizes(station, fit.values[places], residuals=residuals)
-        if "mm" in sizes:
-            found[rows] = sizes["mm"]
-    return found
 
 
 def _part(fit: ModelFit, effect: SmoothRemainder) -> SmoothPart:

@@ -48,8 +48,10 @@ class DiscoverArguments(FitArguments):
     )
     remainder: bool = option(
         "After the last name also fit what is smooth in the joints and has no name, if regions "
-        "that are left out are predicted better with it. It predicts, and says nothing of causes.",
-        False,
+        "that are left out are predicted better with it, and none of them worse than by geometry "
+        "and elasticity. It predicts, and says nothing of causes.",
+        True,
+        name="--remainder/--no-remainder",
     )
 
 

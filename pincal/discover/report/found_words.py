@@ -96,12 +96,13 @@ def smooth_trust(smooth: Smooth) -> str:
         "Where no pose was measured nearby it is not known: one standard deviation is "
         + " and ".join(format_small(part.sigma, part.unit) for part in smooth.parts)
     )
+    least = f"{far}. None of {len(smooth.regions)} regions is predicted worse than by calibrate"
     if not smooth.doubtful:
-        return f"{far}."
+        return f"{least}."
     rows = sum(region.rows for region in smooth.doubtful)
     return (
-        f"{far}. Of {len(smooth.regions)} regions {len(smooth.doubtful)}, with {rows} rows, are "
-        "predicted no better with it (discovery.json says which)."
+        f"{least}; {len(smooth.doubtful)}, with {rows} rows, no better than without it "
+        "(discovery.json says which)."
     )
 
 
