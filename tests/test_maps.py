@@ -40,7 +40,7 @@ def test_a_function_of_two_joints_is_found_with_both(found: Discovery) -> None:
     before, after = (found.report["gap"][which]["rms_mm"] for which in ("before", "after"))
     floor = found.report["noise_floor_mm"]
 
-    assert [entry[key] for key in ("effect", "joint", "depends_on", "shape")] == ["unnamed", "joint_3", "joint_5", "map"]
+    assert [entry[key] for key in ("effect", "joint", "depends_on", "shape")] == ["unnamed", "joint_3", "joint_5", "field"]
     assert not found.report["scatter"] and found.report["verdict"] == "adequate"
     assert before > 1.4 * floor and after < 1.05 * floor
 

@@ -39,8 +39,8 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             "payload".
         acts_on: the coordinate on which an effect without a name acts: "drive", "gamma_x",
             "gamma_y", "s_x" or "s_y".
-        shape: form of a dependence without a name: "curve", "waves", "product", "map", "step" or
-            "kink".
+        shape: form of a dependence without a name: "curve", "waves", "product", "map", "field",
+            "step" or "kink".
         place: position of its break along the variable [unit of the variable].
         station: name of the only station with it.
     """

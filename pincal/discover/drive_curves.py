@@ -17,11 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import eigvalsh, lstsq
 from scipy.linalg.lapack import dtrtri
 
+from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import situation_of
 from pincal.discover.policy import CURVES
 from pincal.discover.score_tests import GivenNuisances
@@ -33,7 +35,8 @@ from pincal.identify.problem import Problem
 from pincal.identify.quadratic import ROUNDING, Factor, Form
 from pincal.model.catalogue.transmission import most_pieces
 from pincal.model.conditions import distinct_values, moves
-from pincal.model.effect import Curve, Effect, Resolvable
+from pincal.model.effect import Curve, Effect, Resolvable, Smoothable
+from pincal.model.effect_numbers import FIELD
 from pincal.robot.robot import Robot
 
 
@@ -270,16 +273,51 @@ def resolved(
     """Return an effect that a fit, given with its tests, lacks with the resolution that the rows
     determine; itself if it has none.
 
-    A curve's follows from the marginal likelihood, that of other effects from the prediction of
-    held-out blocks. Also its parameters, and those of the effect as given, to first order.
+    A curve's follows from the marginal likelihood, and so do the form of a dependence on two joints
+    and its smoothness; that of other effects from the prediction of held-out blocks. Also its
+    parameters, and those of the effect as given, to first order.
     """
     fit = test.fit
     estimate = test([effect]).estimate([0])
     if isinstance(effect, Curve) and fit.solution.exit is not Ending.EXACT:
         return *smoothed(fit, [effect])[0][effect], estimate
-    forms = effect.resolutions(situation_of(fit)) if isinstance(effect, Resolvable) else ()
+    situation = situation_of(fit)
+    forms = tuple(effect.resolutions(situation)) if isinstance(effect, Resolvable) else ()
+    if isinstance(effect, Smoothable) and (fields := effect.fields(situation)):
+        return *_likeliest_of_two(test, (effect, *forms), fields), estimate
     if not forms:
         return effect, estimate, estimate
     tests = test(forms, groups)
     best = int(np.argmax([tests.gains_by_block([i]).sum() for i in range(len(forms))]))
     return forms[best], tests.estimate([best]), estimate
+
+
+def _likeliest_of_two(
+    test: GivenNuisances, forms: Sequence[Effect], fields: Sequence[Smoothable]
+) -> tuple[Effect, np.ndarray]:
+    """Return the likeliest of some functions of two joints and of smooth ones in every height, with
+    its parameters.
+    """
+    tests = test([*forms, *fields])
+    found = [_Likely(form, tests, i) for i, form in enumerate(forms)]
+    found += [
+        _Likely(field.of_height(height), tests.rescaled(i, height / field.height), i)
+        for i, field in enumerate(fields, len(forms))
+        for height in FIELD.heights
+    ]
+    best = max(found, key=lambda one: one.evidence)
+    return best.effect, best.tests.estimate([best.index])
+
+
+@dataclass(frozen=True, eq=False)
+class _Likely:
+    """An effect with its test, one of several."""
+
+    effect: Effect
+    tests: ScoreTests
+    index: int
+
+    @cached_property
+    def evidence(self) -> float:
+        """The log Bayes factor in its favour."""
+        return self.tests.log_evidence([self.index])

@@ -473,6 +473,12 @@ class ScoreTests:
         )
         return ScoreResult(gain, rank, min(chance, 1.0), cost)
 
+    def rescaled(self, i: int, factor: float) -> Self:
+        """Return the tests with the prior of a candidate so many times as wide."""
+        sizes = self.sizes.copy()
+        sizes[self.n_model + self.columns[i]] *= factor
+        return replace(self, sizes=sizes)
+
     def log_evidence(self, which: Sequence[int]) -> float:
         """Return the log Bayes factor in favour of some candidates, to first order.
 

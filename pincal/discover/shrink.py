@@ -27,7 +27,7 @@ from pincal.recorded import RECORDABLE
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
 # Shapes of effects that depend on the joint's own position and another's.
-_OF_BOTH = ("product", "map")
+_OF_BOTH = ("product", "map", "field")
 
 
 def gaps_of(

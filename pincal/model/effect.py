@@ -309,6 +309,26 @@ class Resolvable(Effect):
         """
 
 
+class Smoothable(Resolvable):
+    """An effect that may be a part of a smooth function of two joints, a field, or is one.
+
+    Attributes:
+        height: of a field, standard deviation of the error [rad].
+    """
+
+    height: float
+
+    @abstractmethod
+    def fields(self, situation: PoseSet) -> Sequence[Smoothable]:
+        """Return smooth functions of several lengths of which the effect may be a part, all of one
+        height; empty if it can't be.
+        """
+
+    @abstractmethod
+    def of_height(self, height: float) -> Smoothable:
+        """Return a field of another height."""
+
+
 class Curve(Discoverable, Reducible):
     """A drive error that is a free curve of its joint's position (family ``CURVE``), with a
     resolution set by the data.

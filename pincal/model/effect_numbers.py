@@ -25,6 +25,8 @@ _BAND = "test_tones.py::test_the_second_wave_of_two_lobes_is_in_the_band"
 _PAID = "test_tones.py::test_what_was_searched_for_is_paid_for"
 _MULTIPLE = "test_tones.py::test_a_multiple_is_proposed_unless_chance_does_as_well"
 _MAPS = "test_discovery_rates.py::test_sound_data_bring_in_no_name"
+_FIELD = "test_smooth_field.py::test_a_field_has_the_covariance_of_its_lengths"
+_FIELD_FOUND = "test_smooth_field.py::test_a_wave_that_is_part_of_a_field_becomes_one"
 _CONSTANT = "test_catalogue.py::test_terms_without_a_name_are_effects_like_others"
 
 
@@ -69,6 +71,24 @@ class ShownNumbers:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FieldNumbers:
+    """A smooth function of two joints' positions, and those that are tried."""
+
+    beyond: float = number(1.5, "lengths", _FIELD,
+        "by which the domain of a smooth function reaches beyond the range on either side",
+        "its sines are zero there; with 1.5 the covariance within the range is right to a tenth")
+    faintest: float = number(4.5, "log variance", _FIELD,
+        "of a sine below that of the slowest one, beyond which it is left out",
+        "the sines left out have a hundredth of its variance")
+    lengths: tuple[float, ...] = number((0.15, 0.25, 0.4), "ratio", _FIELD_FOUND,
+        "of the lengths over which a function is alike to the range of each joint",
+        "shorter ones a table of hundreds of poses does not resolve, longer ones are waves")
+    heights: tuple[float, ...] = number((3e-5, 6e-5, 1.2e-4, 2.4e-4, 4.8e-4), "rad", _FIELD_FOUND,
+        "that a function may have (standard deviation)",
+        "from what no one measures to 100 arcsec, by factors of 2")
+
+
+@dataclass(frozen=True, kw_only=True)
 class OriginNumbers:
     """By which a wave or a map is paid for, and a wave's order explained."""
 
@@ -94,3 +114,4 @@ class OriginNumbers:
 # fmt: on
 SHOWN = ShownNumbers()
 ORIGIN = OriginNumbers()
+FIELD = FieldNumbers()

@@ -34,7 +34,7 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         across = "" if (entry.acts_on or "drive") == "drive" else ", across the axis"
         of = (
             f"{entry.joint} and {entry.depends_on}"
-            if entry.shape in ("map", "product")
+            if entry.shape in ("map", "product", "field")
             else _VARIABLES.get(entry.depends_on, entry.depends_on)
         )
         words.append(f"({entry.shape or 'curve'}{order} of {of}{across})")

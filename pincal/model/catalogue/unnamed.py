@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import product
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -12,13 +14,14 @@ from pincal.errors import BadInputError
 from pincal.model.basis import FEWEST_SPLINES, spline_basis
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, PoseSet, distinct_values, moves, recorded_variable
-from pincal.model.effect import Family, Locus, Resolvable, Term
+from pincal.model.effect import Family, Locus, Smoothable, Term
 from pincal.model.effect_bases import joint_index, tilt_terms, waves
-from pincal.model.effect_numbers import ORIGIN, SHOWN
+from pincal.model.effect_numbers import FIELD, ORIGIN, SHOWN
+from pincal.model.smooth_field import SmoothField
 from pincal.parameters import Parameter
 from pincal.thresholds import Count, Scale
 
-FormName = Literal["curve", "waves", "product", "map", "step", "kink"]
+FormName = Literal["curve", "waves", "product", "map", "field", "step", "kink"]
 ActsOn = Literal["drive", "gamma_x", "gamma_y", "s_x", "s_y"]
 
 # Typical size of an unnamed term [rad].
@@ -33,10 +36,12 @@ _PLACES = np.linspace(0.08, 0.92, 22)
 _ACROSS: tuple[ActsOn, ...] = ("gamma_x", "gamma_y")
 _BEFORE: tuple[ActsOn, ...] = ("s_x", "s_y")
 _DRIVE: tuple[ActsOn, ...] = ("drive",)
+# Shapes that are functions over the ranges of two joints.
+_OVER_BOTH: tuple[FormName, ...] = ("map", "field")
 
 
 @dataclass(frozen=True)
-class Unnamed(Resolvable):
+class Unnamed(Smoothable):
     """A joint error that depends on one variable, or on two joints' positions, without a cause in
     the catalogue.
 
@@ -45,7 +50,8 @@ class Unnamed(Resolvable):
         effects. An effect that the catalogue lacks can be added as one class.
 
     Source:
-        splines after de Boor (1978).
+        splines after de Boor (1978); a field after Solin and Särkkä (2020),
+        :mod:`pincal.model.smooth_field`.
 
     Attributes:
         joint: where it acts.
@@ -55,14 +61,17 @@ class Unnamed(Resolvable):
             "move", the joint's last move.
         shape: "curve" (a cubic spline), "waves" (sine and cosine of ``order``), "product" (of sine
             or cosine of the joint's own angle and of the other's, times ``own_order`` and
-            ``order``), "map" (products of cubic splines of both), "step" (at ``place``), or "kink"
-            (a change of slope there).
+            ``order``), "map" (products of cubic splines of both), "field" (a smooth function of
+            both, alike over ``lengths``, of a standard deviation ``height``), "step" (at
+            ``place``), or "kink" (a change of slope there).
         lower, upper: the measured range; outside it a curve keeps its end value.
         size: number of basis functions of a curve, and of a map along each joint.
         order: cycles per revolution; of a product default 1.
         place: breakpoint [rad or m].
-        own_lower, own_upper: the range of the joint's own position, of a map.
+        own_lower, own_upper: the range of the joint's own position, of a map or a field.
         own_order: cycles per revolution of the joint itself, of a product; default: 1.
+        lengths: of a field, along the joint's own position and the other's [rad or m].
+        height: of a field, standard deviation of the error [rad].
         chosen_among: number of independent orders and joints among which these were selected.
     """
 
@@ -78,6 +87,8 @@ class Unnamed(Resolvable):
     own_lower: float = -np.pi
     own_upper: float = np.pi
     own_order: float | None = None
+    lengths: tuple[float, float] | None = None
+    height: float = _SIZE
     chosen_among: float = 1.0
     name: ClassVar[str] = "unnamed"
     meaning: ClassVar[str] = "a significant effect that is not in the catalogue"
@@ -89,10 +100,15 @@ class Unnamed(Resolvable):
             raise BadInputError(f"{self.name} of {self.joint}: waves need an order")
         if self.shape in ("step", "kink") and self.place is None:
             raise BadInputError(f"{self.name} of {self.joint}: a {self.shape} needs a place")
+        if self.shape == "field" and (self.lengths is None or min(*self.lengths, self.height) <= 0):
+            raise BadInputError(
+                f"{self.name} of {self.joint}: lengths {self.lengths} and height {self.height:g} "
+                "of a field; expected numbers above 0"
+            )
 
     @property
     def locus(self) -> Locus:
-        span = (self.lower, self.upper) if self.shape in ("curve", "map") else None
+        span = (self.lower, self.upper) if self.shape in ("curve", *_OVER_BOTH) else None
         return Locus(
             self.joint,
             self.acts_on,
@@ -106,8 +122,8 @@ class Unnamed(Resolvable):
 
     @property
     def trials(self) -> float:
-        """Number of maps, or of waves of two joints, among which it was selected."""
-        return ORIGIN.pairs if self.shape == "map" else self.chosen_among
+        """Number of maps or fields, or of waves of two joints, among which it was selected."""
+        return ORIGIN.pairs if self.shape in _OVER_BOTH else self.chosen_among
 
     @property
     def n_functions(self) -> int:
@@ -117,6 +133,7 @@ class Unnamed(Resolvable):
             "waves": 2,
             "product": 4,
             "map": self.size**2,
+            "field": 0 if self.field is None else len(self.field.orders),
             "step": 1,
             "kink": 2,
         }[self.shape]
@@ -134,15 +151,60 @@ class Unnamed(Resolvable):
         )
         return tuple(replace(self, size=size) for size in _MAP_PIECES if size <= most)
 
+    @cached_property
+    def field(self) -> SmoothField | None:
+        """The smooth function of a field, by the joint's own position and the other's."""
+        if self.lengths is None:
+            return None
+        ranges = (self.own_lower, self.own_upper), (self.lower, self.upper)
+        return SmoothField(*ranges, self.lengths)
+
+    def fields(self, situation: PoseSet) -> tuple[Unnamed, ...]:
+        """Return the smooth functions of both positions of which an error of a drive that depends
+        on another joint may be a part; none of others.
+        """
+        other = self.depends_on
+        pair = self.joint in situation.revolute and other in situation.moving
+        if self.acts_on != "drive" or other == self.joint or not pair:
+            return ()
+        columns = situation.positions(self.joint), situation.positions(other)
+        (first, last), (lower, upper) = ((float(at.min()), float(at.max())) for at in columns)
+        over = Unnamed(
+            self.joint,
+            "drive",
+            other,
+            "field",
+            lower,
+            upper,
+            own_lower=first,
+            own_upper=last,
+            lengths=(last - first, upper - lower),
+        )
+        return tuple(
+            replace(over, lengths=(own * (last - first), of_other * (upper - lower)))
+            for own, of_other in product(FIELD.lengths, repeat=2)
+        )
+
+    def of_height(self, height: float) -> Unnamed:
+        """Return a field of another height."""
+        return replace(self, height=height)
+
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
         """Coefficients of the basis functions [rad]."""
         orders = "x".join(f"{k:g}" for k in (self.own_order, self.order) if k is not None)
         shape = "" if self.shape == "curve" else f"_{self.shape}{orders}".replace(".", "_")
         stem = f"{self.joint}.{self.acts_on}_of_{self.depends_on}{shape}"
         return tuple(
-            Parameter(f"{stem}_{i + 1}", "rad", self.name, 0.0, _SIZE)
-            for i in range(self.n_functions)
+            Parameter(f"{stem}_{i + 1}", "rad", self.name, 0.0, size)
+            for i, size in enumerate(self._sizes)
         )
+
+    @property
+    def _sizes(self) -> list[float]:
+        """Typical sizes of the coefficients [rad]."""
+        if self.field is None:
+            return [_SIZE] * self.n_functions
+        return [self.height * size for size in self.field.sizes.tolist()]
 
     def terms(
         self, chain: Chain, conditions: Conditions, moments: np.ndarray | None
@@ -151,7 +213,7 @@ class Unnamed(Resolvable):
         x = recorded_variable(
             chain, conditions, self.depends_on, joint=self.joint, span=self.locus.span
         )
-        own_span = (self.own_lower, self.own_upper) if self.shape == "map" else None
+        own_span = (self.own_lower, self.own_upper) if self.shape in _OVER_BOTH else None
         own = recorded_variable(chain, conditions, self.joint, span=own_span)
         bases = enumerate(self._basis(x, own))
         if self.acts_on in _BEFORE:
@@ -162,6 +224,8 @@ class Unnamed(Resolvable):
 
     def _basis(self, x: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return the basis functions, shape (n_functions, N)."""
+        if self.field is not None:
+            return self.field.basis(own, x)
         if self.shape == "curve":
             return spline_basis(x, self.lower, self.upper, self.size)
         if self.shape == "product":

@@ -1,0 +1,55 @@
+"""Smooth functions of two joints' positions: what they are, and that a wave which is part of one becomes one."""
+
+import numpy as np
+import pytest
+from interaction_study import ENOUGH, seen
+
+from pincal.errors import BadInputError
+from pincal.model.catalogue.unnamed import Unnamed
+from pincal.model.smooth_field import SmoothField
+
+
+@pytest.mark.parametrize("lengths", [(0.6, 0.4), (1.2, 0.5), (0.3, 1.6)])
+def test_a_field_has_the_covariance_of_its_lengths(lengths: tuple[float, float], rng: np.random.Generator) -> None:
+    """That of a Gaussian process, within a tenth of its variance everywhere in its ranges."""
+    field = SmoothField((-1.0, 2.0), (0.5, 2.5), lengths)
+    at = rng.uniform([-1.0, 0.5], [2.0, 2.5], (200, 2))
+    weighted = field.sizes[:, None] * field.basis(*at.T)
+    expected = np.exp(-0.5 * np.sum(((at[:, None] - at) / lengths) ** 2, axis=2))
+
+    assert np.abs(weighted.T @ weighted - expected).max() < 0.1
+    assert len(field.orders) == len(field.sizes) == len(weighted)
+
+
+def test_a_field_keeps_its_values_beyond_its_ranges() -> None:
+    """As a curve does: nothing was measured there."""
+    field = SmoothField((-1.0, 2.0), (0.5, 2.5), (0.6, 0.4))
+    inside, beyond = (field.basis(np.array([x]), np.array([y])) for x, y in ((2.0, 0.5), (2.7, -1.0)))
+
+    np.testing.assert_array_equal(inside, beyond)
+
+
+def test_a_field_needs_lengths() -> None:
+    """And a height above 0."""
+    with pytest.raises(BadInputError, match="expected numbers above 0"):
+        Unnamed("joint_1", "drive", "joint_2", "field")
+    with pytest.raises(BadInputError, match="expected numbers above 0"):
+        Unnamed("joint_1", "drive", "joint_2", "field", lengths=(1.0, 1.0), height=0.0)
+
+
+@pytest.mark.parametrize(
+    ("task", "shape"),
+    [
+        (("field", 9104), "field"),
+        pytest.param(("bump", 9103), "field", marks=pytest.mark.long),
+        pytest.param(("field", 9114), "field", marks=pytest.mark.long),
+        pytest.param(("two_waves", 9100), "product", marks=pytest.mark.long),
+    ],
+)
+def test_a_wave_that_is_part_of_a_field_becomes_one(task: tuple[str, int], shape: str) -> None:
+    """At its joint, without another name, and little is left of it; a wave that is all that is there stays one."""
+    found = seen(task)
+
+    assert found.is_found and not found.false
+    assert f"shape={shape}" in found.words
+    assert found.ratio <= ENOUGH
