@@ -622,6 +622,14 @@ class RemainderNumbers:
         "one with its neighbour",
         "chosen: of fewer the mean is not known to a sixth",
     )
+    worse: float = _number(
+        0.05,
+        "probability",
+        "test_names_by_region.py::test_what_is_beyond_scatter_is_a_doubt",
+        "that names predict any of the regions that are left out as much worse than geometry and "
+        "elasticity by chance, below which they are doubted",
+        "as for any doubt; of 24 drawn tables with a true name none came below",
+    )
     narrower: tuple[float, ...] = _number(
         (0.5, 0.25),
         "ratio",
