@@ -213,6 +213,19 @@ def test_noise_has_no_remainder(kuka: Robot) -> None:
     assert with_remainder(sound.trail) == (sound.trail, None)
 
 
+def test_few_poses_have_none(found: Discovery, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of fewer than four regions of ten rows nothing is fitted, whatever they would show."""
+    fit = found.trail.changes[-2].fit
+    some = fit.select(np.arange(REMAINDER.regions * REMAINDER.region - 1))
+    asked = list[object]()
+    monkeypatch.setattr("pincal.discover.smooth_rest.likely_remainders", lambda fit: asked.append(fit) or [])
+    for of in (some, fit):
+        trail = replace(found.trail, fit=of, changes=found.trail.changes[:-1])
+        assert with_remainder(trail) == (trail, None)
+
+    assert len(asked) == 1
+
+
 def test_waves_are_a_process_of_the_stated_length(kuka: Robot) -> None:
     """Of many waves the covariance of two poses is that of sums over pairs, by its closed form."""
     effect = SmoothRemainder(("joint_1", "joint_2", "joint_3"), 2, 0.8, 1e-4, 30000)

@@ -630,6 +630,13 @@ class RemainderNumbers:
         "elasticity by chance, below which they are doubted",
         "as for any doubt; of 24 drawn tables with a true name none came below",
     )
+    regions: int = _number(
+        4,
+        "regions",
+        "test_remainder.py::test_few_poses_have_none",
+        "of so many rows, at least, that may tell whether something is predicted better",
+        "chosen: the scatter of their gains is known to a half",
+    )
     narrower: tuple[float, ...] = _number(
         (0.5, 0.25),
         "ratio",
