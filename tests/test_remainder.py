@@ -26,6 +26,8 @@ from pincal.discover.smooth_likelihood import likely_remainders
 from pincal.discover.smooth_rest import with_remainder
 from pincal.errors import BadInputError
 from pincal.export import export_model
+from pincal.export.formulas import formulas_of
+from pincal.export.numpy_source import numpy_source
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.model.catalogue.remainder import SmoothRemainder, golden_ratio
@@ -187,6 +189,21 @@ def test_its_intervals_cover(kuka: Robot, found: Discovery) -> None:
     error = found.calibration.fit.predict(at)[:, :, 3] - true
 
     assert np.mean(np.abs(error) < 1.96 * found.calibration.fit.position_sigma(at)) > 0.9
+
+
+def test_exports_have_its_uncertainty(found: Discovery, tmp_path: Path, rng: np.random.Generator) -> None:
+    """C and NumPy state the model's u, though a load bends the arm otherwise where parameters nobody sees apart differ."""
+    calibrated = found.calibration.fit
+    at = replace(poses_of(calibrated, 200, rng), payload_centre=calibrated.payload_centre)
+    expected = calibrated.position_sigma(at)
+    source = loaded(export_model(calibrated, "python").text)
+    sigma, _ = Compiled.of(calibrated, tmp_path, "instrument").uncertainty(at)
+    formulas = formulas_of(calibrated)
+    own = loaded(numpy_source(formulas, frame="instrument"))
+
+    np.testing.assert_allclose(source["uncertainty"](at.q, **columns_of(at)), expected, rtol=0.03)
+    np.testing.assert_allclose(sigma, expected, rtol=0.03)
+    assert np.abs(own["uncertainty"](at.q, **columns_of(at)) / expected - 1.0).max() > 0.08
 
 
 def test_a_model_file_keeps_it(found: Discovery, tmp_path: Path, rng: np.random.Generator) -> None:
