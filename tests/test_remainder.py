@@ -26,6 +26,8 @@ from pincal.discover.smooth_likelihood import likely_remainders
 from pincal.discover.smooth_rest import with_remainder
 from pincal.errors import BadInputError
 from pincal.export import export_model
+from pincal.export.formulas import formulas_of
+from pincal.export.numpy_source import numpy_source
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.model.catalogue.remainder import SmoothRemainder, golden_ratio
@@ -189,6 +191,21 @@ def test_its_intervals_cover(kuka: Robot, found: Discovery) -> None:
     assert np.mean(np.abs(error) < 1.96 * found.calibration.fit.position_sigma(at)) > 0.9
 
 
+def test_exports_have_its_uncertainty(found: Discovery, tmp_path: Path, rng: np.random.Generator) -> None:
+    """C and NumPy state the model's u, though a load bends the arm otherwise where parameters nobody sees apart differ."""
+    calibrated = found.calibration.fit
+    at = replace(poses_of(calibrated, 200, rng), payload_centre=calibrated.payload_centre)
+    expected = calibrated.position_sigma(at)
+    source = loaded(export_model(calibrated, "python").text)
+    sigma, _ = Compiled.of(calibrated, tmp_path, "instrument").uncertainty(at)
+    formulas = formulas_of(calibrated)
+    own = loaded(numpy_source(formulas, frame="instrument"))
+
+    np.testing.assert_allclose(source["uncertainty"](at.q, **columns_of(at)), expected, rtol=0.03)
+    np.testing.assert_allclose(sigma, expected, rtol=0.03)
+    assert np.abs(own["uncertainty"](at.q, **columns_of(at)) / expected - 1.0).max() > 0.08
+
+
 def test_a_model_file_keeps_it(found: Discovery, tmp_path: Path, rng: np.random.Generator) -> None:
     """The same predictions from a file of less than 300 kB."""
     found.calibration.fit.save(tmp_path / "model.json")
@@ -211,6 +228,19 @@ def test_noise_has_no_remainder(kuka: Robot) -> None:
 
     assert sound.findings.remainder is None and not likely_remainders(fit)
     assert with_remainder(sound.trail) == (sound.trail, None)
+
+
+def test_few_poses_have_none(found: Discovery, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of fewer than four regions of ten rows nothing is fitted, whatever they would show."""
+    fit = found.trail.changes[-2].fit
+    some = fit.select(np.arange(REMAINDER.regions * REMAINDER.region - 1))
+    asked = list[object]()
+    monkeypatch.setattr("pincal.discover.smooth_rest.likely_remainders", lambda fit: asked.append(fit) or [])
+    for of in (some, fit):
+        trail = replace(found.trail, fit=of, changes=found.trail.changes[:-1])
+        assert with_remainder(trail) == (trail, None)
+
+    assert len(asked) == 1
 
 
 def test_waves_are_a_process_of_the_stated_length(kuka: Robot) -> None:

@@ -296,6 +296,31 @@ class Region(msgspec.Struct, frozen=True, kw_only=True):
         return self.smooth_mm > self.named_mm
 
 
+class NamedRegion(msgspec.Struct, frozen=True, kw_only=True):
+    """A region of joint space, predicted by fits of the others with the names alone; of ten rows or
+    more, if the table has them.
+
+    Attributes:
+        rows: number of its readings.
+        calibrated_mm: mean error by geometry and elasticity, as ``pincal calibrate`` fits them
+            [mm].
+        named_mm: with the names that were found.
+        chance: probability that scatter alone makes the names look as much worse as here, or more.
+        centre: mean position of each joint [rad or m].
+    """
+
+    rows: int
+    calibrated_mm: float
+    named_mm: float
+    chance: float
+    centre: dict[str, float]
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether names predict it worse, be it by chance."""
+        return self.named_mm > self.calibrated_mm
+
+
 class Smooth(msgspec.Struct, frozen=True, kw_only=True):
     """What is smooth in the joints and has no name: it predicts, and says nothing of causes.
 
@@ -343,6 +368,10 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         remainder: what is smooth in the joints and has no name, as far as it predicts regions that
             were left out, and none of them worse than by geometry and elasticity; none otherwise,
             or if it was not wanted.
+        delivered: what ``model.json`` has: "calibrated", geometry and elasticity alone; "named",
+            the names as well; "smooth", what has no name as well.
+        regions: regions that are left out, by geometry and elasticity and with the names; none
+            without names, and where ``remainder`` has them.
     """
 
     noise_floor_mm: float
@@ -362,3 +391,5 @@ class Findings(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     warnings: tuple[Note, ...] = ()
     held_out: dict[str, dict[Literal["before", "after"], Gap]] = {}
     remainder: Smooth | None = None
+    delivered: Literal["calibrated", "named", "smooth"] | None = None
+    regions: tuple[NamedRegion, ...] = ()

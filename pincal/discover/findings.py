@@ -115,7 +115,14 @@ def findings_of(
         approach_from=approach_from,
         held_out=dict(held_out or {}),
         remainder=None if rest is None else rest.found_in(fit),
+        delivered=_delivered(trail, rest),
     )
+
+
+def _delivered(trail: History, rest: SmoothRest | None) -> Literal["calibrated", "named", "smooth"]:
+    if rest is not None:
+        return "smooth"
+    return "named" if any(not step.is_elastic for step in trail.steps) else "calibrated"
 
 
 def _errors_of(fit: ModelFit) -> tuple[float, float]:

@@ -161,12 +161,9 @@ def likely_waves_of_two(fit: ModelFit, joints: Sequence[str]) -> list[Effect]:
     for joint, b, v in zip(turning, along, lever, strict=True):
         if joint not in others or not v.any():
             continue
+        wide = [k for k in others if k != joint and _tells_orders(situation.positions(k))]
         own = situation.positions(joint)
-        pairs = {
-            other: PairOfJoints(own, situation.positions(other), b, v)
-            for other in others
-            if other != joint and _tells_orders(situation.positions(other))
-        }
+        pairs = {k: PairOfJoints(own, situation.positions(k), b, v) for k in wide}
         if not pairs:
             continue
         among = len(turning) * sum(pair.count for pair in pairs.values())

@@ -622,6 +622,21 @@ class RemainderNumbers:
         "one with its neighbour",
         "chosen: of fewer the mean is not known to a sixth",
     )
+    worse: float = _number(
+        0.05,
+        "probability",
+        "test_names_by_region.py::test_what_is_beyond_scatter_is_a_doubt",
+        "that names predict any of the regions that are left out as much worse than geometry and "
+        "elasticity by chance, below which they are doubted",
+        "as for any doubt; of 24 drawn tables with a true name none came below",
+    )
+    regions: int = _number(
+        4,
+        "regions",
+        "test_remainder.py::test_few_poses_have_none",
+        "of so many rows, at least, that may tell whether something is predicted better",
+        "chosen: the scatter of their gains is known to a half",
+    )
     narrower: tuple[float, ...] = _number(
         (0.5, 0.25),
         "ratio",

@@ -47,6 +47,7 @@ from pincal.discover.elastic import significant_compliances
 from pincal.discover.ending import note_on_joints, widened
 from pincal.discover.findings import bootstrap_last, findings_of
 from pincal.discover.loop import discover_effects, withdraw_names_at_change
+from pincal.discover.names_by_region import doubt_of_regions, regions_by_names
 from pincal.discover.policy import POLICY, TESTING, Policy
 from pincal.discover.scatter import arrivals_within
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
@@ -68,7 +69,7 @@ from pincal.measure.measurements import Measurements
 from pincal.model.chain import MOMENT_FRAMES, MomentFrame
 from pincal.model.effect import Effect
 from pincal.model.effects import GEOMETRIC
-from pincal.notes import Note, doubts_first
+from pincal.notes import Note, Severity, doubts_first
 from pincal.robot.robot import Robot
 from pincal.spread import spread, wake
 from pincal.validate.misfit import SURE, Verdict
@@ -323,8 +324,12 @@ class _Ended:
         [s].
         """
         first = self.first
-        if self.rest is not None:
-            notes = doubts_first([*notes, note_on_remainder(self.rest)])
+        if self.rest is None:
+            regions = regions_by_names(self.named, self.validated, first.stations)
+            findings = changed(findings, regions=regions)
+        more = [doubt_of_regions(findings.regions)]
+        more += [] if self.rest is None else [Note(Severity.NOTE, note_on_remainder(self.rest))]
+        notes = doubts_first([*notes, *filter(None, more)])
         seconds = time.perf_counter() - begun
         given = partial(result_of, rows=first.stations, notes=notes, left_out=left_out)
         given = partial(given, seconds=seconds, arrivals=self.arrivals)

@@ -77,9 +77,9 @@ def with_remainder(trail: History) -> tuple[History, SmoothRest | None]:
     """Return a search with what is smooth in the joints and has no name, if regions that are left
     out say that it predicts; else as it was.
     """
-    fit = _alike(trail.final)
-    if _is_explained(fit):
+    if _is_explained(trail.final) or not _reads_enough(trail.final):
         return trail, None
+    fit = _alike(trail.final)
     folds = Folds.of(fit.problem, ("regions",)).of_way
     if "regions" not in folds:
         return trail, None
@@ -162,6 +162,16 @@ def _fitted(fit: ModelFit, effects: Sequence[SmoothRemainder]) -> ModelFit:
     if noise is not None:
         after = refit(weighed(after, noise), after.options.effects, start={}, until=Tolerance.CLOSE)
     return placed_at_mean(after)
+
+
+def _reads_enough(fit: ModelFit) -> bool:
+    """Return whether places were read at enough poses to tell regions apart; not of logs of motion,
+    which are read as a whole.
+    """
+    stations = fit.problem.stations
+    is_log = any(station.sensor.is_whole for station in stations)
+    poses = sum(len(station) for station in stations if station.sensor.reads_place)
+    return not is_log and poses >= REMAINDER.regions * REMAINDER.region
 
 
 def _is_explained(fit: ModelFit) -> bool:

@@ -269,13 +269,12 @@ def as_comment(text: str) -> str:
     )
 
 
-def checked_poses(calibrated: FittedRobot) -> Conditions:
-    """Return poses at which an export is compared with the model: over the joint ranges, with all
+def checked_poses(calibrated: FittedRobot, *, n: int = _CHECKED_POSES, seed: int = 0) -> Conditions:
+    """Return n poses at which an export is compared with the model: over the joint ranges, with all
     conditions recorded.
     """
     robot = calibrated.model.chain.robot
-    rng = np.random.default_rng(0)
-    n = _CHECKED_POSES
+    rng = np.random.default_rng(seed)
     found = Conditions.at(
         robot.random_configurations(n, rng), payload_centre=calibrated.payload_centre
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,11 @@ from pincal.model.model import Model
 from pincal.model.symbols import Expression, Symbol, either_way, multiply, scalar, symbols
 from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
-from pincal.thresholds import Count
+from pincal.thresholds import Count, Scale
+
+# Motions by displacements of parameters, relative to the largest, below which poses tell nothing of
+# them.
+_SEEN: Scale = 1e-6
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,27 @@ class Spread:
         n = len(self.root) - len(self.parameters)
         chosen = [*(motions[p] for p in self.parameters), *motions[len(motions) - n :]]
         return tuple(entry for motion in chosen for entry in motion)
+
+    def with_exact_motions(self, formulas: np.ndarray, exact: np.ndarray) -> Spread:
+        """Return the spread by which motions by formulas are those by which the exact ones are
+        without it, as nearly as constant displacements can.
+
+        Formulas neglect that a load bends an arm otherwise where parameters differ. Parameters of
+        parallel axes have opposite errors of a millimetre that nobody sees, and what the load makes
+        of these is seen: other parameters take it.
+
+        Args:
+            formulas: shape (N, 3, F), motion of the target by a unit of each uncertain parameter,
+                by the formulas.
+            exact: shape (N, 3, F), by the model.
+        """
+        n = len(self.parameters)
+        root = self.root.copy()
+        sizes = np.linalg.norm(root[:n], axis=1)
+        lacking = (exact - formulas).reshape(-1, n) @ root[:n]
+        by_sizes = (formulas * sizes).reshape(-1, n)
+        root[:n] += sizes[:, None] * np.linalg.lstsq(by_sizes, lacking, rcond=_SEEN)[0]
+        return replace(self, root=root)
 
     def rows(self) -> list[list[str]]:
         """Return the rows of the root as numbers in any language."""

@@ -27,12 +27,16 @@ from pincal.export.exported import (
     placed_in,
     template_of,
 )
-from pincal.export.formulas import Formulas, Language, formulas_of, written
+from pincal.export.formulas import Formulas, Language, Spread, formulas_of, written
 from pincal.measure.heading import NUMBERED
 from pincal.model.conditions import Conditions
+from pincal.thresholds import Count
 from pincal.units import UNITS, size_of
 
 _ARGUMENTS = "q, payload, temperature, time, approach, target"
+_COLUMNS = ("payload", "temperature", "time", "approach", "target")
+# Poses for each uncertain parameter, three equations each, by which motions are compared.
+_POSES_EACH: Count = 3
 
 
 def _input(name: str) -> str:
@@ -97,18 +101,46 @@ class NumpySource(Format):
 
 def checked_formulas(calibrated: FittedRobot, frame: str) -> Formulas:
     """Return the formulas of a calibrated model in a frame, without those of its uncertainty where
-    they differ from the model's.
+    they differ from the model's whatever displacements of the parameters are taken.
     """
     formulas = formulas_of(placed_in(calibrated, frame))
     if not formulas.spread.is_known:
         return replace(formulas, motions=())
+    source = _loaded(numpy_source(formulas, frame=frame))
+    if _states_uncertainty(formulas, source["uncertainty"]):
+        return formulas
+    spread = _spread_by_model(formulas, source["_motions"], source["_inputs"])
+    formulas = replace(formulas, spread=spread)
+    source = _loaded(numpy_source(formulas, frame=frame))
+    agrees = _states_uncertainty(formulas, source["uncertainty"])
+    return formulas if agrees else replace(formulas, motions=())
+
+
+def _states_uncertainty(formulas: Formulas, uncertainty: Callable[..., np.ndarray]) -> bool:
+    """Return whether the function of a file states the uncertainty of the model."""
     found = formulas.calibrated
     at = checked_poses(found)
     expected = found.position_sigma(at)
-    source = _loaded(numpy_source(formulas, frame=frame))["uncertainty"]
-    stated = source(*_arguments(found, at)[:1], **_arguments(found, at)[1])
-    agrees = np.abs(stated - expected).max() <= EXPORT.uncertainty * expected.mean()
-    return formulas if agrees else replace(formulas, motions=())
+    q, columns = _arguments(found, at)
+    difference = np.abs(uncertainty(q, **columns) - expected).max()
+    return bool(difference <= EXPORT.uncertainty * expected.mean())
+
+
+def _spread_by_model(
+    formulas: Formulas, motions: Callable[..., np.ndarray], inputs: Callable[..., Any]
+) -> Spread:
+    """Return the spread with which the functions of a file move the target as the model does, at
+    poses that are not those of the check.
+    """
+    found = formulas.calibrated
+    chosen = list(formulas.spread.parameters)
+    # More equations than parameters.
+    at = checked_poses(found, n=_POSES_EACH * len(chosen), seed=1)
+    q, columns = _arguments(found, at)
+    given = (columns[name] for name in _COLUMNS)
+    by_formulas = np.swapaxes(motions(*inputs(q, *given)), 1, 2)[:, :, : len(chosen)]
+    _, J = found.model.linearise(found.model_values, at, rows=3)
+    return formulas.spread.with_exact_motions(by_formulas, J[:, :, chosen])
 
 
 def numpy_source(formulas: Formulas, *, frame: str) -> str:

@@ -15,6 +15,7 @@ from pincal.discover.report.found_words import (
     bootstrap_words,
     effect_words,
     line_words,
+    region_words,
     smooth_words,
     subsample_only_words,
 )
@@ -108,6 +109,8 @@ def _print_nameless(findings: Findings, out: Console) -> None:
         out.print(one_line(text), markup=False)
     if findings.remainder is not None:
         out.print(hanging("unnamed, smooth", smooth_words(findings.remainder)))
+    if findings.regions:
+        out.print(hanging("regions", region_words(findings.regions)))
 
 
 def _print_effects(findings: Findings, out: Console) -> None:

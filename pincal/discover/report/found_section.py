@@ -20,6 +20,7 @@ from pincal.discover.report.found_words import (
     effect_words,
     gain_words,
     line_words,
+    region_words,
     smooth_trust,
     subsample_only_words,
 )
@@ -148,7 +149,11 @@ def _scattering(entry: ScatteringJoint) -> str:
 
 
 def _smooth(found: Findings) -> Iterator[PageBlock]:
-    """Yield what is smooth in the joints and has no name, if it entered the model."""
+    """Yield what is smooth in the joints and has no name, if it entered the model; else how regions
+    are predicted by the names alone.
+    """
+    if found.regions:
+        yield paragraph(f"{region_words(found.regions)} (discovery.json has them).", "mute")
     if (smooth := found.remainder) is None:
         return
     at = f"{FOUND}/remainder"

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from pincal.discover.discovery_file import Bootstrap, EffectName, Findings, FoundEffect, Smooth
+from collections.abc import Sequence
+
+from pincal.discover.discovery_file import (
+    Bootstrap,
+    EffectName,
+    Findings,
+    FoundEffect,
+    NamedRegion,
+    Smooth,
+)
+from pincal.discover.policy import REMAINDER
 from pincal.units import format_small
 
 # Words for variables whose names do not explain themselves.
@@ -87,6 +97,27 @@ def smooth_words(smooth: Smooth) -> str:
     return (
         f"{parts}; regions left out are predicted to {smooth.smooth_mm:.4f} mm, without it to "
         f"{smooth.named_mm:.4f}. It says nothing of causes. {smooth_trust(smooth)}"
+    )
+
+
+def region_words(regions: Sequence[NamedRegion]) -> str:
+    """Return how many regions that are left out names predict worse than geometry and elasticity.
+
+    Example:
+        >>> sizes = {"calibrated_mm": 0.09, "chance": 0.4, "centre": {}}
+        >>> regions = [NamedRegion(rows=12, named_mm=named, **sizes) for named in (0.08, 0.1)]
+        >>> print(region_words(regions))
+        Of 2 regions left out the names predict 1, with 12 rows, worse than calibrate, by chance
+    """
+    worse = [region for region in regions if region.is_worse]
+    if not worse:
+        return f"None of {len(regions)} regions left out is predicted worse than by calibrate"
+    rows = sum(region.rows for region in worse)
+    least = min(region.chance for region in worse) * len(regions)
+    how = f"beyond chance (p {least:.0e})" if least < REMAINDER.worse else "by chance"
+    return (
+        f"Of {len(regions)} regions left out the names predict {len(worse)}, with {rows} rows, "
+        f"worse than calibrate, {how}"
     )
 
 
