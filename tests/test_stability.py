@@ -21,8 +21,10 @@ from pincal.discover.report.found_section import _named
 from pincal.discover.run import Discovery, Subsamples, _subsamples, begin_subsamples, run_discovery
 from pincal.discover.score_tests import ScoreTests, score_test, score_test_given_nuisances
 from pincal.errors import BadInputError
-from pincal.identify.calibrate import refit
+from pincal.identify.calibrate import fit_tables, refit
+from pincal.identify.fit import Ending
 from pincal.identify.mass_error import MassError, variance_of_masses
+from pincal.identify.options import Options
 from pincal.identify.split import row_groups
 from pincal.model.catalogue.bearing_features import bearing_features
 from pincal.model.effects import GEOMETRIC
@@ -88,6 +90,28 @@ def test_what_is_plain_to_see_comes_up_in_every_half(case: Case, found: Discover
 
 
 @pytest.mark.long
+def test_few_readings_in_a_half_are_not_fitted_exactly(
+    case: Case, found: Discovery, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three positions of a station are as many readings as its parameters: a half takes their noise from all rows."""
+    few, rest = case.rows.select(np.arange(6)), case.rows.select(np.arange(6, 130))
+    fit = fit_tables(case.robot, {"few": few, "rest": rest}, Options(effects=GEOMETRIC))
+    half = fit.select(np.array([0, 1, 2, *range(6, 130, 2)]))
+    sigma = fit.solution.sigma
+
+    alone = refit(half, GEOMETRIC, start={}).solution
+    held = refit(replace(half, noise=half.noise.no_less_than(0.5 * sigma)), GEOMETRIC, start={}).solution
+
+    assert alone.sigma[0] < 1e-3 * sigma[0]
+    assert (held.sigma >= 0.5 * sigma).all() and held.exit is Ending.SETTLED
+    assert held.sigma[1] == pytest.approx(sigma[1], rel=0.3)
+
+    seen = []
+    monkeypatch.setattr("pincal.discover.run._names_in_half", lambda first, *rest: seen.append(first.noise) or ())
+    begin_subsamples(found.trail, [np.arange(len(found.trail.first.problem)) // 10], 2)()
+    assert [noise.least for noise in seen] == [tuple(0.5 * found.trail.final.solution.sigma)] * 2
+
+
 def test_an_executor_brings_the_same(case: Case, found: Discovery) -> None:
     """Here threads; the order of the halves is kept."""
     regions = [row_groups(found.calibration.train, split="blocked", seed=0)]

@@ -72,7 +72,12 @@ from pincal.model.effects import GEOMETRIC
 from pincal.notes import Note, Severity, doubts_first
 from pincal.robot.robot import Robot
 from pincal.spread import spread, wake
+from pincal.thresholds import Scale
 from pincal.validate.misfit import SURE, Verdict
+
+# Noise of half of the rows, at least, in units of that of all: of less readings than parameters it
+# would be rounding.
+_LEAST: Scale = 0.5
 
 Heading = tuple[str, str | None, str | None]
 """Effect, joint and source, which together are the name of an effect."""
@@ -449,6 +454,8 @@ def begin_subsamples(
     few, rows = sampled(trail.first, trail.policy)
     # The correlation along the rows is estimated from all rows.
     few = replace(few, options=replace(few.options, serial=False))
+    # A few positions beside days of an IMU are fewer still in a half, and would be fitted exactly.
+    few = replace(few, noise=few.noise.no_less_than(_LEAST * trail.final.solution.sigma))
     offsets = np.cumsum([0, *(int(part.max()) + 1 for part in regions)])
     joined = np.concatenate(
         [part + offset for part, offset in zip(regions, offsets, strict=False)]

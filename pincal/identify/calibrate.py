@@ -36,7 +36,7 @@ from pincal.identify.options import Options, PriorScale, StationOptions, Tools
 from pincal.identify.prior_scale import observes_places, prior_scale
 from pincal.identify.problem import Problem
 from pincal.identify.screening import without_wrong, wrong_readings
-from pincal.identify.solve import SETTLED, Course, solve
+from pincal.identify.solve import SETTLED, Course, solve, solve_to
 from pincal.identify.stop_scatter import StopScatter, scatter_of_stops, shared_in_fit
 from pincal.identify.visit_weights import weighs_visits, with_visits
 from pincal.measure.measurements import Measurements
@@ -484,24 +484,27 @@ def _solved(
     released = released_of(problem, options)
     excited = released & excited_of(problem)
 
-    def solved(name: str, at: np.ndarray | Linearised, free: np.ndarray, **how: Any) -> Solution:
+    def solved(
+        name: str, at: np.ndarray | Linearised, free: np.ndarray, **how: Any
+    ) -> tuple[Solution, Linearised]:
         course = Course(options.loss, label=name, executor=executor, **how)
-        found = solve(problem, at, free, fit.priors, fit.noise, course)
+        found, point = solve_to(problem, at, free, fit.priors, fit.noise, course)
         stages.append(FitStage(name, found.iterations, float(found.estimated[0])))
-        return found
+        return found, point
 
+    point = None
     if isinstance(start, Solution):
         fitted = replace(start, free=excited)
     else:
         for name, free in _plan(problem, excited, options):
-            fitted = solved(name, start, free, rough=True)
+            fitted, point = solved(name, start, free, rough=True)
             start = fitted.values
     for name in _LAST_STAGES[until]:
-        missed, begun = _is_missed(replace(fit, solution=fitted), released)
+        missed, begun = _is_missed(replace(fit, solution=fitted), released, point)
         if missed or name == "final":
             short = _CLOSE if until is Tolerance.CLOSE else SETTLED
             free = released if missed else fitted.free
-            fitted = solved(name, begun, free, short=short, ahead=until is Tolerance.NEAR)
+            fitted, point = solved(name, begun, free, short=short, ahead=until is Tolerance.NEAR)
         if not missed and fitted.iterations == 1:
             # The test was made at the solution itself.
             break
@@ -522,18 +525,23 @@ def _plan(problem: Problem, free: np.ndarray, options: Options) -> list[tuple[st
     ]
 
 
-def _is_missed(fit: ModelFit, released: np.ndarray) -> tuple[bool, Linearised]:
+def _is_missed(
+    fit: ModelFit, released: np.ndarray, point: Linearised | None = None
+) -> tuple[bool, Linearised]:
     """Return whether the data require parameters that the nominal geometry never excites (a score
     test).
 
     Such a parameter times a deviation makes a ridge along which a fit wanders, so it is released
-    only if required. The problem linearised at the fit is returned as well.
+    only if required. The problem linearised at the fit is returned as well: ``point``, where that
+    is known and has all columns.
     """
     problem = fit.problem
     fitted = fit.solution
     sizes = fit.priors.sizes
     # A parameter that only one of several stations has concerns that station alone.
     held = released & ~fitted.free & problem.is_shared
+    if point is not None and not held.any():
+        return False, point.reweighted(fitted.weights)
     found = Linearised(problem, fitted.values, fitted.free | held, fitted.weights, sizes)
     if not held.any():
         return False, found

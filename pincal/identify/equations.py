@@ -27,6 +27,7 @@ from pincal.identify.normal import (
     contribution,
     reweighted,
     squares,
+    summed,
 )
 from pincal.identify.posterior import Eliminated, Posterior, eliminate
 from pincal.identify.problem import Problem
@@ -69,6 +70,7 @@ class Linearised:
         normals: the latest normal equations of batches at these values, by number, perhaps with
             other robust weights.
         sums: contributions of batches for the latest noise, and the squares of their residuals.
+        weighed: the same point with other robust weights, from whose rows the squares are summed.
     """
 
     problem: Problem
@@ -81,12 +83,24 @@ class Linearised:
     squares_first: bool = False
     normals: dict[int, Normal] = field(default_factory=dict)
     sums: dict[_Key, _Sums] = field(default_factory=dict)
+    weighed: Linearised | None = None
 
     def reweighted(self, robust: np.ndarray) -> Linearised:
         """Return the same point with other robust weights; stations whose weights are unchanged are
         not recomputed.
         """
-        return replace(self, robust=robust, squares_first=False)
+        return replace(self, robust=robust, squares_first=False, weighed=None)
+
+    def without_rows(self, rows: np.ndarray) -> Linearised:
+        """Return the same point without some rows, a mask of shape (N,); its squares follow from
+        those of the rows here, and its normal equations are computed on demand.
+        """
+        robust = np.where(rows, 0.0, self.robust)
+        return replace(self, robust=robust, normals={}, sums={}, weighed=self)
+
+    def moved_to(self, values: np.ndarray) -> Linearised:
+        """Return the problem at other values, its squares computed before its normal equations."""
+        return replace(self, values=values, squares_first=True, normals={}, sums={}, weighed=None)
 
     def narrowed(self, free: np.ndarray) -> Linearised:
         """Return the same point with fewer free parameters, shape (P,); known normal equations are
@@ -94,7 +108,7 @@ class Linearised:
         """
         if np.array_equal(free, self.free):
             return self
-        found = replace(self, free=free, normals={}, sums={})
+        found = replace(self, free=free, normals={}, sums={}, weighed=None)
         if [batch.first for batch in found._batches] == [batch.first for batch in self._batches]:
             for k, normal in self.normals.items():
                 places = self._batches[k].places[0]
@@ -138,6 +152,12 @@ class Linearised:
 
     @cached_property
     def _squares(self) -> list[StationSquares]:
+        if self.weighed is not None:
+            pairs = zip(self.weighed._squares, self._batches, strict=True)
+            return [
+                replace(found, blocks=summed(found.rows, of.ends, self.robust[of.rows]))
+                for found, of in pairs
+            ]
         if self._are_kept and not self.squares_first:
             return [normal.squares for normal in self._normals]
         if self.sigma is not None and not self.squares_first:

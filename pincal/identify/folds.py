@@ -192,7 +192,9 @@ def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterat
     is_serial = any(station.serial is not None for station in fit.problem.stations)
     problem = _of_independent_rows(fit.problem) if is_serial else fit.problem
     readings = max(float(problem.readings(weights).sum()), 1.0)
-    point = Linearised(problem, solution.values, free, weights, fit.priors.sizes)
+    point = Linearised(
+        problem, solution.values, free, weights, fit.priors.sizes, squares_first=True
+    )
 
     @cache
     def step_of(posterior: Posterior, damping: float) -> np.ndarray:
@@ -203,10 +205,7 @@ def _without_each(fit: ModelFit, solution: Solution, fold: np.ndarray) -> Iterat
         return np.asarray(_step(posterior, bounds, damping) - step_of(whole, damping))
 
     for k, (whole, posterior) in enumerate(point.without_each(fold, solution.sigma)):
-        others = np.where(fold == k, 0.0, weights)
-        here = Linearised(
-            problem, solution.values, free, others, fit.priors.sizes, squares_first=True
-        )
+        here = point.without_rows(fold == k)
         here, step = _descended(here, partial(step_beyond, whole, posterior), solution.sigma)
         for _ in range(_STEPS - 1):
             if is_serial or posterior.square(step) < _SHORT**2 * readings:
@@ -233,7 +232,7 @@ def _descended(
     def at_end_of(step: np.ndarray) -> Linearised:
         values = here.values.copy()
         values[here.free] += step
-        return replace(here, values=values, squares_first=True, normals={}, sums={})
+        return here.moved_to(values)
 
     step = step_of(0.0)
     there = at_end_of(step)

@@ -244,19 +244,15 @@ def place_arm(
         for name, table in tables.items()
     ]
     best: list[tuple[float, Station, np.ndarray]] = [(np.inf, *starts[0]) for starts in candidates]
+    every = [(i, start) for i, starts in enumerate(candidates) for start in starts]
     # Stations that share more than the robot are placed one by one.
-    is_apart = any(table.setup for table in tables.values()) or len(candidates) == 1
-    for k in range(max(map(len, candidates))):
-        stations = [i for i, starts in enumerate(candidates) if k < len(starts)]
-        together = (
-            [[candidates[i][k]] for i in stations]
-            if is_apart
-            else [[candidates[i][k] for i in stations]]
-        )
-        settled = [one for starts in together for one in _settled(starts, options)]
-        for i, (rest, found) in zip(stations, settled, strict=True):
+    is_apart = any(start[0].shares_setup for _, start in every)
+    for some in [[one] for one in every] if is_apart else [every]:
+        most = max(_FEWEST_SETTLED_ROWS, _ROWS // (1 if is_apart else len(candidates)))
+        settled = _settled([start for _, start in some], options, min(_SETTLED_ROWS, most))
+        for (i, (station, _)), (rest, found) in zip(some, settled, strict=True):
             if rest < _ALIKE * best[i][0]:
-                best[i] = rest, candidates[i][k][0], found
+                best[i] = rest, station, found
     return [(station, found) for _, station, found in best]
 
 
@@ -336,13 +332,27 @@ def _at(
 
 
 def _settled(
-    starts: list[tuple[Station, np.ndarray]], options: Options
+    starts: list[tuple[Station, np.ndarray]], options: Options, most: int
 ) -> list[tuple[float, np.ndarray]]:
-    """Return the median row residual and the values after a short fit of base and tool, robust
-    against outliers.
+    """Return the median row residual and the values after a short fit of base and tool to at most
+    ``most`` rows, robust against outliers.
+
+    Starts of one station are stations of their own in one fit, which takes half the time of two.
     """
-    most = min(_SETTLED_ROWS, max(_FEWEST_SETTLED_ROWS, _ROWS // len(starts)))
-    samples = [station.sample(most) for station, _ in starts]
+    names = [station.name for station, _ in starts]
+    if len(set(names)) < len(names):
+        own = [f"{name} from start {k}" for k, name in enumerate(names)]
+        given = {
+            new: options.stations[name]
+            for new, name in zip(own, names, strict=True)
+            if name in options.stations
+        }
+        options = replace(options, stations=given)
+        names = own
+    samples = [
+        replace(station.sample(most), name=name)
+        for name, (station, _) in zip(names, starts, strict=True)
+    ]
     problem = Problem(tuple(samples))
     values = _joined(problem, starts)
     free = released_of(problem, options) & is_frame(problem)

@@ -9,7 +9,7 @@ finished to rounding with singular values of the Jacobian itself.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Literal
 
@@ -133,20 +133,31 @@ class _Exact:
         problem = self.problem
         rank = np.cumsum(free) - 1
         columns = []
-        residuals = []
         each = zip(problem.stations, problem.places, self.weights, strict=True)
         for station, places, weight in each:
             at = values[places]
             moved = free[places]
-            parts = list(station.linearise(at, moved))
+            parts = [J for _, _, J in station.linearise(at, moved)]
             more, known = belief_rows(station, at, moved)
-            J = np.concatenate([part[2] for part in parts], axis=2) * weight
+            J = np.concatenate(parts, axis=2) * weight
             whole = np.zeros((int(free.sum()), weight.size + len(known)))
             whole[rank[places[moved]]] = np.hstack([J.reshape(len(J), weight.size), more])
             columns.append(whole)
-            r = np.concatenate([part[1] for part in parts], axis=1) * weight
-            residuals += [r.ravel(), known]
-        return np.hstack(columns), np.concatenate(residuals)
+        return np.hstack(columns), self.residuals(values)
+
+    def residuals(self, values: np.ndarray) -> np.ndarray:
+        """Return residuals, shape (M,), constraints among them, in a tenth of the time of
+        :meth:`linearised`.
+        """
+        problem = self.problem
+        residuals = []
+        for station, places, weight in zip(
+            problem.stations, problem.places, self.weights, strict=True
+        ):
+            at = values[places]
+            residuals.append((station.residuals(at) * weight).ravel())
+            residuals.append(belief_rows(station, at, np.zeros(len(at), bool))[1])
+        return np.concatenate(residuals)
 
     def improved(self, values: np.ndarray, J: np.ndarray, r: np.ndarray) -> np.ndarray | None:
         """Return values, shape (P,), that leave smaller residuals than these; None if no step to
@@ -166,11 +177,11 @@ class _Exact:
         self, values: np.ndarray, directions: _Directions
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return values after steps along strong directions that halve the residuals, and these."""
-        left = self.linearised(values)[1]
+        left = self.residuals(values)
         for least in [least for least in _STRONG for _ in range(_CORRECTIONS)]:
             back = values.copy()
             back[self.free] += directions.strong_step(left, least)
-            better = self.linearised(back)[1]
+            better = self.residuals(back)
             if better @ better < 0.5 * (left @ left):
                 values = back
                 left = better
@@ -226,13 +237,13 @@ class Noise:
 
     Attributes:
         declared: standard deviations, None where they are to be estimated.
-        of_visits: what visits of a pose are known to scatter by, 0 where nothing is; where rows are
-            means of visits, theirs is no less, and a fit to a few poses could not show it. Empty
-            for zeros.
+        least: what they are known to be no less than, 0 where nothing is known, and a fit to a few
+            poses could not show: where rows are means of visits, what visits scatter by. Empty for
+            zeros.
     """
 
     declared: tuple[float | None, ...]
-    of_visits: tuple[float, ...] = ()
+    least: tuple[float, ...] = ()
 
     @property
     def known(self) -> np.ndarray:
@@ -241,17 +252,22 @@ class Noise:
 
     def resolved(self, estimated: np.ndarray, degrees: np.ndarray) -> np.ndarray:
         """Return the noise to use, shape (blocks,): the declared unless the estimated exceeds it
-        significantly, and no less than that of visits.
+        significantly, and no less than the least.
         """
         misfit = self.known * (1.0 + CRITERIA.too_noisy / np.sqrt(2.0 * degrees))
         is_estimated = np.isnan(self.known) | (estimated > misfit)
         found = np.where(is_estimated, estimated, self.known)
-        return np.maximum(found, self.of_visits) if self.of_visits else found
+        return np.maximum(found, self.least) if self.least else found
 
     def select(self, blocks: Sequence[int]) -> Noise:
         """Return that of some blocks."""
         declared = tuple(self.declared[b] for b in blocks)
-        return Noise(declared, tuple(self.of_visits[b] for b in blocks) if self.of_visits else ())
+        return Noise(declared, tuple(self.least[b] for b in blocks) if self.least else ())
+
+    def no_less_than(self, sigma: np.ndarray) -> Noise:
+        """Return it with a least noise of each block, shape (blocks,), where it was lower."""
+        least = np.maximum(sigma, self.least) if self.least else sigma
+        return replace(self, least=tuple(least.tolist()))
 
 
 @dataclass(frozen=True)

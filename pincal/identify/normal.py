@@ -380,15 +380,23 @@ def squares(
     residuals = station.whitened(station.residuals(values))
     parts = [np.einsum("in,in->n", residuals[rows], residuals[rows]) for rows in station.block_rows]
     rows = np.array(parts) * station.weights**2
-    each = np.split(rows, ends[1:-1], axis=1)
-    blocks = np.concatenate(
-        [of @ weights**2 for of, weights in zip(each, np.split(robust, ends[1:-1]), strict=True)]
-    )
-    known = np.zeros(len(each))
-    if len(each) == 1:
+    known = np.zeros(len(ends) - 1)
+    if len(known) == 1:
         r = belief_rows(station, values, np.zeros(len(values), bool))[1]
         known[0] = r @ r
-    return StationSquares(blocks, rows, known)
+    return StationSquares(summed(rows, ends, robust), rows, known)
+
+
+def summed(rows: np.ndarray, ends: np.ndarray, robust: np.ndarray) -> np.ndarray:
+    """Return the squares of the blocks of each of S stations, from those of the rows.
+
+    Args:
+        rows: shape (blocks, N), squares without robust weights.
+        ends: shape (S + 1,), boundaries of the stations' rows.
+        robust: shape (N,), factor on each row's weight.
+    """
+    each = zip(np.split(rows, ends[1:-1], axis=1), np.split(robust, ends[1:-1]), strict=True)
+    return np.concatenate([of @ weights**2 for of, weights in each])
 
 
 def contribution(

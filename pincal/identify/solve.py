@@ -100,6 +100,21 @@ def solve(
     """Find the most probable values of the free parameters; ``exit`` of the result reports how the
     fit ended.
 
+    Arguments as for :func:`solve_to`.
+    """
+    return solve_to(problem, start, free, priors, noise, course)[0]
+
+
+def solve_to(
+    problem: Problem,
+    start: np.ndarray | Linearised,
+    free: np.ndarray,
+    priors: Priors,
+    noise: Noise,
+    course: Course = Course(),
+) -> tuple[Solution, Linearised]:
+    """Return the result of :func:`solve` and the problem at its values, with its robust weights.
+
     Args:
         problem: model and readings.
         start: shape (P,), start values, which the other parameters keep. Or the problem at such
@@ -112,7 +127,7 @@ def solve(
     """
     run = _Run(problem, start, free, priors, noise, course)
     ended = run.until_it_ends()
-    return run.solution(ended)
+    return run.solution(ended), run.point
 
 
 def likeliest_values(

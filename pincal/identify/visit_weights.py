@@ -128,7 +128,7 @@ def with_visits(fit: ModelFit, tables: Mapping[str, Measurements]) -> ModelFit:
     is_too_quiet = bool(np.any(of_visits > (1.0 + _SAME) * fit.solution.sigma))
     if not is_weighted and not is_too_quiet:
         return fit
-    noise = replace(fit.noise, of_visits=tuple(of_visits.tolist()))
+    noise = replace(fit.noise, least=tuple(of_visits.tolist()))
     return replace(fit.over(stations), noise=noise)
 
 
