@@ -4,7 +4,7 @@ import ast
 import os
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ import pincal.model.catalogue  # noqa: F401
 from pincal import plugins
 from pincal.builtin import kuka_urdf_path
 from pincal.model.effect_registry import EFFECTS
+from pincal.report import illustrations
 from pincal.robot.robot import Robot
 from pincal.sensors.registry import SENSORS
 
@@ -64,6 +65,25 @@ def forget_plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             if module not in imported:
                 # Loaded again, it has to register its classes again.
                 sys.modules.pop(module, None)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def inline_svg(request: pytest.FixtureRequest) -> Iterator[Callable[..., str]]:
+    """Compose the figures of pages, and draw them in modules with the mark ``drawn``; return what draws them.
+
+    Matplotlib would take half of the time of a calibration of few rows, and most tests look at words and numbers.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        draws = illustrations.inline_svg
+        if request.node.get_closest_marker("drawn") is None:
+            patch.setattr(illustrations, "inline_svg", lambda *_, **__: '<svg role="img"></svg>')
+        yield draws
+
+
+@pytest.fixture
+def drawn(inline_svg: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw the figures of pages in a test."""
+    monkeypatch.setattr(illustrations, "inline_svg", inline_svg)
 
 
 @pytest.fixture
