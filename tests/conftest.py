@@ -3,6 +3,7 @@
 import ast
 import os
 import shutil
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,11 +29,25 @@ from pincal.sensors.registry import SENSORS
 
 # Data that is not part of the project stands next to it.
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let a run leave out what a change can't concern."""
     parser.addoption("--since", metavar="COMMIT", help="leave out tests whose rooms are as they were in this commit")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile beside the collection of tests, which takes as long: each worker would do so for itself."""
+    if config.getoption("numprocesses", None):
+        config.stash[COMPILING] = subprocess.Popen([sys.executable, Path(__file__).with_name("compile_loops.py")])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any) -> None:
+    """Let no worker begin before the loops are compiled."""
+    if COMPILING in node.config.stash:
+        node.config.stash[COMPILING].wait()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
