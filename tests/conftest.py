@@ -3,8 +3,9 @@
 import ast
 import os
 import shutil
+import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +23,31 @@ import pincal.model.catalogue  # noqa: F401
 from pincal import plugins
 from pincal.builtin import kuka_urdf_path
 from pincal.model.effect_registry import EFFECTS
+from pincal.report import illustrations
 from pincal.robot.robot import Robot
 from pincal.sensors.registry import SENSORS
 
 # Data that is not part of the project stands next to it.
 SHARED = Path(__file__).resolve().parents[2] / "shared"
+COMPILING = pytest.StashKey[subprocess.Popen[bytes]]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let a run leave out what a change can't concern."""
     parser.addoption("--since", metavar="COMMIT", help="leave out tests whose rooms are as they were in this commit")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile beside the collection of tests, which takes as long: each worker would do so for itself."""
+    if config.getoption("numprocesses", None):
+        config.stash[COMPILING] = subprocess.Popen([sys.executable, Path(__file__).with_name("compile_loops.py")])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any) -> None:
+    """Let no worker begin before the loops are compiled."""
+    if COMPILING in node.config.stash:
+        node.config.stash[COMPILING].wait()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -64,6 +80,25 @@ def forget_plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             if module not in imported:
                 # Loaded again, it has to register its classes again.
                 sys.modules.pop(module, None)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def inline_svg(request: pytest.FixtureRequest) -> Iterator[Callable[..., str]]:
+    """Compose the figures of pages, and draw them in modules with the mark ``drawn``; return what draws them.
+
+    Matplotlib would take half of the time of a calibration of few rows, and most tests look at words and numbers.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        draws = illustrations.inline_svg
+        if request.node.get_closest_marker("drawn") is None:
+            patch.setattr(illustrations, "inline_svg", lambda *_, **__: '<svg role="img"></svg>')
+        yield draws
+
+
+@pytest.fixture
+def drawn(inline_svg: Callable[..., str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw the figures of pages in a test."""
+    monkeypatch.setattr(illustrations, "inline_svg", inline_svg)
 
 
 @pytest.fixture

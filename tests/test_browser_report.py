@@ -14,6 +14,7 @@ from pincal.discover.report.search_answer import SearchAnswer
 from pincal.report.html import report_page
 from pincal.report.subject import Subject
 
+pytestmark = pytest.mark.drawn
 ROOMS = pytest.mark.rooms("pincal/report", "pincal/discover/report", "tests/report_cases.py")
 SIZES = {"desk": (1280, 800), "phone": (390, 844)}
 # Text with its colour and that of the ground it stands on; contrast as in WCAG 2.

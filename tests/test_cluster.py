@@ -156,19 +156,19 @@ class Killer(logging.Handler):
 
 
 def test_nothing_is_lost_with_a_worker(kuka: Robot, client: Any) -> None:
-    """Of 200 bootstrap draws each is what one loop makes it, bit by bit, although a worker is killed midway."""
+    """Of 80 bootstrap draws each is what one loop makes it, bit by bit, although a worker is killed midway."""
     fit = calibrate(kuka, paper_table(kuka, 60, 0, 5e-5), Options(effects=GEOMETRIC, payload_centre=(0.08, -0.05, 0.22)))
     log, killer = logging.getLogger("pincal.spread"), Killer(next(iter(client.run(os.getpid).values())))
     level = log.level
     log.setLevel(logging.INFO)
     log.addHandler(killer)
     try:
-        draws = fit.bootstrap(draws=200, executor=client.get_executor())
+        draws = fit.bootstrap(draws=80, executor=client.get_executor())
     finally:
         log.removeHandler(killer)
         log.setLevel(level)
     assert killer.killed
-    np.testing.assert_array_equal(draws, fit.bootstrap(draws=200))
+    np.testing.assert_array_equal(draws, fit.bootstrap(draws=80))
 
 
 def test_a_task_that_kills_workers_is_given_up(client: Any) -> None:

@@ -350,7 +350,8 @@ def test_a_change_of_a_drawn_robot_is_named() -> None:
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [
-        (kind, 700 + 3 * i + j)
+        # One of each kind before each commit, the others where rates are counted.
+        pytest.param(kind, 700 + 3 * i + j, marks=pytest.mark.rates if j and kind != "worn" else ())
         for i, kind in enumerate(KINDS)
         for j in range(2)
         if (kind, j) not in (("worn", 0), ("loose", 1))
@@ -366,7 +367,11 @@ def test_drawn_changes_come_out_as_they_are_known_to(kind: str, seed: int) -> No
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(720, 730))
+@pytest.mark.parametrize(
+    "seed",
+    # Of every temperature some before each commit, the others where rates are counted.
+    [pytest.param(seed, marks=() if seed in (720, 723, 724, 729) else pytest.mark.rates) for seed in range(720, 730)],
+)
 def test_drawn_robots_that_have_not_changed_come_out_so(seed: int) -> None:
     """Ten, a third at another temperature."""
     case = draw_case(seed, temperature=seed % 9 < 3)

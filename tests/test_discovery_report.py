@@ -470,6 +470,7 @@ def test_check_prints_what_could_be_found(tmp_path: Path, case: Case, capsys: py
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("drawn")
 def test_discover_shows_the_gap_shrink(tmp_path: Path, case: Case, capsys: pytest.CaptureFixture[str]) -> None:
     """The terminal has a line a step down to the noise, and report.html the figures, without any network."""
     write_table(tmp_path / "data.csv", _columns(case.rows))

@@ -11,7 +11,7 @@ from test_robot import ARMS
 
 from pincal import Robot
 
-pytestmark = [pytest.mark.long, pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")]
+pytestmark = [pytest.mark.long, pytest.mark.drawn, pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")]
 
 PUBLISHED = {
     "abb/abb_irb2400_support/urdf/irb2400.urdf": (),

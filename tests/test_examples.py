@@ -105,17 +105,19 @@ def test_case_study_states_honest_uncertainties(kuka_output: str) -> None:
 
 @pytest.mark.long
 @pytest.mark.first
-def test_camera_in_the_hand_finds_the_papers_robot(tmp_path: Path) -> None:
+@pytest.mark.parametrize("draws", [3, pytest.param(12, marks=pytest.mark.rates)])
+def test_camera_in_the_hand_finds_the_papers_robot(tmp_path: Path, draws: int) -> None:
     """From twelve views of the paper's object: exact to rounding, and as uncertain as the covariance says."""
-    text = run("kuka_camera.py", "--seeds", "1", "--draws", "12", folder=tmp_path)
+    text = run("kuka_camera.py", "--seeds", "1", "--draws", str(draws), folder=tmp_path)
     cases = text.split("\n\n")[1:]
 
     assert len(cases) == 4
     for case in cases:
         assert numbers(case, "held-out max")[0] <= 1e-10
         assert numbers(case, "chi-square")[0] == pytest.approx(1.0, abs=0.05)
-        # The error of a robot has a few degrees of freedom that matter: over 12 robots the ratio is known to a sixth.
-        assert numbers(case, "covariance foretells")[0] == pytest.approx(1.0, abs=0.4)
+        # The error of a robot has a few degrees of freedom that matter: over 12 robots the ratio is known to a sixth. Three
+        # say too little.
+        assert draws < 12 or numbers(case, "covariance foretells")[0] == pytest.approx(1.0, abs=0.4)
 
 
 @pytest.mark.long

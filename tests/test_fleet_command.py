@@ -67,6 +67,7 @@ def of(folder: Path) -> Path:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("drawn")
 def test_a_type_is_learned_from_models(folder: Path, of: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Printed, drawn, and the same from what the site shares."""
     assert run("fleet", "learn", *folder.glob("r?/model.json"), "--out", folder / "again.json", "--error", "0.1mm",

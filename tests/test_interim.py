@@ -120,7 +120,7 @@ def test_noises_and_walks_that_nothing_supports_hardly_matter() -> None:
     assert -1e-9 < less < 1e-3
 
 
-@pytest.mark.parametrize("noise", [0.5, 1.0, 1.5])
+@pytest.mark.parametrize("noise", [1.0, *(pytest.param(noise, marks=pytest.mark.long) for noise in (0.5, 1.5))])
 def test_evidence_reaches_twenty_in_a_twentieth_of_unchanged_robots(noise: float) -> None:
     """Ever within twenty days, whatever the noise is, and with a base that walks."""
     alarms = []
@@ -464,6 +464,7 @@ def test_a_record_may_stand_elsewhere(folder: Path) -> None:
     assert run("interim", model, str(folder / "mon.csv"), "--record", model) == 3
 
 
+@pytest.mark.long
 def test_runs_at_once_all_enter_the_record(folder: Path) -> None:
     """The later one is judged together with the check of the other, and does not replace it."""
     place = folder / "at_once.json"

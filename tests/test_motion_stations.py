@@ -397,6 +397,7 @@ def test_an_instrument_that_does_not_follow_the_motion_is_refused(
 def test_a_load_that_is_carried_bends_the_arm_in_motion(tmp_path: Path) -> None:
     """A hundred kilograms in the log of the joints leave the noise; a fit that does not know of them leaves more."""
     loaded = ["--path", "60s", "--sensor", "position", "--noise", "0.05mm", "--payload", "100", "--seed", "5"]
+    loaded += ["--log-rates", "80,80,50"]
     assert run("simulate", URDF, *loaded, "--out", tmp_path / "day", "--quiet") == 0
     session = pincal.read_session(ROBOT, tmp_path / "day")
     assert session.payload == 100.0

@@ -28,12 +28,6 @@ from pincal.report.subject import Subject, evidence_of
 CONSTANTS = "ISO 9283, ISO 14253-1, tolerance of ± 0.5 mm, above 0.9"
 
 
-@pytest.fixture(autouse=True)
-def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave drawings away: these are told in words."""
-    monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")
-
-
 @pytest.fixture(scope="module")
 def runs(kuka: Robot) -> dict[str, Calibration]:
     """Return calibrations whose errors are stated in different ways."""

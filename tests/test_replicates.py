@@ -292,9 +292,8 @@ def test_a_robot_that_repeats_badly_is_not_a_wrong_model(kuka):
     assert any("repeats poorly" in words.text for words in result.warnings)
 
 
-def test_the_report_has_a_section_on_visits(soft, monkeypatch):
+def test_the_report_has_a_section_on_visits(soft):
     """AP, RP, the number of cycles and the test stand there; not where no pose was visited twice."""
-    monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")
     page = page_of(soft)
     assert 'id="repeatability"' in page and "3 cycles each; ISO 9283 specifies 30" in page and "Lack of fit" in page
     bare = replace(soft, result=replace(soft.result, iso9283=None, lack_of_fit=None))
@@ -303,9 +302,8 @@ def test_the_report_has_a_section_on_visits(soft, monkeypatch):
 
 
 @pytest.mark.long
-def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys, monkeypatch):
+def test_the_commands_tell_accuracy_and_repeatability(tmp_path, capsys):
     """Calibrate and validate print them and have them in their JSON, in the words of the standard."""
-    monkeypatch.setattr("pincal.report.illustrations.inline_svg", lambda *_, **__: "")
     simulated = ["simulate", URDF, "--elastic", "0", "--cycles", "4", "--quiet", "--out"]
     assert run(*simulated, tmp_path / "data.csv", "--poses", "30", "--sensor", "pose") == 0
     assert run(*simulated, tmp_path / "new.csv", "--poses", "12", "--sensor", "pose", "--pose-seed", "1") == 0

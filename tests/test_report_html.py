@@ -29,6 +29,8 @@ from pincal.units import fixed
 from pincal.validate.misfit import Verdict
 from pincal.validate.outcome import Elsewhere
 
+pytestmark = pytest.mark.drawn
+
 
 class Page(HTMLParser):
     """Elements, identifiers and text of a page."""

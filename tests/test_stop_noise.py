@@ -156,10 +156,10 @@ def test_a_wrong_reading_among_shared_ones_is_weighed_as_its_removal() -> None:
         assert whole.rows[row, 0] == pytest.approx(whole.form.square - rest.form.square, rel=1e-6)
 
 
-@pytest.mark.parametrize("seed", [10, pytest.param(11, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [10, pytest.param(11, marks=[pytest.mark.long, pytest.mark.rates])])
 @pytest.mark.parametrize("plan", one_in_three(list(PLANS)))
 def test_a_robot_that_has_not_changed_is_left_alone_by_any_plan(plan: str, seed: int) -> None:
-    """Two robots each: repeats, cycles and targets, of the calibration or of the check, are no change."""
+    """A robot or two each: repeats, cycles and targets, of the calibration or of the check, are no change."""
     before, after = PLANS[plan]
     robot, rng = drawn(seed)
     model = robot.calibrated(before, rng)

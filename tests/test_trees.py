@@ -53,7 +53,7 @@ def trees() -> list[str]:
 
 def marked(name: str) -> ParameterSet:
     """Return a robot with the marks of when it is looked at."""
-    others = () if name in OF_EACH_KIND else (pytest.mark.products,)
+    others = () if name in OF_EACH_KIND else (pytest.mark.rates,)
     return pytest.param(name, marks=() if name in QUICK else (pytest.mark.long, *others))
 
 

@@ -117,7 +117,9 @@ def test_visits_that_alternate_between_two_sides_are_named_with_their_joint() ->
     assert "approach_joint_3" in str(found) and "by turns" in str(found)
 
 
-@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.long) for seed in range(4, 12))])
+@pytest.mark.parametrize(
+    "seed", [*range(4), *(pytest.param(seed, marks=[pytest.mark.long, pytest.mark.rates]) for seed in range(4, 12))]
+)
 def test_sound_visits_raise_no_doubt(seed: int) -> None:
     """Whatever the cycles, drives, targets, dwell and order."""
     table, _ = drawn(np.random.default_rng(100 + seed)).table(100 + seed)
