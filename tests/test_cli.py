@@ -477,3 +477,30 @@ def test_a_report_of_a_problem_says_what_was_run_and_not_what_was_measured(table
         assert "command: pincal check " in text and "sha256" in text
     assert "Coverage of the joint ranges" in whole and "first line: joint_1," in whole and "first line: joint_one," in head
     assert not any(row.split(",")[0] in whole for row in table.read_text().splitlines()[1:])
+
+
+ARRAYS = """
+import sys
+from pathlib import Path
+import numpy as np
+from pincal.cli import _return_large_arrays
+
+if sys.argv[1] == "yes":
+    _return_large_arrays()
+held = lambda: 4096e-6 * int(Path("/proc/self/statm").read_text().split()[1])
+np.ones(2_500_000)
+before, large, few = held(), [], []
+for _ in range(10):
+    large.append(np.ones(2_000_000))
+    few.append(np.ones(10_000))
+del large
+print(held() - before)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="of the C library of Linux")
+def test_large_arrays_return_to_the_system():
+    """What was freed between arrays that are kept is no memory of the process any more: of 160 MB, nothing."""
+    done = subprocess.run([sys.executable, "-c", ARRAYS, "yes"], check=True, capture_output=True, text=True)
+
+    assert float(done.stdout) < 10.0

@@ -254,3 +254,21 @@ def test_what_a_search_no_longer_needs_is_freed_at_once() -> None:
         assert [ref() for ref in kept] == [None, None]
     finally:
         gc.enable()
+
+
+def test_little_is_kept_of_models_without_an_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of many such models, and of their fits without each block, the latest are kept: what follows stays the same."""
+    monkeypatch.setattr("pincal.discover.products._MOST_NUMBERS", 0)
+    rng = np.random.default_rng(1)
+    q = ROBOT.random_configurations(90, rng)
+    tips = ROBOT.forward_kinematics(q + 1e-4 * np.sin(q))
+    position = tips[:, :3, 3] + tips[:, :3, :3] @ [0.1, 0.0, 0.2] + 5e-5 * rng.standard_normal((90, 3))
+    own = GearEccentricity("joint_1"), GearEccentricity("joint_2")
+    table = measurements_from_arrays(ROBOT.joint_names, q, position=position)
+    fit = calibrate(ROBOT, table, Options(effects=(*GEOMETRIC, *own), sigma=5e-5)).fit
+    tests = score_test(fit, [GearEccentricity("joint_3")], np.arange(90) % 5)
+    gains = [[tests.among([0], fit.names_of([of])).gains_by_block([0]) for of in own] for _ in range(2)]
+
+    np.testing.assert_array_equal(*gains)
+    assert len(tests.model.parts) == 1
+    assert np.any(gains[0][0] != gains[0][1])

@@ -64,6 +64,19 @@ def test_rows_are_predicted_as_by_a_fit_of_the_others(fit: ModelFit, way: str) -
         np.testing.assert_allclose(found[:, ~rest], held.residuals(again.values), atol=0.02 * NOISE)
 
 
+def test_folds_are_the_same_one_by_one(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the equations of all folds do not fit into memory, each is summed from its own rows."""
+    fit = fit_tables(robot, {"a": measured(60), "b": measured(40, seed=1)}, Options(effects=ELASTIC, sigma=NOISE))
+    folds = list(Folds.of(fit.problem, ("regions", "stretches")).of_way.values())
+    together = left_out_residuals(fit, fit.solution, folds)
+    monkeypatch.setattr("pincal.identify.equations._MOST_AT_ONCE", 1)
+    apart = left_out_residuals(fit, fit.solution, folds)
+
+    for one, other in zip(together, apart, strict=True):
+        for station, again in zip(one, other, strict=True):
+            np.testing.assert_allclose(again, station, rtol=0.0, atol=1e-6 * NOISE)
+
+
 def test_folds_of_parallel_axes_are_fitted_to_their_end(tmp_path: Path) -> None:
     """Base and tool of a planar arm move along its axes together; the errors are those of fits of the other rows."""
     planar = Robot.from_urdf("double_pendulum_continuous")

@@ -257,6 +257,10 @@ def test_elimination_leaves_the_posterior_as_it_is(own: list[int], rng: np.rando
     np.testing.assert_allclose(rest.step, whole.step[~is_own], rtol=1e-9)
     np.testing.assert_allclose(rest.own[0].step(rest.step), whole.step[is_own], rtol=1e-9)
     assert (rest.visible_rank, rest.effective) == (whole.visible_rank, pytest.approx(whole.effective, rel=1e-10))
+    # Parameters spent need no eigenvectors where all without a prior are eliminated; these are not kept then.
+    again = replace(rest)
+    assert again.spent == (pytest.approx(rest.spent[0], rel=1e-10), pytest.approx(rest.spent[1], rel=1e-10))
+    assert ("_solved" in vars(again)) == (own != [1, 4, 7])
 
 
 def test_what_nothing_determines_stays_loose_when_it_is_eliminated(rng: np.random.Generator) -> None:

@@ -7,17 +7,21 @@ of fold k give, the covariance without them is :math:`(C^{-1} - A_k)^{-1}`: in t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
 from pincal.calibration.wandering import covariance_at_mean
 from pincal.identify.fit import ModelFit
-from pincal.thresholds import Scale
+from pincal.thresholds import Count, Scale
 
 # Largest part of what is known of a direction that a single fold may have given: where it gave all,
 # priors remain, to the accuracy of a difference.
 _MOST: Scale = 0.99
+# Rows whose motions by all parameters are held at once.
+_AT_ONCE: Count = 512
 
 
 def left_out_variances(
@@ -31,48 +35,67 @@ def left_out_variances(
         fold: shape (N,), fold of each row of all stations, numbered from 0.
         stations: their numbers; of readings that give positions.
     """
-    return list(_covariances(fit, fold, stations, _roots_without(fit, fold)))
+    root = _root(fit)
+    found = [np.zeros((len(fit.problem.stations[at]), 3, 3)) for at in stations]
+    for k in range(int(fold.max(initial=-1)) + 1):
+        known = _known_by(fit, fold == k, root)
+        for at, covariance in zip(stations, found, strict=True):
+            mine = np.flatnonzero(fold[fit.problem.rows[at]] == k)
+            for rows in _at_once(mine):
+                moved = np.tensordot(_motions(fit, at, rows), root, axes=(0, 0))
+                along = _without(moved.reshape(-1, root.shape[1]), known).reshape(moved.shape)
+                covariance[rows] = along @ along.swapaxes(1, 2)
+    return found
 
 
 def fitted_variances(fit: ModelFit, stations: Sequence[int]) -> list[np.ndarray]:
     """Return the covariance of the displacement of each row's target by the parameters of a fit to
     all rows, as :func:`left_out_variances`.
     """
-    fold = np.zeros(len(fit.problem.conditions), int)
-    return list(_covariances(fit, fold, stations, [_root(fit)]))
-
-
-def _covariances(
-    fit: ModelFit, fold: np.ndarray, stations: Sequence[int], roots: Sequence[np.ndarray]
-) -> Iterator[np.ndarray]:
-    """Yield the covariances at each of some stations, for roots of that of the free parameters for
-    the rows of each fold, shape (F, r).
-    """
-    problem = fit.problem
-    free = fit.solution.free
-    number = np.cumsum(free) - 1
-    for at in stations:
-        station = problem.stations[at]
-        places = problem.places[at]
-        rows = problem.rows[at]
-        own = free[places]
-        moved = station.displacements_by(fit.solution.values[places], own)
-        covariance = np.zeros((len(station), 3, 3))
-        for k, root in enumerate(roots):
-            mine = np.flatnonzero(fold[rows] == k)
-            along = np.einsum("fr,fna->nar", root[number[places[own]]], moved[:, mine])
-            covariance[mine] = along @ along.swapaxes(1, 2)
-        yield covariance
-
-
-def _roots_without(fit: ModelFit, fold: np.ndarray) -> list[np.ndarray]:
-    """Return roots of the covariance of the free parameters without each fold, shape (F, r)."""
-    root = _root(fit)
-    found = []
-    for information in _information(fit, fold):
-        w, V = np.linalg.eigh(root.T @ information @ root)
-        found.append(root @ V / np.sqrt(1.0 - np.clip(w, 0.0, _MOST)))
+    C = covariance_at_mean(fit, of_rows=True).dense()
+    found = [np.zeros((len(fit.problem.stations[at]), 3, 3)) for at in stations]
+    for at, covariance in zip(stations, found, strict=True):
+        for rows in _at_once(np.arange(len(covariance))):
+            moved = _motions(fit, at, rows)
+            carried = np.tensordot(C, moved, axes=(1, 0))
+            covariance[rows] = np.einsum("fna,fnb->nab", moved, carried)
     return found
+
+
+def _at_once(rows: np.ndarray) -> list[np.ndarray]:
+    return np.array_split(rows, -(-len(rows) // _AT_ONCE)) if len(rows) else []
+
+
+def _motions(fit: ModelFit, at: int, rows: np.ndarray) -> np.ndarray:
+    """Return the displacements of the targets of some rows of a station by the free parameters of
+    the fit, shape (F, n, 3).
+    """
+    places = fit.problem.places[at]
+    free = fit.solution.free
+    own = free[places]
+    number = np.cumsum(free) - 1
+    found = np.zeros((int(free.sum()), len(rows), 3))
+    few = fit.problem.stations[at].select(rows)
+    found[number[places[own]]] = few.displacements_by(fit.solution.values[places], own)
+    return found
+
+
+def _without(moved: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return A, shape (n, r), with A A^T the covariance of motions without what a fold has given.
+
+    Args:
+        moved: shape (n, r), motions by the columns of a root of the covariance with it.
+        known: shape (r, r), information of the fold on these.
+    """
+    own = np.eye(len(known))
+    try:
+        # A factor exists where no direction is known by the fold to more than this part.
+        cholesky(_MOST * own - known, lower=True, overwrite_a=True, check_finite=False)
+        L = cholesky(own - known, lower=True, overwrite_a=True, check_finite=False)
+    except LinAlgError:
+        w, V = np.linalg.eigh(known)
+        return np.asarray(moved @ (V / np.sqrt(1.0 - np.clip(w, 0.0, _MOST))))
+    return np.asarray(solve_triangular(L, moved.T, lower=True, check_finite=False).T)
 
 
 def _root(fit: ModelFit) -> np.ndarray:
@@ -82,21 +105,25 @@ def _root(fit: ModelFit) -> np.ndarray:
     return np.asarray(axes[:, some] * np.sqrt(variances[some]))
 
 
-def _information(fit: ModelFit, fold: np.ndarray) -> np.ndarray:
-    """Return the information of each of K folds on the free parameters, shape (K, F, F)."""
+def _known_by(fit: ModelFit, some: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """Return the information of some rows, a mask of those of all stations, on the columns of a
+    root of the covariance of the free parameters, shape (r, r).
+    """
     problem = fit.problem
     free = fit.solution.free
     number = np.cumsum(free) - 1
-    found = np.zeros((int(fold.max(initial=-1)) + 1, int(free.sum()), int(free.sum())))
+    found = np.zeros((root.shape[1], root.shape[1]))
     parts = zip(problem.stations, problem.places, problem.rows, problem.block_spans, strict=True)
     for station, places, rows, blocks in parts:
         own = free[places]
-        at = np.ix_(number[places[own]], number[places[own]])
+        steps = root[number[places[own]]]
         sigma = np.repeat(fit.solution.sigma[blocks], station.block_sizes)
         scale = fit.solution.weights[rows] * station.weights / sigma[:, None]
-        for piece, _, J in station.linearise(fit.solution.values[places], own):
-            scaled = J * scale[:, piece]
-            for k in np.unique(fold[rows][piece]):
-                X = scaled[:, :, fold[rows][piece] == k].reshape(len(J), -1)
-                found[k][at] += X @ X.T
+        plain = replace(station, whitening=None, serial=None, arrival=None)
+        for mine in _at_once(np.flatnonzero(some[rows])):
+            few = plain.select(mine)
+            for piece, _, J in few.linearise_correlated(fit.solution.values[places], own):
+                Y = J.along(steps) * scale[:, mine[piece]]
+                Y = Y.reshape(len(Y), -1)
+                found += Y @ Y.T
     return found

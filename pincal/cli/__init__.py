@@ -5,6 +5,7 @@ No control character from a file is printed, and a full disk does not end a run.
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import importlib
 import io
@@ -25,6 +26,12 @@ from pincal.thresholds import Count, Scale
 
 # New objects after which garbage is collected.
 _GARBAGE: Count = 200_000
+# Size from which arrays return to the system when they are freed [bytes]. By default those of up to
+# 32 MB are kept for later ones, and what a search leaves between them is never used again.
+_LARGE: Count = 4_000_000
+# The number of this option of the C library, and the variable by which workers are told it.
+_MMAP_THRESHOLD: Count = -3
+_VARIABLE = "MALLOC_MMAP_THRESHOLD_"
 
 # The interruptions of this process, and the time that one may take [s].
 _INTERRUPTS: list[int] = []
@@ -224,6 +231,7 @@ def main(arguments: list[str] | None = None) -> None:
     # A command creates many objects that it keeps: searching them for garbage would take a quarter
     # of its time.
     gc.set_threshold(_GARBAGE)
+    _return_large_arrays()
     warnings.showwarning = _show_warning
     try:
         code = _run_verb(arguments)
@@ -247,6 +255,18 @@ def main(arguments: list[str] | None = None) -> None:
         click.echo(_bug_words(error), err=True)
         sys.exit(Exit.INTERNAL_ERROR)
     sys.exit(code if isinstance(code, int) else Exit.DONE)
+
+
+def _return_large_arrays() -> None:
+    """Let the C library return large arrays to the system when they are freed, here and in workers,
+    unless the user has told it otherwise; does nothing where it has no such option.
+    """
+    if sys.platform != "linux" or _VARIABLE in os.environ:
+        return
+    os.environ[_VARIABLE] = str(_LARGE)
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None)
+    if set_option is not None:
+        set_option(_MMAP_THRESHOLD, _LARGE)
 
 
 def _run_verb(arguments: list[str] | None) -> object:

@@ -79,6 +79,8 @@ class ScoreTests:
         squares: weighted sum of squared residuals.
         readings: number of readings that count.
         spent: parameters spent by the model.
+        asked: cache of products computed on demand, by candidates: they are the same whatever the
+            sizes are believed to be.
     """
 
     effects: tuple[Effect, ...]
@@ -95,7 +97,7 @@ class ScoreTests:
     readings: int
     spent: float
     parts: tuple[RowPart, ...] = ()
-    _asked: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, init=False, repr=False)
+    asked: dict[tuple[int, ...], np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
     def n_model(self) -> int:
@@ -156,9 +158,9 @@ class ScoreTests:
             return np.asarray(self._inner[j[:, None], j])
         if not len(j):
             return np.zeros((0, 0))
-        if (key := tuple(which)) not in self._asked:
-            self._asked[key] = self._from_rows(j, j)
-        return self._asked[key]
+        if (key := tuple(which)) not in self.asked:
+            self.asked[key] = self._from_rows(j, j)
+        return self.asked[key]
 
     def _from_rows(self, some: np.ndarray, others: np.ndarray) -> np.ndarray:
         """Return the products of J candidates' columns with K others, shape (J, K)."""
@@ -199,11 +201,13 @@ class ScoreTests:
             start = end
         return L
 
-    @cached_property
-    def _projection(self) -> tuple[np.ndarray, np.ndarray]:
-        """H, shape (C, N), with S' = S - H H^T, and b', shape (C,), of all C candidate columns."""
-        taken = self.model.factor.half(self.cross).T
-        return taken, self.g - taken @ self.model.slope
+    def _projection(self, j: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """H, shape (J, N), with S' = S - H H^T, and b', shape (J,), of J columns of candidates.
+
+        It is not kept: of all columns it is as large as :attr:`cross`.
+        """
+        taken = self.model.factor.half(self.cross[:, j]).T
+        return taken, self.g[j] - taken @ self.model.slope
 
     @cached_property
     def _beliefs(self) -> list[tuple[float, Self]]:
@@ -239,8 +243,8 @@ class ScoreTests:
         and (J,).
         """
         j = self.places(which)
-        (taken, b) = self._projection
-        return j, self.inner_of(which) - taken[j] @ taken[j].T, b[j]
+        (taken, b) = self._projection(j)
+        return j, self.inner_of(which) - taken @ taken.T, b
 
     def gain(self, which: Sequence[int]) -> tuple[float, int]:
         """Return T and rank of some candidates together, with the most probable uncertain sizes
@@ -253,8 +257,9 @@ class ScoreTests:
             found = [(cost, *tests.gain(which)) for cost, tests in self._beliefs]
             cost, gain, rank = min(found, key=lambda belief: belief[0] - belief[1])
             return gain - cost, rank
-        j, whitening = self.whitening(which)
-        return float(np.sum((self._projection[1][j] @ whitening) ** 2)), whitening.shape[1]
+        j, S, b = self.within(which)
+        roots, seen = self._roots(j, S)
+        return float(np.sum((b @ roots[:, seen]) ** 2)), int(np.count_nonzero(seen))
 
     @cached_property
     def _alone(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -273,11 +278,12 @@ class ScoreTests:
             ranks = ranks[best]
         for size in () if self.unsure.any() else np.unique(sizes):
             some = np.flatnonzero(sizes == size)
-            (taken, b) = self._projection
             j = np.array([self.columns[i] for i in some])
+            (taken, b) = self._projection(j.ravel())
+            taken = taken.reshape(*j.shape, -1)
             inner = np.array([self.own(i) for i in some.tolist()])
-            roots, seen = self._roots(j, inner - taken[j] @ taken[j].swapaxes(1, 2))
-            gains[some] = np.sum(np.einsum("gi,gik->gk", b[j], roots) ** 2, axis=1)
+            roots, seen = self._roots(j, inner - taken @ taken.swapaxes(1, 2))
+            gains[some] = np.sum(np.einsum("gi,gik->gk", b.reshape(j.shape), roots) ** 2, axis=1)
             ranks[some] = seen.sum(axis=1)
         return (
             gains,
@@ -313,14 +319,16 @@ class ScoreTests:
         with the uncertain sizes that are most probable with the candidates.
         """
         tests = self.likeliest(which)[1]
-        return np.array([tests._gain_left_out(k, which) for k in range(len(self.model.blocks.H))])
+        fits = tests.model.without_block
+        return np.array([tests._gain_left_out(k, *fit, which) for k, fit in enumerate(fits)])
 
-    def _gain_left_out(self, k: int, which: Sequence[int]) -> float:
+    def _gain_left_out(
+        self, k: int, model: Factor, model_step: np.ndarray, which: Sequence[int]
+    ) -> float:
         """Return the reduction of the squared error on block k by some candidates fitted without
-        it.
+        it, given the factor of the model's information and its step, without it.
         """
         j = self.places(which)
-        (model, model_step) = self.model.without_block[k]
         model_S = self.model.blocks.H[k]
         model_b = self.model.blocks.g[k]
         across = self.blocks_cross[k][:, j]
@@ -389,6 +397,7 @@ class ScoreTests:
             ),
             blocks_g=self.blocks_g[:, j] + undone[gone] @ self._rows(gone, j),
             parts=tuple(part.among(slots, undone) for part in self.parts),
+            asked={},
         )
 
     def along_rows(

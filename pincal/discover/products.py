@@ -4,15 +4,22 @@ columns.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pincal.identify.jacobian import Jacobian
 from pincal.identify.quadratic import Factor, Form
 from pincal.identify.station import Station
+from pincal.thresholds import Count
+
+# Numbers that are kept of models without some parameters, and of one of these, as a multiple of
+# its blocks' information: with its factors, for each choice of uncertain sizes.
+_MOST_NUMBERS: Count = 16_000_000
+_COPIES: Count = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,17 +30,25 @@ class Information:
     Attributes:
         blocks: of the rows of each of B blocks.
         prior: of the priors.
-        variants: cache of the same with other uncertain sizes, or without some parameters.
+        variants: cache of the same with other uncertain sizes.
+        parts: cache of the same without some parameters, the oldest first.
+        slot: the latest of :attr:`without_block`, of this or of one of these, and whose it is: each
+            is as large as the blocks.
     """
 
     blocks: Form
     prior: Form
-    variants: dict[object, Information] = field(default_factory=dict, init=False, repr=False)
+    slot: list[Any] = field(default_factory=list, repr=False)
+    variants: dict[float, Information] = field(default_factory=dict, init=False, repr=False)
+    parts: dict[bytes, Information] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def rows(self) -> Form:
         """Information of all rows."""
-        return self.blocks.sum()
+        blocks = self.blocks
+        if len(blocks.g) == 1:
+            return Form(blocks.H[0], blocks.g[0], blocks.whole[0])
+        return blocks.sum()
 
     @cached_property
     def factor(self) -> Factor:
@@ -49,7 +64,10 @@ class Information:
         """Return the same with uncertain sizes multiplied by a factor, with H the resulting
         information of the priors.
         """
-        return self.variants.setdefault(factor, Information(self.blocks, replace(self.prior, H=H)))
+        if factor not in self.variants:
+            prior = replace(self.prior, H=H)
+            self.variants[factor] = Information(self.blocks, prior, self.slot)
+        return self.variants[factor]
 
     def without(self, model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Information:
         """Return the same of some parameters, ``model``, with the others, ``gone``, set from
@@ -57,20 +75,34 @@ class Information:
 
         To first order the residuals r grow by J v for columns J of value v, and g by H v.
         """
-        if (key := gone.tobytes()) not in self.variants:
+        if (key := gone.tobytes()) not in self.parts:
+            most = _MOST_NUMBERS // (_COPIES * max(self.blocks.H.size, 1))
+            while len(self.parts) >= max(most, 1):
+                del self.parts[next(iter(self.parts))]
             kept = self.blocks.part(model)
             kept = replace(kept, g=kept.g + self.blocks.H[:, model[:, None], gone] @ values)
-            self.variants[key] = Information(kept, self.prior.part(model))
-        return self.variants[key]
+            self.parts[key] = Information(kept, self.prior.part(model), self.slot)
+        return self.parts[key]
 
-    @cached_property
+    @property
     def without_block(self) -> list[tuple[Factor, np.ndarray]]:
         """Factor of the information and step of the parameters, without each block."""
-        found = []
+        if not self.slot or self.slot[0] is not self._token:
+            # What was there is freed first.
+            self.slot.clear()
+            self.slot.extend([self._token, list(self._each_without_block())])
+        found: list[tuple[Factor, np.ndarray]] = self.slot[1]
+        return found
+
+    @cached_property
+    def _token(self) -> object:
+        """What the slot knows this by: a reference to this itself would be a cycle."""
+        return object()
+
+    def _each_without_block(self) -> Iterator[tuple[Factor, np.ndarray]]:
         for H, g in zip(self.blocks.H, self.blocks.g, strict=True):
             factor = Factor.of(self.rows.H - H + self.prior.H)
-            found.append((factor, factor.solve(self.rows.g - g + self.prior.g)))
-        return found
+            yield factor, factor.solve(self.rows.g - g + self.prior.g)
 
 
 class Whitening(NamedTuple):

@@ -32,6 +32,7 @@ from pincal.identify.normal import (
 from pincal.identify.posterior import Eliminated, Posterior, eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
+from pincal.identify.station import Station
 from pincal.spread import spread_again
 from pincal.thresholds import Count
 
@@ -44,8 +45,8 @@ _Sums = tuple[tuple[Form, Eliminated], StationSquares]
 _MOST_KEPT: Count = 2_000_000
 _MOST_OF_FEW: Count = 64_000_000
 _FEW: Count = 10
-# Size of the normal equations of folds that are summed in one pass over the rows [bytes].
-_MOST_AT_ONCE: Count = 200_000_000
+# Size of the normal equations of folds that are summed at once [bytes].
+_MOST_AT_ONCE: Count = 64_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,49 +275,64 @@ class Linearised:
         self, fold: np.ndarray, sigma: np.ndarray
     ) -> Iterator[tuple[Posterior, Posterior]]:
         """Yield the posterior of all rows, and that without the rows of each fold, from one pass
-        over all rows.
+        over all rows; from two if the equations of all folds are too large to be kept together.
 
         Args:
             fold: shape (N,), the fold of each row, from 0.
             sigma: shape (blocks,), standard deviations of the blocks of readings.
         """
+        batches = self._batches
         count = int(fold.max()) + 1
-        size = sum(
-            8 * len(of.stations) * int(self.free[of.places[0]].sum()) ** 2 for of in self._batches
-        )
+        size = sum(8 * len(of.stations) * int(self.free[of.places[0]].sum()) ** 2 for of in batches)
         at_once = max(_MOST_AT_ONCE // max(size, 1), 1)
+        known = [None if at_once >= count else self._of_all_rows(of, sigma) for of in batches]
+        whole = None
         for first in range(0, count, at_once):
             some = range(first, min(first + at_once, count))
-            parts = [self._by_fold(batch, fold, some, sigma) for batch in self._batches]
-            whole = self._assembled([part.whole for part in parts])
+            parts = [
+                self._by_fold(of, fold, some, sigma, form)
+                for of, form in zip(batches, known, strict=True)
+            ]
+            if whole is None:
+                whole = self._assembled(part.all_rows for part in parts)
             for i in range(len(some)):
-                yield whole, self._assembled([part.without(i) for part in parts])
+                yield whole, self._assembled(part.without(i) for part in parts)
 
-    def _by_fold(self, batch: Batch, fold: np.ndarray, some: range, sigma: np.ndarray) -> _Folded:
-        """Return the contribution of a batch without each fold among ``some``."""
-        n = len(batch.stations)
-        order, ends = _rows_of_parts(batch, fold, some)
+    def _of_all_rows(self, batch: Batch, sigma: np.ndarray) -> Form:
+        """Return the information of all rows of each station of a batch."""
         may = self.free[batch.places[0]]
         values = batch.values(self.values)
         together = batch.together()
+        found = accumulate_each(together, batch.ends, values, may, self.robust[batch.rows])
+        noise = sigma[batch.blocks].reshape(len(batch.stations), -1)
+        form = replace(found, believed=None).at(noise)
+        return _with_beliefs(form, together, values, may)
+
+    def _by_fold(
+        self, batch: Batch, fold: np.ndarray, some: range, sigma: np.ndarray, known: Form | None
+    ) -> _Folded:
+        """Return the contribution of a batch without each fold among ``some``; ``known`` is that of
+        all rows, if known.
+        """
+        n = len(batch.stations)
+        may = self.free[batch.places[0]]
+        values = batch.values(self.values)
+        together = batch.together()
+        # Rows that depend on others are evaluated with these.
+        is_apart = not (together.sensor.is_whole or together.is_correlated)
+        order, ends = _rows_of_parts(batch, fold, some, alone=is_apart and known is not None)
         found = accumulate_each(
             together.select(order), ends, values, may, self.robust[batch.rows][order]
         )
-        parts_H = _by_part(found.H, n)
-        parts_g = _by_part(found.g, n)
-        weight = sigma[batch.blocks].reshape(n, 1, -1) ** -2.0
-        weight = np.broadcast_to(weight, parts_g.shape[:3])
-        H = np.einsum("skb,skbij->skij", weight, parts_H)
-        g = np.einsum("skb,skbi->ski", weight, parts_g)
-        whole_H = H.sum(axis=1)
-        whole_g = g.sum(axis=1)
-        if n == 1 and (known := believed(together, values, may)) is not None:
-            whole_H = whole_H + known.H
-            whole_g = whole_g + known.g
+        noise = sigma[batch.blocks].reshape(n, 1, -1)
+        each = replace(found, H=_by_part(found.H, n), g=_by_part(found.g, n), believed=None)
+        of_part = each.at(np.broadcast_to(noise, each.g.shape[:3]))
+        if known is None:
+            form = Form.of(of_part.H.sum(axis=1), of_part.g.sum(axis=1))
+            known = _with_beliefs(form, together, values, may)
         sizes = self.sizes[batch.places][:, may]
         offsets = self.values[batch.places][:, may]
-        prior = (batch.own[may], sizes, offsets)
-        return _Folded(H, g, whole_H, whole_g, prior)
+        return _Folded(of_part.H, of_part.g, known, (batch.own[may], sizes, offsets))
 
     def _key(self, k: int, sigma: np.ndarray) -> tuple[int, bytes, bytes]:
         """Return what the contribution of a batch is known by: its noise and robust weights."""
@@ -371,42 +387,56 @@ class _Folded:
     """Normal equations of S stations with F free parameters each, by fold.
 
     Attributes:
-        H, g: of each of K folds, and of the rows of none of them: shapes (S, K + 1, F, F) and (S,
-            K + 1, F).
-        whole_H, whole_g: of all rows, with what the sensor knows otherwise.
+        H, g: of each of K folds, perhaps of the rows of none of them last: shapes (S, K, F, F) and
+            (S, K, F).
+        whole: of all rows of each station, with what the sensor knows otherwise.
         prior: which parameters are eliminated, their sizes and their offsets.
     """
 
     H: np.ndarray
     g: np.ndarray
-    whole_H: np.ndarray
-    whole_g: np.ndarray
+    whole: Form
     prior: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     @property
-    def whole(self) -> tuple[Form, Eliminated]:
+    def all_rows(self) -> tuple[Form, Eliminated]:
         """The contribution of all rows."""
-        return eliminate(Form.of(self.whole_H, self.whole_g), *self.prior)
+        return eliminate(self.whole, *self.prior)
 
     def without(self, i: int) -> tuple[Form, Eliminated]:
         """Return the contribution of all rows but those of a fold."""
-        form = Form.of(self.whole_H - self.H[:, i], self.whole_g - self.g[:, i])
+        form = Form.of(self.whole.H - self.H[:, i], self.whole.g - self.g[:, i])
         return eliminate(form, *self.prior)
 
 
-def _rows_of_parts(batch: Batch, fold: np.ndarray, some: range) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows of a batch station by station and fold by fold, those of no fold among
-    ``some`` last, shape (n,), and where each of these parts ends, after 0.
+def _with_beliefs(form: Form, station: Station, values: np.ndarray, free: np.ndarray) -> Form:
+    """Return the information of stations, with a leading axis, and what the sensor of a single one
+    knows besides its readings.
+    """
+    known = believed(station, values, free) if len(form.g) == 1 else None
+    return form if known is None else Form.of(form.H + known.H, form.g + known.g)
+
+
+def _rows_of_parts(
+    batch: Batch, fold: np.ndarray, some: range, *, alone: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows of a batch station by station and fold by fold, and where each of these parts
+    ends, after 0.
+
+    Unless those of the folds among ``some`` are wanted ``alone``, rows of no such fold are a part
+    more, the last of a station.
     """
     n = len(batch.stations)
     k = len(some)
     here = fold[batch.rows] - some.start
-    # Rows of other folds are one part more.
     part = np.where((here >= 0) & (here < k), here, k)
     station = np.repeat(np.arange(n), np.diff(batch.ends))
     order = np.lexsort((part, station))
-    sizes = np.bincount(station * (k + 1) + part, minlength=n * (k + 1))
-    return order, np.cumsum([0, *sizes])
+    sizes = np.bincount(station * (k + 1) + part, minlength=n * (k + 1)).reshape(n, k + 1)
+    if alone:
+        order = order[part[order] < k]
+        sizes = sizes[:, :k]
+    return order, np.cumsum([0, *sizes.ravel()])
 
 
 def _by_part(sums: np.ndarray, stations: int) -> np.ndarray:

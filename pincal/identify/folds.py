@@ -154,11 +154,10 @@ def _residuals_without(
     """
     steps = [without.values - values for without in left_out]
     found = [np.empty((station.reading_size, len(station))) for _ in left_out]
-    # Neither weighted nor whitened.
-    for piece, residuals, J in station.linearise(values, free):
+    plain = replace(station, whitening=None, serial=None, arrival=None)
+    for piece, residuals, J in plain.linearise_correlated(values, free):
         for without, step, out in zip(left_out, steps, found, strict=True):
-            own = step[without.fold[piece]][:, free]
-            out[:, piece] = residuals - np.einsum("fmn,nf->mn", J, own)
+            out[:, piece] = residuals - J.along_each(step[:, free].T, without.fold[piece])
     for without, step, out in zip(left_out, steps, found, strict=True):
         for k in np.flatnonzero(np.abs(step).max(axis=1, initial=0.0) > _LINEAR):
             if (mine := without.fold == k).any():

@@ -125,6 +125,12 @@ class Jacobian:
             moved += by_pose[:, None] * family.column
         return moved
 
+    def along_each(self, steps: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Return the motion of the readings, shape (m, n), at each pose by one of R steps, shape
+        (F, R), which is given by its index, shape (n,).
+        """
+        return np.asarray(self.along(steps)[which, :, np.arange(len(which))].T)
+
     def add_grams(
         self,
         residuals: np.ndarray,

@@ -173,32 +173,42 @@ class Posterior:
 
         Where rounding permits, a Cholesky factor takes a fifth of the time of the eigenvectors.
         """
-        known = None if self.own else self._known_by_factor()
-        if known is None:
+        found = self._known_by_factor()
+        if found is None:
+            covariance = self.covariance
             known = float(np.sum(self.information / (1.0 + self.information)))
-            known -= (
-                0.0 if self.believed is None else float(np.sum(self.covariance * self.believed))
-            )
+            known -= 0.0 if self.believed is None else float(np.sum(covariance * self.believed))
+        else:
+            known, covariance = found
         own = tuple(
-            float(n) for part in self.own for n in np.atleast_1d(part.effective(self.covariance))
+            float(n) for part in self.own for n in np.atleast_1d(part.effective(covariance))
         )
         return float(np.sum(self.frame_rank)) + known, own
 
-    def _known_by_factor(self) -> float | None:
-        """Return the effective number of the parameters with a prior; None where
-        rounding forbids.
+    def _known_by_factor(self) -> tuple[float, np.ndarray] | None:
+        """Return the effective number of the parameters with a prior, and, if stations have
+        parameters of their own, the covariance of all, shape (F, F); None where rounding forbids.
         """
         prior, frames = self._parts
         believed = self.believed
-        factor = None if believed is not None and np.any(believed[frames]) else self._factor()
+        is_apart = (self.own and len(frames)) or (believed is not None and np.any(believed[frames]))
+        factor = None if is_apart else self._factor()
         C, failed = (None, 1) if factor is None else dpotri(factor, lower=1, overwrite_c=1)
         if C is None or failed:
             return None
         spent = float(np.sum(1.0 - np.diag(C)))
-        if believed is None:
-            return spent
-        known = believed[prior[:, None], prior] * _outer(self.sizes[prior])
-        return spent - float(2.0 * np.sum(np.tril(C, -1) * known) + np.diag(C) @ np.diag(known))
+        below = np.tril(C, -1)
+        if believed is not None:
+            known = believed[prior[:, None], prior] * _outer(self.sizes[prior])
+            spent -= float(2.0 * np.sum(below * known) + np.diag(C) @ np.diag(known))
+        if not self.own:
+            return spent, C
+        # Not kept, as the covariance by eigenvectors would be with each fit of a search.
+        below += below.T
+        below.flat[:: len(C) + 1] = np.diag(C)
+        below *= self.sizes
+        below *= self.sizes[:, None]
+        return spent, below
 
     @cached_property
     def is_shared(self) -> np.ndarray:
