@@ -293,7 +293,10 @@ class Posterior:
         form = self.form
         # The slope of the priors is unchanged.
         stiffness = 1.0 + damping
-        firm = Posterior(form, self.sizes / np.sqrt(stiffness), at / stiffness)
+        # What is asked of the same posterior again, as of the step that ends a fit, is known.
+        firm = self
+        if damping:
+            firm = Posterior(form, self.sizes / np.sqrt(stiffness), at / stiffness)
         step = firm._quick_step
         held = np.zeros(len(at), bool)
         for _ in range(3):
