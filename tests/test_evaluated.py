@@ -14,7 +14,7 @@ from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
 from pincal.identify.jacobian import Jacobian, SharedColumns
-from pincal.identify.posterior import Posterior
+from pincal.identify.posterior import Nonzero, Posterior
 from pincal.identify.problem import extended
 from pincal.identify.quadratic import Form
 from pincal.identify.whitening import Serial
@@ -146,7 +146,8 @@ def test_parameters_spent_are_found_without_the_posterior() -> None:
     spent = float(found.frame_rank + np.sum(found.information / (1.0 + found.information)))
     of_data = spent - float(np.sum(found.covariance * known))
     assert found.effective == pytest.approx(spent, rel=1e-9)
-    assert Posterior(Form.of(H), sizes, np.zeros(9), believed=known).effective == pytest.approx(of_data, rel=1e-9)
+    believed = Nonzero.of(known)
+    assert Posterior(Form.of(H), sizes, np.zeros(9), believed=believed).effective == pytest.approx(of_data, rel=1e-9)
 
 
 @pytest.mark.parametrize("blocks", [1, 4])

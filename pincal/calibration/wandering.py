@@ -15,7 +15,7 @@ of this, and at a single reading by what wandered about the mean, which is noise
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -86,17 +86,17 @@ class _Placed:
         number = (np.cumsum(fit.solution.free) - 1)[places[free]]
         is_own = displaced_by(station, serial)[free]
         weights = station.weights * fit.solution.weights[fit.problem.rows[k]]
-        pieces = station.linearise(fit.solution.values[places], free)
-        J = np.concatenate([J for _, _, J in pieces], axis=-1) * weights
-        columns = J.reshape(len(J), -1)
-        B = columns[is_own]
-        A = columns[~is_own]
-        inverse = np.linalg.pinv(B @ B.T, hermitian=True)
+        plain = replace(station, whitening=None, serial=None, arrival=None)
+        products = np.zeros((int(is_own.sum()), len(is_own)))
+        for piece, _, J in plain.linearise_correlated(fit.solution.values[places], free):
+            columns = J.weighted(weights[piece])
+            columns.only(np.flatnonzero(is_own)).add_products(columns, products)
+        inverse = np.linalg.pinv(products[:, is_own], hermitian=True)
         variance = float(fit.solution.sigma[fit.problem.block_spans[k].start]) ** 2
         return cls(
             own=number[is_own],
             others=number[~is_own],
-            follows=-inverse @ B @ A.T,
+            follows=-inverse @ products[:, ~is_own],
             of_noise=(variance - wandered(fit, k)) * inverse,
             of_error=variance * serial.of_mean(0) * len(station) * inverse,
         )

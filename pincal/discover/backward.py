@@ -17,6 +17,7 @@ import numpy as np
 
 from pincal.discover.candidate_tests import (
     Search,
+    Tester,
     addable,
     explanation,
     spare_compliances,
@@ -48,10 +49,16 @@ from pincal.identify.fit import ModelFit, without
 from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.effect import Curve, Effect, ExponentialDrift, Family, Harmonic, Resolvable
 from pincal.model.evaluated import key_of
+from pincal.thresholds import Count
 
 log = logging.getLogger(__name__)
 
+# Effects that are named again together: each has a table with the products of all candidates.
+_AT_ONCE: Count = 6
+
 _Pass = tuple[bool, dict[object, int], ScoreTests]
+# An effect, the fit without it, tests against this, and named candidates.
+_Without = tuple[Effect, ModelFit, Tester, list[Effect]]
 
 
 def name_again(state: SearchState, search: Search) -> SearchState:
@@ -280,17 +287,29 @@ def named_given(
         effect for rest, some in pairs for effect in spare_compliances(rest, some, search.policy)
     ]
     shared.test([*(effect for some in tried for effect in some), *spare])
+    every = list(zip(effects, rests, tests, tried, strict=True))
+    for start in range(0, len(every), _AT_ONCE):
+        del shared.passes[1:]
+        yield from _explained(every[start : start + _AT_ONCE], spare, shared, search)
+
+
+def _explained(
+    some: Sequence[_Without], spare: Sequence[Effect], shared: _Shared, search: Search
+) -> Iterator[tuple[ModelFit, Decision | None]]:
+    """Yield what :func:`named_given` does of some of its effects; all named candidates are tested
+    already.
+    """
     tables = list[CandidateTable]()
     others = list[Effect]()
-    for effect, rest, test, some in zip(effects, rests, tests, tried, strict=True):
+    for effect, rest, test, tried in some:
         # Prediction of held-out blocks is tested when an effect may be removed, not when it is
         # named.
-        names = table_of(rest, search, test, some, predicting=effect)
+        names = table_of(rest, search, test, tried, predicting=effect)
         tables.append(names)
         close = [names.rows[i].effect for i in names.cheapest()[: search.policy.close]]
         others += [*close, *unnamed_given(rest, [effect, *close], search)]
     shared.test([*others, *spare])
-    for effect, rest, test, names in zip(effects, rests, tests, tables, strict=True):
+    for (effect, rest, test, _), names in zip(some, tables, strict=True):
         yield rest, explanation(rest, search, test, names, predicting=effect)
 
 

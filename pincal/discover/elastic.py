@@ -295,7 +295,7 @@ def instead_of(
 def _holding(tests: ScoreTests, names: Collection[str]) -> ScoreTests:
     """Return the same tests against the model with some of its parameters held fixed."""
     held = np.array([name in names for name in tests.names])
-    H = tests.model.prior.H + np.diag(held * np.diag(tests.model.rows.H) * TESTING.held)
+    H = tests.model.of_priors + np.diag(held * np.diag(tests.model.rows.H) * TESTING.held)
     return replace(tests, model=Information(tests.model.blocks, replace(tests.model.prior, H=H)))
 
 
@@ -417,7 +417,7 @@ def _separation(runs: Sequence[ScoreTests], weight: float, value: np.ndarray) ->
             (run.inner for run in runs),
         )
     )
-    taken = Factor.of(whole + runs[0].model.prior.H).half(cross)
+    taken = Factor.of(whole + runs[0].model.of_priors).half(cross)
     S = inner - taken.T @ taken
     G = S[np.ix_(g, g)]
     scale = 1.0 / np.sqrt(np.maximum(np.diag(G), 1e-300))

@@ -216,11 +216,9 @@ class ScoreTests:
         """
         found = []
         for factor, cost in TESTING.mass_beliefs:
-            known = self.model.prior.H + np.diag(
-                self.unsure * self.precision[: self.n_model] * (factor**-2.0 - 1.0)
-            )
+            more = self.unsure * self.precision[: self.n_model] * (factor**-2.0 - 1.0)
             tests = replace(
-                self, unsure=np.zeros_like(self.unsure), model=self.model.believing(factor, known)
+                self, unsure=np.zeros_like(self.unsure), model=self.model.believing(factor, more)
             )
             evidence = 0.5 * (tests.model.factor.log_det - tests.model.slope @ tests.model.slope)
             evidence += np.count_nonzero(self.unsure) * np.log(factor)

@@ -171,7 +171,7 @@ def _given(tests: ScoreTests, best: int) -> ScoreTests:
     rows = np.block([[model.rows.H, cross], [cross.T, tests.own(best)]])
     blocks = Form.of(rows[None], np.append(model.rows.g, tests.g[j])[None])
     prior = Form.of(
-        block_diag(model.prior.H, tests.prior([best])), np.append(model.prior.g, nothing)
+        block_diag(model.of_priors, tests.prior([best])), np.append(model.prior.g, nothing)
     )
     both = Information(blocks, prior)
     return replace(

@@ -30,14 +30,16 @@ class Information:
     Attributes:
         blocks: of the rows of each of B blocks.
         prior: of the priors.
+        more: shape (N,), information by uncertain sizes beyond these priors; None for none.
+        slot: the latest of :attr:`without_block`, of this or of one in the caches, and whose it is:
+            each is as large as the blocks.
         variants: cache of the same with other uncertain sizes.
         parts: cache of the same without some parameters, the oldest first.
-        slot: the latest of :attr:`without_block`, of this or of one of these, and whose it is: each
-            is as large as the blocks.
     """
 
     blocks: Form
     prior: Form
+    more: np.ndarray | None = None
     slot: list[Any] = field(default_factory=list, repr=False)
     variants: dict[float, Information] = field(default_factory=dict, init=False, repr=False)
     parts: dict[bytes, Information] = field(default_factory=dict, init=False, repr=False)
@@ -53,20 +55,33 @@ class Information:
     @cached_property
     def factor(self) -> Factor:
         """Factor of the information of rows and priors."""
-        return Factor.of(self.rows.H + self.prior.H)
+        return Factor.of(self._with_priors(self.rows.H.copy()))
+
+    def _with_priors(self, H: np.ndarray) -> np.ndarray:
+        """Return information of rows, shape (N, N), with that of the priors, in place."""
+        H += self.prior.H
+        if self.more is not None:
+            H.flat[:: len(H) + 1] += self.more
+        return H
+
+    @property
+    def of_priors(self) -> np.ndarray:
+        """Information of the priors with their present sizes, shape (N, N)."""
+        return self._with_priors(np.zeros(self.prior.H.shape))
 
     @cached_property
     def slope(self) -> np.ndarray:
         """Gradient of rows and priors in units of the factor, shape (N,)."""
         return self.factor.half(self.rows.g + self.prior.g)
 
-    def believing(self, factor: float, H: np.ndarray) -> Information:
-        """Return the same with uncertain sizes multiplied by a factor, with H the resulting
-        information of the priors.
+    def believing(self, factor: float, more: np.ndarray) -> Information:
+        """Return the same with uncertain sizes multiplied by a factor, with the information that
+        this adds, shape (N,).
         """
         if factor not in self.variants:
-            prior = replace(self.prior, H=H)
-            self.variants[factor] = Information(self.blocks, prior, self.slot)
+            self.variants[factor] = replace(self, more=more)
+            # The same array, not its like.
+            vars(self.variants[factor])["rows"] = self.rows
         return self.variants[factor]
 
     def without(self, model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Information:
@@ -81,7 +96,8 @@ class Information:
                 del self.parts[next(iter(self.parts))]
             kept = self.blocks.part(model)
             kept = replace(kept, g=kept.g + self.blocks.H[:, model[:, None], gone] @ values)
-            self.parts[key] = Information(kept, self.prior.part(model), self.slot)
+            more = None if self.more is None else self.more[model]
+            self.parts[key] = Information(kept, self.prior.part(model), more, self.slot)
         return self.parts[key]
 
     @property
@@ -101,7 +117,7 @@ class Information:
 
     def _each_without_block(self) -> Iterator[tuple[Factor, np.ndarray]]:
         for H, g in zip(self.blocks.H, self.blocks.g, strict=True):
-            factor = Factor.of(self.rows.H - H + self.prior.H)
+            factor = Factor.of(self._with_priors(self.rows.H - H))
             yield factor, factor.solve(self.rows.g - g + self.prior.g)
 
 

@@ -157,7 +157,8 @@ class Tangent:
         H = np.zeros((n_blocks, size, size))
         g = np.zeros((n_blocks, size))
         column = np.cumsum(free) - 1
-        found = list[_StationColumns]()
+        orders = list[np.ndarray | slice]()
+        pieces = list[tuple[_Piece, ...]]()
         for i, places in enumerate(problem.places):
             blocks = None if groups is None else groups[problem.rows[i]]
             local = (values[places], free[places])
@@ -165,15 +166,24 @@ class Tangent:
             mine = column[places[local[1]]]
             g[:, mine] += own.g
             _add(own.H, mine, mine, H)
-            found.append(own)
-        pieces = tuple(own.pieces for own in found)
+            orders.append(own.order)
+            pieces.append(own.pieces)
+            # The information of a station's blocks is as large as that of all.
+            del own
         squares = sum(
             float(np.sum(part.residuals**2)) for of_station in pieces for part in of_station
         )
-        orders = tuple(own.order for own in found)
-        form = Form.of(H, g)
         return cls(
-            fit, tuple(nuisance), problem, values, free, known, orders, pieces, form, squares
+            fit=fit,
+            nuisance=tuple(nuisance),
+            problem=problem,
+            values=values,
+            free=free,
+            known=known,
+            orders=tuple(orders),
+            pieces=tuple(pieces),
+            blocks=Form.of(H, g),
+            squares=squares,
         )
 
     @cached_property

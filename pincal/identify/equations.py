@@ -29,7 +29,7 @@ from pincal.identify.normal import (
     squares,
     summed,
 )
-from pincal.identify.posterior import Eliminated, Posterior, eliminate
+from pincal.identify.posterior import Eliminated, Nonzero, Posterior, eliminate
 from pincal.identify.problem import Problem
 from pincal.identify.quadratic import Form
 from pincal.identify.station import Station
@@ -252,7 +252,8 @@ class Linearised:
         slot = np.cumsum(problem.is_shared[free]) - 1
         places = np.flatnonzero(free & problem.is_shared)
         known = problem.beliefs.beyond_priors(places, self.values, self.sizes)
-        H = known.H.copy()
+        believed = Nonzero.of(known.H) if problem.beliefs.terms else None
+        H = known.H
         g = known.g
         whole = known.whole.copy()
         eliminated = []
@@ -266,7 +267,6 @@ class Linearised:
             whole[at] += form.whole
             if mine.size:
                 eliminated.append(replace(own, places=rank[mine], shared=ours))
-        believed = known.H if problem.beliefs.terms else None
         return Posterior(
             Form(H, g, whole), self.sizes[places], self.values[places], tuple(eliminated), believed
         )

@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
@@ -37,6 +38,24 @@ from pincal.thresholds import Scale
 # Spurious information due to rounding, in units of the prior's, below which it may remain in a
 # solve.
 _ROUNDING: Scale = 1e-3
+
+
+class Nonzero(NamedTuple):
+    """The E entries of a symmetric matrix that are not zero: of smooth curves, few."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, matrix: np.ndarray) -> Nonzero:
+        """Return those of a matrix."""
+        rows, columns = np.nonzero(matrix)
+        return cls(rows, columns, matrix[rows, columns])
+
+    def times(self, matrix: np.ndarray) -> float:
+        """Return the sum of the products with the entries of another matrix."""
+        return float(matrix[self.rows, self.columns] @ self.values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +71,15 @@ class Posterior:
         sizes: shape (F,), standard deviations of the priors; inf for none.
         offsets: shape (F,), present values minus the priors' centres.
         own: the parameters of stations that were eliminated.
-        believed: shape (F, F), the part of H that is not from data: an earlier fit, smooth curves;
-            None for nothing.
+        believed: the part of H that is not from data: an earlier fit, smooth curves; None for
+            nothing.
     """
 
     form: Form
     sizes: np.ndarray
     offsets: np.ndarray
     own: tuple[Eliminated, ...] = ()
-    believed: np.ndarray | None = None
+    believed: Nonzero | None = None
 
     def part(self, at: np.ndarray) -> Posterior:
         """Return the posterior of the parameters at some indices, conditional on the others."""
@@ -177,7 +196,7 @@ class Posterior:
         if found is None:
             covariance = self.covariance
             known = float(np.sum(self.information / (1.0 + self.information)))
-            known -= 0.0 if self.believed is None else float(np.sum(covariance * self.believed))
+            known -= 0.0 if self.believed is None else self.believed.times(covariance)
         else:
             known, covariance = found
         own = tuple(
@@ -189,26 +208,30 @@ class Posterior:
         """Return the effective number of the parameters with a prior, and, if stations have
         parameters of their own, the covariance of all, shape (F, F); None where rounding forbids.
         """
-        prior, frames = self._parts
+        _, frames = self._parts
         believed = self.believed
-        is_apart = (self.own and len(frames)) or (believed is not None and np.any(believed[frames]))
+        is_apart = (self.own and len(frames)) or (
+            believed is not None and not self.has_prior[believed.rows].all()
+        )
         factor = None if is_apart else self._factor()
         C, failed = (None, 1) if factor is None else dpotri(factor, lower=1, overwrite_c=1)
         if C is None or failed:
             return None
         spent = float(np.sum(1.0 - np.diag(C)))
-        below = np.tril(C, -1)
         if believed is not None:
-            known = believed[prior[:, None], prior] * _outer(self.sizes[prior])
-            spent -= float(2.0 * np.sum(below * known) + np.diag(C) @ np.diag(known))
+            sizes = self.sizes[believed.rows] * self.sizes[believed.columns]
+            slot = np.cumsum(self.has_prior) - 1
+            pair = np.sort([slot[believed.rows], slot[believed.columns]], axis=0)
+            spent -= float(C[pair[1], pair[0]] @ (sizes * believed.values))
         if not self.own:
             return spent, C
         # Not kept, as the covariance by eigenvectors would be with each fit of a search.
-        below += below.T
-        below.flat[:: len(C) + 1] = np.diag(C)
-        below *= self.sizes
-        below *= self.sizes[:, None]
-        return spent, below
+        covariance = np.tril(C, -1)
+        covariance += covariance.T
+        covariance.flat[:: len(C) + 1] = np.diag(C)
+        covariance *= self.sizes
+        covariance *= self.sizes[:, None]
+        return spent, covariance
 
     @cached_property
     def is_shared(self) -> np.ndarray:
@@ -270,7 +293,10 @@ class Posterior:
         form = self.form
         # The slope of the priors is unchanged.
         stiffness = 1.0 + damping
-        firm = Posterior(form, self.sizes / np.sqrt(stiffness), at / stiffness)
+        # What is asked of the same posterior again, as of the step that ends a fit, is known.
+        firm = self
+        if damping:
+            firm = Posterior(form, self.sizes / np.sqrt(stiffness), at / stiffness)
         step = firm._quick_step
         held = np.zeros(len(at), bool)
         for _ in range(3):
