@@ -505,7 +505,7 @@ def _solved(
             short = _CLOSE if until is Tolerance.CLOSE else SETTLED
             free = released if missed else fitted.free
             fitted, point = solved(name, begun, free, short=short, ahead=until is Tolerance.NEAR)
-        if not missed and fitted.iterations == 1:
+        if not missed and fitted.iterations <= 1:
             # The test was made at the solution itself.
             break
     return replace(fit, solution=fitted, stages=tuple(stages))

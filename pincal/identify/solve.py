@@ -38,6 +38,8 @@ log = logging.getLogger(__name__)
 # nothing to gain.
 SETTLED: Scale = 1e-3
 _ROUGH: Scale = 0.1
+# A step that moves them by less than this changes nothing that is told, and is not taken.
+_STILL: Scale = 1e-6
 # The same in standard deviations of parameters, which are smaller than a short step if there are
 # very many rows. On a ridge that is known to rounding such steps may continue, so after this number
 # of them a short one suffices.
@@ -197,7 +199,7 @@ class _Run:
 
     def until_it_ends(self) -> Ending:
         """Take steps until the fit ends; return how."""
-        ended = None
+        ended = self.ending() if self.rests() else None
         while ended is None and self.iterations < MOST_STEPS:
             self.advance()
             if label := self.course.label:
@@ -212,6 +214,18 @@ class _Run:
             self.iterations += extra
             return Ending.EXACT
         return ended or Ending.BUDGET
+
+    def rests(self) -> bool:
+        """Return whether the fit starts where another ended, and no step from there is worth
+        taking.
+        """
+        if not self.hard or self.course.rough:
+            return False
+        posterior = self.point.posterior(self.judged.sigma)
+        step, self.held = posterior.step_within(self.priors.bounds[self.free])
+        self.wanted = self.length(posterior.square(step))
+        self.is_short = self.wanted < _STILL
+        return self.is_short
 
     def advance(self) -> None:
         """Take a step."""
