@@ -230,6 +230,18 @@ def test_noise_has_no_remainder(kuka: Robot) -> None:
     assert with_remainder(sound.trail) == (sound.trail, None)
 
 
+def test_of_many_rows_some_are_judged_first(found: Discovery, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 300 rows 200 are judged, and what passes is fitted to all and judged by all regions, as if they were few."""
+    monkeypatch.setattr("pincal.discover.smooth_rest.REMAINDER", replace(REMAINDER, judged=200))
+    plain = replace(found.trail, fit=found.trail.changes[-2].fit, changes=found.trail.changes[:-1])
+    trail, rest = with_remainder(plain)
+
+    assert rest is not None and rest.regions.is_nowhere_worse and rest.regions.predicts
+    assert sum(rest.regions.rows) == np.count_nonzero(plain.final.solution.weights)
+    assert len(trail.final.problem) == len(plain.final.problem) == 300
+    assert {effect.moves for effect in rest.effects} == {"drive"}
+
+
 def test_few_poses_have_none(found: Discovery, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of fewer than four regions of ten rows nothing is fitted, whatever they would show."""
     fit = found.trail.changes[-2].fit
