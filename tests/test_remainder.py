@@ -181,7 +181,7 @@ def test_it_is_told_apart_from_names(found: Discovery, tmp_path: Path) -> None:
 
     assert "says nothing of causes" in note
     assert "smooth_remainder" not in {entry["effect"] for entry in found.report["effects"]}
-    assert any("unnamed, smooth" in stage.name for stage in found.gaps)
+    assert found.gaps[-1].name == "+ unnamed, smooth (drives)"
     assert smooth["parts"][0]["errs"] == "drive" and 0.0 < smooth["parts"][0]["size"] < 3e-4
     assert "Unnamed, smooth" in page and f"{smooth['smooth_mm']:.4f} mm" in page
     assert f"{smooth['smooth_mm']:.4f} mm" in smooth_words(found.findings.remainder)
