@@ -8,13 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 from machines import kuka as true_kuka
+from test_cell_file import VERBS
+from test_cli import run
 from test_corrector import answered
 from test_corrector import states_of as page_states
 from test_export import Compiled, calibrated_of, columns_of, conditions_of, loaded, poses_of, units_of
 
 from pincal import load_model
 from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.cli.cell_defaults import _words_of
 from pincal.compensate.compensation import compensate_program
 from pincal.compensate.robot_frames import in_base_frame, program_poses
 from pincal.discover.policy import POLICY, REMAINDER
@@ -30,6 +34,7 @@ from pincal.export.formulas import formulas_of
 from pincal.export.numpy_source import numpy_source
 from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements, measurements_from_arrays
+from pincal.measure.table import write_table
 from pincal.model.catalogue.remainder import SmoothRemainder, golden_ratio
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions
@@ -176,7 +181,7 @@ def test_it_is_told_apart_from_names(found: Discovery, tmp_path: Path) -> None:
 
     assert "says nothing of causes" in note
     assert "smooth_remainder" not in {entry["effect"] for entry in found.report["effects"]}
-    assert any("unnamed, smooth" in stage.name for stage in found.gaps)
+    assert found.gaps[-1].name == "+ unnamed, smooth (drives)"
     assert smooth["parts"][0]["errs"] == "drive" and 0.0 < smooth["parts"][0]["size"] < 3e-4
     assert "Unnamed, smooth" in page and f"{smooth['smooth_mm']:.4f} mm" in page
     assert f"{smooth['smooth_mm']:.4f} mm" in smooth_words(found.findings.remainder)
@@ -228,6 +233,18 @@ def test_noise_has_no_remainder(kuka: Robot) -> None:
 
     assert sound.findings.remainder is None and not likely_remainders(fit)
     assert with_remainder(sound.trail) == (sound.trail, None)
+
+
+def test_of_many_rows_some_are_judged_first(found: Discovery, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 300 rows 200 are judged, and what passes is fitted to all and judged by all regions, as if they were few."""
+    monkeypatch.setattr("pincal.discover.smooth_rest.REMAINDER", replace(REMAINDER, judged=200))
+    plain = replace(found.trail, fit=found.trail.changes[-2].fit, changes=found.trail.changes[:-1])
+    trail, rest = with_remainder(plain)
+
+    assert rest is not None and rest.regions.is_nowhere_worse and rest.regions.predicts
+    assert sum(rest.regions.rows) == np.count_nonzero(plain.final.solution.weights)
+    assert len(trail.final.problem) == len(plain.final.problem) == 300
+    assert {effect.moves for effect in rest.effects} == {"drive"}
 
 
 def test_few_poses_have_none(found: Discovery, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -382,3 +399,28 @@ def test_compensation_takes_it_away(kuka: Robot, kind: int, rng: np.random.Gener
     assert np.mean(reached) > 0.9
     np.testing.assert_allclose(there[reached][:, :, 3], wanted[reached][:, :, 3], rtol=0.0, atol=1e-9)
     assert np.abs(in_base_frame(calibrated).predict(at) - wanted)[:, :, 3].max() > 5e-5
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [((), True), (("--remainder",), True), (("--no-remainder",), False), (("--set", "remainder=no"), False)],
+)
+def test_the_command_hands_the_choice_on(
+    kuka: Robot, words: tuple[str, ...], wanted: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By default it may enter; --no-remainder, or --set remainder=no, leaves it out; words told again say the same."""
+    asked = list[bool]()
+
+    def searched(*_: Any, remainder: bool, **__: Any) -> None:
+        asked.append(remainder)
+        raise BadInputError("asked")
+
+    monkeypatch.setattr("pincal.discover.run.run_discovery", searched)
+    rows = table(kuka, 0.0, 30, 1)[0]
+    columns = zip((*kuka.joint_names, *"xyz"), np.hstack([rows.q, rows.position]).T, strict=True)
+    write_table(tmp_path / "rows.csv", dict(columns))
+    option = next(of for of in VERBS["discover"].params if of.name == "remainder")
+
+    assert run("discover", kuka_urdf_path(), tmp_path / "rows.csv", *words, "--out", tmp_path / "out", "--quiet") == 3
+    assert asked == [wanted]
+    assert list(_words_of(option, wanted)) == ["--remainder" if wanted else "--no-remainder"]

@@ -630,6 +630,13 @@ class RemainderNumbers:
         "elasticity by chance, below which they are doubted",
         "as for any doubt; of 24 drawn tables with a true name none came below",
     )
+    judged: int = _number(
+        3000,
+        "rows",
+        "test_remainder.py::test_of_many_rows_some_are_judged_first",
+        "of which remainders are judged; what passes is judged by all rows again",
+        "chosen: with 120 a region means are known to a twentieth, and a fit takes seconds",
+    )
     regions: int = _number(
         4,
         "regions",

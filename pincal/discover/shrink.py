@@ -335,7 +335,8 @@ def period_of(trace: PartialResidual) -> float | None:
 def _title(effect: Effect) -> str:
     """Return the name of an effect, where it acts and its source."""
     if effect.locus.shape == "smooth":
-        return "unnamed, smooth"
+        what = "drives" if effect.locus.acts_on == "drive" else "target"
+        return f"unnamed, smooth ({what})"
     joint = effect.locus.joint
     of = "" if joint is None else f" of {joint}"
     source = effect.locus.follows if effect.is_nameless else effect.locus.source

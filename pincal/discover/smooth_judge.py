@@ -4,7 +4,7 @@ that a search found, and with what has no name.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -69,6 +69,11 @@ class RegionJudge:
 
     trail: History
     fold: np.ndarray
+
+    def select(self, rows: np.ndarray) -> RegionJudge:
+        """Return the same of some rows, fits not repeated."""
+        first, final = (fit.select(rows) for fit in (self.trail.first, self.trail.final))
+        return RegionJudge(replace(self.trail, first=first, fit=final), self.fold[rows])
 
     @cached_property
     def without(self) -> np.ndarray:

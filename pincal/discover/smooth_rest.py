@@ -31,6 +31,7 @@ from pincal.identify.dependence import placed_at_mean
 from pincal.identify.fit import ModelFit
 from pincal.identify.folds import Folds
 from pincal.model.catalogue.remainder import SmoothRemainder
+from pincal.sensors.extrinsics import sample_rows
 from pincal.validate.misfit import MISFIT
 
 log = logging.getLogger(__name__)
@@ -83,8 +84,7 @@ def with_remainder(trail: History) -> tuple[History, SmoothRest | None]:
     folds = Folds.of(fit.problem, ("regions",)).of_way
     if "regions" not in folds:
         return trail, None
-    tried = _tried(fit, RegionJudge(trail, folds["regions"]))
-    found = next((one for one in tried if one.regions.is_nowhere_worse), None)
+    found = _found(fit, RegionJudge(trail, folds["regions"]))
     if found is None:
         return trail, None
     for effect in found.rest.effects:
@@ -103,6 +103,23 @@ class _Tried:
     @property
     def regions(self) -> LeftOutRegions:
         return self.rest.regions
+
+
+def _found(fit: ModelFit, judge: RegionJudge) -> _Tried | None:
+    """Return the first remainder that predicts and makes no region worse; None if none does.
+
+    Of many rows some are judged first, and all only with what has passed.
+    """
+    rows = np.arange(len(fit.problem))
+    some = rows[sample_rows(len(rows), REMAINDER.judged)]
+    is_part = len(some) < len(rows)
+    few = fit.select(some) if is_part else fit
+    for one in _tried(few, judge.select(some) if is_part else judge):
+        if one.regions.is_nowhere_worse:
+            whole = _judged(fit, one.rest.effects, judge) if is_part else one
+            if whole is not None and whole.regions.is_nowhere_worse:
+                return whole
+    return None
 
 
 def _tried(fit: ModelFit, judge: RegionJudge) -> Iterator[_Tried]:
