@@ -60,7 +60,10 @@ class ArrivalNoise:
 
 def shares_stops(station: Station) -> bool:
     """Return whether several rows of a station are of one pose, as of several targets or points."""
-    return not station.conditions.are_of_motion and len(np.unique(poses_of(station))) < len(station)
+    joints = same_joints(station.conditions.q, SCATTER)
+    if station.conditions.are_of_motion or len(np.unique(joints)) == len(station):
+        return False
+    return len(np.unique(poses_of(station))) < len(station)
 
 
 def with_arrivals(fit: ModelFit) -> ModelFit:

@@ -363,9 +363,14 @@ class SharedNoise:
         variances = []
         along = []
         for rows in self._poses:
-            W = np.linalg.inv(np.linalg.cholesky(alone.covariance(rows)))
-            found, axes = np.linalg.eigh(W @ drives.covariance(rows) @ W.transpose(0, 2, 1))
-            here = (W @ r[self._places(rows)][:, :, None])[:, :, 0]
+            V = drives.covariance(rows)
+            here = r[self._places(rows)]
+            if rows.shape[1] > 1:
+                # The part of a single row is of unit variance as it is.
+                W = np.linalg.inv(np.linalg.cholesky(alone.covariance(rows)))
+                V = W @ V @ W.transpose(0, 2, 1)
+                here = (W @ here[:, :, None])[:, :, 0]
+            found, axes = np.linalg.eigh(V)
             variances.append(np.maximum(found, 0.0).ravel())
             along.append(np.einsum("pij,pi->pj", axes, here).ravel())
         return np.concatenate(variances), np.concatenate(along)

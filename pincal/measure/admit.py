@@ -221,9 +221,8 @@ def _check_count(
     )
     # The parameters of a lens take no further rows: each gives two readings of it.
     own = sum(parameter.unit == "m" for parameter in sensor.parameters)
-    poses = len(np.unique(measurements.q, axis=0))
     fewest = -(-(tool + joints) // 6) + 1
-    if sensor.pose_limit and poses < fewest:
+    if sensor.pose_limit and (poses := len(np.unique(measurements.q, axis=0))) < fewest:
         raise MeasurementError(
             f"{measurements.source}: {poses} poses {sensor.pose_limit}: expected at least "
             f"{fewest}, preferably {min(better, 30)} or more"
