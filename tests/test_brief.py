@@ -115,7 +115,7 @@ def test_check_and_calibrate_leave_rows_out_alike(tables: Path, tmp_path: Path, 
     assert headline in before and headline in said(lines, "before")
 
 
-@pytest.mark.parametrize("more", [(), ("--split", "station")])
+@pytest.mark.parametrize("more", [("--split", "station"), pytest.param((), marks=pytest.mark.long)])
 def test_three_stations_take_fourteen_lines(tables: Path, tmp_path: Path, more: tuple[str, ...], capsys: Capture) -> None:
     """With or without leaving each out."""
     days = (tables / f"day{day}.csv" for day in (2, 3, 4))

@@ -68,6 +68,7 @@ def test_a_name_counts_where_it_is_named_or_could_be_meant() -> None:
     assert halves.others([by_2, gear], 0.6) == []
 
 
+@pytest.mark.long
 def test_what_is_plain_to_see_comes_up_in_every_half(case: Case, found: Discovery) -> None:
     """And the file says so; it is the same without the repetition but for that."""
     alone = msgspec.to_builtins(findings_of(found.calibration.fit.fit, found.trail, gaps=found.gaps, traces=found.traces))

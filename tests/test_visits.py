@@ -67,6 +67,7 @@ def test_a_change_between_passes_is_found_with_its_line(case: str) -> None:
     assert found.lines[0] <= found.line <= found.lines[1]
 
 
+@pytest.mark.long
 def test_a_shift_of_five_sigma_of_a_pass_is_found() -> None:
     """Five standard deviations of the difference between the means of two passes, in 7 of 8 tables or more."""
     size = 5.0 * NOISE * np.sqrt(2.0 / 60)
