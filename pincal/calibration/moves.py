@@ -47,6 +47,8 @@ _STATIONS: Count = 20
 _MOST_PARTS: Count = 8
 _ROWS_EACH: Count = 12
 _PARTS: Count = 2
+# Numbers of the information of all parts at most (0.4 GB), if two parts do.
+_MOST_NUMBERS: Count = 50_000_000
 # Tolerance on a constant function.
 _CONSTANT: Scale = 1e-6
 
@@ -100,16 +102,16 @@ def _moved_alone(fit: ModelFit, shared: SharedInformation) -> _Moved:
     """Return the single parameters that differ between stations, without any curve that the model
     lacks.
     """
-    same = np.eye(len(shared.parameters))
     singles = [(p,) for p in range(len(shared.parameters))]
-    information = shared.together(same)
+    information = shared.together
     chosen = information.moved(singles)
     stations = fit.problem.stations
     parts = min(_MOST_PARTS, min(map(len, stations)) // _ROWS_EACH)
+    parts = min(parts, max(_MOST_NUMBERS // shared.G.size, _PARTS))
     is_whole = any(station.sensor.is_whole for station in stations)
     if not chosen or parts <= 1 or is_whole:
         return _Moved(information, chosen, None, {})
-    apart = Apart.of(SharedInformation.of(fit, parts, in_order=True), same, parts)
+    apart = Apart.of(SharedInformation.of(fit, parts, in_order=True), parts)
     return _Moved(information, information.moved(singles, apart=apart), apart, {})
 
 
@@ -198,9 +200,8 @@ class _WithCurves:
         ends = np.cumsum([len(base), *(shape.T.shape[1] for shape in shapes)]).tolist()
         groups = [tuple(range(*span)) for span in pairwise(ends)]
         readings = sum(len(station) * station.reading_size for station in wide.problem.stations)
-        whole = shared.joined(parts)
-        apart = Apart.of(shared, T, parts)
-        without = whole.together(T[:, : len(base)])
+        apart = Apart.of(shared.in_shapes(T), parts)
+        without = shared.joined(parts).in_shapes(T[:, : len(base)]).together
         return cls(
             apart.joined,
             apart,

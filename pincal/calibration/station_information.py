@@ -147,22 +147,36 @@ class SharedInformation:
         )
         return replace(self, G=G, g=g, whole=whole)
 
-    def together(self, T: np.ndarray) -> StationsInformation:
-        """Return it about a joint fit of n parameters x, with T x the F parameters; T of shape (F,
-        n), orthonormal.
+    def in_shapes(self, T: np.ndarray) -> Self:
+        """Return the information on n parameters x, with T x the F parameters; T of shape (F, n),
+        orthonormal.
         """
         main = np.abs(T).argmax(axis=0)
-        G = T.T @ self.G @ T
-        g = self.g @ T
-        sizes = self.sizes[main]
-        whole = Form.of(G.sum(axis=0), g.sum(axis=0))
-        found = Posterior(whole, sizes, self.offsets @ T)
-        seen = np.diagonal(G, axis1=1, axis2=2) > _SEEN * (self.whole @ T**2)
-        b = g - G @ found.step
-        seen = seen & np.isfinite(sizes) & ~self.lasting[main]
-        explained = float(whole.g @ found.step)
+        return type(self)(
+            parameters=tuple(self.parameters[i] for i in main),
+            G=T.T @ self.G @ T,
+            g=self.g @ T,
+            whole=self.whole @ T**2,
+            sizes=self.sizes[main],
+            offsets=self.offsets @ T,
+            usual=self.usual[main],
+            lasting=self.lasting[main],
+        )
+
+    @property
+    def together(self) -> StationsInformation:
+        """It about a joint fit of the F parameters."""
+        whole = Form.of(self.G.sum(axis=0), self.g.sum(axis=0))
+        found = Posterior(whole, self.sizes, self.offsets)
+        seen = np.diagonal(self.G, axis1=1, axis2=2) > _SEEN * self.whole
         return StationsInformation(
-            G, b, seen, found.covariance, CHANGES.wide * sizes, self.usual[main], explained
+            G=self.G,
+            b=self.g - self.G @ found.step,
+            seen=seen & np.isfinite(self.sizes) & ~self.lasting,
+            C=found.covariance,
+            widths=CHANGES.wide * self.sizes,
+            usual=self.usual,
+            explained=float(whole.g @ found.step),
         )
 
 
@@ -309,11 +323,9 @@ class Apart:
     parts: StationsInformation
 
     @classmethod
-    def of(cls, shared: SharedInformation, T: np.ndarray, parts: int) -> Self:
-        """Return it from the information of so many parts of each station; T as for
-        :meth:`SharedInformation.together`.
-        """
-        return cls(shared.joined(parts).together(T), shared.together(T))
+    def of(cls, shared: SharedInformation, parts: int) -> Self:
+        """Return it from the information of so many parts of each station."""
+        return cls(shared.joined(parts).together, shared.together)
 
     def noise(self, chosen: Sequence[Together], group: Together) -> tuple[float, float]:
         """Return the variance by which a group differs between parts of one station, and its
