@@ -84,6 +84,8 @@ def test_discovery_json_has_the_fields_of_the_contract(found: Discovery) -> None
         "noise_floor_mm",
         "gap",
         "chain",
+        "delivered",
+        "regions",
         "where",
         "effects",
         "scatter",

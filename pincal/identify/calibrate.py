@@ -478,8 +478,7 @@ def _solved(
     """Run the stages, each from the end of the one before; only the last ones from a solution
     nearby.
     """
-    problem = fit.problem
-    options = fit.options
+    problem, options = fit.problem, fit.options
     stages = list[FitStage]()
     released = released_of(problem, options)
     excited = released & excited_of(problem)

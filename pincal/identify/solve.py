@@ -39,7 +39,7 @@ log = logging.getLogger(__name__)
 SETTLED: Scale = 1e-3
 _ROUGH: Scale = 0.1
 # A step that moves them by less than this changes nothing that is told, and is not taken.
-_STILL: Scale = 1e-6
+_STILL: Scale = 1e-9
 # The same in standard deviations of parameters, which are smaller than a short step if there are
 # very many rows. On a ridge that is known to rounding such steps may continue, so after this number
 # of them a short one suffices.
