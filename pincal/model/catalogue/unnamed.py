@@ -131,7 +131,13 @@ class Unnamed(Smoothable):
             place=self.place,
             span=span,
             own_order=self.own_order,
+            own_span=self._own_span,
         )
+
+    @property
+    def _own_span(self) -> tuple[float, float] | None:
+        """The range of the joint's own position, of a function over both."""
+        return (self.own_lower, self.own_upper) if self.shape in _OVER_BOTH else None
 
     @property
     def trials(self) -> float:
@@ -227,8 +233,7 @@ class Unnamed(Smoothable):
         x = recorded_variable(
             chain, conditions, self.depends_on, joint=self.joint, span=self.locus.span
         )
-        own_span = (self.own_lower, self.own_upper) if self.shape in _OVER_BOTH else None
-        own = recorded_variable(chain, conditions, self.joint, span=own_span)
+        own = recorded_variable(chain, conditions, self.joint, span=self._own_span)
         bases = enumerate(self._basis(x, own))
         if self.acts_on in _BEFORE:
             tilts = [(p, _BEFORE.index(self.acts_on), basis) for p, basis in bases]
