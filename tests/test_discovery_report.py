@@ -528,6 +528,10 @@ def test_rows_outside_a_curve_are_told(elastic_fit: Any, tmp_path: Path, capsys:
     assert outside_curves(calibrated, replace(conditions, q=np.zeros((3, 6)))) == []
     other = _model_with(elastic_fit, Unnamed("joint_2", "drive", "joint_3", lower=-0.5, upper=0.5))
     assert [(o.joint, o.variable) for o in outside_curves(other, replace(conditions, q=q))] == [("joint_2", "joint_3")]
+    ranges = {"lower": -0.5, "upper": 0.5, "own_lower": -1.0, "own_upper": 1.0}
+    over_both = _model_with(elastic_fit, Unnamed("joint_2", "drive", "joint_3", "map", size=4, **ranges))
+    along_each = [(o.joint, o.variable, o.rows) for o in outside_curves(over_both, replace(conditions, q=q))]
+    assert along_each == [("joint_2", "joint_3", 1), ("joint_2", "joint_2", 3)]
     assert outside_curves(_model_with(elastic_fit, GearEccentricity("joint_3")), replace(conditions, q=q)) == []
     assert _run("predict", tmp_path / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "predicted.csv") == 0
     noted = capsys.readouterr().err

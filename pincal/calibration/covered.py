@@ -208,17 +208,17 @@ class SeenCurve(NamedTuple):
 
 
 def curves_at(model: Model, conditions: Conditions) -> Iterator[SeenCurve]:
-    """Yield the curves of a model at some rows."""
+    """Yield the curves of a model at some rows; a function of two joints once along each."""
     for effect in model.effects:
         at = effect.locus
-        if at.span is None or at.follows is None or at.joint is None:
-            continue
-        spans = (None, at.span)
-        recorded, x = (
-            recorded_variable(model.chain, conditions, at.follows, joint=at.joint, span=s)
-            for s in spans
-        )
-        yield SeenCurve(effect, at.joint, at.follows, at.span, recorded, x)
+        for variable, span in ((at.follows, at.span), (at.joint, at.own_span)):
+            if span is None or variable is None or at.joint is None:
+                continue
+            recorded, x = (
+                recorded_variable(model.chain, conditions, variable, joint=at.joint, span=s)
+                for s in (None, span)
+            )
+            yield SeenCurve(effect, at.joint, variable, span, recorded, x)
 
 
 def _beyond(x: np.ndarray, lower: ArrayLike, upper: ArrayLike) -> np.ndarray:

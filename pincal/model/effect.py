@@ -96,6 +96,7 @@ class Locus:
         cause: name of the effect of which it is an instance, if not its own.
         span: observed range of the variable, beyond which the effect is constant.
         own_order: cycles per revolution of its joint, of a function of two joints.
+        own_span: observed range of its joint, beyond which a function of two joints is constant.
     """
 
     joint: str | None = None
@@ -109,6 +110,7 @@ class Locus:
     cause: str = ""
     span: tuple[float, float] | None = None
     own_order: float | None = None
+    own_span: tuple[float, float] | None = None
 
     @property
     def source(self) -> str | None:

@@ -15,7 +15,7 @@ from pincal.model.basis import FEWEST_SPLINES, spline_basis
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, PoseSet, distinct_values, moves, recorded_variable
 from pincal.model.effect import Family, Locus, Smoothable, Term
-from pincal.model.effect_bases import joint_index, tilt_terms, waves
+from pincal.model.effect_bases import drive_unit, joint_index, tilt_terms, waves
 from pincal.model.effect_numbers import FIELD, ORIGIN, SHOWN
 from pincal.model.smooth_field import SmoothField
 from pincal.parameters import Parameter
@@ -24,7 +24,7 @@ from pincal.thresholds import Count, Scale
 FormName = Literal["curve", "waves", "product", "map", "field", "step", "kink"]
 ActsOn = Literal["drive", "gamma_x", "gamma_y", "s_x", "s_y"]
 
-# Typical size of an unnamed term [rad].
+# Typical size of an unnamed term [rad or m].
 _SIZE: Scale = 3e-4
 # Pieces of a curve; of a map, along each joint, from coarse to fine.
 _PIECES: Count = 8
@@ -71,7 +71,7 @@ class Unnamed(Smoothable):
         own_lower, own_upper: the range of the joint's own position, of a map or a field.
         own_order: cycles per revolution of the joint itself, of a product; default: 1.
         lengths: of a field, along the joint's own position and the other's [rad or m].
-        height: of a field, standard deviation of the error [rad].
+        height: of a field, standard deviation of the error [rad or m].
         chosen_among: number of independent orders and joints among which these were selected.
     """
 
@@ -100,10 +100,23 @@ class Unnamed(Smoothable):
             raise BadInputError(f"{self.name} of {self.joint}: waves need an order")
         if self.shape in ("step", "kink") and self.place is None:
             raise BadInputError(f"{self.name} of {self.joint}: a {self.shape} needs a place")
-        if self.shape == "field" and (self.lengths is None or min(*self.lengths, self.height) <= 0):
+        if self.shape == "field":
+            self._check_field()
+
+    def _check_field(self) -> None:
+        """Refuse a field of no size, or finer than a computer holds."""
+        if self.lengths is None or min(*self.lengths, self.height) <= 0:
             raise BadInputError(
                 f"{self.name} of {self.joint}: lengths {self.lengths} and height {self.height:g} "
                 "of a field; expected numbers above 0"
+            )
+        ranges = (self.own_upper - self.own_lower, self.upper - self.lower)
+        least = [FIELD.shortest * span for span in ranges]
+        if min(ranges) <= 0 or any(np.less(self.lengths, least)):
+            raise BadInputError(
+                f"{self.name} of {self.joint}: a field over ranges of {ranges[0]:g} and "
+                f"{ranges[1]:g} with lengths {self.lengths[0]:g} and {self.lengths[1]:g}; expected "
+                f"ranges above 0, and lengths of at least {FIELD.shortest:g} of them"
             )
 
     @property
@@ -118,7 +131,13 @@ class Unnamed(Smoothable):
             place=self.place,
             span=span,
             own_order=self.own_order,
+            own_span=self._own_span,
         )
+
+    @property
+    def _own_span(self) -> tuple[float, float] | None:
+        """The range of the joint's own position, of a function over both."""
+        return (self.own_lower, self.own_upper) if self.shape in _OVER_BOTH else None
 
     @property
     def trials(self) -> float:
@@ -190,18 +209,19 @@ class Unnamed(Smoothable):
         return replace(self, height=height)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Coefficients of the basis functions [rad]."""
+        """Coefficients of the basis functions [rad; m along a prismatic joint]."""
         orders = "x".join(f"{k:g}" for k in (self.own_order, self.order) if k is not None)
         shape = "" if self.shape == "curve" else f"_{self.shape}{orders}".replace(".", "_")
         stem = f"{self.joint}.{self.acts_on}_of_{self.depends_on}{shape}"
+        unit = drive_unit(chain, self.joint) if self.acts_on == "drive" else "rad"
         return tuple(
-            Parameter(f"{stem}_{i + 1}", "rad", self.name, 0.0, size)
+            Parameter(f"{stem}_{i + 1}", unit, self.name, 0.0, size)
             for i, size in enumerate(self._sizes)
         )
 
     @property
     def _sizes(self) -> list[float]:
-        """Typical sizes of the coefficients [rad]."""
+        """Typical sizes of the coefficients [rad or m]."""
         if self.field is None:
             return [_SIZE] * self.n_functions
         return [self.height * size for size in self.field.sizes.tolist()]
@@ -213,8 +233,7 @@ class Unnamed(Smoothable):
         x = recorded_variable(
             chain, conditions, self.depends_on, joint=self.joint, span=self.locus.span
         )
-        own_span = (self.own_lower, self.own_upper) if self.shape in _OVER_BOTH else None
-        own = recorded_variable(chain, conditions, self.joint, span=own_span)
+        own = recorded_variable(chain, conditions, self.joint, span=self._own_span)
         bases = enumerate(self._basis(x, own))
         if self.acts_on in _BEFORE:
             tilts = [(p, _BEFORE.index(self.acts_on), basis) for p, basis in bases]
