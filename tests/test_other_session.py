@@ -25,6 +25,7 @@ from pincal.discover.run import run_discovery
 from pincal.errors import BadInputError, IdentificationError
 from pincal.model.catalogue.drives import ShortOfTarget
 from pincal.model.catalogue.transmission import TransmissionError
+from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.chain import Chain
 from pincal.model.model import Model
 
@@ -85,6 +86,44 @@ def test_the_drive_whose_curve_is_another_is_named(first: FittedRobot, worn: Mea
     assert best.correlation == pytest.approx(np.corrcoef(old, new)[0, 1], abs=0.1)
     assert other.correlation is not None and other.correlation > 0.95
     assert best.seen > 0.95
+
+
+def test_a_function_of_two_joints_that_is_another_is_told_by_its_size(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a curve is, beside one: not by coefficients of sines, which say nothing to a reader."""
+    robot = Robot.from_urdf("ur10")
+    span = {"lower": -HALF, "upper": HALF, "own_lower": -HALF, "own_upper": HALF, "lengths": (1.5, 1.5), "height": 3e-4}
+    field = Unnamed("shoulder_lift_joint", "drive", "elbow_joint", "field", **span)
+    effects = (field, smooth(DRIVES[0]))
+    truth = Model(Chain.of(robot), effects)
+    sizes = np.array([parameter.size for parameter in field.parameters(truth.chain)])
+
+    def measured(n: int, seed: int) -> tuple[Measurements, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        q = rng.uniform(-HALF, HALF, (n, 6))
+        values = sizes * rng.standard_normal(len(sizes))
+        poses = truth.predict(np.append(values, heights(1)), Conditions.at(q))
+        position = poses[:, :, 3] + poses[:, :, :3] @ [0.1, 0.05, 0.2] + NOISE * rng.standard_normal((n, 3))
+        return pincal.measurements_from_arrays(robot.joint_names, q, position=position), values
+
+    old, before = measured(400, 0)
+    new, after = measured(120, 1)
+    first = pincal.calibrate(robot, old, Options(effects=(*ELASTIC, *effects), sigma=NOISE)).at()
+    found = pincal.diagnose(first, replace(new, source="tuesday.csv"))
+    assert field.field is not None
+    difference = (after - before) @ field.field.basis(new.q[:, 1], new.q[:, 2])
+    change = next(change for change in found.changes if change.effect == "unnamed" and change.parameters)
+
+    assert change.curve_rms == pytest.approx(np.std(difference), rel=0.1)
+    first.save(tmp_path / "model.json")
+    header = ",".join([*robot.joint_names, "x", "y", "z"])
+    table = np.column_stack([new.q, new.position])
+    np.savetxt(tmp_path / "tuesday.csv", table, delimiter=",", header=header, comments="", fmt="%.17g")
+    with pytest.raises(SystemExit, match="6"):
+        main(["diagnose", str(tmp_path / "model.json"), str(tmp_path / "tuesday.csv"), "--out", str(tmp_path / "found")])
+    words = " ".join(capsys.readouterr().out.split())
+    assert "unnamed of shoulder_lift_joint in tuesday, its shape differs by" in words
 
 
 @pytest.mark.long

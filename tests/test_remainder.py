@@ -3,8 +3,10 @@
 import itertools
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
+import msgspec
 import numpy as np
 import pytest
 from machines import kuka as true_kuka
@@ -21,6 +23,7 @@ from pincal.calibration.fitted_robot import FittedRobot
 from pincal.cli.cell_defaults import _words_of
 from pincal.compensate.compensation import compensate_program
 from pincal.compensate.robot_frames import in_base_frame, program_poses
+from pincal.discover.cli.search_screen import summary_of_search
 from pincal.discover.policy import POLICY, REMAINDER
 from pincal.discover.report.found_section import found_section
 from pincal.discover.report.found_words import smooth_words
@@ -185,6 +188,16 @@ def test_it_is_told_apart_from_names(found: Discovery, tmp_path: Path) -> None:
     assert smooth["parts"][0]["errs"] == "drive" and 0.0 < smooth["parts"][0]["size"] < 3e-4
     assert "Unnamed, smooth" in page and f"{smooth['smooth_mm']:.4f} mm" in page
     assert f"{smooth['smooth_mm']:.4f} mm" in smooth_words(found.findings.remainder)
+
+
+def test_the_summary_says_that_a_model_has_it(found: Discovery) -> None:
+    """In every length, as errors of the model are with it; and it is not "no missing effect" where nothing has a name."""
+    unnamed = cast(Discovery, SimpleNamespace(findings=msgspec.structs.replace(found.findings, effects=())))
+    none = cast(Discovery, SimpleNamespace(findings=msgspec.structs.replace(found.findings, effects=(), remainder=None)))
+
+    assert all(words.endswith("; and a smooth remainder without a name") for words in summary_of_search(found))
+    assert summary_of_search(unnamed) == ("these data show no effect with a name; and a smooth remainder without a name",)
+    assert summary_of_search(none) == ("these data show no missing effect",)
 
 
 def test_its_intervals_cover(kuka: Robot, found: Discovery) -> None:

@@ -47,7 +47,8 @@ class ChangeEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
         p_value: probability of such an alarm on an unchanged robot.
         equivalent: other changes that these poses can't distinguish from it.
         tell_apart: poses that would; empty if there are none.
-        curve_rms: change of a curve, root mean square over the rows [rad or m], if it is one.
+        curve_rms: change of a curve, or of a function of two joints, root mean square over the
+            rows, its mean apart [rad or m], if it is one.
         session: the rows that show it.
     """
 

@@ -105,7 +105,7 @@ def sizes(change: ChangeEntry) -> str:
     """Return the changes of the parameters in words, the most significant first."""
     if change.curve_rms is not None:
         unit = next(iter(change.parameters.values())).unit
-        return f"its curve differs by {format_small(change.curve_rms, unit)} rms"
+        return f"its shape differs by {format_small(change.curve_rms, unit)} rms"
     moved = [(name, p.after - p.before, p.sigma, p.unit) for name, p in change.parameters.items()]
     moved.sort(key=lambda one: -abs(one[1]) / one[2] if one[2] else 0.0)
     shown = ((name, by, sigma, readable_unit(unit)) for name, by, sigma, unit in moved[:_SHOWN])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -248,9 +249,12 @@ class _JudgedRows:
         if self.curves is None:
             return tuple(changes)
         order = [entry.joint for entry in self.curves.joints]
-        of_curves = [change for change in changes if change.curve_rms is not None]
+        names = {e.name for e in self.verdict.lineup.station.model.effects if isinstance(e, Curve)}
+        redrawn = [of.curve_rms is not None and of.effect in names for of in changes]
+        of_curves = compress(changes, redrawn)
         ranked = iter(sorted(of_curves, key=lambda change: order.index(str(change.joint))))
-        return tuple(change if change.curve_rms is None else next(ranked) for change in changes)
+        both = zip(changes, redrawn, strict=True)
+        return tuple(next(ranked) if is_redrawn else change for change, is_redrawn in both)
 
     def notes(self) -> Iterator[Note | str]:
         """Yield doubts, and what is noticed in the rows."""
@@ -521,19 +525,26 @@ def _changed(verdict: ChangeVerdict, posterior: Refitted, k: int) -> dict[str, C
 
 
 def _curve_rms(verdict: ChangeVerdict, posterior: Refitted, k: int) -> float | None:
-    """Return the rms of the change of a curve over the rows, without its mean; None of others."""
+    """Return the rms of the change of a curve over the rows, without its mean, or of a function of
+    two joints; None of others.
+    """
     lineup = verdict.lineup
     model = lineup.station.model
     places = lineup.places[k]
     effects = zip(model.effects, model.spans, strict=True)
     curve = next((effect for effect, span in effects if span.start == places[0]), None)
-    if lineup.changes[k].belief is None or not isinstance(curve, Curve):
-        return None
     conditions = lineup.station.conditions
-    joint = str(curve.locus.joint)
-    q = recorded_variable(model.chain, conditions, joint, span=curve.locus.span)
+    if isinstance(curve, Curve) and lineup.changes[k].belief is not None:
+        joint = str(curve.locus.joint)
+        q = recorded_variable(model.chain, conditions, joint, span=curve.locus.span)
+        basis = curve.basis(q)
+    elif curve is not None and curve.locus.own_span is not None:
+        terms = curve.terms(model.chain, conditions, None)
+        basis = np.array([term.basis for term in terms])
+    else:
+        return None
     at = np.searchsorted(lineup.free(verdict.happened), places)
-    return float(np.std(posterior.changes[at] @ curve.basis(q)))
+    return float(np.std(posterior.changes[at] @ basis))
 
 
 def _notes(

@@ -263,10 +263,14 @@ def identifier(name: str) -> str:
 
 
 def as_comment(text: str) -> str:
-    """Return a name that is safe in a comment of any language."""
-    return (
-        re.sub(r"[^\w .:;()'/,-]", "_", text, flags=re.ASCII).replace("*/", "_").replace("/*", "_")
-    )
+    """Return a text that is safe in a comment of any language, and is no formula in a table.
+
+    Example:
+        >>> as_comment("good to U (k = 2) of */ 0.1 mm"), as_comment("=1+1")
+        ('good to U (k = 2) of _/ 0.1 mm', '_1_1')
+    """
+    plain = re.sub(r"^=|[^\w .:;()'/,=%-]", "_", text, flags=re.ASCII)
+    return plain.replace("*/", "_").replace("/*", "_")
 
 
 def checked_poses(calibrated: FittedRobot, *, n: int = _CHECKED_POSES, seed: int = 0) -> Conditions:

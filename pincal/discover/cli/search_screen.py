@@ -15,6 +15,7 @@ from pincal.discover.report.found_words import (
     bootstrap_words,
     effect_words,
     line_words,
+    no_effect_words,
     region_words,
     smooth_words,
     subsample_only_words,
@@ -28,20 +29,28 @@ from pincal.report.judgement import judged
 from pincal.result_table import hanging, one_line
 from pincal.units import show_chance
 
+# Of a model that has more than names, which its errors are with.
+_REST = "; and a smooth remainder without a name"
+
 
 def summary_of_search(discovery: Discovery) -> tuple[str, ...]:
-    """Return all effects that were found in words: with their evidence, without, and counted."""
+    """Return all effects that were found in words: with their evidence, without, and counted; and
+    that there is a remainder without a name, if the model has one.
+    """
+    rest = discovery.findings.remainder is not None
     effects = discovery.findings.effects
     if not effects:
-        return ("these data show no missing effect",)
+        none = no_effect_words(discovery.findings)
+        return (f"t{none[1:-1]}{_REST if rest else ''}",)
     # Elasticity, which every arm has, comes after other effects, and hints come last.
     elastic = [name for name, cls in EFFECTS.known().items() if cls.family is Family.ELASTICITY]
     named = sorted(effects, key=lambda e: (e.is_hint, e.effect in elastic))
-    return (
+    words = (
         _listed(named, _evidence(named)),
         _listed(named, [""] * len(named)),
         f"{counted(len(named), 'effect')}, listed in the report",
     )
+    return tuple(f"{of}{_REST}" if rest else of for of in words)
 
 
 def _listed(named: Sequence[FoundEffect], evidence: Sequence[str]) -> str:
@@ -118,9 +127,7 @@ def _print_effects(findings: Findings, out: Console) -> None:
     named = [entry for entry in findings.effects if not entry.is_hint]
     hints = [entry for entry in findings.effects if entry.is_hint]
     if named or not hints:
-        out.print(
-            found_tables.effect_table(named) if named else "These data show no missing effect."
-        )
+        out.print(found_tables.effect_table(named) if named else no_effect_words(findings))
     if hints:
         out.print(found_tables.effect_table(hints, HINTS))
 

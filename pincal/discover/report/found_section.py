@@ -20,6 +20,7 @@ from pincal.discover.report.found_words import (
     effect_words,
     gain_words,
     line_words,
+    no_effect_words,
     region_words,
     smooth_trust,
     subsample_only_words,
@@ -192,7 +193,7 @@ def _named(found: Findings) -> Iterator[PageBlock]:
         for is_hint in (False, True)
     )
     if sure or not hints:
-        yield arranged("cards", *sure) if sure else paragraph("These data show no missing effect.")
+        yield arranged("cards", *sure) if sure else paragraph(no_effect_words(found))
     if hints:
         yield paragraph(
             f"{HINTS}. They are in the model, but do not order spare parts because of them.", "care"

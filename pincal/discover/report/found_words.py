@@ -85,6 +85,12 @@ SMOOTH_PARTS = {
 """Parts of what is smooth in the joints and has no name, in words."""
 
 
+def no_effect_words(found: Findings) -> str:
+    """Return in words that no effect was found, or none but a remainder, which has no name."""
+    what = "missing effect" if found.remainder is None else "effect with a name"
+    return f"These data show no {what}."
+
+
 def smooth_words(smooth: Smooth) -> str:
     """Return what is smooth in the joints and has no name, what it gains, and where not to trust
     it.
