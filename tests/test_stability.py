@@ -75,7 +75,7 @@ def test_what_is_plain_to_see_comes_up_in_every_half(case: Case, found: Discover
     report = json.loads(json.dumps(found.report, allow_nan=False))
     # What is held out, and the verdict on the noise, are told by the whole.
     for of in (alone, report):
-        for name in ("verdict", "held_out", "warnings"):
+        for name in ("verdict", "held_out", "warnings", "regions"):
             of.pop(name, None)
     often = {(e["effect"], e["joint"]): e.pop("stability") for e in report["effects"]}
 

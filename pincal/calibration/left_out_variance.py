@@ -52,13 +52,13 @@ def fitted_variances(fit: ModelFit, stations: Sequence[int]) -> list[np.ndarray]
     """Return the covariance of the displacement of each row's target by the parameters of a fit to
     all rows, as :func:`left_out_variances`.
     """
-    C = covariance_at_mean(fit, of_rows=True).dense()
+    root = _root(fit)
     found = [np.zeros((len(fit.problem.stations[at]), 3, 3)) for at in stations]
     for at, covariance in zip(stations, found, strict=True):
         for rows in _at_once(np.arange(len(covariance))):
-            moved = _motions(fit, at, rows)
-            carried = np.tensordot(C, moved, axes=(1, 0))
-            covariance[rows] = np.einsum("fna,fnb->nab", moved, carried)
+            # By a root, so that no variance of exact readings is less than zero by rounding.
+            along = np.tensordot(_motions(fit, at, rows), root, axes=(0, 0))
+            covariance[rows] = along @ along.swapaxes(1, 2)
     return found
 
 

@@ -81,6 +81,8 @@ def found_section(discovery: Discovery) -> Section:
         "%; where the error grew they are negative."
     )
     table = stage_table(found.noise_floor_mm, discovery.gaps).without("rms over noise")
+    if found.regions:
+        text = f"{text} {region_words(found.regions)}."
     blocks.append(folded("Errors after each change of the model", table, paragraph(text, "mute")))
     n_joints = len(discovery.calibration.fit.problem.chain.robot.joint_names)
     untestable = by_reason(((e.effect, e.joint, e.reason) for e in found.not_testable), n_joints)
@@ -150,11 +152,7 @@ def _scattering(entry: ScatteringJoint) -> str:
 
 
 def _smooth(found: Findings) -> Iterator[PageBlock]:
-    """Yield what is smooth in the joints and has no name, if it entered the model; else how regions
-    are predicted by the names alone.
-    """
-    if found.regions:
-        yield paragraph(f"{region_words(found.regions)} (discovery.json has them).", "mute")
+    """Yield what is smooth in the joints and has no name, if it entered the model."""
     if (smooth := found.remainder) is None:
         return
     at = f"{FOUND}/remainder"
