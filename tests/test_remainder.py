@@ -209,6 +209,7 @@ def test_its_intervals_cover(kuka: Robot, found: Discovery) -> None:
     assert np.mean(np.abs(error) < 1.96 * found.calibration.fit.position_sigma(at)) > 0.9
 
 
+@pytest.mark.long
 def test_exports_have_its_uncertainty(found: Discovery, tmp_path: Path, rng: np.random.Generator) -> None:
     """C and NumPy state the model's u, though a load bends the arm otherwise where parameters nobody sees apart differ."""
     calibrated = found.calibration.fit
