@@ -142,7 +142,9 @@ class Unnamed(Smoothable):
     @property
     def trials(self) -> float:
         """Number of maps or fields, or of waves of two joints, among which it was selected."""
-        return ORIGIN.pairs if self.shape in _OVER_BOTH else self.chosen_among
+        if self.shape == "field":
+            return ORIGIN.pairs * len(FIELD.lengths) ** 2 * len(FIELD.heights)
+        return ORIGIN.pairs if self.shape == "map" else self.chosen_among
 
     @property
     def n_functions(self) -> int:
