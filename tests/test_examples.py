@@ -293,7 +293,7 @@ def test_real_robot_is_calibrated(shared_data: Path, tmp_path: Path) -> None:
     assert after < 0.12
     told = (
         figures("README.md", "geometry and elasticity leave # mm on"),
-        figures("README.md", "joint by joint; # mm remain"),
+        figures("README.md", "has no name; # mm remain where"),
     )
     assert told[0] == pytest.approx([elastic[0]], abs=0.01) and told[1] == pytest.approx([after], abs=0.01)
 
