@@ -214,6 +214,19 @@ def test_one_candidate_is_exact_for_a_perfect_arm(kind: str, n_targets: int, kuk
     assert min(errors) < 1e-9
 
 
+def test_a_start_that_no_other_can_beat_is_the_only_one(kuka: Robot, rng: np.random.Generator) -> None:
+    """No placement leaves less than the linear system does; a mirrored table solves that too, and all starts are tried."""
+    scene = Scene.draw(rng, 2)
+    table = measure(scene, "position", 1, rng)
+    tips, target = kuka.forward_kinematics(table.q)[:, :3], (table.target == "B").astype(int)
+
+    def tried(position: np.ndarray) -> int:
+        return len(list(PositionSensor(position).starts(tips, target, 2)))
+
+    assert tried(table.position) == 1
+    assert tried(table.position * [1.0, -1.0, 1.0]) == 2
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_known_of_base_and_tool_stays(kind: str, kuka: Robot, rng: np.random.Generator) -> None:
     """A known base and known tools are taken as they are; only the rest is found."""

@@ -29,9 +29,15 @@ _GARBAGE: Count = 200_000
 # Size from which arrays return to the system when they are freed [bytes]. By default those of up to
 # 32 MB are kept for later ones, and what a search leaves between them is never used again.
 _LARGE: Count = 4_000_000
-# The number of this option of the C library, and the variable by which workers are told it.
-_MMAP_THRESHOLD: Count = -3
-_VARIABLE = "MALLOC_MMAP_THRESHOLD_"
+# Free room above all arrays that is kept for the next ones, twice that size as by default: else
+# every step of a fit asks the system for its pages again.
+_ROOM: Count = 8_000_000
+# The numbers of these options of the C library, their values, and the variables by which workers
+# are told them.
+_OPTIONS: tuple[tuple[int, int, str], ...] = (
+    (-3, _LARGE, "MALLOC_MMAP_THRESHOLD_"),
+    (-1, _ROOM, "MALLOC_TRIM_THRESHOLD_"),
+)
 
 # The interruptions of this process, and the time that one may take [s].
 _INTERRUPTS: list[int] = []
@@ -258,15 +264,17 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _return_large_arrays() -> None:
-    """Let the C library return large arrays to the system when they are freed, here and in workers,
-    unless the user has told it otherwise; does nothing where it has no such option.
+    """Let the C library return large arrays to the system when they are freed and keep the room of
+    small ones, here and in workers, unless the user has told it otherwise; does nothing where it
+    has no such option.
     """
-    if sys.platform != "linux" or _VARIABLE in os.environ:
+    if sys.platform != "linux" or any(variable in os.environ for *_, variable in _OPTIONS):
         return
-    os.environ[_VARIABLE] = str(_LARGE)
     set_option = getattr(ctypes.CDLL(None), "mallopt", None)
-    if set_option is not None:
-        set_option(_MMAP_THRESHOLD, _LARGE)
+    for number, size, variable in _OPTIONS:
+        os.environ[variable] = str(size)
+        if set_option is not None:
+            set_option(number, size)
 
 
 def _run_verb(arguments: list[str] | None) -> object:

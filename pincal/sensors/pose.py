@@ -24,6 +24,9 @@ from pincal.sensors.sensor_numbers import PLAUSIBLE
 from pincal.sensors.setup import Setup
 from pincal.thresholds import Count, Scale
 
+# Residuals of a start, relative to the least of any, below which no other start is tried.
+_AS_GOOD: Scale = 2.0
+
 
 def span_m(reach_m: float) -> float:
     """Return the largest distance of two targets [m], for the reach of the flange from the base."""
@@ -138,24 +141,31 @@ class PositionSensor(PlausiblePositions, Additive, Simulatable):
 
     def starts(self, tips: np.ndarray, target: np.ndarray, n_targets: int) -> Iterator[Extrinsics]:
         """Yield the base fitted to the tips, then to the targets, if the readings determine their
-        positions on the tool.
+        positions on the tool; only the latter where no placement leaves much less.
         """
         m = self.position
         p = tips[:, :, 3]
         R = tips[:, :, :3]
         tools = np.tile(np.eye(4), (n_targets, 1, 1))
         columns = by_target(R.reshape(-1, 9), target, n_targets)
-        solution, complete = least_squares(np.hstack([p, columns, np.ones((len(p), 1))]), m)
+        A = np.hstack([p, columns, np.ones((len(p), 1))])
+        solution, complete = least_squares(A, m)
         rotation = nearest_rotation(solution[:3].T)
         for t in range(n_targets if complete else 0):
             products = solution[3 + 9 * t : 12 + 9 * t].T.reshape(
                 3, 3, 3
             )  # [a, c, d] = R[a, c] t[d]
             tools[t, :3, 3] = np.einsum("ac,acd->d", rotation, products) / 3.0
-        yield Extrinsics(transform(*align(p, m)), tools)
+        ends = p + np.einsum("nij,nj->ni", R, tools[target, :3, 3])
+        to_targets = transform(*align(ends, m))
+        left = ends @ to_targets[:3, :3].T + to_targets[:3, 3] - m
+        # Every placement solves the linear system, too, so none leaves less than its solution.
+        least = A @ solution - m
+        is_best = complete and np.linalg.norm(left) < _AS_GOOD * np.linalg.norm(least)
+        if not is_best:
+            yield Extrinsics(transform(*align(p, m)), tools)
         if complete:
-            ends = p + np.einsum("nij,nj->ni", R, tools[target, :3, 3])
-            yield Extrinsics(transform(*align(ends, m)), tools)
+            yield Extrinsics(to_targets, tools)
 
     def unobservable(self) -> Iterator[str]:
         yield from ()
