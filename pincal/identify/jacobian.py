@@ -336,10 +336,12 @@ def _add_products(
     if isinstance(family.basis, SparseBasis) and isinstance(other.basis, SparseBasis):
         add_product(G, family.places, family.basis, weights, other.places, other.basis, True)
         return
+    if other is family:
+        G[block(rows, columns)] += _own_product(np.asarray(family.basis), weights)
+        return
     part = _product(family.basis, weights, other.basis)
     G[block(rows, columns)] += part
-    if other is not family:
-        G[block(columns, rows)] += part.T
+    G[block(columns, rows)] += part.T
 
 
 def _times(basis: Basis, matrix: np.ndarray) -> np.ndarray:
@@ -352,5 +354,15 @@ def _times(basis: Basis, matrix: np.ndarray) -> np.ndarray:
 def _product(left: Basis, weights: np.ndarray, right: Basis) -> np.ndarray:
     """Return left diag(weights) right^T, dense, at least one basis being dense."""
     if isinstance(right, SparseBasis):
-        return _times(right, np.ascontiguousarray((np.asarray(left) * weights).T)).T
-    return _times(left, np.ascontiguousarray((right * weights).T))
+        return _product(right, weights, left).T
+    if isinstance(left, SparseBasis):
+        # By tiles, as a transposed copy of many functions takes longer than their products.
+        dense = np.ascontiguousarray(right)[:, None]
+        return np.asarray(sparse_times_dense(left, weights[None], dense))
+    return np.asarray((left * weights) @ right.T)
+
+
+def _own_product(basis: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return basis diag(weights) basis^T for weights of at least 0, of which half is computed."""
+    half = basis * np.sqrt(weights)
+    return np.asarray(half @ half.T)
