@@ -4,6 +4,7 @@ import json
 import shlex
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from placed_arms import run
@@ -13,7 +14,7 @@ from pincal import Options, Robot, read_measurements, run_calibration
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
 from pincal.cli.brief import print_brief
-from pincal.discover.cli.search_screen import _listed
+from pincal.discover.cli.search_screen import _by_joint, _listed
 from pincal.discover.discovery_file import FoundEffect, Stability
 from pincal.notes import Note, Severity
 from pincal.report.judgement import Act, steps_after
@@ -191,18 +192,36 @@ def test_what_is_short_is_said_in_full(calibrated: Calibration) -> None:
     assert said(shown(calibrated, found=("a of b (20)", "a of b", "1 effect")), "found") == "a of b (20)"
 
 
+PLAIN: dict[str, Any] = {
+    "parameters": {},
+    "p_value": 1e-9,
+    "gap_before_mm": 1.0,
+    "gap_after_mm": 0.5,
+    "equivalent": (),
+    "tell_apart": "",
+}
+TILTS = ("gamma_x", "gamma_y", "s_x", "s_y")
+
+
 def test_effects_of_a_kind_stand_together() -> None:
     """The joints behind one name; what is no more than a hint is set apart."""
 
     def entry(effect: str, joint: str, **more: object) -> FoundEffect:
-        plain = {"parameters": {}, "p_value": 1e-9, "gap_before_mm": 1.0, "gap_after_mm": 0.5}
-        plain |= {"equivalent": (), "tell_apart": ""}
-        return FoundEffect(effect=effect, joint=joint, stability=Stability(9, 10), **(plain | more))  # type: ignore[arg-type]
+        return FoundEffect(effect=effect, joint=joint, stability=Stability(9, 10), **(PLAIN | more))
 
     named = [entry("backlash", "a"), entry("gear_ripple", "b", order=20), entry("backlash", "c")]
     words = _listed(named, [" (in 9 of 10 subsamples)", " (9)", " (8)"])
 
     assert words == "backlash of a (in 9 of 10 subsamples), c (8); gear_ripple of b order 20 (9)"
+
+
+def test_effects_without_a_name_are_told_apart() -> None:
+    """Tilts of one joint about different axes; where lines are few, their number stands for them."""
+    names = [FoundEffect(effect="unnamed", joint="a", depends_on="a", acts_on=on, shape="curve", **PLAIN) for on in TILTS]
+    once = FoundEffect(effect="backlash", joint="b", **PLAIN)
+
+    assert _listed(names[:2], ["", ""]) == "; ".join(f"unnamed of a (curve of a, {on} across the axis)" for on in TILTS[:2])
+    assert _by_joint([*names, once]) == "unnamed of a (4 times); backlash of b"
 
 
 def test_the_first_step_is_the_act_that_the_verdict_asks_for(calibrated: Calibration) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from pincal.calibration.calibration_numbers import DOUBTED
 from pincal.identify.arrivals import shares_stops
+from pincal.identify.beliefs import is_on_tool
 from pincal.identify.calibrate import doubts_of_known
 from pincal.identify.choices import found_moments
 from pincal.identify.criteria import CHANGES
@@ -74,6 +75,11 @@ class CaveatKind(Enum):
     ROUNDED = "{what}; {how}; record the joints with all digits"
     NOISE_OVERSTATED = (
         "the residuals are smaller than the declared noise allows: the declared noise is too large"
+    )
+    UNTURNED = (
+        "these poses turn the tool about one axis or not at all, and do not tell where on it the "
+        "target is (standard deviation {sigma}): turn the wrist about two axes, or give its place "
+        "(tool in cell.toml)"
     )
     NO_INSTRUMENT = (
         "no instrument measured the robot, so what its readings do not determine keeps its nominal "
@@ -289,6 +295,15 @@ def findings_on_data(fit: ModelFit, read: Readings) -> list[Caveat]:
         if read.readings < 2 * released
         else found
     )
+
+
+def findings_on_tools(fit: ModelFit) -> Iterator[Caveat]:
+    """Yield the stations whose poses hardly turn the tool."""
+    sigma = fit.estimate.sigma
+    for name in fit.options.unturned:
+        of_tool = [p.station == name and is_on_tool(p) for p in fit.problem.parameters]
+        size = float(sigma[np.array(of_tool)].max())
+        yield Caveat(CaveatKind.UNTURNED, {"sigma": format_small(size, "m")}, name)
 
 
 def findings_on_moves(fit: ModelFit, moves: Sequence[Sequence[MovedParameter]]) -> Iterator[Caveat]:

@@ -11,6 +11,7 @@ from msgspec import to_builtins
 
 from pincal.calibration.assessed_station import noise_of
 from pincal.calibration.calibration import unobservable
+from pincal.calibration.caveats import findings_on_tools
 from pincal.calibration.held_out import WAYS, StationRows, headline_of, nominal_errors
 from pincal.identify.calibrate import Tables, expected_fit, tables_of
 from pincal.identify.explain import Reason, Status, explain
@@ -135,6 +136,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     notes: list[Note | str] = [*(() if corrected is None else corrected.notes)]
     notes += [*admitted.notes, *admitted.idle]
     notes += [*unobservable(tables, options), *notes_on_masses(robot, options.effects)]
+    notes += [found.note for found in findings_on_tools(fit)]
     further = {name: _FURTHER[name](robot, fit) for name in _FURTHER.names()}
     notes += [note for found in further.values() for note in found.notes]
     posterior = fit.solution.posterior

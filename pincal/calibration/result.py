@@ -28,6 +28,7 @@ from pincal.calibration.caveats import (
     findings_on_plausibility,
     findings_on_rounding,
     findings_on_scatter,
+    findings_on_tools,
 )
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import (
@@ -237,6 +238,7 @@ class _Assessed:
             *findings_on_plausibility(fit, [station.rows.train for station in stations]),
             *findings_on_benefit(fit),
             *findings_on_fit(fit, self.p_value, arrivals),
+            *findings_on_tools(fit),
             *findings_on_scatter(fit),
             *findings_on_rounding(fit),
             *findings_on_data(fit, self.read),

@@ -38,6 +38,7 @@ _ORDER = (
     "arm",
     "doubt",
     "worth",
+    "places",
     "found",
 )
 
@@ -187,9 +188,11 @@ def _beside(calibration: Calibration) -> Iterator[_Part]:
 
 
 def _found(forms: Sequence[str]) -> Iterator[_Part]:
-    """Yield the effects that a search found, given in full, without the evidence, and counted."""
+    """Yield the effects that a search found, given in full, without the evidence, by joint alone,
+    and counted.
+    """
     if forms:
-        names = ("evidence", "found")
+        names = ("evidence", "places", "found")
         yield _Part("found   ", forms[0], list(zip(names, forms[1:], strict=False)))
 
 
@@ -197,6 +200,8 @@ def _verdict(calibration: Calibration, search: SearchReport | None) -> _Part:
     """Return the verdict with its reason, and how good predictions are."""
     verdict = judged(calibration.result, search)
     words = f"{verdict.judgement}. {verdict.reason}"
+    if not calibration.result.converged:
+        return _Part("verdict ", words)
     return _Part("verdict ", words + worth_words(calibration, words), [("worth", words)])
 
 

@@ -16,6 +16,8 @@ from pincal.diagnosis.diagnosis_file import (
     ExcludedEntry,
 )
 from pincal.diagnosis.robot_diagnosis import Diagnosis
+from pincal.model.effect import Family
+from pincal.model.effect_registry import EFFECTS
 from pincal.parameters import split_name
 from pincal.report.blocks import (
     Section,
@@ -95,6 +97,12 @@ def in_words(change: ChangeName) -> str:
     words = f"{change.effect} of {change.joint or 'the whole arm'}" + (
         f" by {change.source}" if change.source else ""
     )
+    kind = EFFECTS.known().get(change.effect)
+    is_nameless = kind is not None and kind.family is Family.NAMELESS
+    if is_nameless and isinstance(change, ChangeEntry):
+        # A joint may have several of these; their parameters tell them apart.
+        symbol = split_name(next(iter(change.parameters)))[1]
+        words += f" ({symbol.rpartition('_')[0].replace('_of_', ' of ')})"
     session = (
         change.session if isinstance(change, ChangeEntry) and change.curve_rms is not None else ""
     )

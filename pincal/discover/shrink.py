@@ -342,6 +342,8 @@ def _title(effect: Effect) -> str:
     source = effect.locus.follows if effect.is_nameless else effect.locus.source
     by = f" by {source}" if source and source != joint else ""
     where = f" at {effect.locus.station}" if effect.locus.station else ""
+    across = effect.is_nameless and effect.locus.acts_on != "drive"
+    where += f" ({effect.locus.acts_on})" if across else ""
     order = f" order {effect.locus.order:g}" if (effect.locus.order or 1) != 1 else ""
     # Bearing features share the heading of compliances, so their own names are used.
     is_feature = effect.family is Family.ELASTICITY and effect.locus.station is None

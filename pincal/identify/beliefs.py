@@ -17,6 +17,7 @@ from pincal.identify.options import Options, PriorScale, known_frames
 from pincal.identify.problem import Problem
 from pincal.identify.station import Station
 from pincal.model.effects import LENGTH_SIZE
+from pincal.parameters import Parameter
 from pincal.thresholds import Scale
 from pincal.units import size_in
 
@@ -35,6 +36,11 @@ def is_frame(problem: Problem) -> np.ndarray:
     shape (P,).
     """
     return np.array([p.is_extrinsic for p in problem.parameters], bool)
+
+
+def is_on_tool(parameter: Parameter) -> bool:
+    """Return whether a parameter is a coordinate of the unknown place of a target or point."""
+    return parameter.is_extrinsic and parameter.unit == "m" and parameter.element != "base"
 
 
 def of_stations(problem: Problem, mask_of: Callable[[Station], np.ndarray]) -> np.ndarray:
@@ -180,13 +186,13 @@ def priors_of(problem: Problem, options: Options) -> Priors:
     for pattern in options.zeros:
         unknown = [fnmatchcase(p.local_name, f"{pattern}.theta") for p in problem.parameters]
         sizes[np.array(unknown, bool)] = np.pi
-    if options.earlier is not None:
-        # Along axes that are known to be nearly parallel, as a SCARA's, a target's position would
-        # be unbounded.
-        on_tool = [
-            p.is_extrinsic and p.unit == "m" and p.element != "base" for p in problem.parameters
-        ]
-        sizes[np.array(on_tool, bool)] = problem.chain.robot.reach
+    # Along axes that are known to be nearly parallel, as a SCARA's, or that no pose turns, a
+    # target's position would be unbounded.
+    near = [
+        is_on_tool(p) and (options.earlier is not None or p.station in options.unturned)
+        for p in problem.parameters
+    ]
+    sizes[np.array(near, bool)] = problem.chain.robot.reach
     # A free parameter needs a finite prior where no pose determines it; one that is held never
     # moves, whatever its size.
     given = np.where(np.isinf(given), np.maximum(_FREE * sizes, 1e-300), given)

@@ -25,6 +25,7 @@ from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem, effects_at
 from pincal.identify.solve import Course, likeliest_values, solve
 from pincal.identify.station import Station, station_of
+from pincal.identify.unturned import unturned
 from pincal.measure.measurements import Measurements
 from pincal.model.catalogue.motion import InstrumentClock
 from pincal.model.chain import Chain
@@ -77,9 +78,10 @@ def begin(
     problem = some_of(whole)
     require_named(problem, options)
     values = _joined(problem, placed)
+    released = released_of(problem, options)
+    options = replace(options, unturned=unturned(problem, released))
     priors = priors_of(problem, options)
     noise = declared_noise(problem, options)
-    released = released_of(problem, options)
     frames = is_frame(problem)
     course = Course(options.loss, rough=True, executor=executor)
     nominal = solve(

@@ -107,6 +107,8 @@ class Options:
         prior_scale: factors on the priors of a robot's lengths, angles, drive compliances and other
             compliances, except those in ``priors``; default: 1, or where no instrument determines
             positions as large as the readings allow.
+        unturned: names of the stations whose poses hardly turn the tool: their targets are assumed
+            within the arm's reach of the tip, as a calibration finds out itself.
         kept: what a calibration left nominal because its readings do not improve the robot.
         serial: whether to test for noise that is correlated along the rows, and weight rows
             accordingly.
@@ -131,6 +133,7 @@ class Options:
     priors: Mapping[str, float | str] = field(default_factory=dict)
     zeros: tuple[str, ...] = ()
     prior_scale: PriorScale | None = None
+    unturned: tuple[str, ...] = ()
     kept: Kept | None = None
     serial: bool = True
 

@@ -176,7 +176,7 @@ def steps_after(calibration: Calibration, search: SearchReport | None = None) ->
     if result.doubt:
         return [NextStep(f"First find out what is wrong: {result.doubt}.")]
     steps = [
-        *map(NextStep, [*_of_the_fit(result), *_of_no_gain(result)]),
+        *map(NextStep, [*_of_the_fit(result), *_of_no_gain(result), *_of_the_tool(calibration)]),
         *_of_the_model(calibration, search, judged(result, search).judgement),
     ]
     if not steps:
@@ -228,6 +228,15 @@ def _of_the_fit(result: Result) -> Iterator[str]:
         )
     if not is_informative(result.degrees):
         yield "Measure more poses: these are too few to distinguish a good model from a bad one."
+
+
+def _of_the_tool(calibration: Calibration) -> Iterator[str]:
+    """Yield what to do about a target whose place on the tool the poses do not determine."""
+    if calibration.fit.options.unturned:
+        yield (
+            "Add poses with the wrist turned about two axes, or give the place of the target "
+            "(tool in cell.toml), and calibrate again."
+        )
 
 
 def _of_the_model(

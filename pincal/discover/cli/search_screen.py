@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 from rich.console import Console
@@ -34,8 +35,8 @@ _REST = "; and a smooth remainder without a name"
 
 
 def summary_of_search(discovery: Discovery) -> tuple[str, ...]:
-    """Return all effects that were found in words: with their evidence, without, and counted; and
-    that there is a remainder without a name, if the model has one.
+    """Return all effects that were found in words: with their evidence, without, by joint alone,
+    and counted; and that there is a remainder without a name, if the model has one.
     """
     rest = discovery.findings.remainder is not None
     effects = discovery.findings.effects
@@ -48,6 +49,7 @@ def summary_of_search(discovery: Discovery) -> tuple[str, ...]:
     words = (
         _listed(named, _evidence(named)),
         _listed(named, [""] * len(named)),
+        _by_joint(named),
         f"{counted(len(named), 'effect')}, listed in the report",
     )
     return tuple(f"{of}{_REST}" if rest else of for of in words)
@@ -61,7 +63,28 @@ def _listed(named: Sequence[FoundEffect], evidence: Sequence[str]) -> str:
         is_plain = bool(entry.joint) and effect_words(entry) == f"{entry.effect} of {entry.joint}"
         group = f"{doubtful}{entry.effect} of " if is_plain else f"{doubtful}{effect_words(entry)}"
         groups.setdefault(group, []).append(f"{entry.joint if is_plain else ''}{known}")
-    return "; ".join(f"{group}{', '.join(places)}" for group, places in groups.items())
+    return "; ".join(
+        f"{group}{', '.join(filter(None, places))}" for group, places in groups.items()
+    )
+
+
+def _by_joint(named: Sequence[FoundEffect]) -> str:
+    """Return effects by their names in the catalogue and their joints alone."""
+    groups = dict[str, Counter[str]]()
+    for entry in named:
+        doubtful = "perhaps " if entry.is_hint else ""
+        groups.setdefault(f"{doubtful}{entry.effect}", Counter())[entry.joint or ""] += 1
+    return "; ".join(
+        f"{name} of {', '.join(_times(joint, n) for joint, n in joints.items())}"
+        if all(joints)
+        else name
+        for name, joints in groups.items()
+    )
+
+
+def _times(joint: str, n: int) -> str:
+    """Return a joint, and how often it has an effect if more than once."""
+    return joint if n == 1 else f"{joint} ({n} times)"
 
 
 def _evidence(named: Sequence[FoundEffect]) -> list[str]:

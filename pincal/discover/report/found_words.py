@@ -31,6 +31,9 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         >>> both = EffectName(effect="unnamed", joint="axis_2", depends_on="axis_4", shape="map")
         >>> effect_words(both, joint=False)
         'unnamed (map of axis_2 and axis_4)'
+        >>> tilt = dict(depends_on="axis_2", acts_on="s_x", shape="curve")
+        >>> effect_words(EffectName(effect="unnamed", joint="axis_2", **tilt), joint=False)
+        'unnamed (curve of axis_2, s_x across the axis)'
     """
     words = [entry.effect]
     if joint and entry.joint:
@@ -41,7 +44,8 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         words.append(f"at {entry.station}")
     if entry.depends_on:
         order = f" of order {entry.order}" if entry.order else ""
-        across = "" if (entry.acts_on or "drive") == "drive" else ", across the axis"
+        on = entry.acts_on or "drive"
+        across = "" if on == "drive" else f", {on} across the axis"
         of = (
             f"{entry.joint} and {entry.depends_on}"
             if entry.shape in ("map", "product", "field")
