@@ -188,6 +188,21 @@ def test_what_no_station_observes_has_not_moved() -> None:
     assert told.moved([(1,)]) == ()
 
 
+def test_gains_of_many_are_those_of_each() -> None:
+    """Beside nothing and beside what moved already, of single parameters and of curves, seen everywhere or not."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(3, 5, 9))
+    G, seen = A @ A.swapaxes(1, 2), np.ones((3, 5), bool)
+    seen[1, 2] = False
+    C, b = np.linalg.inv(G.sum(axis=0) + np.eye(5)), rng.normal(size=(3, 5))
+    told = StationsInformation(G, b, seen, C, np.full(5, 10.0), np.zeros(5, bool))
+    tried = [(0,), (2,), (3, 4)]
+
+    for chosen in ([], [(1,)]):
+        each = [told.gain([*chosen, group]) - told.gain(chosen) for group in tried]
+        np.testing.assert_allclose(list(told.gains(chosen, tried)), each, rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.long
 @pytest.mark.rates
 def test_a_robot_that_stays_the_same_moves_in_one_of_a_hundred(robot: Robot) -> None:

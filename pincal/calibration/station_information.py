@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Self
 
 import numpy as np
@@ -45,6 +46,8 @@ _ROUNDING: Scale = 1e-8
 _BEYOND_ROUNDING: Scale = 10.0
 # Groups released at most: work and memory grow with their square.
 _MOST: Count = 6
+# Parameters whose products at all stations are computed at once.
+_AT_ONCE: Count = 256
 
 Together = tuple[int, ...]
 """Indices of parameters that move together."""
@@ -123,14 +126,17 @@ class SharedInformation:
         for k, station in enumerate(problem.stations):
             if _follows_motion(station):
                 continue
-            each = _of_parts(fit, k, parts, in_order=in_order)
-            noise = _noise_at(fit, k, each)
-            for i, one in enumerate(each, start=parts * k):
+            together: StationInformation | None = None
+            for i, one in enumerate(_of_parts(fit, k, parts, in_order=in_order), start=parts * k):
                 at = one.places
-                form = one.form
-                G[i][np.ix_(at, at)] = form.H / noise
-                g[i, at] = form.g / noise
-                whole[i, at] = form.whole / noise
+                G[i][np.ix_(at, at)] = one.form.H
+                g[i, at] = one.form.g
+                whole[i, at] = one.form.whole
+                form = one.form if together is None else together.form + one.form
+                together = replace(together or one, form=form)
+            noise = 1.0 if together is None else _noise_at(fit, k, together)
+            for of in (G, g, whole):
+                of[parts * k : parts * (k + 1)] /= noise
         model, _ = fit.arm
         zeros = (
             e for e in model.effects if e.family is Family.GEOMETRY and e.locus.acts_on == "drive"
@@ -186,27 +192,26 @@ def _follows_motion(station: Station) -> bool:
     return station.serial is not None and is_in_motion
 
 
-def _of_parts(fit: ModelFit, k: int, parts: int, *, in_order: bool) -> list[StationInformation]:
-    """Return the information of parts of the k-th station."""
+def _of_parts(fit: ModelFit, k: int, parts: int, *, in_order: bool) -> Iterator[StationInformation]:
+    """Yield the information of parts of the k-th station."""
     weights = fit.solution.weights[fit.problem.rows[k]]
     if np.mean(weights == 0.0) > CHANGES.wrong_rows:
         # So many rejected rows are no outliers: the robot changed there.
         weights = np.ones_like(weights)
     if parts == 1:
-        return [information_at(fit, k, weights)]
+        yield information_at(fit, k, weights)
+        return
     every = np.arange(len(weights))
     interleaved = [every[i::parts] for i in range(parts)]
     split = np.array_split(every, parts) if in_order else interleaved
-    return [information_at(fit, k, weights, rows=some) for some in split]
+    yield from (information_at(fit, k, weights, rows=some) for some in split)
 
 
-def _noise_at(fit: ModelFit, k: int, each: Sequence[StationInformation]) -> float:
-    """Return the variance of the noise of the k-th station by its parts, in units of the fit's."""
-    first, *others = each
-    together = replace(first, form=sum((one.form for one in others), start=first.form))
+def _noise_at(fit: ModelFit, k: int, station: StationInformation) -> float:
+    """Return the variance of the noise of the k-th station, in units of the fit's."""
     block = fit.problem.block_spans[k].start
     declared = fit.noise.declared[block] or 0.0
-    return max(together.noise_squared, float((declared / fit.solution.sigma[block]) ** 2))
+    return max(station.noise_squared, float((declared / fit.solution.sigma[block]) ** 2))
 
 
 def _are_of(parameters: Sequence[Parameter], effects: Iterable[Effect], chain: Chain) -> np.ndarray:
@@ -243,17 +248,62 @@ class StationsInformation:
         """Return station and parameter of each value of its own, shape (n,), these values, and
         their covariance.
         """
+        station, parameter = self._own(chosen)
+        U = self.G[station, parameter]
+        values, covariance = self._estimated(station, parameter, U @ self.C @ U.T)
+        return station, parameter, values, covariance
+
+    def _own(self, chosen: Sequence[Together]) -> tuple[np.ndarray, np.ndarray]:
+        """Return station and parameter of each value of its own, shape (n,)."""
         flat = [p for group in chosen for p in group]
         own = [np.flatnonzero(self.seen[:, p]) for p in flat]
-        station = np.concatenate(own)
-        parameter = np.repeat(flat, list(map(len, own)))
-        U = self.G[station, parameter]
-        M = -U @ self.C @ U.T + np.where(station[:, None] == station, U[:, parameter], 0.0)
+        counts = np.array(list(map(len, own)), int)
+        return np.concatenate([np.zeros(0, int), *own]), np.repeat(np.array(flat, int), counts)
+
+    def _estimated(
+        self, station: np.ndarray, parameter: np.ndarray, common: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return values of their own, shape (n,), and their covariance, given what the joint fit
+        takes of their information, shape (n, n).
+        """
+        within = self.G[station[:, None], parameter[:, None], parameter]
+        M = np.where(station[:, None] == station, within, 0.0) - common
         # A move common to all stations is the fit's own: only rounding remains of it here.
-        information = U[np.arange(len(U)), parameter]
+        information = np.diag(within)
         M.flat[:: len(M) + 1] += self.widths[parameter] ** -2.0 + _ROUNDING * information
         covariance = _inverse(M, np.sqrt(information))
-        return station, parameter, covariance @ self.b[station, parameter], covariance
+        return covariance @ self.b[station, parameter], covariance
+
+    @cached_property
+    def _common(self) -> np.ndarray:
+        """What the joint fit takes of the information on each parameter at each pair of stations,
+        shape (F, K, K).
+        """
+        found = np.empty((len(self.C), len(self.G), len(self.G)))
+        for start in range(0, len(found), _AT_ONCE):
+            U = self.G[:, start : start + _AT_ONCE]
+            found[start : start + _AT_ONCE] = np.einsum("kpf,lpf->pkl", U @ self.C, U)
+        return found
+
+    def gains(self, chosen: Sequence[Together], tried: Sequence[Together]) -> Iterator[float]:
+        """Yield the gain of each tried group besides the chosen ones, as :meth:`gain` of both less
+        that of these.
+        """
+        before = self.gain(chosen)
+        known = self._own(chosen)
+        carried = self.G[known] @ self.C
+        for group in tried:
+            own = self._own([group])
+            U = self.G[own]
+            across = carried @ U.T
+            if len(group) == 1:
+                common = self._common[group[0]][np.ix_(own[0], own[0])]
+            else:
+                common = U @ self.C @ U.T
+            station, parameter = (np.concatenate(pair) for pair in zip(known, own, strict=True))
+            whole = np.block([[carried @ self.G[known].T, across], [across.T, common]])
+            values, _ = self._estimated(station, parameter, whole)
+            yield float(values @ self.b[station, parameter]) - before
 
     def gain(self, chosen: Sequence[Together]) -> float:
         """Return the reduction of the squares by separate values at each station."""
@@ -278,22 +328,47 @@ class StationsInformation:
                 is known.
         """
         tried = [group for group in candidates if self.degrees(group)]
+        scored = partial(self._scored, price, CHANGES.moved / max(len(tried), 1))
 
         def scores(chosen: tuple[Together, ...]) -> Iterator[Scored[Together]]:
-            before = self.gain(chosen)
-            for group in (group for group in tried if group not in chosen):
-                gain = self.gain((*chosen, group)) - before
-                degrees = self.degrees(group)
-                noise, known = (1.0, np.inf) if apart is None else apart.noise(chosen, group)
-                chance = (
-                    chdtrc(degrees, gain)
-                    if np.isinf(known)
-                    else fdtrc(degrees, known, gain / noise / degrees)
-                )
-                cost = price * degrees - gain / noise - CHANGES.usual * self.usual[group[0]]
-                yield Scored(group, cost, chance < CHANGES.moved / len(tried))
+            rest = [group for group in tried if group not in chosen]
+            gains = dict(zip(rest, self.gains(chosen, rest), strict=True))
+            quiet = [scored(group, gain) for group, gain in gains.items()]
+            if apart is None:
+                yield from quiet
+                return
+            least = np.inf
+            for one in sorted(quiet, key=lambda one: one.cost):
+                # More noise only costs more, so that of the others need not be known.
+                if one.cost >= least:
+                    break
+                group = one.candidate
+                one = scored(group, gains[group], *apart.noise(chosen, group))
+                least = min(least, one.cost)
+                yield one
 
         return select_stepwise((), scores, lambda chosen, group: (*chosen, group), most=_MOST)
+
+    def _scored(
+        self,
+        price: float,
+        limit: float,
+        group: Together,
+        gain: float,
+        noise: float = 1.0,
+        known: float = np.inf,
+    ) -> Scored[Together]:
+        """Return a group with its cost, and whether it differs at a p-value below a limit, given
+        its gain, the variance of the noise and the degrees of freedom of this.
+        """
+        degrees = self.degrees(group)
+        chance = (
+            chdtrc(degrees, gain)
+            if np.isinf(known)
+            else fdtrc(degrees, known, gain / noise / degrees)
+        )
+        cost = price * degrees - gain / noise - CHANGES.usual * self.usual[group[0]]
+        return Scored(group, cost, chance < limit)
 
     def own_values(
         self, chosen: Sequence[Together], group: Together
