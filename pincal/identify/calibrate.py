@@ -152,21 +152,22 @@ def _fit_to_means(
     elif options.serial and is_dependent(fit):
         fit = reweighted_by_order(fit)
     fit = with_blocks(fit)
-    return replace(fit, scatter=_scatter(fit, list(readings.values())))
+    return replace(fit, scatter=_scatter(fit, readings, tables))
 
 
-def _scatter(fit: ModelFit, readings: Sequence[Measurements]) -> dict[str, StopScatter]:
+def _scatter(
+    fit: ModelFit, readings: Mapping[str, Measurements], tables: Mapping[str, Measurements]
+) -> dict[str, StopScatter]:
     """Return the scatter of the readings of each station within and between the stops of its poses,
-    by its name.
+    by its name; ``tables`` are their means, which were fitted.
     """
     found = dict[str, StopScatter]()
-    for table, (station, places, blocks), rows in zip(
-        readings, fit.stations, fit.problem.rows, strict=True
+    for table, means, (station, places, blocks), rows in zip(
+        readings.values(), tables.values(), fit.stations, fit.problem.rows, strict=True
     ):
         if table.is_of_motion:
             continue
         plan = plan_of(table)
-        means = by_pose(table)
         single = station if means is table else fit.readings(table, station=station.name)
         of_table = scatter_of_stops(single, fit.values[places], plan)
         sound = np.flatnonzero(fit.solution.weights[rows] > 0.0)
@@ -375,7 +376,7 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
         free=free,
         at_bound=np.zeros(len(free), bool),
     )
-    return replace(fit, solution=outlook, scatter=_scatter(fit, list(readings.values())))
+    return replace(fit, solution=outlook, scatter=_scatter(fit, readings, tables))
 
 
 def _in_best_frame(fit: ModelFit) -> ModelFit:
