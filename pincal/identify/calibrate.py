@@ -152,21 +152,22 @@ def _fit_to_means(
     elif options.serial and is_dependent(fit):
         fit = reweighted_by_order(fit)
     fit = with_blocks(fit)
-    return replace(fit, scatter=_scatter(fit, list(readings.values())))
+    return replace(fit, scatter=_scatter(fit, readings, tables))
 
 
-def _scatter(fit: ModelFit, readings: Sequence[Measurements]) -> dict[str, StopScatter]:
+def _scatter(
+    fit: ModelFit, readings: Mapping[str, Measurements], tables: Mapping[str, Measurements]
+) -> dict[str, StopScatter]:
     """Return the scatter of the readings of each station within and between the stops of its poses,
-    by its name.
+    by its name; ``tables`` are their means, which were fitted.
     """
     found = dict[str, StopScatter]()
-    for table, (station, places, blocks), rows in zip(
-        readings, fit.stations, fit.problem.rows, strict=True
+    for table, means, (station, places, blocks), rows in zip(
+        readings.values(), tables.values(), fit.stations, fit.problem.rows, strict=True
     ):
         if table.is_of_motion:
             continue
         plan = plan_of(table)
-        means = by_pose(table)
         single = station if means is table else fit.readings(table, station=station.name)
         of_table = scatter_of_stops(single, fit.values[places], plan)
         sound = np.flatnonzero(fit.solution.weights[rows] > 0.0)
@@ -375,7 +376,7 @@ def expected_fit(robot: Robot, measurements: Tables, options: Options | None = N
         free=free,
         at_bound=np.zeros(len(free), bool),
     )
-    return replace(fit, solution=outlook, scatter=_scatter(fit, list(readings.values())))
+    return replace(fit, solution=outlook, scatter=_scatter(fit, readings, tables))
 
 
 def _in_best_frame(fit: ModelFit) -> ModelFit:
@@ -495,8 +496,8 @@ def _solved(
     if isinstance(start, Solution):
         fitted = replace(start, free=excited)
     else:
-        for name, free in _plan(problem, excited, options):
-            fitted, point = solved(name, start, free, rough=True)
+        for name, free, columns in _plan(problem, excited, released, options):
+            fitted, point = solved(name, start, free, rough=True, columns=columns)
             start = fitted.values
     for name in _LAST_STAGES[until]:
         missed, begun = _is_missed(replace(fit, solution=fitted), released, point)
@@ -510,18 +511,22 @@ def _solved(
     return replace(fit, solution=fitted, stages=tuple(stages))
 
 
-def _plan(problem: Problem, free: np.ndarray, options: Options) -> list[tuple[str, np.ndarray]]:
-    """Return the names of the stages and the parameters that each releases."""
+def _plan(
+    problem: Problem, free: np.ndarray, released: np.ndarray, options: Options
+) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Return the names of the stages, the parameters that each releases, and those whose columns
+    are needed at its end: after the last stage also what :func:`_is_missed` tests.
+    """
+    tested = free | (released & problem.is_shared)
     if options.stages == "joint":
-        return [("all", free)]
+        return [("all", free, tested)]
     effects = np.array([parameter.effect for parameter in problem.parameters])
     frames = is_frame(problem)
     masks = {
         name: free & (frames | np.isin(effects, group)) for name, group in PAPER_STAGES.items()
     }
-    return [(name, mask) for name, mask in masks.items() if np.any(mask & ~frames)] + [
-        ("4 all", free)
-    ]
+    stages = [(name, mask, mask) for name, mask in masks.items() if np.any(mask & ~frames)]
+    return [*stages, ("4 all", free, tested)]
 
 
 def _is_missed(
@@ -532,16 +537,18 @@ def _is_missed(
 
     Such a parameter times a deviation makes a ridge along which a fit wanders, so it is released
     only if required. The problem linearised at the fit is returned as well: ``point``, where that
-    is known and has all columns.
+    has all columns.
     """
     problem = fit.problem
     fitted = fit.solution
     sizes = fit.priors.sizes
     # A parameter that only one of several stations has concerns that station alone.
     held = released & ~fitted.free & problem.is_shared
-    if point is not None and not held.any():
-        return False, point.reweighted(fitted.weights)
-    found = Linearised(problem, fitted.values, fitted.free | held, fitted.weights, sizes)
+    free = fitted.free | held
+    if point is not None and np.array_equal(point.free, free):
+        found = point.reweighted(fitted.weights)
+    else:
+        found = Linearised(problem, fitted.values, free, fitted.weights, sizes)
     if not held.any():
         return False, found
     wide = found.posterior(np.maximum(fitted.sigma, rounding(problem)))

@@ -590,12 +590,17 @@ def with_blocks(fit: AnyFit, beyond: float = 1.0) -> AnyFit:
     # but is no defect.
     of_blocks = max((factor for factor, in_motion in factors if not in_motion), default=1.0)
     widest = beyond * max((factor for factor, _ in factors), default=1.0)
-    solution = replace(fit.solution, of_blocks=of_blocks, widened=max(widest, 1.0))
-    if widest > 1.0:
-        sigma = solution.sigma * np.sqrt(widest)
-        solution = replace(
-            solution, wide=posterior_of(fit.problem, replace(solution, sigma=sigma), fit.priors)
-        )
+    solution = replace(fit.solution, of_blocks=of_blocks, widened=1.0)
+    return widened_by(replace(fit, solution=solution), widest)
+
+
+def widened_by(fit: AnyFit, beyond: float) -> AnyFit:
+    """Return a fit with a covariance wider than it is by a factor on its variances."""
+    factor = max(beyond * fit.solution.widened, 1.0)
+    solution = replace(fit.solution, widened=factor)
+    if factor > 1.0:
+        wider = replace(solution, sigma=solution.sigma * np.sqrt(factor))
+        solution = replace(solution, wide=posterior_of(fit.problem, wider, fit.priors))
     return replace(fit, solution=solution)
 
 

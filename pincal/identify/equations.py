@@ -116,6 +116,16 @@ class Linearised:
                 found.normals[k] = normal.narrowed(np.flatnonzero(free[places[self.free[places]]]))
         return found
 
+    def with_columns(self, free: np.ndarray) -> Linearised:
+        """Return the same point with the columns of these parameters, shape (P,), of which it may
+        then be narrowed to some.
+        """
+        found = replace(self, free=free, squares_first=False, normals={}, sums={}, weighed=None)
+        if found._are_kept:
+            # Known from here on.
+            assert found._normals
+        return found
+
     def release(self) -> None:
         """Free the memory of many stations' equations; they are recomputed on demand."""
         if not self._are_kept and self._squares:

@@ -20,7 +20,7 @@ from typing import ClassVar
 import numpy as np
 
 from pincal.identify.criteria import CRITERIA
-from pincal.identify.dependence import with_blocks
+from pincal.identify.dependence import widened_by
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import AnyFit, ModelFit
 from pincal.identify.problem import extended
@@ -180,4 +180,4 @@ def with_masses_unsure(fit: AnyFit) -> AnyFit:
     over its rows.
     """
     beyond = variance_of_masses(fit)
-    return with_blocks(fit, 1.0 + beyond / max(fit.solution.effective, 1.0)) if beyond else fit
+    return widened_by(fit, 1.0 + beyond / max(fit.solution.effective, 1.0)) if beyond else fit

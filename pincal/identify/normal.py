@@ -53,6 +53,9 @@ class Batch:
         """Yield parts of the batch with the same free parameters, given the mask of all
         parameters.
         """
+        if len(self.stations) == 1:
+            yield self
+            return
         changes = np.flatnonzero(np.any(np.diff(free[self.places].astype(int), axis=0), axis=1)) + 1
         cuts = [0, *changes.tolist(), len(self.stations)]
         size = (self.blocks.stop - self.blocks.start) // len(self.stations)

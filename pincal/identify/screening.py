@@ -162,6 +162,8 @@ def _repeated(table: Measurements, group: np.ndarray) -> np.ndarray:
     """Return the rows of poses that were read several times, copies not counted, of rows whose pose
     has a number, shape (N,).
     """
+    if len(np.unique(group)) == len(group):
+        return np.zeros(0, int)
     kept = without_copies(table, group)
     several = np.bincount(group[kept], minlength=group.max() + 1) > 1
     return np.asarray(kept[several[group[kept]]])

@@ -79,6 +79,8 @@ class Course:
             ends the fit.
         ahead: whether to stop before a step that moves every parameter by little of its standard
             deviation.
+        columns: shape (P,), parameters whose columns the next fit needs where a rough one ends, the
+            fitted ones among them; default: these alone.
         label: name of the fit in the log; without one it is not logged.
         executor: computes the stations' contributions; default: serially, in this process.
     """
@@ -87,6 +89,7 @@ class Course:
     rough: bool = False
     short: float = SETTLED
     ahead: bool = False
+    columns: np.ndarray | None = None
     label: str = ""
     executor: Executor | None = None
 
@@ -115,7 +118,8 @@ def solve_to(
     noise: Noise,
     course: Course = Course(),
 ) -> tuple[Solution, Linearised]:
-    """Return the result of :func:`solve` and the problem at its values, with its robust weights.
+    """Return the result of :func:`solve` and the problem at its values, with its robust weights and
+    the columns that the next fit needs.
 
     Args:
         problem: model and readings.
@@ -129,7 +133,8 @@ def solve_to(
     """
     run = _Run(problem, start, free, priors, noise, course)
     ended = run.until_it_ends()
-    return run.solution(ended), run.point
+    point = run.for_next()
+    return run.solution(ended), point
 
 
 def likeliest_values(
@@ -159,6 +164,8 @@ class _Run:
         iterations: number of steps.
         wanted: motion of the predictions by the last Gauss-Newton step, root mean square in units
             of the noise.
+        columns: shape (P,), parameters whose columns are needed where the fit ends.
+        is_last: whether the step ends a fit whose last point gets more columns than others.
         is_short: whether the part of it that was taken is too short to matter.
         held: shape (F,), free parameters that a bound stopped.
         damping: for the next step; 0 while full steps succeed.
@@ -190,6 +197,8 @@ class _Run:
         self.judged = self.judge.at(self.point, hard=self.hard)
         self.iterations = 0
         self.wanted = np.inf
+        self.columns = free if course.columns is None else course.columns
+        self.is_last = False
         self.is_short = False
         self.held = np.zeros(int(free.sum()), bool)
         self.damping = 0.0
@@ -236,6 +245,9 @@ class _Run:
         step, self.held = posterior.step_within(self.priors.bounds[free])
         longer = self.accelerated(step, posterior.metric)
         self.wanted = self.length(posterior.square(step))
+        self.is_last = (
+            self.course.rough and self.wanted < _ROUGH and not np.array_equal(self.columns, free)
+        )
         del posterior
         self.point = self.moved(longer, step)
         self.judged = self.judge.at(self.point, hard=self.hard)
@@ -249,9 +261,9 @@ class _Run:
         shortest = (
             self.course.short if np.any(self.judged.sigma > rounding(self.problem)) else _ROUNDED
         )
-        self.is_short = (
-            self.wanted < shortest
-            or self.length(self.point.posterior(self.judged.sigma).square(taken)) < shortest
+        self.is_short = self.wanted < shortest or (
+            not self.is_last
+            and self.length(self.point.posterior(self.judged.sigma).square(taken)) < shortest
         )
         if self.course.ahead and self.iterations < _TRIALS:
             self.is_short = self.is_near()
@@ -337,6 +349,14 @@ class _Run:
         # A prior that is wider than usual does not make readings more exact.
         sizes = usual_sizes(self.problem, self.priors.sizes)[self.free]
         return is_exact(whole, sizes) and len(self.problem) * len(whole) <= MOST_EXACT
+
+    def for_next(self) -> Linearised:
+        """Return the latest point with the columns that the next fit needs."""
+        if not np.array_equal(self.columns, self.free):
+            wide = self.point.with_columns(self.columns)
+            self.point = wide.narrowed(self.free)
+            return wide
+        return self.point
 
     def solution(self, ended: Ending) -> Solution:
         """Return the solution, its noise estimated with the effective number of parameters."""
@@ -471,6 +491,7 @@ class _Trial:
         squares_first = (
             self._is_refused
             or run.was_refused
+            or run.is_last
             or (run.wanted < run.course.short and not run.is_whole)
         )
         self.there = self.at(step, squares_first=squares_first)

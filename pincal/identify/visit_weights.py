@@ -117,7 +117,9 @@ def with_visits(fit: ModelFit, tables: Mapping[str, Measurements]) -> ModelFit:
     parts = zip(fit.alone, fit.stations, tables.values(), strict=True)
     for alone, (station, _, blocks), table in parts:
         plan = plan_of(table)
-        found = scatter_by_level(alone, fit.readings(table, station=station.name), plan)
+        found = None
+        if weighs_visits(station, plan):
+            found = scatter_by_level(alone, fit.readings(table, station=station.name), plan)
         if found is None:
             stations.append(station)
             continue

@@ -48,17 +48,17 @@ class Plan:
     def __len__(self) -> int:
         return len(self.order)
 
-    @property
+    @cached_property
     def n_poses(self) -> int:
         """Number of poses."""
         return len(np.unique(self.pose))
 
-    @property
+    @cached_property
     def n_stops(self) -> int:
         """Number of stops of the robot."""
         return len(np.unique(self.stop))
 
-    @property
+    @cached_property
     def is_repeated(self) -> bool:
         """Whether any reading was repeated."""
         return len(np.unique(self.thing)) < len(self)
@@ -68,7 +68,7 @@ class Plan:
         """Whether any pose was visited by more than one stop."""
         return self.n_stops > self.n_poses
 
-    @property
+    @cached_property
     def shares_stops(self) -> bool:
         """Whether several targets, or points, were read in one stop."""
         pairs = np.unique(np.column_stack([self.stop, self.thing]), axis=0)

@@ -150,12 +150,8 @@ class PositionSensor(PlausiblePositions, Additive, Simulatable):
         columns = by_target(R.reshape(-1, 9), target, n_targets)
         A = np.hstack([p, columns, np.ones((len(p), 1))])
         solution, complete = least_squares(A, m)
-        rotation = nearest_rotation(solution[:3].T)
-        for t in range(n_targets if complete else 0):
-            products = solution[3 + 9 * t : 12 + 9 * t].T.reshape(
-                3, 3, 3
-            )  # [a, c, d] = R[a, c] t[d]
-            tools[t, :3, 3] = np.einsum("ac,acd->d", rotation, products) / 3.0
+        if complete:
+            tools[:, :3, 3] = _offsets(solution)
         ends = p + np.einsum("nij,nj->ni", R, tools[target, :3, 3])
         to_targets = transform(*align(ends, m))
         left = ends @ to_targets[:3, :3].T + to_targets[:3, 3] - m
@@ -169,6 +165,17 @@ class PositionSensor(PlausiblePositions, Additive, Simulatable):
 
     def unobservable(self) -> Iterator[str]:
         yield from ()
+
+
+def _offsets(solution: np.ndarray) -> np.ndarray:
+    """Return the positions of T targets on the tool, shape (T, 3), that solve the linear system of
+    :meth:`PositionSensor.starts`, whose unknowns are the base's rotation R, the products of R with
+    these, and the base's position, shape (4 + 9 T, 3).
+    """
+    rotation = nearest_rotation(solution[:3].T)
+    # Products [t, c, d, a] = R[a, c] offset[t, d].
+    products = solution[3:-1].reshape(-1, 3, 3, 3)
+    return np.asarray(np.einsum("ac,tcda->td", rotation, products) / 3.0)
 
 
 QUATERNION = Field(
