@@ -17,6 +17,8 @@ from pincal.units import format_small
 
 # Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}
+# What a coordinate other than the drive's is, if not a tilt.
+_ACROSS = {"gamma_z": "roll", "a": "displacement"}
 
 
 def effect_words(entry: EffectName, *, joint: bool = True) -> str:
@@ -33,7 +35,7 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         'unnamed (map of axis_2 and axis_4)'
         >>> tilt = dict(depends_on="axis_2", acts_on="s_x", shape="curve")
         >>> effect_words(EffectName(effect="unnamed", joint="axis_2", **tilt), joint=False)
-        'unnamed (curve of axis_2, s_x across the axis)'
+        'unnamed (curve of axis_2, tilt s_x)'
     """
     words = [entry.effect]
     if joint and entry.joint:
@@ -45,7 +47,7 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
     if entry.depends_on:
         order = f" of order {entry.order}" if entry.order else ""
         on = entry.acts_on or "drive"
-        across = "" if on == "drive" else f", {on} across the axis"
+        across = "" if on == "drive" else f", {_ACROSS.get(on, 'tilt')} {on}"
         of = (
             f"{entry.joint} and {entry.depends_on}"
             if entry.shape in ("map", "product", "field")
