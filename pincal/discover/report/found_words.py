@@ -13,6 +13,7 @@ from pincal.discover.discovery_file import (
     Smooth,
 )
 from pincal.discover.policy import REMAINDER
+from pincal.errors import counted
 from pincal.units import format_small
 
 # Words for variables whose names do not explain themselves.
@@ -128,8 +129,8 @@ def region_words(regions: Sequence[NamedRegion]) -> str:
     least = min(region.chance for region in worse) * len(regions)
     how = f"beyond chance (p {least:.0e})" if least < REMAINDER.worse else "by chance"
     return (
-        f"Of {len(regions)} regions left out the names predict {len(worse)}, with {rows} rows, "
-        f"worse than calibrate, {how}"
+        f"Of {len(regions)} regions left out the names predict {len(worse)}, with "
+        f"{counted(rows, 'row')}, worse than calibrate, {how}"
     )
 
 
@@ -144,7 +145,7 @@ def smooth_trust(smooth: Smooth) -> str:
         return f"{least}."
     rows = sum(region.rows for region in smooth.doubtful)
     return (
-        f"{least}; {len(smooth.doubtful)}, with {rows} rows, no better than without it "
+        f"{least}; {len(smooth.doubtful)}, with {counted(rows, 'row')}, no better than without it "
         "(discovery.json says which)."
     )
 
