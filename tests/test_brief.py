@@ -220,7 +220,7 @@ def test_effects_without_a_name_are_told_apart() -> None:
     names = [FoundEffect(effect="unnamed", joint="a", depends_on="a", acts_on=on, shape="curve", **PLAIN) for on in TILTS]
     once = FoundEffect(effect="backlash", joint="b", **PLAIN)
 
-    assert _listed(names[:2], ["", ""]) == "; ".join(f"unnamed of a (curve of a, {on} across the axis)" for on in TILTS[:2])
+    assert _listed(names[:2], ["", ""]) == "; ".join(f"unnamed of a (curve of a, tilt {on})" for on in TILTS[:2])
     assert _by_joint([*names, once]) == "unnamed of a (4 times); backlash of b"
 
 

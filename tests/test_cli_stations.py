@@ -272,6 +272,7 @@ def test_a_fit_of_several_stations_is_diagnosed_as_its_file_is(days: list[Path],
     found = pincal.diagnose(fit, pincal.measurements_from_arrays(robot.joint_names, q, position=position)).found
 
     assert not found.changed and found.station.moved_mm is not None and found.station.moved_mm < 1.0
+    assert found.station.is_still
     for name, table in tables.items():
         with pytest.raises(pincal.BadInputError, match=f"{name}.csv: the model was fitted to 80 of these 80 rows"):
             pincal.diagnose(fit, table)

@@ -164,11 +164,13 @@ def test_what_is_printed_of_an_unchanged_robot(same: tuple[FittedRobot, Measurem
     """Without a change there is no other one, in words or in the key of the table; far is not said in powers of ten."""
     found = pincal.diagnose(*same)
     far = msgspec.structs.replace(found.found.station, moved_mm=11107.525, turned_mrad=0.034891)
+    far = msgspec.structs.replace(far, is_still=False)
     said = "\n".join(text for _, text in lines(msgspec.structs.replace(found.found, station=far)))
     notes = " ".join(map(str, excluded_table(found.found, same[0].model.chain.robot.joint_names).notes))
 
     assert not found.changed
     assert "probability: any " in said and "any other" not in said
+    assert not found.found.station.is_still
     assert re.search(r"instrument moved by 11107\.5[23] mm, turned by 0\.03 mrad", said)
     assert "changed:" not in notes and "alternative:" not in notes and "Dash:" in notes
 

@@ -6,6 +6,8 @@ from machines import kuka as true_kuka
 from scipy.interpolate import BSpline
 
 from pincal import simulate as sim
+from pincal.discover.candidate_tests import Search, nameless_kind
+from pincal.discover.policy import Policy
 from pincal.discover.report.found_figures import map_figure
 from pincal.discover.run import Discovery, run_discovery
 from pincal.identify.options import Options
@@ -31,7 +33,7 @@ def found(kuka: Robot) -> Discovery:
     table = sim.Instrument(targets={"ball": (0.1, 0.0, 0.1)}, sigma=5e-5).measure(machine, there, rng=rng)
     position = np.column_stack([table[axis] for axis in "xyz"])
     rows = measurements_from_arrays(kuka.joint_names, q, position=position)
-    return run_discovery(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5, moment_frame="after"))
+    return run_discovery(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5, moment_frame="after"), stability=4)
 
 
 def test_a_function_of_two_joints_is_found_with_both(found: Discovery) -> None:
@@ -43,6 +45,27 @@ def test_a_function_of_two_joints_is_found_with_both(found: Discovery) -> None:
     assert [entry[key] for key in ("effect", "joint", "depends_on", "shape")] == ["unnamed", "joint_3", "joint_5", "field"]
     assert not found.report["scatter"] and found.report["verdict"] == "adequate"
     assert before > 1.4 * floor and after < 1.05 * floor
+
+
+def test_halves_of_the_poses_have_it_too(found: Discovery) -> None:
+    """Of other lengths, and over other ranges: in a half every function of the two joints may become the smooth one."""
+    (entry,) = (entry for entry in found.report["effects"] if "elasticity" not in entry["effect"])
+
+    assert entry["stability"] == {"named": 4, "of": 4}
+    assert "hints" not in found.report
+
+
+def test_a_candidate_is_known_by_its_joints() -> None:
+    """Ranges are of a table; what becomes a field may have been a wave, a product or a map."""
+    own = {"own_lower": -1.0, "own_upper": 1.0}
+    whole, half = (Unnamed("a", "drive", "b", "map", own_lower=-x, own_upper=x, lower=-x, upper=x) for x in (1.0, 0.9))
+    field = Unnamed("a", "drive", "b", "field", lengths=(0.5, 0.5), **own)
+    others = (Unnamed("a", "drive", "c"), Unnamed("b", "drive", "a"), Unnamed("a", "gamma_x", "b", "waves", order=1.0))
+    search = Search(Policy(), (), None, np.zeros(0, int), nameless={nameless_kind(field)})  # type: ignore[arg-type]
+
+    assert whole.identity == half.identity
+    assert nameless_kind(whole) == nameless_kind(half)
+    assert search.taking_part([whole, half, field, *others]) == [whole, half, field]
 
 
 def test_a_map_is_drawn_over_both_joints(found: Discovery) -> None:

@@ -416,6 +416,10 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
     (tmp_path / "model.json").touch()
     with pytest.raises(ModelFileError, match=r"expected a model\.json, such as .*model\.json$"):
         load_model(tmp_path)
+    for name, text in (("result.json", "{}"), ("new.csv", "x,y")):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(ModelFileError, match=rf"{name}: .*; expected a model\.json, such as .*model\.json$"):
+            load_model(tmp_path / name)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pincal.calibration.calibration_numbers import DOUBTED
+from pincal.errors import counted
 from pincal.identify.arrivals import shares_stops
 from pincal.identify.beliefs import is_on_tool
 from pincal.identify.calibrate import doubts_of_known
@@ -21,7 +22,7 @@ from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.notes import Note, Severity
 from pincal.thresholds import Count
-from pincal.units import format_readable, format_small
+from pincal.units import format_readable, format_small, show_chance
 from pincal.validate.accuracy import pose_error_sizes
 from pincal.validate.agreement import computed, implausible
 from pincal.validate.gathered import Gathering, bump_in, gathering_of, in_common
@@ -63,7 +64,7 @@ class CaveatKind(Enum):
         "belong to this robot"
     )
     NOISE_EXCEEDED = (
-        "the residuals are {ratio:.2f} times the declared noise (p {p_value:.1g}): the model is "
+        "the residuals are {ratio:.2f} times the declared noise (p {p_value}): the model is "
         "incomplete or the declared noise is too small; uncertainties are scaled up accordingly"
     )
     ARRIVALS = (
@@ -138,12 +139,12 @@ class CaveatKind(Enum):
     )
     VISITS_SCATTER = (
         "visits of the same pose differ by {scatter}, which is more than the declared noise of "
-        "{declared} and drives that arrive within {arrival:g} mrad explain (p {p_value:.1g}): the "
+        "{declared} and drives that arrive within {arrival:g} mrad explain (p {p_value}): the "
         "robot repeats poorly, the target is loose, or the declared noise is too small"
     )
     NOISY_REPEATS = (
         "repeated readings within a stop differ by {scatter} and the declared noise is {declared} "
-        "(p {p_value:.1g}): the declared noise is too small, or the arm was not yet at rest"
+        "(p {p_value}): the declared noise is too small, or the arm was not yet at rest"
     )
     DEPENDENT_ROWS = (
         "the residuals depend on the order of the rows: {what}; rows were weighted accordingly; "
@@ -183,11 +184,11 @@ class CaveatKind(Enum):
         "calibrate each separately, or run pincal discover on all of them, which names what changed"
     )
     MISREAD = (
-        "the residuals depend on the instrument's own axes ({effect}, p {p_value:.1g}): it "
+        "the residuals depend on the instrument's own axes ({effect}, p {p_value}): it "
         "misreads, or the robot has an equivalent error, and intervals do not include it; run "
         "pincal discover, or measure the same poses with the instrument elsewhere"
     )
-    OUTLIERS = "{count} rows were rejected as outliers and left out of the fit: lines {lines}"
+    OUTLIERS = "{rejected} rejected as outliers and left out of the fit: lines {lines}"
     NOT_HELD_OUT = "no rows were held out, so the errors are those of the fit, not of prediction"
     NOT_LEFT_OUT = "not predicted by the model of the other stations: {why}"
     FAR_OFF = (
@@ -241,7 +242,12 @@ class Caveat:
 
     def __str__(self) -> str:
         lines = ", ".join(map(str, self.rows[:_LISTED])) + " ..." * (len(self.rows) > _LISTED)
-        words = self.kind.value.format(**{"count": len(self.rows), "lines": lines} | self.figures)
+        figures: dict[str, Any] = {"count": len(self.rows), "lines": lines} | self.figures
+        if "p_value" in figures:
+            chance = figures["p_value"]
+            # A chance that underflows is given by a bound.
+            figures["p_value"] = f"{chance:.1g}" if chance > 0.0 else show_chance(chance)
+        words = self.kind.value.format(**figures)
         return f"{self.station}: {words}" if self.station else words
 
     @property
@@ -474,7 +480,8 @@ def findings_on_outliers(
         return Caveat(kind, figures, station.name, tuple(table.rows[some].tolist()))
 
     left_out = table.rows[rejected].tolist() if lines is None else lines
-    found = [Caveat(CaveatKind.OUTLIERS, {}, station.name, tuple(left_out))] if left_out else []
+    said = {"rejected": counted(len(left_out), "row")}
+    found = [Caveat(CaveatKind.OUTLIERS, said, station.name, tuple(left_out))] if left_out else []
     if rejected.mean() >= DOUBTED.many:
         common = in_common(station, values, table, rejected) or "no common cause was found"
         found = [about(CaveatKind.MANY_OUTLIERS, rejected, rows=len(table), common=common)]

@@ -333,6 +333,22 @@ def _judged(
     return stand.judged_with(name, before, placed, is_moved=is_moved)
 
 
+def stand_still(models: Sequence[FittedRobot], placed: Placed) -> bool:
+    """Return whether noise and the calibration's uncertainty explain rows with instrument and
+    targets where a calibration had them.
+
+    Args:
+        models: the calibrated robot at each station of its calibration.
+        placed: the robot at the station of the rows.
+    """
+    stands = _stands(models, placed.table, None)
+    stand = min(stands, key=lambda stand: stand.off, default=None)
+    if stand is None:
+        return False
+    sound = (placed.solution.weights > 0.0).astype(float)
+    return not has_moved(stand.misfit(placed.model.sigma, sound), placed.misfit)
+
+
 def _anywhere(models: Sequence[FittedRobot]) -> FittedRobot:
     """Return the robot for rows of a new station; of several arms with the coverage of all
     stations.

@@ -158,7 +158,7 @@ def predict(arguments: PredictArguments) -> Exit:
         print_json({"rows": len(table), "out": str(arguments.out)} | place.contents | beyond)
     else:
         _echo_machine(calibrated)
-        click.echo(f"{len(table)} poses predicted, written to {arguments.out}")
+        click.echo(f"{counted(len(table), 'pose')} predicted, written to {arguments.out}")
     echo_notes([*place.notes, *notes], quiet=arguments.general.quiet)
     return Exit.DONE
 
@@ -484,7 +484,7 @@ def _statistics(errors: np.ndarray) -> dict[str, float]:
 
 def _summary(result: dict[str, Any]) -> Iterator[str]:
     counts = ", ".join(f"{count} {name}" for name, count in result["status"].items() if count)
-    yield f"{result['rows']} rows: {counts}"
+    yield f"{counted(result['rows'], 'row')}: {counts}"
     frame = {"instrument": "the instrument's frame", "base": "the robot's base frame"}[
         result["frame"]
     ]
@@ -547,4 +547,5 @@ def _failures(result: dict[str, Any]) -> Iterator[str]:
         left = f"remaining error {row['error_mm']:.4f} mm and {row['error_mrad']:.4f} mrad"
         yield f"line {row['line']}: {row['status']}, {left}"
     if len(result["not_ok"]) > _SHOWN:
-        yield f"{len(result['not_ok']) - _SHOWN} more rows are not ok; see column status"
+        others = counted(len(result["not_ok"]) - _SHOWN, "further row")
+        yield f"not ok: {others}; see column status"

@@ -76,19 +76,22 @@ class ExcludedEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
     tip_mm: float
 
 
-class MovedEntry(msgspec.Struct, frozen=True):
-    """Displacement of instrument and target since the calibration; null if these data do not
-    determine it.
+class MovedEntry(msgspec.Struct, frozen=True, omit_defaults=True):
+    """Displacement of instrument and target since the calibration, by the new rows; null if these
+    do not determine it.
 
     Attributes:
         moved_mm: distance between the instrument's positions in the robot's base frame [mm].
         turned_mrad: angle between its orientations [mrad].
         target_moved_mm: distance between the target's positions on the tool [mm].
+        is_still: whether the rows are as well explained with both where they were, so that the
+            displacements are no more than noise and the calibration's uncertainty allow.
     """
 
     moved_mm: float | None
     turned_mrad: float | None
     target_moved_mm: float | None
+    is_still: bool = False
 
 
 class CurveEntry(msgspec.Struct, frozen=True, kw_only=True):

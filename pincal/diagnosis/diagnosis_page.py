@@ -255,8 +255,10 @@ def _named_above(changes: Iterable[ChangeEntry]) -> dict[tuple[str, str], str]:
 
 
 def set_up_words(found: DiagnosisFile) -> str:
-    """Return the displacements of instrument and target in words."""
+    """Return how instrument and target were displaced, in words, with what that is not."""
     at = found.station
+    if at.is_still:
+        return "instrument and target are where they were at calibration"
     parts = [] if at.moved_mm is None else [f"the instrument moved by {at.moved_mm:.2f} mm"]
     parts += [] if at.turned_mrad is None else [f"turned by {_turn(at.turned_mrad)}"]
     parts += (
@@ -264,7 +266,8 @@ def set_up_words(found: DiagnosisFile) -> str:
         if at.target_moved_mm is None
         else [f"the target moved by {at.target_moved_mm:.2f} mm on the tool"]
     )
-    return ", ".join(parts) or "these readings do not determine the placement of the instrument"
+    words = ", ".join(parts) or "these readings do not determine the placement of the instrument"
+    return f"{words}; this is not a change of the robot"
 
 
 def _turn(turned_mrad: float) -> str:
@@ -287,7 +290,7 @@ def lines(found: DiagnosisFile) -> Iterator[tuple[str, str]]:
     before, after = (found.gap[key]["mean_mm"] for key in ("before", "after"))
     mended = f" with the old model, {after:.4f} mm with the re-identified one"
     yield "error", f"mean {before:.4f} mm{mended if found.changed else ''}"
-    yield "set-up", f"{set_up_words(found)}; this is not a change of the robot"
+    yield "set-up", set_up_words(found)
     if found.excluded:
         yield "excluded", _excluded_words(found)
 
@@ -433,7 +436,7 @@ def _unchanged(found: DiagnosisFile, joint_names: Sequence[str]) -> Section | No
 
 def _station(found: DiagnosisFile) -> Section:
     items = (
-        ("instrument and target", f"{set_up_words(found)}; this is not a change of the robot"),
+        ("instrument and target", set_up_words(found)),
         ("false alarms", f"one in {1.0 / found.alpha:.0f} diagnoses of an unchanged robot"),
     )
     return Section("station", "Set-up", (facts(items),))

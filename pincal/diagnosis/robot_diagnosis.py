@@ -15,6 +15,7 @@ import numpy as np
 from pincal.calibration.caveats import CaveatKind, findings_on_outliers
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import FrameShift, Placed, fitted_rows, moved, place_station
+from pincal.calibration.validation import stand_still
 from pincal.diagnosis.change_search import ChangeVerdict, search
 from pincal.diagnosis.diagnosis_file import (
     ChangedParameter,
@@ -165,6 +166,7 @@ def diagnose(
     after = error_summary(station, judged.reidentified.values)
     _refuse_strange(model, placed.table, after["median_mm"], CHANGES.hopeless)
     nearest = _least_moved(calibrated, judged.reidentified)
+    is_still = not verdict.changed and stand_still(calibrated.each, placed)
     notes = [*judged.notes(), *_averaged(whole, len(measurements)), *_estimated(placed)]
     notes += _sampled(len(some.table), whole, len(measurements))
     found = DiagnosisFile(
@@ -174,7 +176,7 @@ def diagnose(
         changes=judged.changes(),
         excluded=tuple(excluded(verdict, judged.searched)),
         gap={"before": error_summary(placed.station, placed.values), "after": after},
-        station=MovedEntry(**nearest.to_dict()),
+        station=MovedEntry(**nearest.to_dict(), is_still=is_still),
         rows=len(placed.table),
         warnings=doubts_first(notes),
         curves=judged.curves,

@@ -40,7 +40,7 @@ from pincal.model.catalogue.candidates import testable
 from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.chain import MomentFrame
 from pincal.model.conditions import PoseSet, part_of
-from pincal.model.effect import Candidate, Effect, ExponentialDrift, Family, Harmonic
+from pincal.model.effect import Candidate, Effect, ExponentialDrift, Family, Harmonic, Locus
 from pincal.model.effects import Compliance
 
 Tester = Callable[..., ScoreTests]
@@ -82,18 +82,29 @@ class Search:
         return [
             effect
             for effect in nameless
-            if self.nameless is None or nameless_kind(effect) in self.nameless
+            if self.nameless is None
+            or not {nameless_kind(effect), _kind_of_field(effect)}.isdisjoint(self.nameless)
         ]
 
 
 def nameless_kind(effect: Effect) -> object:
     """Return the identity of an unnamed dependence without its orders, which differ a little from
     table to table where they were selected among many.
+
+    A field is of no shape: every function of its two joints may become it.
     """
     name, locus = effect.identity
+    if locus.shape == "field":
+        return _kind_of_field(effect)
     if effect.trials > 1.0:
         return name, replace(locus, order=None, own_order=None)
     return name, locus
+
+
+def _kind_of_field(effect: Effect) -> object:
+    """Return the kind of the field that a function of two joints may become."""
+    at = effect.locus
+    return effect.name, Locus(at.joint, at.acts_on, at.follows)
 
 
 def choose(fit: ModelFit, search: Search) -> Decision | None:

@@ -105,7 +105,10 @@ class FileKind:
     def fault(self, file: str, place: str, problem: str, expected: str) -> BadInputError:
         """Return the error for a fault at a key of a file."""
         key = f"{place}{self.mark}" if place else ""
-        if self.whole and (place in ("", "format", "format_version") or problem == MISSING):
+        is_another = place in ("", "format", "format_version")
+        if is_another and self is MODEL_FILE and (model := _model_beside(file)):
+            return self.error(f"{file}: {key}{problem}; expected {self.name}, such as {model}")
+        if self.whole and (is_another or problem == MISSING):
             expected = self.whole
         return self.error(
             f"{file}: {key}{problem}; expected {expected}"
@@ -148,12 +151,19 @@ def read_bounded(path: str | os.PathLike[str], kind: FileKind) -> bytes:
         with Path(path).open("rb") as stream:
             content = stream.read(MOST_BYTES + 1)
     except OSError as error:
-        within = Path(path) / "model.json"
-        such = f", such as {within}" if kind is MODEL_FILE and within.is_file() else ""
+        model = _model_beside(file) if kind is MODEL_FILE else None
+        such = f", such as {model}" if model else ""
         raise kind.error(
             f"{file}: can't be read ({error.strerror}); expected {kind.name}{such}"
         ) from None
     return bounded(content, kind, file)
+
+
+def _model_beside(file: str) -> Path | None:
+    """Return the model in a folder, or beside another file of a result; None if there is none."""
+    path = Path(file)
+    model = path / "model.json" if path.is_dir() else path.with_name("model.json")
+    return model if model.is_file() and model != path else None
 
 
 def built(

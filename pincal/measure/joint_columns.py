@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.errors import MeasurementError, warn
+from pincal.errors import MeasurementError, counted, warn
 from pincal.hypotheses.hypothesis import Hypothesis, exchange_order, explaining
 from pincal.measure.column_numbers import JOINT_COLUMNS
 from pincal.measure.measurements import Measurements
@@ -182,9 +182,10 @@ class JointColumns:
         hint = f"; all rows are inside with {' or '.join(swaps)} swapped" if swaps else ""
         for j in np.flatnonzero(self._outside.any(axis=0)):
             worst = int(self._excess[:, j].argmax())
+            n = int(self._outside[:, j].sum())
             warn(
-                f"{self.table.source}: {self._outside[:, j].sum()} rows of "
-                f'"{self.table.joint_names[j]}" lie beyond its limits, '
+                f"{self.table.source}: {counted(n, 'row')} of "
+                f'"{self.table.joint_names[j]}" {"lie" if n > 1 else "lies"} beyond its limits, '
                 f"the worst is {self.table.q[worst, j]:.6g} in line {self.table.rows[worst]}, "
                 f"{self._excess[worst, j]:.3g} too far{hint}; check the sign, the zero and the URDF"
             )

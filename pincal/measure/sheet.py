@@ -237,9 +237,11 @@ def _with_readings(
     for reason, which in lost.items():
         if (which & ~gone).any():
             lines = rows[which & ~gone]
+            words = f"{reason} and are" if len(lines) > 1 else f"{reason} and is"
+            words = words if len(lines) > 1 else words.replace("have", "has", 1)
             warn(
-                f"{sheet.path.name}: {len(lines)} of {len(rows)} rows {reason} and are "
-                f"left out: line {few(lines, _NAMED)}"
+                f"{sheet.path.name}: {len(lines)} of {len(rows)} rows {words} left out: line "
+                f"{few(lines, _NAMED)}"
             )
         gone |= which
     if gone.all():

@@ -226,7 +226,8 @@ class Effect(ABC):
     @cached_property
     def identity(self) -> tuple[str, Locus]:
         """Identity: two effects with the same one are variants of each other."""
-        return self.locus.cause or self.name, replace(self.locus, place=None, span=None)
+        locus = replace(self.locus, place=None, span=None, own_span=None)
+        return self.locus.cause or self.name, locus
 
     @property
     def trials(self) -> float:

@@ -18,7 +18,7 @@ from pincal.cli.identity_options import HEADING, IdentityOptions
 from pincal.cli.outputs import echo_notes, print_json, provenance
 from pincal.cli.quantities import LENGTH
 from pincal.cli.result_place import results_option
-from pincal.errors import Exit, IdentificationError
+from pincal.errors import Exit, IdentificationError, counted
 from pincal.io.result_folder import output_folder
 
 if TYPE_CHECKING:
@@ -241,7 +241,9 @@ def update_verb(arguments: UpdateArguments) -> Exit:
         print_json({"rows": len(table), "error": error, "out": str(arguments.out)})
     else:
         anew = f", {', '.join(arguments.anew)} re-estimated" if arguments.anew else ""
-        click.echo(f"{len(table)} rows added{anew}; mean error {error['mean_mm']:.4f} mm")
+        click.echo(
+            f"{counted(len(table), 'row')} added{anew}; mean error {error['mean_mm']:.4f} mm"
+        )
         click.echo(f"written to {arguments.out}: model.json")
     echo_notes(notes_on_day(calibrated, table), quiet=arguments.general.quiet)
     return Exit.DONE

@@ -13,10 +13,13 @@ from pincal.discover.discovery_file import (
     Smooth,
 )
 from pincal.discover.policy import REMAINDER
+from pincal.errors import counted
 from pincal.units import format_small
 
 # Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}
+# What a coordinate other than the drive's is, if not a tilt.
+_ACROSS = {"gamma_z": "roll", "a": "displacement"}
 
 
 def effect_words(entry: EffectName, *, joint: bool = True) -> str:
@@ -33,7 +36,7 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         'unnamed (map of axis_2 and axis_4)'
         >>> tilt = dict(depends_on="axis_2", acts_on="s_x", shape="curve")
         >>> effect_words(EffectName(effect="unnamed", joint="axis_2", **tilt), joint=False)
-        'unnamed (curve of axis_2, s_x across the axis)'
+        'unnamed (curve of axis_2, tilt s_x)'
     """
     words = [entry.effect]
     if joint and entry.joint:
@@ -45,7 +48,7 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
     if entry.depends_on:
         order = f" of order {entry.order}" if entry.order else ""
         on = entry.acts_on or "drive"
-        across = "" if on == "drive" else f", {on} across the axis"
+        across = "" if on == "drive" else f", {_ACROSS.get(on, 'tilt')} {on}"
         of = (
             f"{entry.joint} and {entry.depends_on}"
             if entry.shape in ("map", "product", "field")
@@ -126,8 +129,8 @@ def region_words(regions: Sequence[NamedRegion]) -> str:
     least = min(region.chance for region in worse) * len(regions)
     how = f"beyond chance (p {least:.0e})" if least < REMAINDER.worse else "by chance"
     return (
-        f"Of {len(regions)} regions left out the names predict {len(worse)}, with {rows} rows, "
-        f"worse than calibrate, {how}"
+        f"Of {len(regions)} regions left out the names predict {len(worse)}, with "
+        f"{counted(rows, 'row')}, worse than calibrate, {how}"
     )
 
 
@@ -142,7 +145,7 @@ def smooth_trust(smooth: Smooth) -> str:
         return f"{least}."
     rows = sum(region.rows for region in smooth.doubtful)
     return (
-        f"{least}; {len(smooth.doubtful)}, with {rows} rows, no better than without it "
+        f"{least}; {len(smooth.doubtful)}, with {counted(rows, 'row')}, no better than without it "
         "(discovery.json says which)."
     )
 

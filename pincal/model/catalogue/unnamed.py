@@ -22,7 +22,7 @@ from pincal.parameters import Parameter
 from pincal.thresholds import Count, Scale
 
 FormName = Literal["curve", "waves", "product", "map", "field", "step", "kink"]
-ActsOn = Literal["drive", "gamma_x", "gamma_y", "s_x", "s_y"]
+ActsOn = Literal["drive", "gamma_x", "gamma_y", "gamma_z", "s_x", "s_y", "a"]
 
 # Typical size of an unnamed term [rad or m].
 _SIZE: Scale = 3e-4
@@ -36,6 +36,8 @@ _PLACES = np.linspace(0.08, 0.92, 22)
 _ACROSS: tuple[ActsOn, ...] = ("gamma_x", "gamma_y")
 _BEFORE: tuple[ActsOn, ...] = ("s_x", "s_y")
 _DRIVE: tuple[ActsOn, ...] = ("drive",)
+# How a guide is crooked in addition to tilts: by its roll, and by its straightness along x.
+_OF_GUIDE: tuple[ActsOn, ...] = ("gamma_z", "a")
 # Shapes that are functions over the ranges of two joints.
 _OVER_BOTH: tuple[FormName, ...] = ("map", "field")
 
@@ -56,7 +58,8 @@ class Unnamed(Smoothable):
     Attributes:
         joint: where it acts.
         acts_on: "drive" (about the joint's own axis), "gamma_x" or "gamma_y" (across it, after the
-            joint), "s_x" or "s_y" (across it, before the joint).
+            joint), "s_x" or "s_y" (across it, before the joint); of a prismatic joint also
+            "gamma_z" (roll of the carriage about its motion) or "a" (displacement across it).
         depends_on: name of a joint, for its position, or "time", "temperature", "payload", or
             "move", the joint's last move.
         shape: "curve" (a cubic spline), "waves" (sine and cosine of ``order``), "product" (of sine
@@ -185,7 +188,7 @@ class Unnamed(Smoothable):
         on another joint may be a part; none of others.
         """
         other = self.depends_on
-        pair = self.joint in situation.revolute and other in situation.moving
+        pair = self.joint in situation.moving and other in situation.moving
         if self.acts_on != "drive" or other == self.joint or not pair:
             return ()
         columns = situation.positions(self.joint), situation.positions(other)
@@ -215,7 +218,7 @@ class Unnamed(Smoothable):
         orders = "x".join(f"{k:g}" for k in (self.own_order, self.order) if k is not None)
         shape = "" if self.shape == "curve" else f"_{self.shape}{orders}".replace(".", "_")
         stem = f"{self.joint}.{self.acts_on}_of_{self.depends_on}{shape}"
-        unit = drive_unit(chain, self.joint) if self.acts_on == "drive" else "rad"
+        unit = {"drive": drive_unit(chain, self.joint), "a": "m"}.get(self.acts_on, "rad")
         return tuple(
             Parameter(f"{stem}_{i + 1}", unit, self.name, 0.0, size)
             for i, size in enumerate(self._sizes)
@@ -293,7 +296,9 @@ def nameless_candidates(
             lower = float(column.min())
             upper = float(column.max())
             own = source == joint
-            for acts_on in (*_ACROSS, *_BEFORE) if own else _DRIVE:
+            slides = chain.robot.joint_types[names.index(joint)] == "prismatic"
+            of_guide = _OF_GUIDE if slides else ()
+            for acts_on in (*_ACROSS, *_BEFORE, *of_guide) if own else _DRIVE:
                 yield Unnamed(joint, acts_on, source, lower=lower, upper=upper, size=_PIECES)
             if source in names:
                 yield from (
