@@ -32,6 +32,7 @@ from pincal.simulate.state import (
     joints_and_links,
     place,
     poses_of,
+    scratch_of,
 )
 from pincal.simulate.urdf_arm import read_arm
 
@@ -163,7 +164,7 @@ class TrueMachine:
 
     @cached_property
     def _data(self) -> Any:
-        return self._chain.createData()
+        return scratch_of(self.arm)
 
     @cached_property
     def _deforming(self) -> tuple[DeformingEffect, ...]:

@@ -13,7 +13,7 @@ from pincal.errors import BadInputError
 from pincal.simulate.arm import Arm
 from pincal.simulate.machine import TrueMachine
 from pincal.simulate.planning import is_clear
-from pincal.simulate.state import Deformation, build_chain, configurations
+from pincal.simulate.state import Deformation, build_chain, configurations, scratch_of
 
 # Number of waves of each joint, and the range of their frequencies [Hz].
 _WAVES = 8
@@ -236,7 +236,7 @@ def _tip_motion(
     import pinocchio as pin
 
     model = build_chain(machine.arm)
-    data = model.createData()
+    data = scratch_of(machine.arm)
     tip = model.njoints - 1
     drives = [model.joints[model.getJointId(name)].idx_v for name in machine.names]
     steps = [_deformed(machine, path, time + shift, others) for shift in (-_STEP, 0.0, _STEP)]

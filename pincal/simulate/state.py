@@ -8,8 +8,9 @@ of cross products over the displaced bodies.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
@@ -260,28 +261,65 @@ _JOINT = 3
 _AFTER = 4
 
 
+@dataclass(frozen=True)
+class _Tree:
+    """How the joints of an arm hang on each other.
+
+    Attributes:
+        parents: The joint that carries each joint, -1 for the base.
+        prismatic: Whether a joint is prismatic.
+        tip_joint: The joint that moves the tip.
+    """
+
+    parents: tuple[int, ...]
+    prismatic: tuple[bool, ...]
+    tip_joint: int
+
+    @classmethod
+    def of(cls, arm: Arm) -> _Tree:
+        return cls(arm.parents, tuple(map(bool, arm.prismatic)), arm.tip_joint)
+
+    def chain(self, names: Sequence[str], placements: np.ndarray) -> Any:
+        """Return the ``pinocchio.Model`` with names and placements, shape (n + 1, 4, 4)."""
+        import pinocchio as pin
+
+        model = pin.Model()
+        identity = pin.SE3.Identity()
+        base = model.addJoint(0, pin.JointModelFreeFlyer(), identity, "base")
+        # Last joint of each link, and finally of the base.
+        behind = [0] * len(names) + [base]
+        for i, name in enumerate(names):
+            drive = pin.JointModelPZ() if self.prismatic[i] else pin.JointModelRZ()
+            carrier = behind[self.parents[i]]
+            placement = pin.SE3(placements[i])
+            before = model.addJoint(carrier, pin.JointModelFreeFlyer(), placement, f"{name} before")
+            at = model.addJoint(before, drive, identity, name)
+            behind[i] = model.addJoint(at, pin.JointModelFreeFlyer(), identity, f"{name} after")
+        tip = pin.SE3(placements[-1])
+        model.addJoint(behind[self.tip_joint], pin.JointModelFreeFlyer(), tip, "tip")
+        return model
+
+
 def build_chain(arm: Arm) -> Any:
     """Return the ``pinocchio.Model`` of an arm with free joints for deformations; see
     :func:`configurations`.
     """
-    import pinocchio as pin
+    return _Tree.of(arm).chain(arm.names, arm.placements)
 
-    model = pin.Model()
-    identity = pin.SE3.Identity()
-    # Last joint of each link, and finally of the base.
-    behind = [0] * len(arm.names) + [model.addJoint(0, pin.JointModelFreeFlyer(), identity, "base")]
-    for i, name in enumerate(arm.names):
-        drive = pin.JointModelPZ() if arm.prismatic[i] else pin.JointModelRZ()
-        placement = pin.SE3(arm.placements[i])
-        parent = model.addJoint(
-            behind[arm.parents[i]], pin.JointModelFreeFlyer(), placement, f"{name} before"
-        )
-        parent = model.addJoint(parent, drive, identity, name)
-        behind[i] = model.addJoint(parent, pin.JointModelFreeFlyer(), identity, f"{name} after")
-    model.addJoint(
-        behind[arm.tip_joint], pin.JointModelFreeFlyer(), pin.SE3(arm.placements[-1]), "tip"
-    )
-    return model
+
+def scratch_of(arm: Arm) -> Any:
+    """Return the ``pinocchio.Data`` in which the chain of an arm is placed.
+
+    Arms that differ in their errors alone share it: its room grows with the cube of the number of
+    deformations, and its creation takes longer than a thousand poses.
+    """
+    return _scratch(_Tree.of(arm))
+
+
+@lru_cache(maxsize=4)
+def _scratch(tree: _Tree) -> Any:
+    names = [f"joint {i}" for i in range(len(tree.parents))]
+    return tree.chain(names, np.tile(np.eye(4), (len(names) + 1, 1, 1))).createData()
 
 
 def configurations(q: np.ndarray, deformation: Deformation) -> np.ndarray:
@@ -312,7 +350,7 @@ def place(model: Any, data: Any, q: np.ndarray) -> np.ndarray:
     shape (N, nq).
 
     They are transforms to the undeformed base frame, shape (N, number of joints, 4, 4). ``data`` is
-    the model's ``pinocchio.Data``, whose creation takes longer than a thousand poses.
+    that of :func:`scratch_of`.
     """
     import pinocchio as pin
 
