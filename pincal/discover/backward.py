@@ -54,7 +54,7 @@ from pincal.thresholds import Count
 log = logging.getLogger(__name__)
 
 # Effects that are named again together: each has a table with the products of all candidates.
-_AT_ONCE: Count = 6
+_AT_ONCE: Count = 4
 
 _Pass = tuple[bool, dict[object, int], ScoreTests]
 # An effect, the fit without it, tests against this, and named candidates.

@@ -119,6 +119,13 @@ class Discovery:
         """The contents of ``discovery.json``."""
         return dict(to_builtins(self.findings))
 
+    def ended(self, findings: Findings, seconds: float) -> Discovery:
+        """Return the discovery with all that was found, after so many seconds."""
+        result = replace(self.calibration.result, seconds=seconds)
+        return replace(
+            self, calibration=replace(self.calibration, result=result), findings=findings
+        )
+
 
 class Choices(TypedDict, total=False):
     """How rows are held out, as for a calibration, moment frames to choose from, and whether what
@@ -204,8 +211,7 @@ def run_discovery(
         raise BadInputError(
             f"stability is {stability}; expected a number of subsamples, 0 for none"
         )
-    tables = tables_of(measurements)
-    _require_positions(tables)
+    tables = _tables_of_positions(measurements)
     options = Options(effects=GEOMETRIC) if options is None else options
     begun = time.perf_counter()
     frames = tuple(choices.pop("moment_frames", ())) or _usual_frames(options)
@@ -225,20 +231,24 @@ def run_discovery(
     trail, notes = search(first)
     halves = begin_subsamples(trail, _regions(first), stability, executor=executor)
     # The following runs while workers search the halves.
-    ended = _Ended.of(first, trail, remainder=remainder)
-    findings = ended.findings
-    if stability:
-        findings = with_subsamples(findings, halves(), bootstrap_last(trail))
-    return ended.discovery(findings, notes, tuple(left_out), begun=begun)
+    ended = _Ended.of(first, trail, remainder=remainder).lighter
+    trail = ended.named
+    found = ended.discovery(notes, tuple(left_out))
+    bootstrap = bootstrap_last(trail) if stability else None
+    findings = with_subsamples(found.findings, halves(), bootstrap)
+    return found.ended(findings, time.perf_counter() - begun)
 
 
-def _require_positions(tables: dict[str, Measurements]) -> None:
+def _tables_of_positions(measurements: Tables) -> dict[str, Measurements]:
+    """Return the tables by name; refuse an IMU alone."""
+    tables = tables_of(measurements)
     if not reads_places(tables):
         raise BadInputError(
             f"{', '.join(table.source for table in tables.values())}: an IMU alone measures no "
             "positions, which a discovery needs to distinguish causes; add a tracker in motion or "
             "some static poses, or only calibrate (pincal calibrate)"
         )
+    return tables
 
 
 def _first_fit(
@@ -317,27 +327,30 @@ class _Ended:
         )
         return cls(first, named, trail, rest, fit, validated, gaps, traces, arrivals, findings)
 
-    def discovery(
-        self,
-        findings: Findings,
-        notes: tuple[Note, ...],
-        left_out: tuple[LeftOut, ...],
-        *,
-        begun: float,
-    ) -> Discovery:
-        """Return the discovery with its calibration, since ``begun`` by the clock of this process
-        [s].
+    @property
+    def lighter(self) -> _Ended:
+        """The same without the tests of what was not found, which are large and asked for again
+        only if something entered without a name.
+        """
+        if self.rest is not None:
+            return self
+        named = replace(self.named)
+        return replace(self, named=named, trail=named)
+
+    def discovery(self, notes: tuple[Note, ...], left_out: tuple[LeftOut, ...]) -> Discovery:
+        """Return the discovery with its calibration, without subsamples and before it is known how
+        long it takes.
         """
         first = self.first
+        findings = self.findings
         if self.rest is None:
             regions = regions_by_names(self.named, self.validated, first.stations)
             findings = changed(findings, regions=regions)
         more = [doubt_of_regions(findings.regions)]
         more += [] if self.rest is None else [Note(Severity.NOTE, note_on_remainder(self.rest))]
         notes = doubts_first([*notes, *filter(None, more)])
-        seconds = time.perf_counter() - begun
         given = partial(result_of, rows=first.stations, notes=notes, left_out=left_out)
-        given = partial(given, seconds=seconds, arrivals=self.arrivals)
+        given = partial(given, seconds=0.0, arrivals=self.arrivals)
         result = given(self.fit, validated=self.validated)
         # The search decides whether the model is inadequate; whether it is adequate, the rule
         # common to all commands.

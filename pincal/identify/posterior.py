@@ -503,11 +503,9 @@ def eliminate(
     if len(own):
         left = form.part(shared)
         carried = alone.determined @ across
-        left = replace(
-            left,
-            H=left.H - _turned(across) @ carried,
-            g=left.g - _times(_turned(across), alone.step),
-        )
+        # In place, as a part is a copy.
+        left.H[...] -= _turned(across) @ carried
+        left.g[...] -= _times(_turned(across), alone.step)
     return left.sum(), Eliminated(alone, carried, own, np.arange(len(shared)))
 
 

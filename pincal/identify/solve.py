@@ -262,7 +262,9 @@ class _Run:
             self.course.short if np.any(self.judged.sigma > rounding(self.problem)) else _ROUNDED
         )
         self.is_short = self.wanted < shortest or (
+            # A whole step is as long as wanted; of another one the length takes all rows again.
             not self.is_last
+            and not np.array_equal(self.point.values[free], here.values[free] + step)
             and self.length(self.point.posterior(self.judged.sigma).square(taken)) < shortest
         )
         if self.course.ahead and self.iterations < _TRIALS:

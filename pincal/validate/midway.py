@@ -400,38 +400,39 @@ def _scan(rows: _Rows, precision: np.ndarray | None) -> list[_Best]:
     """
     n = len(rows.off)
     off = _clipped(rows.off)
-    metric = np.eye(n) if precision is None else precision
+    if precision is None:
+        # The directions are orthonormal already.
+        left = rows.residuals(off)
+        return [_best(field, None, left, rows.fitted) for field in rows.fields]
     fitted = rows.fitted.reshape(n, -1)
-    seen = (metric @ fitted).reshape(rows.fitted.shape)
+    seen = (precision @ fitted).reshape(rows.fitted.shape)
     inner = np.tensordot(rows.fitted, seen, axes=((0, 1), (0, 1)))
     sizes, axes = np.linalg.eigh(inner)
     kept = sizes > _RANK**2 * sizes[-1]
     basis = axes[:, kept] / np.sqrt(sizes[kept])
     seen = seen @ basis
     left = off - (rows.fitted @ basis) @ np.tensordot(seen, off, axes=((0, 1), (0, 1)))
-    weighed = metric @ left
-    return [
-        _best(field, metric, weighed, seen, is_plain=precision is None) for field in rows.fields
-    ]
+    weighed = precision @ left
+    return [_best(field, precision, weighed, seen) for field in rows.fields]
 
 
 def _best(
-    field: MotionField, metric: np.ndarray, weighed: np.ndarray, seen: np.ndarray, *, is_plain: bool
+    field: MotionField, precision: np.ndarray | None, weighed: np.ndarray, seen: np.ndarray
 ) -> _Best:
-    """Return the best step along a field, for weighted residuals, shape (n, 3), and parameters,
-    shape (n, 3, r).
+    """Return the best step along a field, for residuals, shape (n, 3), and parameters, shape
+    (n, 3, r), weighted by a precision; default: 1.
     """
     D = field.directions
     n, _, m = D.shape
     sums = _after(np.einsum("nam,na->nm", D, weighed))
     parts = _after(np.einsum("nam,nar->nmr", D, seen))
-    if is_plain:
+    if precision is None:
         own = _after(np.einsum("nam,nak->nmk", D, D))
     else:
         own = np.empty((n, m, m))
         for a in range(m):
             for b in range(a, m):
-                both = metric * (D[:, :, a] @ D[:, :, b].T)
+                both = precision * (D[:, :, a] @ D[:, :, b].T)
                 own[:, a, b] = own[:, b, a] = np.diag(_after(_after(both).T))
     normal = own - parts @ parts.transpose(0, 2, 1)
     # A motion within the span of the fitted parameters has no gain.
