@@ -12,9 +12,10 @@ import importlib
 from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import entry_points
-from importlib.util import find_spec
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from operator import attrgetter
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Generic, TypeVar, cast
 
 from pincal.errors import BadInputError
@@ -103,14 +104,21 @@ def lacking(wanted: str, part: str) -> BadInputError:
 @cache
 def _declarations() -> tuple[HandedIn, ...]:
     """Return what all satellites hand in, those of pincal first."""
-    package = Path(__file__).parent
-    modules = [
-        f"pincal.{path.parent.name}.satellite" for path in sorted(package.glob("*/satellite.py"))
+    own = sorted(Path(__file__).parent.glob("*/satellite.py"))
+    others = (point.value for point in entry_points(group=_GROUP))
+    found: list[Any] = [
+        *(_without_package(path) for path in own),
+        *(importlib.import_module(module) for module in others if find_spec(module)),
     ]
-    modules += [point.value for point in entry_points(group=_GROUP)]
-    return tuple(_handed_in(module) for module in modules if find_spec(module))
+    return tuple(module.HANDED_IN for module in found)
 
 
-def _handed_in(module: str) -> HandedIn:
-    declared: Any = importlib.import_module(module)
-    return cast(HandedIn, declared.HANDED_IN)
+def _without_package(path: Path) -> ModuleType:
+    """Return the module ``satellite`` of a satellite of pincal; its package, which may import all
+    that its work needs, is left alone.
+    """
+    spec = spec_from_file_location(f"pincal.{path.parent.name}.satellite", path)
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
