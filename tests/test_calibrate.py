@@ -237,6 +237,17 @@ def test_rows_of_other_weight_count_by_their_sigma(kuka):
     assert errors(weighted, others).mean() < 0.5 * errors(equal, others).mean()
 
 
+def test_a_column_of_sigma_declares_the_noise(kuka):
+    """As validate and diagnose have it; an option stands above it, and repeated poses tell it by their scatter."""
+    table = replace(paper_table(kuka, 60, 0, 5e-5), sigma=np.where(np.arange(60) < 30, 3e-5, 6e-5))
+    twice = table.select(np.arange(60) // 2)
+    declared = [
+        calibrate(kuka, rows, replace(OPTIONS, sigma=sigma)).fit.noise.declared[0]
+        for rows, sigma in ((table, None), (table, 1e-4), (twice, None))
+    ]
+    assert declared == [pytest.approx(np.sqrt((3e-5**2 + 6e-5**2) / 2.0)), 1e-4, None]
+
+
 def test_reasons_name_the_counterpart(kuka, noisy):
     """The parallel axes 2 and 3, the base, the tool and the vertical axis are all named."""
     _, fit = noisy

@@ -16,6 +16,7 @@ from pincal.builtin import kuka_urdf_path
 from pincal.errors import MeasurementError, PincalWarning
 from pincal.measure.labels import Label, joint_families, vector_columns
 from pincal.measure.table import write_table
+from pincal.motion.clocks import Clock, aligned
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm
 from pincal.motion.polling import at_samples
@@ -528,6 +529,17 @@ def test_logs_shorter_than_a_filter_are_refused(
         tables[name] |= {column: np.full(len(rows), tables[name][column][0]) for column in still}
     with pytest.raises(MeasurementError, match=said):
         laid(read(tmp_path, tables)[0])
+
+
+def test_readings_too_few_for_their_clock_are_refused() -> None:
+    """Three of them fit three features of any motion: a log of seconds ended in a singular matrix."""
+    time = np.linspace(0.0, 0.1, 3)
+
+    def features(at: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.sin(at), np.cos(at)])
+
+    with pytest.raises(MeasurementError, match=r"imu\.csv: but for 3 readings, over 0\.1 s, no reading lies where"):
+        aligned(time, features(time, time), features, lambda at: at < 9.0, Clock(), source="imu.csv")
 
 
 def test_rows_that_lack_a_cell_are_left_out(logs: Tables, tmp_path: Path) -> None:

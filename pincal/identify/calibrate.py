@@ -260,17 +260,33 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
     if len(tables) == 1:
         ((name, table),) = tables.items()
         options = options.at(name)
-        return replace(options, setup=options.setup.over(table), tools=_tools(options, table))
+        setup = options.setup.over(table)
+        sigma = _stated_noise(options, table)
+        return replace(options, setup=setup, tools=_tools(options, table), sigma=sigma)
     completed = dict(options.stations)
     for name, table in tables.items():
         at = options.at(name)
         setup = at.setup.over(table)
         tools = _tools(at, table)
-        if setup is not at.setup or tools is not at.tools:
+        sigma = _stated_noise(at, table)
+        if setup is not at.setup or tools is not at.tools or sigma is not at.sigma:
             completed[name] = replace(
-                completed.get(name, StationOptions()), setup=setup, tools=tools
+                completed.get(name, StationOptions()), setup=setup, tools=tools, sigma=sigma
             )
     return replace(options, stations=completed)
+
+
+def _stated_noise(options: Options, table: Measurements) -> float | None:
+    """Return the noise that is declared for a table, else the root mean square of what it states of
+    each row; None without either.
+
+    Where poses are repeated the rows are means, and what the readings scatter tells the noise.
+    """
+    if options.sigma is not None or options.instrument is not None or table.sigma is None:
+        return options.sigma
+    if table.readings_per_row is not None or table.is_of_motion:
+        return None
+    return float(np.sqrt(np.mean(table.sigma**2)))
 
 
 def _tools(options: Options, table: Measurements) -> Tools | None:

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, counted
 from pincal.measure.clock_jump import Jump, likeliest_jump
 from pincal.measure.reading_numbers import JUMPS
 from pincal.motion.motion_numbers import CLOCKS
@@ -190,6 +190,19 @@ def refuse_uncovered(known: np.ndarray, *, source: str) -> None:
         )
 
 
+def _refuse_few(time: np.ndarray, unknown: int, *, source: str) -> None:
+    """Refuse readings on the path of the joints, of stamps ``time``, that are no more than what
+    they have to tell.
+    """
+    if len(time) <= unknown:
+        raise MeasurementError(
+            f"{source}: but for {counted(len(time), 'reading')}, over {np.ptp(time):.2g} s, no "
+            "reading lies where the joints were logged without a gap: too few to find the offset "
+            "of their clock; expected joints and readings that were logged together over some "
+            "minutes of motion"
+        )
+
+
 def aligned(
     time: np.ndarray,
     readings: np.ndarray,
@@ -274,6 +287,7 @@ def _aligned(
         since = time[seen] - clock.middle
         shapes = [np.ones(len(since)), since, *(time[seen] >= at for at, _ in clock.steps)]
         found = _Projected.of(readings[seen], clock.to_joints(time[seen]), shapes, seen, features)
+        _refuse_few(time[seen], found.basis.shape[1] + len(shapes), source=source)
         J = found.jacobian
         H = J.T @ J
         # A step outside of the rows is not seen.
