@@ -1,6 +1,7 @@
 """Fixtures shared by all tests."""
 
 import ast
+import gc
 import os
 import shutil
 import subprocess
@@ -17,6 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import pytest
 from rooms import changed_since, is_concerned
+from trees import parsed
 
 # Imported for the effects, which it registers.
 import pincal.model.catalogue  # noqa: F401
@@ -48,6 +50,18 @@ def pytest_xdist_node_collection_finished(node: Any) -> None:
     """Let no worker begin before the loops are compiled."""
     if COMPILING in node.config.stash:
         node.config.stash[COMPILING].wait()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Let the collector of garbage pass over all tests, which stay to the end, and look for garbage less often."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.set_threshold(20_000, 10, 10)
+        gc.enable()
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -113,7 +127,7 @@ def tests() -> dict[str, bool]:
     return {
         test.name: any(ast.unparse(mark) == "pytest.mark.long" for mark in test.decorator_list)
         for file in Path(__file__).parent.glob("test_*.py")
-        for test in ast.parse(file.read_text(encoding="utf-8")).body
+        for test in parsed(file.read_text(encoding="utf-8")).body
         if isinstance(test, ast.FunctionDef) and test.name.startswith("test_")
     }
 

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from trees import parsed
+
 LAYOUT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 KINDS = ("code", "imports", "docstrings", "comments", "blank")
 # Arguments from which a function has too many, and lines from which on its body is too long.
@@ -37,7 +39,7 @@ class File:
     @cached_property
     def tree(self) -> ast.Module:
         """The parsed file."""
-        return ast.parse(self.text)
+        return parsed(self.text)
 
     @property
     def room(self) -> str:

@@ -19,6 +19,7 @@ from test_corrector import ROOMS as PAGE_ROOMS
 from test_corrector import answered
 from test_program_safety import CASES as UNSAFE
 from test_programs import calibrated, mutated, run
+from trees import parsed
 
 import pincal.programs
 from pincal.export import export_model
@@ -175,7 +176,7 @@ def test_files_are_dropped_and_what_is_missing_is_asked_for(made: tuple[Path, st
 
 def test_no_class_of_the_readers_has_the_name_of_another() -> None:
     """The translation knows the fields of a class by its name: those of a namesake would silently be taken for them."""
-    trees = [ast.parse(path.read_text("utf-8")) for path in sorted(Path(pincal.programs.__path__[0]).glob("*.py"))]
+    trees = [parsed(path.read_text("utf-8")) for path in sorted(Path(pincal.programs.__path__[0]).glob("*.py"))]
     names = [node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef)]
 
     assert len(set(names)) == len(names) > 20

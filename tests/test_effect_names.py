@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 
 from test_layers import MODULES, tree_of
 
@@ -40,20 +41,30 @@ ALLOWED_TEXTS = {
 }
 
 
+@cache
+def said(module: str) -> tuple[set[str], set[str]]:
+    """Return all names that a module has, and all its texts."""
+    names, found = set(), set()
+    for node in ast.walk(tree_of(module)):
+        if isinstance(node, ast.Name):
+            names.add(node.id)
+        elif isinstance(node, ast.Attribute):
+            names.add(node.attr)
+        elif isinstance(node, ast.ImportFrom):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found.add(node.value)
+    return names, found
+
+
 def named(module: str) -> set[str]:
     """Return the classes of effects that a module names."""
-    tree = tree_of(module)
-    names = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
-    names |= {node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
-    names |= {alias.name for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) for alias in node.names}
-    return names & CLASSES.keys()
+    return said(module)[0] & CLASSES.keys()
 
 
 def texts(module: str) -> set[str]:
     """Return the names of effects that a module compares with or looks up."""
-    tree = tree_of(module)
-    found = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-    return found & EFFECTS.known().keys()
+    return said(module)[1] & EFFECTS.known().keys()
 
 
 OTHERS = [name for name in MODULES if not name.startswith("pincal.simulate")]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from house import House
+from trees import parsed
 
 import pincal
 from pincal.identify.problem import Problem
@@ -35,7 +36,7 @@ def files_and_tests() -> set[str]:
     """Return the files of this folder, and their functions as pytest names them."""
     known = set[str]()
     for path in TESTS.glob("*.py"):
-        names = (node.name for node in ast.parse(path.read_text("utf-8")).body if isinstance(node, ast.FunctionDef))
+        names = (node.name for node in parsed(path.read_text("utf-8")).body if isinstance(node, ast.FunctionDef))
         known |= {path.name, *(f"{path.name}::{name}" for name in names)}
     return known
 

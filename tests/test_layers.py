@@ -10,6 +10,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+from trees import parsed
 
 import pincal
 
@@ -96,10 +97,9 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
-@cache
 def tree_of(module: str) -> ast.Module:
-    """Return what a module says, parsed once for all rules."""
-    return ast.parse(MODULES[module].read_text(encoding="utf-8"))
+    """Return what a module says."""
+    return parsed(MODULES[module].read_text(encoding="utf-8"))
 
 
 @cache

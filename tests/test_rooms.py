@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from rooms import EVERYWHERE, changed_since, is_concerned, touches
+from trees import parsed
 
 ROOT = Path(__file__).parents[1]
 
@@ -70,7 +71,7 @@ def test_every_room_that_a_test_names_is_there() -> None:
     """A folder that was renamed would leave its tests out for ever."""
     named = set()
     for file in Path(__file__).parent.glob("test_*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and ast.unparse(node.func) == "pytest.mark.rooms":
                 named |= {word.value for word in node.args if isinstance(word, ast.Constant)}
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from trees import parsed
 
 import pincal
 from pincal import plugins
@@ -215,7 +216,7 @@ def test_no_sensor_is_recognised_outside_its_own_file() -> None:
         place = path.relative_to(package).as_posix()
         if place.startswith(ALLOWED):
             continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(path.read_text(encoding="utf-8"))):
             names = {node.id} if isinstance(node, ast.Name) else {a.name for a in getattr(node, "names", [])
                                                                   if isinstance(a, ast.alias)}  # fmt: skip
             compared = [*([node.left, *node.comparators] if isinstance(node, ast.Compare) else []),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from rates import interval, noticed, percent, power
 from test_discovery_rates import CI
+from trees import parsed
 
 TESTS = Path(__file__).parent
 DOCS = TESTS.parent / "docs"
@@ -40,7 +41,7 @@ def test_no_change_leaves_out_a_test_that_holds_a_promise() -> None:
     """Such a test names no rooms, and is not of the products that only ``.ci/run --all`` runs."""
     promised = set(re.findall(r"`(test_\w+)`", "".join(PAGES.values())))
     for file in TESTS.glob("test_*.py"):
-        for test in ast.parse(file.read_text(encoding="utf-8")).body:
+        for test in parsed(file.read_text(encoding="utf-8")).body:
             if isinstance(test, ast.FunctionDef) and test.name in promised:
                 marks = " ".join(map(ast.unparse, test.decorator_list))
                 assert not re.search("ROOMS|[.]rooms|[.]products", marks), f"{file.name}: {test.name}"
