@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from enum import Enum
@@ -247,16 +247,7 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
     if options.earlier is None and not reads_places(tables):
         options = replace(options, effects=with_drives(robot, options.effects))
     options = replace(options, effects=with_masses(robot, options.effects))
-    unknown = set(options.stations) - set(tables)
-    if unknown:
-        raise BadInputError(
-            f"options are given for the station {sorted(unknown)[0]!r}; expected one of "
-            f"{', '.join(map(repr, tables))}"
-        )
-    for pattern in options.zeros:
-        if not filter_names(robot.joint_names, pattern):
-            known = ", ".join(nearest_first([pattern], robot.joint_names))
-            raise BadInputError(f"zeros of an unknown joint, {pattern!r}; expected one of {known}")
+    _require_known(robot, options, tables)
     if len(tables) == 1:
         ((name, table),) = tables.items()
         options = options.at(name)
@@ -274,6 +265,20 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
                 completed.get(name, StationOptions()), setup=setup, tools=tools, sigma=sigma
             )
     return replace(options, stations=completed)
+
+
+def _require_known(robot: Robot, options: Options, tables: Collection[str]) -> None:
+    """Raise BadInputError if options are of a station or a joint that there is not."""
+    unknown = set(options.stations) - set(tables)
+    if unknown:
+        raise BadInputError(
+            f"options are given for the station {sorted(unknown)[0]!r}; expected one of "
+            f"{', '.join(map(repr, tables))}"
+        )
+    for pattern in options.zeros:
+        if not filter_names(robot.joint_names, pattern):
+            known = ", ".join(nearest_first([pattern], robot.joint_names))
+            raise BadInputError(f"zeros of an unknown joint, {pattern!r}; expected one of {known}")
 
 
 def _stated_noise(options: Options, table: Measurements) -> float | None:

@@ -258,17 +258,21 @@ class _Run:
         )
         if refused or np.max(np.abs(self.judged.sigma / before.sigma - 1.0)) > _STEADY:
             self.history = []
-        shortest = (
-            self.course.short if np.any(self.judged.sigma > rounding(self.problem)) else _ROUNDED
-        )
+        # A whole step is as long as wanted; of another one the length takes all rows again.
+        is_as_wanted = np.array_equal(self.point.values[free], here.values[free] + step)
+        shortest = self.shortest()
         self.is_short = self.wanted < shortest or (
-            # A whole step is as long as wanted; of another one the length takes all rows again.
             not self.is_last
-            and not np.array_equal(self.point.values[free], here.values[free] + step)
+            and not is_as_wanted
             and self.length(self.point.posterior(self.judged.sigma).square(taken)) < shortest
         )
         if self.course.ahead and self.iterations < _TRIALS:
             self.is_short = self.is_near()
+
+    def shortest(self) -> float:
+        """Return the length of a step below which none matters, in standard deviations."""
+        is_exact = np.all(self.judged.sigma <= rounding(self.problem))
+        return _ROUNDED if is_exact else self.course.short
 
     def is_near(self) -> bool:
         """Return whether the next step would move every parameter by only a small part of its
