@@ -3,7 +3,7 @@ one noise.
 
 The contributions of stations are computed by functions of picklable arguments, so that any
 ``concurrent.futures`` executor can map them. They are added in the order of the stations, so the
-result does not depend on the executor.
+result does not depend on the executor, but for rounding where it decides whether they are kept.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pincal.identify.normal import (
     Normal,
     StationSquares,
     Task,
-    accumulate_each,
+    accumulate_at,
     believed,
     contribution,
     reweighted,
@@ -313,9 +313,9 @@ class Linearised:
         may = self.free[batch.places[0]]
         values = batch.values(self.values)
         together = batch.together()
-        found = accumulate_each(together, batch.ends, values, may, self.robust[batch.rows])
         noise = sigma[batch.blocks].reshape(len(batch.stations), -1)
-        form = replace(found, believed=None).at(noise)
+        robust = self.robust[batch.rows]
+        form, _ = accumulate_at(together, batch.ends, values, may, robust, noise)
         return _with_beliefs(form, together, values, may)
 
     def _by_fold(
@@ -331,12 +331,10 @@ class Linearised:
         # Rows that depend on others are evaluated with these.
         is_apart = not (together.sensor.is_whole or together.is_correlated)
         order, ends = _rows_of_parts(batch, fold, some, alone=is_apart and known is not None)
-        found = accumulate_each(
-            together.select(order), ends, values, may, self.robust[batch.rows][order]
-        )
-        noise = sigma[batch.blocks].reshape(n, 1, -1)
-        each = replace(found, H=_by_part(found.H, n), g=_by_part(found.g, n), believed=None)
-        of_part = each.at(np.broadcast_to(noise, each.g.shape[:3]))
+        robust = self.robust[batch.rows][order]
+        noise = np.repeat(sigma[batch.blocks].reshape(n, -1), (len(ends) - 1) // n, axis=0)
+        found, _ = accumulate_at(together.select(order), ends, values, may, robust, noise)
+        of_part = Form.of(_by_part(found.H, n), _by_part(found.g, n))
         if known is None:
             form = Form.of(of_part.H.sum(axis=1), of_part.g.sum(axis=1))
             known = _with_beliefs(form, together, values, may)

@@ -308,9 +308,7 @@ def accumulate_each(
         row_squares[:, piece] = _row_squares(residuals, blocks, weights)
         weights = weights * robust[piece]
         is_uniform = bool(np.all(weights == 1.0))
-        first, last = np.searchsorted(ends, [piece.start, piece.stop - 1], side="right") - 1
-        here = slice(first, last + 1)
-        inner = np.clip(ends[first : last + 2], piece.start, piece.stop) - piece.start
+        here, inner = _parts_of(piece, ends)
         for b, rows in enumerate(blocks):
             part = jacobian.part(rows, slice(0, piece.stop - piece.start))
             part.add_grams(
@@ -417,8 +415,53 @@ def contribution(
     Arguments as for :func:`accumulate_each`, then noise, shape (S, blocks), and those of
     :func:`eliminate`.
     """
-    normal = accumulate_each(station, ends, values, free, robust)
-    return eliminate(normal.at(sigma), *prior), normal.squares
+    form, found = accumulate_at(station, ends, values, free, robust, sigma)
+    known = believed(station, values, free) if len(form.g) == 1 else None
+    if known is not None:
+        form = Form.of(form.H + known.H, form.g + known.g)
+        found = replace(found, beliefs=np.array([known.square]))
+    return eliminate(form, *prior), found
+
+
+def accumulate_at(
+    station: Station,
+    ends: np.ndarray,
+    values: np.ndarray,
+    free: np.ndarray,
+    robust: np.ndarray,
+    sigma: np.ndarray,
+) -> tuple[Form, StationSquares]:
+    """Return the information of each of S stations for one noise, shape (S, blocks), without what
+    sensors know besides their readings, and the squares of their residuals.
+
+    All blocks are summed together, in half of the time of two apart. Other arguments as for
+    :func:`accumulate_each`.
+    """
+    n = len(ends) - 1
+    n_free = int(free.sum())
+    H = np.zeros((n, n_free, n_free))
+    g = np.zeros((n, n_free))
+    row_squares = np.empty((len(station.block_rows), len(station)))
+    precision = np.repeat(1.0 / sigma, station.block_sizes, axis=1)[
+        np.repeat(np.arange(n), np.diff(ends))
+    ].T
+    for piece, residuals, jacobian in station.linearise_shared(values, free):
+        weights = station.weights[piece]
+        row_squares[:, piece] = _row_squares(residuals, station.block_rows, weights)
+        scale = precision[:, piece] * (weights * robust[piece])
+        here, inner = _parts_of(piece, ends)
+        jacobian.weighted(scale).add_grams(residuals * scale, inner, H[here], g[here])
+    blocks = summed(row_squares, ends, robust)
+    return Form.of(H, g), StationSquares(blocks, row_squares, np.zeros(n))
+
+
+def _parts_of(piece: slice, ends: np.ndarray) -> tuple[slice, np.ndarray]:
+    """Return the stations that have rows of a piece, and the boundaries of their rows within it,
+    given those of all rows.
+    """
+    first, last = np.searchsorted(ends, [piece.start, piece.stop - 1], side="right") - 1
+    inner = np.clip(ends[first : last + 2], piece.start, piece.stop) - piece.start
+    return slice(first, last + 1), inner
 
 
 def believed(station: Station, values: np.ndarray, free: np.ndarray) -> Quadratic | None:
