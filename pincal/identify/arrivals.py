@@ -75,13 +75,13 @@ def with_arrivals(fit: ModelFit) -> ModelFit:
     ]
     noise = arrival_noise(fit, shared) if any(shared) else None
     stations = []
-    for is_shared, (station, _, blocks), alone in zip(shared, fit.stations, fit.alone, strict=True):
+    for k, (is_shared, (station, _, blocks)) in enumerate(zip(shared, fit.stations, strict=True)):
         arrival = None
         if not is_shared:
             # What the steps explain was settled when it was found; a search goes on with it.
-            arrival = station.arrival or _rounded_noise(alone)
+            arrival = station.arrival or _rounded_noise(fit, k)
         elif noise is not None:
-            arrival = _shared_noise(alone, noise.drives, noise.readings[blocks])
+            arrival = _shared_noise(fit.alone[k], noise.drives, noise.readings[blocks])
         stations.append(replace(station, arrival=arrival))
     if all(a.arrival is b.arrival for a, b in zip(stations, fit.problem.stations, strict=True)):
         return fit
@@ -90,15 +90,17 @@ def with_arrivals(fit: ModelFit) -> ModelFit:
     )
 
 
-def _rounded_noise(alone: ModelFit) -> StopNoise | None:
-    """Return the noise of rounded joints on the rows of the only station, each in a stop of its
+def _rounded_noise(fit: ModelFit, k: int) -> StopNoise | None:
+    """Return the noise of rounded joints on the rows of the k-th station, each in a stop of its
     own; None where joints are not rounded, or rows do not show it.
     """
-    rounded = found_rounded(alone)
+    problem = fit.problem
+    declared = fit.noise.declared[problem.block_spans[k]]
+    rounded = found_rounded(problem.stations[k], fit.values[problem.places[k]], declared)
     if rounded is None:
         return None
     log.info("%s; this counts as noise of the rows", rounded.words)
-    return _shared_noise(alone, rounded.drives, np.array(alone.noise.declared, float))
+    return _shared_noise(fit.alone[k], rounded.drives, np.array(declared, float))
 
 
 def _declared_with(stations: Sequence[Station], declared: Noise) -> Noise:

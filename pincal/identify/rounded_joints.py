@@ -10,13 +10,13 @@ off tells the two apart.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from pincal.identify.drive_levers import drive_levers
-from pincal.identify.fit import ModelFit
 from pincal.identify.motion_fields import displacements_by_drives
 from pincal.identify.station import Station
 from pincal.measure.column_numbers import JOINT_COLUMNS
@@ -83,18 +83,24 @@ class RoundedJoints:
         return least * expected < self.off < most * expected
 
 
-def found_rounded(fit: ModelFit) -> RoundedJoints | None:
-    """Return the rounded joints of a fit of one station with declared noise, if its rows are off by
-    what these explain, and likelier with the noise of the steps than without.
+def found_rounded(
+    station: Station, values: np.ndarray, declared: Sequence[float | None]
+) -> RoundedJoints | None:
+    """Return the rounded joints of a station whose noise is declared, if its rows are off by what
+    these explain, and likelier with the noise of the steps than without.
+
+    Args:
+        station: of a fit.
+        values: shape (P,), its fitted values.
+        declared: noise of each block of its readings, None where it is not declared.
     """
-    found = RoundedJoints.of(fit.station, fit.values) if fit.is_declared else None
+    found = None if declared[0] is None else RoundedJoints.of(station, values)
     if found is None:
         return None
-    declared = np.array(fit.noise.declared, float)
-    sizes = np.array([block.size for block in fit.station.sensor.blocks])
-    in_metres = np.array([block.unit == "m" for block in fit.station.sensor.blocks])
-    noise = float(np.sqrt(np.sum(sizes * np.where(in_metres, declared, 0.0) ** 2)))
-    return found if found.explains(noise) and _gain(found, declared) > 0.0 else None
+    sigma = np.array(declared, float)
+    in_metres = np.array([block.unit == "m" for block in station.sensor.blocks])
+    noise = float(np.sqrt(np.sum(station.block_sizes * np.where(in_metres, sigma, 0.0) ** 2)))
+    return found if found.explains(noise) and _gain(found, sigma) > 0.0 else None
 
 
 def _gain(rounded: RoundedJoints, sigma: np.ndarray) -> float:

@@ -114,12 +114,13 @@ def with_visits(fit: ModelFit, tables: Mapping[str, Measurements]) -> ModelFit:
     """
     stations = list[Station]()
     of_visits = np.zeros(len(fit.problem.blocks))
-    parts = zip(fit.alone, fit.stations, tables.values(), strict=True)
-    for alone, (station, _, blocks), table in parts:
+    parts = zip(fit.stations, tables.values(), strict=True)
+    for k, ((station, _, blocks), table) in enumerate(parts):
         plan = plan_of(table)
         found = None
         if weighs_visits(station, plan):
-            found = scatter_by_level(alone, fit.readings(table, station=station.name), plan)
+            as_read = fit.readings(table, station=station.name)
+            found = scatter_by_level(fit.alone[k], as_read, plan)
         if found is None:
             stations.append(station)
             continue
