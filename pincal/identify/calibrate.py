@@ -251,19 +251,13 @@ def _completed(robot: Robot, options: Options | None, tables: dict[str, Measurem
     if len(tables) == 1:
         ((name, table),) = tables.items()
         options = options.at(name)
-        setup = options.setup.over(table)
-        sigma = _stated_noise(options, table)
-        return replace(options, setup=setup, tools=_tools(options, table), sigma=sigma)
+        return replace(options, **_of_table(options, table))
     completed = dict(options.stations)
     for name, table in tables.items():
         at = options.at(name)
-        setup = at.setup.over(table)
-        tools = _tools(at, table)
-        sigma = _stated_noise(at, table)
-        if setup is not at.setup or tools is not at.tools or sigma is not at.sigma:
-            completed[name] = replace(
-                completed.get(name, StationOptions()), setup=setup, tools=tools, sigma=sigma
-            )
+        found = _of_table(at, table)
+        if any(value is not getattr(at, key) for key, value in found.items()):
+            completed[name] = replace(completed.get(name, StationOptions()), **found)
     return replace(options, stations=completed)
 
 
@@ -279,6 +273,15 @@ def _require_known(robot: Robot, options: Options, tables: Collection[str]) -> N
         if not filter_names(robot.joint_names, pattern):
             known = ", ".join(nearest_first([pattern], robot.joint_names))
             raise BadInputError(f"zeros of an unknown joint, {pattern!r}; expected one of {known}")
+
+
+def _of_table(options: Options, table: Measurements) -> dict[str, Any]:
+    """Return the options of a station that are completed by its table."""
+    return {
+        "setup": options.setup.over(table),
+        "tools": _tools(options, table),
+        "sigma": _stated_noise(options, table),
+    }
 
 
 def _stated_noise(options: Options, table: Measurements) -> float | None:
