@@ -18,7 +18,7 @@ from pincal.discover.policy import TESTING
 from pincal.discover.products import Information, RowPart, Whitening
 from pincal.identify.beliefs import priors_of
 from pincal.identify.fit import ModelFit
-from pincal.identify.jacobian import Jacobian, block, span
+from pincal.identify.jacobian import Jacobian, add_block, block, span
 from pincal.identify.mass_error import MassError
 from pincal.identify.normal import believed
 from pincal.identify.problem import Problem, extended
@@ -165,7 +165,7 @@ class Tangent:
             own = _StationColumns.at(fit, problem, i, local, blocks, n_blocks)
             mine = column[places[local[1]]]
             g[:, mine] += own.g
-            _add(own.H, mine, mine, H)
+            add_block(H, mine, mine, own.H)
             orders.append(own.order)
             pieces.append(own.pieces)
             # The information of a station's blocks is as large as that of all.
@@ -367,9 +367,9 @@ class _Products:
             part.add_gram(piece.residuals[:, some], inner, g, candidate)
             model.poses(some).add_products(part, cross)
             self.g[k][span(at)] += g
-            self.cross[k][block(span(mine), span(at))] += cross
+            add_block(self.cross[k], mine, at, cross)
             if self.own is None:
-                self.inner[k][block(span(at), span(at))] += inner
+                add_block(self.inner[k], at, at, inner)
             else:
                 self._add_own(inner, at, candidate)
 
@@ -396,11 +396,6 @@ def _blocks(groups: np.ndarray) -> Iterator[tuple[int, slice]]:
     """Yield the blocks of rows that are sorted by block, and their slices."""
     for k in np.unique(groups).tolist():
         yield k, slice(*np.searchsorted(groups, [k, k + 1]))
-
-
-def _add(own: np.ndarray, rows: np.ndarray, columns: np.ndarray, whole: np.ndarray) -> None:
-    """Add the products of a station's columns, by block, to the products of all columns."""
-    whole[(slice(None), *block(span(rows), span(columns)))] += own
 
 
 def nuisances(fit: ModelFit, effects: Sequence[Effect]) -> list[Effect]:

@@ -308,6 +308,24 @@ def block(
     return rows, columns
 
 
+def add_block(whole: np.ndarray, rows: np.ndarray, columns: np.ndarray, part: np.ndarray) -> None:
+    """Add a part, shape (..., R, C), to a matrix at these rows and columns, in place: by runs of
+    consecutive ones, as single elements take several times as long.
+    """
+    for here, there in _consecutive(rows):
+        for across, along in _consecutive(columns):
+            whole[..., there, along] += part[..., here, across]
+
+
+def _consecutive(places: np.ndarray) -> Iterator[tuple[slice, slice]]:
+    """Yield the runs of consecutive indices: where they stand among these, and what they are."""
+    cuts = [0, *(np.flatnonzero(np.diff(places) != 1) + 1).tolist(), len(places)]
+    for start, end in pairwise(cuts):
+        if start < end:
+            first = int(places[start])
+            yield slice(start, end), slice(first, first + end - start)
+
+
 def _runs(groups: np.ndarray) -> Iterator[slice]:
     """Yield the runs of columns of one group, of the group of each column."""
     cuts = [0, *(np.flatnonzero(np.diff(groups)) + 1).tolist(), len(groups)]
