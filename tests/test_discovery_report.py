@@ -442,15 +442,19 @@ def _run(*arguments: object) -> object:
     return ended.value.code
 
 
-@pytest.mark.parametrize("name", ["joint_elasticity of joint_2", "gear_eccentricity of shoulder_lift_joint"])
+_LONG = "unnamed of shoulder_pan_joint (field of shoulder_pan_joint and elbow_joint)"
+
+
+@pytest.mark.parametrize("name", ["joint_elasticity of joint_2", "gear_eccentricity of shoulder_lift_joint", _LONG])
 def test_the_label_of_subsamples_is_whole(name: str) -> None:
-    """Beside long names the axis is narrow; what it shows stands within the figure."""
+    """Beside long names the axis is narrow; what it shows stands within the figure, and a long name on several lines."""
     figure = stability_figure({name: 20, "gear_ratio of joint_1": 3}, 20, 0.6)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     label = figure.axes[0].xaxis.label.get_window_extent(canvas.get_renderer())
 
     assert label.x0 >= 0.0 and label.x1 <= figure.bbox.width
+    assert name in [text.get_text().replace("\n", " ") for text in figure.axes[0].get_yticklabels()]
 
 
 @pytest.mark.long

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,9 @@ _BINS: Count = 30
 _FEWEST: Count = 4
 # A variable with at most this many values is categorical.
 _CATEGORIES: Count = 5
+# Letters of a name, of which a line has fewer.
+_LETTERS: Count = 90
+_LETTERS_A_LINE: Count = 34
 # Height of one step [in].
 _PER_STEP: Scale = 0.5
 
@@ -51,8 +55,10 @@ def stability_figure(counts: Mapping[str, int], of: int, sure: float) -> Figure:
         of: number of subsamples in all.
         sure: fraction of them from which on a name is more than a hint.
     """
-    names = [drawable(name) for name in counts][::-1]
-    figure, axes = panel(1.1 + ROW * len(names), left=0.3 + LETTER * max(map(len, names)))
+    names = [fill(drawable(name, _LETTERS), _LETTERS_A_LINE) for name in counts][::-1]
+    lines = max(name.count("\n") for name in names) + 1
+    letters = max(len(line) for name in names for line in name.split("\n"))
+    figure, axes = panel(1.1 + ROW * lines * len(names), left=0.3 + LETTER * letters)
     numbers = list(counts.values())[::-1]
     colours = [AFTER if n >= sure * of else MUTED for n in numbers]
     axes.barh(range(len(names)), numbers, height=0.6, color=colours)

@@ -102,7 +102,10 @@ def _of_the_search(discovery: Discovery) -> Markup:
         else "The noise, estimated from the residuals of the fitted poses,"
     )
     floor = sourced(f"{found.noise_floor_mm:.4f} mm", f"{FOUND}/noise_floor_mm")
-    left = sourced(f"{found.unexplained_mm:.4f} mm", f"{FOUND}/unexplained_mm")
+    left = f"{found.unexplained_mm:.4f} mm"
+    beyond = rich("; {} rms remain beyond it", sourced(left, f"{FOUND}/unexplained_mm"))
+    if not float(left.split()[0]):
+        beyond = rich("; no more than it remains")
     return rich(
         "The search starts from a simple model, locates where model and data disagree, names the "
         "effect that explains most, adds it, refits the whole model, and stops when only noise is "
@@ -110,7 +113,7 @@ def _of_the_search(discovery: Discovery) -> Markup:
         "the cause.",
         noise,
         floor,
-        rich("; {} rms remain beyond it", left) if is_declared else "",
+        beyond if is_declared else "",
     )
 
 
@@ -240,7 +243,8 @@ def _card(k: int, entry: FoundEffect, others: Sequence[FoundEffect]) -> Markup:
         paragraph(
             shown
             if len(values) <= _FEW
-            else f"a curve with {len(values)} parameters, see the figure"
+            else f"a {'smooth function' if entry.shape == 'field' else 'curve'} with {len(values)} "
+            "parameters, see the figure"
         ),
         paragraph(merged((explained, rich("{}", often)), "")),
     ]

@@ -46,7 +46,7 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
     if entry.station:
         words.append(f"at {entry.station}")
     if entry.depends_on:
-        order = f" of order {entry.order}" if entry.order else ""
+        order = f" of order {entry.order:g}" if entry.order else ""
         on = entry.acts_on or "drive"
         across = "" if on == "drive" else f", {_ACROSS.get(on, 'tilt')} {on}"
         of = (
