@@ -79,6 +79,7 @@ def test_without_a_declared_noise_it_is_asked_for(tables: Path, tmp_path: Path, 
     assert said(lines, "next").startswith(f"pincal compensate {out / 'model.json'} PROGRAM.csv")
 
 
+@pytest.mark.long
 def test_a_dry_calibration_is_a_check(
     tables: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
@@ -115,7 +116,8 @@ def test_check_and_calibrate_leave_rows_out_alike(tables: Path, tmp_path: Path, 
     assert headline in before and headline in said(lines, "before")
 
 
-@pytest.mark.parametrize("more", [("--split", "station"), pytest.param((), marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("more", [("--split", "station"), ()])
 def test_three_stations_take_fourteen_lines(tables: Path, tmp_path: Path, more: tuple[str, ...], capsys: Capture) -> None:
     """With or without leaving each out."""
     days = (tables / f"day{day}.csv" for day in (2, 3, 4))
