@@ -95,6 +95,7 @@ def test_a_dry_calibration_is_a_check(
         assert not [*tmp_path.glob("results*")]
 
 
+@pytest.mark.long
 def test_check_and_calibrate_leave_rows_out_alike(tables: Path, tmp_path: Path, capsys: Capture) -> None:
     """Before a fit as after it, the error of the nominal robot is the same by each way, and is named alike."""
     words = (URDF, tables / "tracker.csv", "--quiet")
