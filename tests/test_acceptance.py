@@ -195,6 +195,7 @@ def test_contacts_that_are_of_no_such_sphere_are_refused(points: np.ndarray, wor
         probing(points, np.eye(points.size), KnownSphere(0.025, probe=2e-3))
 
 
+@pytest.mark.long
 def test_a_plan_of_probing_touches_the_sphere() -> None:
     """By the nominal arm each of 25 contacts is on it, and the tool comes from outside."""
     ur10 = Robot.from_urdf("ur10")

@@ -202,7 +202,7 @@ def test_a_noisy_instrument_may_be_declared_in_the_table(kuka: Robot, table: Mea
     assert [len(list(implausible(fitted(kuka, t), [t]))) for t in (rough, declared)] == [1, 0]
 
 
-@pytest.mark.parametrize("size", [3e-4, 2e-3])
+@pytest.mark.parametrize("size", [3e-4, pytest.param(2e-3, marks=pytest.mark.long)])
 def test_a_touched_instrument_is_noticed(kuka: Robot, table: Measurements, size: float) -> None:
     """From the hundredth row on all readings are shifted: the row and the size are told."""
     shift = np.where(np.arange(len(table))[:, None] < 100, 0.0, np.array([0.6, -0.8, 0.0]) * size)
@@ -257,7 +257,8 @@ def causes_found(robot: Robot, table: Measurements) -> list[str]:
     return [cure.mistake.words for cure in Trials(Case(robot, table), limits, Options(effects=GEOMETRIC)).cures(50.0)]
 
 
-@pytest.mark.parametrize("rows", [24, pytest.param(160, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("rows", [24, 160])
 def test_what_the_errors_of_an_arm_explain_has_no_cause(kuka: Robot, table: Measurements, rows: int) -> None:
     """Placed once more the same rows fit: neither a scale that rounds to 1 nor anything else did that."""
     assert causes_found(kuka, table.select(slice(0, rows))) == []

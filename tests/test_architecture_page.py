@@ -97,7 +97,8 @@ def test_an_effect_in_a_file_of_its_own_passes_the_tests_of_the_house(tmp_path: 
     """The file of the page, added to a copy of the project as the page says, is as good as any other of the catalogue."""
     root = PACKAGE.parent
     for folder in ("pincal", "tests", "urdf"):
-        shutil.copytree(root / folder, tmp_path / folder, ignore=shutil.ignore_patterns("*.pyc"))
+        # With what was compiled of it, which stays valid: files are copied with their times.
+        shutil.copytree(root / folder, tmp_path / folder)
     shutil.copy(root / "pyproject.toml", tmp_path)
     block = re.search(r"<!-- recipe: catalogue -->\n```python\n(.*?)```", EXTENDING, re.DOTALL)
     assert block is not None
@@ -171,6 +172,7 @@ def test_the_recipe_of_a_sensor(recipe: ModuleType, kuka: Robot) -> None:
     assert np.abs(fit.fit.station.residuals(fit.values)).max() < 1e-9
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("recipe", ["hypothesis"], indirect=True)
 def test_the_recipe_of_a_hypothesis(recipe: ModuleType, kuka: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     """One more topic is all it takes for a table to be refused with its words; a sound table has none of it."""

@@ -213,6 +213,7 @@ def test_slopes_of_the_restricted_likelihood_are_its_derivatives() -> None:
     np.testing.assert_allclose(np.append(by_rho, by_kappa), slopes, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.long
 def test_few_stops_show_how_drives_arrive_on_average() -> None:
     """Of 24 stops a fit takes most; their variance is the simulated one nevertheless, and so is that of readings."""
     found = []

@@ -93,7 +93,10 @@ def ratios(machines: int, poses: int, size: float, *, declared: bool) -> list[fl
     return found
 
 
-@pytest.mark.parametrize(("declared", "machines"), [(True, 10), pytest.param(False, 5, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("declared", "machines"),
+    [(True, 4), *(pytest.param(*case, marks=pytest.mark.long) for case in ((True, 10), (False, 5)))],
+)
 def test_a_delivered_robot_is_not_worse_than_its_urdf(declared, machines):
     """From a few marker poses the delivered geometry is no more than 2 % worse in the mean; a plain fit is far worse."""
     assert np.mean(ratios(machines, 14, 5e-4, declared=declared)) < 1.02
@@ -113,10 +116,12 @@ def test_fifty_delivered_robots_are_not_worse_than_their_urdf(poses, size, decla
     assert np.mean(ratios(50, poses, size, declared=declared)) < 1.02
 
 
-@pytest.mark.parametrize("size", [1e-4, pytest.param(1e-3, marks=pytest.mark.long)])
-def test_good_readings_always_calibrate(size):
+@pytest.mark.parametrize(
+    ("size", "machines"), [(1e-4, 3), *(pytest.param(size, 10, marks=pytest.mark.long) for size in (1e-4, 1e-3))]
+)
+def test_good_readings_always_calibrate(size, machines):
     """From 30 readings of a tracker every robot is calibrated, also one that is off by a tenth of a millimetre only."""
-    for seed in range(10):
+    for seed in range(machines):
         machine = machine_of(seed, size)
         found, nominal, calibrated = delivered(machine, reflectors(machine, 30, seed), Options())
 
@@ -154,7 +159,7 @@ def test_a_plan_that_leaves_joints_at_rest_calibrates_the_others(resting):
     assert found.result.error["calibrated"]["test"]["rms_mm"] < 0.1 * before
 
 
-@pytest.mark.parametrize("seed", [0, 2, 3])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_what_a_plain_fit_would_spoil_elsewhere_a_cautious_one_improves(seed):
     """Joints at rest and a robot better than its priors: a fit with those that its readings suggest, and its intervals."""
     machine = machine_of(seed, 2e-4)

@@ -80,6 +80,7 @@ def test_without_a_declared_noise_it_is_asked_for(tables: Path, tmp_path: Path, 
     assert said(lines, "next").startswith(f"pincal compensate {out / 'model.json'} PROGRAM.csv")
 
 
+@pytest.mark.long
 def test_a_dry_calibration_is_a_check(
     tables: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
@@ -95,6 +96,7 @@ def test_a_dry_calibration_is_a_check(
         assert not [*tmp_path.glob("results*")]
 
 
+@pytest.mark.long
 def test_check_and_calibrate_leave_rows_out_alike(tables: Path, tmp_path: Path, capsys: Capture) -> None:
     """Before a fit as after it, the error of the nominal robot is the same by each way, and is named alike."""
     words = (URDF, tables / "tracker.csv", "--quiet")
@@ -116,7 +118,8 @@ def test_check_and_calibrate_leave_rows_out_alike(tables: Path, tmp_path: Path, 
     assert headline in before and headline in said(lines, "before")
 
 
-@pytest.mark.parametrize("more", [("--split", "station"), pytest.param((), marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("more", [("--split", "station"), ()])
 def test_three_stations_take_fourteen_lines(tables: Path, tmp_path: Path, more: tuple[str, ...], capsys: Capture) -> None:
     """With or without leaving each out."""
     days = (tables / f"day{day}.csv" for day in (2, 3, 4))

@@ -58,8 +58,7 @@ def noisy(kuka):
     ("known", "stages"),
     [
         (True, "joint"),
-        (False, "paper"),
-        *(pytest.param(*of, marks=pytest.mark.long) for of in [(True, "paper"), (False, "joint")]),
+        *(pytest.param(*of, marks=pytest.mark.long) for of in [(False, "paper"), (True, "paper"), (False, "joint")]),
     ],
 )
 @pytest.mark.parametrize(

@@ -288,6 +288,7 @@ def test_the_identity_of_the_cell_reaches_the_model_and_guards_it(folder: Path, 
     assert "4711" in told and "4712" in told and not Path("p.csv").exists()
 
 
+@pytest.mark.long
 def test_a_payload_of_the_cell_is_that_of_rows_without_one(
     folder: Path, kuka: Robot, capsys: pytest.CaptureFixture[str]
 ) -> None:

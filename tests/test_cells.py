@@ -191,6 +191,7 @@ def touching(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_where_a_robot_stands_is_found_from_contacts(touching: Path) -> None:
     """To what the errors of two arms leave of it, by the simulator that shares no code with the model."""
     table = pl.read_csv(touching / "touch.csv")

@@ -394,7 +394,8 @@ def test_every_verb_shows_an_example(verb, capsys):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code"), [(["--version"], 0), (["nothing"], 2), (["validate", "no.json", "no.csv"], 3)]
+    ("arguments", "code"),
+    [(["--version"], 0), pytest.param(["nothing"], 2, marks=pytest.mark.long), (["validate", "no.json", "no.csv"], 3)],
 )
 def test_a_process_ends_with_its_code_and_all_that_it_said(arguments: list[str], code: int) -> None:
     """The command leaves without tidying up, but not before its words are out."""

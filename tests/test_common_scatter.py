@@ -149,6 +149,7 @@ def of_each_kind() -> list[Any]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "sigma"), of_each_kind())
 def test_a_joint_that_scatters_more_than_the_others_is_named(seed: int, sigma: float | None) -> None:
     """One drive to 50 or 80 urad, the others exactly or to a fifth of it: it is named, with its size."""

@@ -524,6 +524,7 @@ def test_an_error_that_no_number_of_poses_reduces_is_warned_of(kuka, sigma, is_u
     assert any("however many such poses" in note for note in found.notes) == is_useless
 
 
+@pytest.mark.long
 def test_refining_makes_a_design_better_and_the_curve_falls(kuka):
     """Refined poses are better than candidates; more poses are better than fewer; designed ones than random ones."""
     arguments = {"options": Options(effects=GEOMETRIC, sigma=5e-5), "candidates": 150}

@@ -166,9 +166,7 @@ def test_a_name_stays_that_the_others_take_over_only_to_first_order() -> None:
     assert gap_over_oracle(case, trail) < 1.1
 
 
-@pytest.mark.parametrize(
-    "kind", ["product", *(pytest.param(kind, marks=pytest.mark.long) for kind in ("step", LIKE_A_NAME))]
-)
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=pytest.mark.long) for kind in ("product", "step", LIKE_A_NAME)])
 def test_what_has_no_name_gets_none(kind: str) -> None:
     """A jump of a drive, the product of two joints' sines and a tilt by sin^3 are found at their joint, without a name."""
     verdict = judge(draw_case(kind, 2, n=200, strength=150.0))

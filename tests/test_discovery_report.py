@@ -265,7 +265,7 @@ def test_detectable_size_follows_noise_and_curves_are_measured_by_rms(elastic_fi
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["backlash", "gear_eccentricity"])
+@pytest.mark.parametrize("name", ["backlash", pytest.param("gear_eccentricity", marks=pytest.mark.rates)])
 def test_effects_of_detectable_size_are_found_nine_times_of_ten(name: str, elastic_fit: Any, case: Case) -> None:
     """Tables simulated with an effect of that size, random in phase, pass the test about that often."""
     fit, rng = elastic_fit, np.random.default_rng(3)

@@ -58,6 +58,7 @@ def test_near_poses_differ_by_less_than_far_ones(rng: np.random.Generator) -> No
     assert np.linalg.eigvalsh(errors.matrix).min() > 0.0
 
 
+@pytest.mark.long
 def test_noise_is_no_discrepancy(rng: np.random.Generator) -> None:
     """Noise of unknown size has an e-value of 20 in at most one of twenty tables; a sine of the drives has a large one.
 
@@ -212,7 +213,8 @@ def _contacts(seed: int, each: int) -> Measurements:
     return measurements_from_arrays(machine.names, q, socket=np.array(table["socket"]))
 
 
-@pytest.mark.parametrize("each", [14, pytest.param(25, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("each", [14, 25])
 def test_what_contacts_show_is_the_robots(each: int, kuka: Robot) -> None:
     """No instrument reads contacts: where they scatter without structure, intervals of differences hold it all the same."""
     hits = {"all": list[np.ndarray](), "parameters": list[np.ndarray]()}

@@ -78,6 +78,7 @@ def test_expected_lengths_are_those_of_normal_vectors():
     assert found == pytest.approx(np.linalg.norm(drawn, axis=1).mean(), rel=1e-2)
 
 
+@pytest.mark.long
 def test_errors_elsewhere_are_as_large_as_expected(robot):
     """Over machines measured in poses that leave a joint's range out, errors at random poses are those expected."""
     found = [calibrated(robot, without_the_middle(robot, seed), seed) for seed in range(MACHINES)]

@@ -311,7 +311,7 @@ def test_c_is_exact_and_fast_enough_for_a_cycle(kuka: Robot, tmp_path: Path, rng
     assert set(called) <= {"sin", "cos", "sincos", "sqrt", "atan2", "fmax", "fmin", "clock_gettime", "__stack_chk_fail"}
 
 
-@pytest.mark.parametrize("frame", ["instrument", "base"])
+@pytest.mark.parametrize("frame", ["instrument", pytest.param("base", marks=pytest.mark.long)])
 def test_source_code_gives_the_uncertainty_of_predictions(
     kuka: Robot, frame: str, tmp_path: Path, rng: np.random.Generator
 ) -> None:

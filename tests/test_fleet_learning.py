@@ -183,6 +183,7 @@ def _without(machine: Machine, place: int) -> Machine:
     return replace(machine, information=RobotInformation.of_form(form, own.robot, own.geometry, own.known))
 
 
+@pytest.mark.long
 def test_machines_that_were_hit_do_not_spoil_the_type_and_are_named() -> None:
     """One in twenty has a joint off by half a millimetre or half a milliradian and more: spread and mean stay."""
     family = Family.drawn(np.random.default_rng(9))
@@ -217,6 +218,7 @@ def test_a_machine_that_was_hit_hard_is_named_among_few(count: int) -> None:
     assert np.sqrt(found.type.covariance[k, k]) / PRIOR < 3.0 * family.root[k, k]
 
 
+@pytest.mark.long
 def test_machines_without_correlations_hardly_show_any() -> None:
     """Of twenty families without any, twenty machines each show some in at most four, by chance."""
     count = 0
@@ -248,7 +250,7 @@ def test_one_machine_in_fifty_may_always_be_unusual() -> None:
     assert of.judge(nothing).probability == pytest.approx(0.98)
 
 
-@pytest.mark.parametrize("spread_variance", [0.0, 10.0])
+@pytest.mark.parametrize("spread_variance", [0.0, pytest.param(10.0, marks=pytest.mark.long)])
 def test_a_machine_is_unusual_if_both_its_odds_and_its_p_value_say_so(spread_variance: float) -> None:
     """Likelier unlike the others than like them, and below a p-value of 0.05: that is large if their spread is uncertain."""
     family = Family.drawn(np.random.default_rng(18), parameters=18)
@@ -290,6 +292,7 @@ def test_elements_of_a_tenth_of_the_odds_are_named() -> None:
     assert several > 3
 
 
+@pytest.mark.long
 def test_a_prior_is_widened_by_a_quarter_or_not_at_all() -> None:
     """The variances of a machine are those of its type, or more than 1.25 times as large."""
     family = Family.drawn(np.random.default_rng(11), parameters=18, unseen=6)
@@ -344,6 +347,7 @@ def test_parameters_are_drawn_of_which_readings_tell_a_third(share: float, is_dr
     assert sorted(_order(replace(found, type=of), None, "m").tolist()) == (lengths if is_drawn else lengths[1:])
 
 
+@pytest.mark.long
 def test_p_values_of_machines_of_the_type_are_uniform_or_larger() -> None:
     """Of 250 further machines."""
     family = Family.drawn(np.random.default_rng(11), parameters=18, unseen=6)
@@ -354,7 +358,8 @@ def test_p_values_of_machines_of_the_type_are_uniform_or_larger() -> None:
         assert np.mean(p < alpha) < alpha + 3.0 * np.sqrt(alpha * (1.0 - alpha) / 250)
 
 
-@pytest.mark.parametrize("count", [3, *(pytest.param(count, marks=pytest.mark.long) for count in (1, 10))])
+@pytest.mark.long
+@pytest.mark.parametrize("count", (1, 3, 10))
 def test_few_machines_give_a_prior_that_covers(count: int) -> None:
     """Over families: intervals of 95 % hold 92 to 99 % of further machines, along what is seen."""
     rng, inside = np.random.default_rng(13), []
@@ -480,6 +485,7 @@ def test_a_target_on_parallel_axes_stays_within_reach() -> None:
     assert max(heights) < 2.0 and np.mean(inside) > 0.88
 
 
+@pytest.mark.long
 def test_a_machine_far_from_its_type_is_no_noise() -> None:
     """Twelve poses of one that is twenty times as far off: found out, and calibrated as well as without a type."""
     robot = Robot.from_urdf(kuka_urdf_path(), tip="tool0")

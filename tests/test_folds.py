@@ -119,7 +119,7 @@ def test_the_delivered_model_is_that_of_all_rows(robot: Robot) -> None:
     assert found.result.rows == {"train": 60, "test": 60}
 
 
-@pytest.mark.parametrize(("poses", "cycles"), [(50, 10), (60, 2), (5, 30)])
+@pytest.mark.parametrize(("poses", "cycles"), [(50, 10), pytest.param(60, 2, marks=pytest.mark.long), (5, 30)])
 def test_programs_that_run_in_cycles_are_calibrated(robot: Robot, poses: int, cycles: int) -> None:
     """Poses are left out with all their visits, however many there are; five poses are too few, and that is said."""
     found = run_calibration(robot, measured(poses, cycles), Options(effects=GEOMETRIC, sigma=NOISE))
@@ -128,6 +128,7 @@ def test_programs_that_run_in_cycles_are_calibrated(robot: Robot, poses: int, cy
     assert (str(found.result.verdict_of()) == "not judged") == (poses == 5)
 
 
+@pytest.mark.long
 def test_a_pose_counts_once_however_often_it_was_visited(robot: Robot) -> None:
     """Thirty visits of five poses among sixty single ones do not make the headline theirs."""
     whole = measured(65, 30)
@@ -173,6 +174,7 @@ def test_rows_that_are_held_out_for_good_touch_no_fit(robot: Robot) -> None:
     assert found.result.validation.way == "held out"
 
 
+@pytest.mark.long
 def test_outliers_are_not_in_the_headline(robot: Robot) -> None:
     """A wrong reading is named and left out of fit and statistics, not averaged into them."""
     rows = measured(60)

@@ -89,6 +89,7 @@ def test_meshes_that_can_not_be_read_are_told_with_what_to_install(monkeypatch: 
     assert any("pip install 'trimesh[easy]'" in note for note in notes)
 
 
+@pytest.mark.long
 def test_where_pinocchio_can_not_be_installed_a_page_says_what_to_do(tmp_path: Path) -> None:
     """As on Windows: exit code 3 and where to read on, no word of a bug."""
     words = ["simulate", kuka_urdf_path(), "--poses", "3", "--out", "t.csv"]

@@ -146,6 +146,7 @@ def searched(fit: FittedRobot, tables: Mapping[str, Measurements]) -> History:
     return discover_effects(fit.fit, groups)
 
 
+@pytest.mark.long
 def test_an_eccentric_circle_of_the_tracker_is_not_the_robots(kuka: Robot) -> None:
     """30 urad, 0.1 mm at 4 m: the instrument's name leads, and no name of the robot stands without it."""
     table = seen(sim.InstrumentAzimuth(size=3e-5))

@@ -120,7 +120,8 @@ def test_noises_and_walks_that_nothing_supports_hardly_matter() -> None:
     assert -1e-9 < less < 1e-3
 
 
-@pytest.mark.parametrize("noise", [1.0, *(pytest.param(noise, marks=pytest.mark.long) for noise in (0.5, 1.5))])
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [1.0, *(pytest.param(noise, marks=pytest.mark.rates) for noise in (0.5, 1.5))])
 def test_evidence_reaches_twenty_in_a_twentieth_of_unchanged_robots(noise: float) -> None:
     """Ever within twenty days, whatever the noise is, and with a base that walks."""
     alarms = []

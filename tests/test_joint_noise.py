@@ -53,6 +53,7 @@ def covariances(fit: ModelFit, noise: JointNoise) -> np.ndarray:
     return np.array([instrument + each @ np.diag(noise.joints**2) @ each.T for each in J])
 
 
+@pytest.mark.long
 def test_noise_of_the_joints_is_found_with_its_size(kuka: Robot) -> None:
     """Over six machines; that of the instrument has what a fit is off that took its rows for even, a tenth here."""
     fits = (fit_tables(kuka, measured(kuka, SCATTER, seed=seed, poses=300), Options(effects=GEOMETRIC)) for seed in range(6))
@@ -77,7 +78,7 @@ def test_variances_are_where_residuals_are_likeliest(fit: ModelFit) -> None:
         assert likelihood(joint, 1.0) > max(likelihood(joint, 0.95), likelihood(joint, 1.05))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in (2, 3))])
 def test_even_noise_is_left_as_it_is(seed: int, kuka: Robot) -> None:
     """So is noise that was declared, and what too few readings leave."""
     sound = measured(kuka, 0.0, seed=seed)

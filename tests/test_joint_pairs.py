@@ -121,6 +121,7 @@ def test_waves_of_other_orders_are_other_effects() -> None:
     assert (alone.shape, alone.order, alone.n_functions, alone.trials) == ("waves", 2.5, 2, 10.0)
 
 
+@pytest.mark.long
 def test_what_was_searched_is_paid_for(rng: np.random.Generator) -> None:
     """Of 200 draws of noise, of a pair of joints, the best wave passes at 5 % of its corrected chance in no more."""
     passed = []
@@ -132,6 +133,7 @@ def test_what_was_searched_is_paid_for(rng: np.random.Generator) -> None:
     assert is_at_most(0.05, passed)
 
 
+@pytest.mark.long
 def test_the_study_draws_what_it_says() -> None:
     """The error moves the tool by lambda, and the table without it is the same machine's."""
     for i, kind in enumerate(INTERACTIONS):

@@ -36,6 +36,7 @@ def found(kuka: Robot) -> Discovery:
     return run_discovery(kuka, rows, Options(effects=GEOMETRIC, sigma=5e-5, moment_frame="after"), stability=4)
 
 
+@pytest.mark.long
 def test_a_function_of_two_joints_is_found_with_both(found: Discovery) -> None:
     """As one effect without a name, not as scatter; the error at held-out poses falls to the noise."""
     (entry,) = (entry for entry in found.report["effects"] if "elasticity" not in entry["effect"])
@@ -47,6 +48,7 @@ def test_a_function_of_two_joints_is_found_with_both(found: Discovery) -> None:
     assert before > 1.4 * floor and after < 1.05 * floor
 
 
+@pytest.mark.long
 def test_halves_of_the_poses_have_it_too(found: Discovery) -> None:
     """Of other lengths, and over other ranges: in a half every function of the two joints may become the smooth one."""
     (entry,) = (entry for entry in found.report["effects"] if "elasticity" not in entry["effect"])
@@ -68,6 +70,7 @@ def test_a_candidate_is_known_by_its_joints() -> None:
     assert search.taking_part([whole, half, field, *others]) == [whole, half, field]
 
 
+@pytest.mark.long
 def test_a_map_is_drawn_over_both_joints(found: Discovery) -> None:
     """Where rows are: what they show, and the fitted effect, which is that of the model."""
     trace = next(trace for trace in found.traces if trace.own is not None)

@@ -81,7 +81,9 @@ CHANGES = [("tool", 5e-4), ("instrument", 3e-4), *((f"joint_{i}", 1e-3) for i in
 CASES = [(*change, "white") for change in CHANGES] + [(*change, "ar") for change in CHANGES[:-1]]
 
 
-@pytest.mark.parametrize("case", one_in_three(CASES), ids=str)
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, marks=pytest.mark.long if k % 6 else ()) for k, case in enumerate(CASES)], ids=str
+)
 def test_what_changed_midway_is_named_with_its_line(case: tuple[str, float, str]) -> None:
     """A milliradian of a joint, half a millimetre of the tool, three tenths of the instrument: the row to within three."""
     change, size, noise = case
@@ -106,6 +108,7 @@ def test_a_long_shift_makes_no_other_robot() -> None:
     assert str(result.warnings[0]) == result.shift
 
 
+@pytest.mark.long
 def test_the_line_is_found_among_many_rows() -> None:
     """A tenth of 1500 rows tell that something changed; all of those near it tell where."""
     rows = table(5, change="joint_3", cut=900, n=1500)
@@ -152,7 +155,7 @@ def test_a_joint_that_arrives_unevenly_was_not_remastered() -> None:
     assert seen(table(9055, noise="joint")) is None
 
 
-@pytest.mark.parametrize("joint", ["joint_2", "joint_3"])
+@pytest.mark.parametrize("joint", ["joint_2", pytest.param("joint_3", marks=pytest.mark.long)])
 def test_the_remastered_joint_is_told_from_one_that_arrives_unevenly(joint: str) -> None:
     """Joint 2 scatters by 0.1 mrad; of it and joint 3, whose levers are alike, the one a milliradian off is named."""
     found = seen(table(40, change=joint, cut=60, noise="joint"))

@@ -504,6 +504,7 @@ def test_a_large_covariance_keeps_what_rounding_leaves() -> None:
         unpacked(text[:-400] + "=" * 4, 10**7)
 
 
+@pytest.mark.long
 def test_a_matrix_that_unpacks_to_gigabytes_costs_nothing(path: Path) -> None:
     """What all matrices of a file may take is bounded before they are unpacked."""
     bomb = base64.b64encode(zlib.compress(bytes(64 << 20))).decode()

@@ -88,6 +88,7 @@ def test_the_drive_whose_curve_is_another_is_named(first: FittedRobot, worn: Mea
     assert best.seen > 0.95
 
 
+@pytest.mark.long
 def test_a_function_of_two_joints_that_is_another_is_told_by_its_size(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -107,13 +107,15 @@ def displaced(kuka: Robot, poses: int, seed: int) -> tuple[Measurements, np.ndar
     return measurements_from_arrays(kuka.joint_names, q, position=position + noise), position
 
 
+@pytest.mark.long
 def test_a_displacement_that_is_of_no_drive_is_predicted(kuka: Robot) -> None:
     """A smooth displacement of the target enters as such, and errors at poses that were not measured are a quarter less."""
     rows, _ = displaced(kuka, 300, 7)
     others, true = displaced(kuka, 200, 11)
-    plain, found = (searched(kuka, rows, remainder=remainder) for remainder in (False, True))
-    at = found.calibration.fit.readings(others).conditions
-    errors = [np.mean(np.linalg.norm(of.calibration.fit.predict(at)[:, :, 3] - true, axis=1)) for of in (plain, found)]
+    found = searched(kuka, rows, remainder=True)
+    # The fit before the remainder entered is that of a discovery without.
+    fits = FittedRobot.of(found.trail.changes[-2].fit), found.calibration.fit
+    errors = [np.mean(np.linalg.norm(of.predict(of.readings(others).conditions)[:, :, 3] - true, axis=1)) for of in fits]
 
     assert found.findings.remainder is not None
     assert "base" in {part.errs for part in found.findings.remainder.parts}
@@ -152,6 +154,7 @@ def test_a_region_that_is_worse_refuses_it() -> None:
     assert not LeftOutRegions(rows, plain, plain, plain).predicts
 
 
+@pytest.mark.long
 def test_one_with_less_freedom_is_tried(kuka: Robot, found: Discovery, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the likeliest remainders make a region worse, the best of them is tried with half of its sizes."""
     (likeliest,) = found.trail.changes[-1].entered
@@ -249,6 +252,7 @@ def test_noise_has_no_remainder(kuka: Robot) -> None:
     assert with_remainder(sound.trail) == (sound.trail, None)
 
 
+@pytest.mark.long
 def test_of_many_rows_some_are_judged_first(found: Discovery, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of 300 rows 200 are judged, and what passes is fitted to all and judged by all regions, as if they were few."""
     monkeypatch.setattr("pincal.discover.smooth_rest.REMAINDER", replace(REMAINDER, judged=200))
@@ -354,8 +358,14 @@ def uneven(kuka: Robot, *effects: Effect) -> FittedRobot:
     return calibrated_of(model, 3e-4 * rng.uniform(-1.0, 1.0, model.n_parameters) / units)
 
 
-@pytest.mark.parametrize("frame", ["instrument", "base"])
-@pytest.mark.parametrize("modes", [False, True])
+@pytest.mark.parametrize(
+    ("modes", "frame"),
+    [
+        (False, "instrument"),
+        (True, "base"),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in ((False, "base"), (True, "instrument"))),
+    ],
+)
 def test_exports_have_it(kuka: Robot, modes: bool, frame: str, tmp_path: Path, rng: np.random.Generator) -> None:
     """C and NumPy agree with the model, forward and back, in the instrument's frame and in the base's."""
     calibrated = uneven(kuka, *parts(modes=modes))
@@ -375,6 +385,7 @@ def test_exports_have_it(kuka: Robot, modes: bool, frame: str, tmp_path: Path, r
     assert np.abs(without.predict(at) - calibrated.predict(at))[:, :, 3].max() > 1e-4
 
 
+@pytest.mark.long
 def test_the_page_has_it(kuka: Robot, tmp_path: Path) -> None:
     """In JavaScript the robot is where the model says, and corrections reach their poses."""
     calibrated = uneven(kuka, *parts(modes=True))

@@ -37,6 +37,7 @@ def test_cross_validation_predicts_every_row_once(kuka):
     assert np.sqrt(np.mean(found.residuals**2)) < 2e-4
 
 
+@pytest.mark.long
 def test_monte_carlo_spread_is_the_posterior(fit):
     """The spread of predictions over simulated readings equals that of the covariance within its own scatter."""
     conditions = fit.problem.conditions.select(slice(0, 40))

@@ -78,6 +78,7 @@ def test_an_instrument_displaced_in_a_pause_is_no_drift(pause: float, seed: int)
     assert abs(line - (2 + N // 2)) <= 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_instrument_displaced_between_a_cool_and_a_warm_session_is_no_expansion(seed: int) -> None:
     """Nor is it what grew with the temperature."""

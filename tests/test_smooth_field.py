@@ -74,13 +74,14 @@ def test_an_error_along_an_axis_is_a_length() -> None:
     assert units == [{"m"}, {"m"}, {"rad"}, {"rad"}]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("task", "shape"),
     [
         (("field", 9104), "field"),
-        pytest.param(("bump", 9103), "field", marks=pytest.mark.long),
-        pytest.param(("field", 9114), "field", marks=pytest.mark.long),
-        pytest.param(("two_waves", 9100), "product", marks=pytest.mark.long),
+        (("bump", 9103), "field"),
+        (("field", 9114), "field"),
+        (("two_waves", 9100), "product"),
     ],
 )
 def test_a_wave_that_is_part_of_a_field_becomes_one(task: tuple[str, int], shape: str) -> None:

@@ -113,6 +113,7 @@ def test_few_readings_in_a_half_are_not_fitted_exactly(
     assert [noise.least for noise in seen] == [tuple(0.5 * found.trail.final.solution.sigma)] * 2
 
 
+@pytest.mark.long
 def test_an_executor_brings_the_same(case: Case, found: Discovery) -> None:
     """Here threads; the order of the halves is kept."""
     regions = [row_groups(found.calibration.train, split="blocked", seed=0)]
@@ -173,6 +174,7 @@ def test_what_is_there_is_no_chance(case: Case, found: Discovery) -> None:
     assert (bootstrap.effect, bootstrap.joint) == ("backlash", case.hidden[0].joint)
 
 
+@pytest.mark.long
 def test_what_others_would_take_up_is_no_noise() -> None:
     """The others are fitted without the effect accepted last before it is tested.
 

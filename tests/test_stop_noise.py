@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pairs import one_in_three
 from stop_cases import NOISE, MeasuredRobot, MeasuringPlan
 
 import pincal
@@ -157,7 +156,9 @@ def test_a_wrong_reading_among_shared_ones_is_weighed_as_its_removal() -> None:
 
 
 @pytest.mark.parametrize("seed", [10, pytest.param(11, marks=[pytest.mark.long, pytest.mark.rates])])
-@pytest.mark.parametrize("plan", one_in_three(list(PLANS)))
+@pytest.mark.parametrize(
+    "plan", ["single", *(pytest.param(plan, marks=pytest.mark.long) for plan in PLANS if plan != "single")]
+)
 def test_a_robot_that_has_not_changed_is_left_alone_by_any_plan(plan: str, seed: int) -> None:
     """A robot or two each: repeats, cycles and targets, of the calibration or of the check, are no change."""
     before, after = PLANS[plan]
@@ -235,6 +236,7 @@ def test_what_is_announced_exceeds_its_uncertainty(single: tuple[MeasuredRobot, 
     assert verdict.without_vanished() is verdict
 
 
+@pytest.mark.long
 def test_copies_and_repeats_do_not_sharpen_an_update(single: tuple[MeasuredRobot, FittedRobot]) -> None:
     """Twenty readings a stop add no more than their mean does, and copies add nothing."""
     robot, model = single

@@ -67,7 +67,7 @@ def test_the_noise_of_a_fit_is_that_of_one_visit() -> None:
         assert fit.solution.sigma[0] == pytest.approx(np.hypot(READING, ARRIVAL), rel=0.2)
 
 
-@pytest.mark.parametrize("declared", [READING, None])
+@pytest.mark.parametrize("declared", [pytest.param(READING, marks=pytest.mark.long), None])
 def test_few_poses_that_were_visited_often_have_the_noise_of_their_visits(declared: float | None) -> None:
     """Thirty visits of each of twenty poses show it, whatever the few residuals of their means do."""
     scatter = np.hypot(READING, ARRIVAL)
