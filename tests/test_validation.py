@@ -10,6 +10,7 @@ from machines import kuka as true_kuka
 from placed_arms import FIRST, MOVE, NOISE, measured, run, transform, written
 
 from pincal import simulate as sim
+from pincal.calibration.calibration import run_calibration
 from pincal.calibration.checked_fit import calibrate
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.validation import validate_rows
@@ -220,6 +221,16 @@ def test_the_command_tells_places_and_exits(
     told = capsys.readouterr()
     assert "bent.csv: mean error" in told.err and "pincal diagnose" in told.err and "calibrated" in told.out
     assert run("validate", tmp_path / "model.json", here, "--station", "noon") == 3
+
+
+def test_what_a_calibration_left_open_is_repeated(
+    machine: sim.TrueMachine, kuka: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rows that bear out what a model states do not make it complete: its own doubt stands beside their verdict."""
+    table = measured(machine, kuka, seed=7)
+    run_calibration(kuka, table, Options(effects=GEOMETRIC, sigma=5e-6)).fit.save(tmp_path / "model.json")
+    assert run("validate", tmp_path / "model.json", written(tmp_path / "new.csv", measured(machine, kuka, seed=8))) == 0
+    assert "note: the calibration of this model left a doubt: the residuals are" in " ".join(capsys.readouterr().err.split())
 
 
 @pytest.mark.long

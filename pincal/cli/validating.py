@@ -91,6 +91,8 @@ def validate(arguments: ValidateArguments) -> Exit:
 
     calibrated = load_model(arguments.model)
     unchecked = tuple(arguments.identity.of_model(calibrated.identity, arguments.model))
+    # That rows bear out what a model states does not say that the model is complete.
+    stated = () if calibrated.statement is None else tuple(calibrated.statement.notes())
     found = _validated(calibrated, arguments)
     if arguments.acceptance.is_wanted:
         general = arguments.general
@@ -102,7 +104,7 @@ def validate(arguments: ValidateArguments) -> Exit:
         print_json(result)
     else:
         _print(found, result, notes)
-    echo_notes([*notes, *unchecked], quiet=arguments.general.quiet)
+    echo_notes([*notes, *unchecked, *stated], quiet=arguments.general.quiet)
     _refuse_others(found, arguments.model)
     require_accuracy(result.get("mean_mm"), arguments.max_error, rows="new")
     return Exit.DONE
