@@ -119,7 +119,7 @@ def test_a_typing_slip_is_a_warning_not_a_unit() -> None:
     """One value that even degrees can't explain is reported as that row's."""
     q = _q()
     q[5, 1] = 1000
-    with pytest.warns(PincalWarning, match=r'1 rows of "b" .* worst is 1000 in line 7'):
+    with pytest.warns(PincalWarning, match=r'1 row of "b" .* worst is 1000 in line 7'):
         check_joint_values(_table(q), LOWER, UPPER, TYPES)
 
 

@@ -133,7 +133,7 @@ def test_poses_that_tell_two_changes_apart_are_named(change_examples: Path, monk
     verdict = changes_since(model, placed, 0.01)
     lineup = verdict.lineup
     change = verdict.happened[0]
-    rival = next(i for i, c in enumerate(lineup.changes) if c.heading != lineup.changes[change].heading and c.parts is False)
+    rival = next(i for i, c in enumerate(lineup.changes) if c.label != lineup.changes[change].label and c.parts is False)
     step = replace(verdict.steps[0], equivalent=(replace(verdict.steps[0].score, change=rival),))
     words = tell_apart(verdict, step)
 

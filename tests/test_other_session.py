@@ -124,7 +124,8 @@ def test_a_function_of_two_joints_that_is_another_is_told_by_its_size(
     with pytest.raises(SystemExit, match="6"):
         main(["diagnose", str(tmp_path / "model.json"), str(tmp_path / "tuesday.csv"), "--out", str(tmp_path / "found")])
     words = " ".join(capsys.readouterr().out.split())
-    assert "unnamed of shoulder_lift_joint in tuesday, its shape differs by" in words
+    name = "unnamed of shoulder_lift_joint (field of shoulder_lift_joint and elbow_joint)"
+    assert f"{name} in tuesday, its shape differs by" in words
 
 
 @pytest.mark.long

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from msgspec import to_builtins
 
 from pincal.calibration.covered import Covered
 from pincal.calibration.fitted_robot import FittedRobot
@@ -162,12 +163,12 @@ class HealthCheck:
             "alpha": self.alpha,
             "met": self.is_met,
             "changes": [
-                noticed.change.describe()
+                to_builtins(noticed.change.label)
                 | {"noncentrality": noticed.noncentrality, "needed": noticed.needed}
                 for noticed in self.changes
             ],
             "absorbed": [
-                change.describe() | {"parameters": list(change.parameters)}
+                to_builtins(change.label) | {"parameters": list(change.parameters)}
                 for change in self.absorbed
             ],
             "simulated": {"draws": self.draws, "alarms": self.alarms, "noticed": self.noticed},

@@ -6,22 +6,9 @@ from typing import Literal
 
 import msgspec
 
+from pincal.discover.discovery_file import EffectName
 from pincal.identity import Identity
 from pincal.notes import Note
-
-
-class ChangeName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Identity of a change.
-
-    Attributes:
-        effect: its name in the catalogue; "unnamed" where nothing explains it.
-        joint: the joint on which it acts; null for the whole arm.
-        source: the joint whose position it follows, where that is another one.
-    """
-
-    effect: str
-    joint: str | None
-    source: str | None = None
 
 
 class ChangedParameter(msgspec.Struct, frozen=True):
@@ -39,7 +26,7 @@ class ChangedParameter(msgspec.Struct, frozen=True):
     unit: str
 
 
-class ChangeEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
+class ChangeEntry(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     """A change that was found, the most significant first.
 
     Attributes:
@@ -54,13 +41,13 @@ class ChangeEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
 
     parameters: dict[str, ChangedParameter]
     p_value: float
-    equivalent: tuple[ChangeName, ...]
+    equivalent: tuple[EffectName, ...]
     tell_apart: str
     curve_rms: float | None = None
     session: str = ""
 
 
-class ExcludedEntry(ChangeName, frozen=True, kw_only=True, omit_defaults=True):
+class ExcludedEntry(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     """A change that would have been detected.
 
     Attributes:

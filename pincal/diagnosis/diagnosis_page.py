@@ -10,14 +10,13 @@ from markupsafe import Markup
 from pincal.diagnosis.diagnosis_file import (
     ChangedParameter,
     ChangeEntry,
-    ChangeName,
     CurvesEntry,
     DiagnosisFile,
     ExcludedEntry,
 )
 from pincal.diagnosis.robot_diagnosis import Diagnosis
-from pincal.model.effect import Family
-from pincal.model.effect_registry import EFFECTS
+from pincal.discover.discovery_file import EffectName
+from pincal.discover.report.found_words import effect_words
 from pincal.parameters import split_name
 from pincal.report.blocks import (
     Section,
@@ -85,27 +84,21 @@ def _chance(p_value: float) -> str:
     return f"p = {show_chance(p_value)}" if p_value > 0.0 else f"p {show_chance(0.0)}"
 
 
-def in_words(change: ChangeName) -> str:
+def in_words(change: EffectName) -> str:
     """Return a change in words, with its joint.
 
     Example:
-        >>> in_words(ChangeName(effect="backlash", joint="axis_3"))
+        >>> in_words(EffectName(effect="backlash", joint="axis_3"))
         'backlash of axis_3'
+        >>> in_words(EffectName(effect="tip_expansion", joint=None))
+        'tip_expansion of the whole arm'
     """
     if isinstance(change, ChangeEntry) and not change.parameters:
         return "something that no single cause explains"
-    words = f"{change.effect} of {change.joint or 'the whole arm'}" + (
-        f" by {change.source}" if change.source else ""
-    )
-    kind = EFFECTS.known().get(change.effect)
-    is_nameless = kind is not None and kind.family is Family.NAMELESS
-    if is_nameless and isinstance(change, ChangeEntry):
-        # A joint may have several of these; their parameters tell them apart.
-        symbol = split_name(next(iter(change.parameters)))[1]
-        words += f" ({symbol.rpartition('_')[0].replace('_of_', ' of ')})"
-    session = (
-        change.session if isinstance(change, ChangeEntry) and change.curve_rms is not None else ""
-    )
+    words = effect_words(change) + ("" if change.joint else " of the whole arm")
+    session = ""
+    if isinstance(change, ChangeEntry) and change.curve_rms is not None:
+        session = change.session
     return words + (f" in {session}" if session else "")
 
 

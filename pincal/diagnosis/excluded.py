@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 
+import msgspec
 import numpy as np
 from scipy.special import fdtri, ncfdtr
 
@@ -36,13 +37,13 @@ def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[Exclud
     """
     lineup = verdict.lineup
     found = searched.evidence.form
-    taken = {lineup.changes[i].heading for i in verdict.happened}
+    taken = {lineup.changes[i].label for i in verdict.happened}
     listed: set[tuple[object, ...]] = set()
     motion = lineup.motion(verdict.values)
     for change, places in zip(lineup.changes, lineup.places, strict=True):
         units = {lineup.station.parameters[i].unit for i in places}
-        key = (*change.heading, change.parameters if change.effect is None else None)
-        if change.parts or change.heading in taken or len(units) > 1 or key in listed:
+        key = (change.label, change.parameters if change.effect is None else None)
+        if change.parts or change.label in taken or len(units) > 1 or key in listed:
             continue
         # The direction in which a change is least visible.
         rank = found.gain(places)[1]
@@ -54,9 +55,7 @@ def excluded(verdict: ChangeVerdict, searched: ChangeVerdict) -> Iterator[Exclud
         listed.add(key)
         shift = np.linalg.norm(motion[:, :, places] @ directions[:, 0], axis=1).max()
         yield ExcludedEntry(
-            effect=change.name,
-            joint=change.joint,
-            source=change.source,
+            **msgspec.structs.asdict(change.label),
             parameter=change.parameters[0] if len(places) == 1 else "",
             smallest=smallest,
             unit=units.pop(),
@@ -174,9 +173,9 @@ def _pose_words(verdict: ChangeVerdict, there: Station, i: int) -> str:
 
 
 def rival_names(changes: tuple[PossibleChange, ...], step: NamedChange) -> list[PossibleChange]:
-    """Return the changes equivalent to a step's own, each heading once."""
+    """Return the changes equivalent to a step's own, each name once."""
     found = {
-        changes[score.change].heading: changes[score.change] for score in reversed(step.equivalent)
+        changes[score.change].label: changes[score.change] for score in reversed(step.equivalent)
     }
-    found.pop(changes[step.score.change].heading, None)
+    found.pop(changes[step.score.change].label, None)
     return list(reversed(found.values()))[:_NAMED]

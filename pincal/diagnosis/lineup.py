@@ -14,6 +14,7 @@ import numpy as np
 from pincal.calibration.fit_evidence import KeptEvidence
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.diagnosis.row_evidence import Known, RowEvidence, prior_root, rows_in_noise
+from pincal.discover.discovery_file import EffectName
 from pincal.discover.levers import compliances_of
 from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import ROUNDING, Quadratic, root_of_inverse
@@ -40,6 +41,7 @@ class PossibleChange:
         parameters: names of the parameters that it moves.
         effect: the new effect; None where parameters of the model moved.
         source: the joint that drives this one, where an effect has one.
+        nameless: the effect itself, new or of the model, where the catalogue has no name for it.
         is_usual: whether it is the most common change, of a joint offset.
         parts: whether it is composed of other changes, so that it is not listed among what is
             excluded.
@@ -52,20 +54,19 @@ class PossibleChange:
     parameters: tuple[str, ...]
     effect: Effect | None = None
     source: str | None = None
+    nameless: Effect | None = None
     parts: bool = False
     is_usual: bool = False
     belief: np.ndarray | None = field(default=None, repr=False, compare=False)
 
     @property
-    def heading(self) -> tuple[str, str | None, str | None]:
-        """Its name in reports."""
-        return self.name, self.joint, self.source
-
-    def describe(self) -> dict[str, str | None]:
-        """Return its name in the terms of ``diagnosis.json``."""
-        return {"effect": self.name, "joint": self.joint} | (
-            {} if self.source is None else {"source": self.source}
-        )
+    def label(self) -> EffectName:
+        """Its name in reports and in ``diagnosis.json``; of an effect without a name also what it
+        follows, where it acts and its shape, by which those of one joint differ.
+        """
+        if self.nameless is not None:
+            return EffectName.of(self.nameless)
+        return EffectName(effect=self.name, joint=self.joint, source=self.source)
 
 
 def changes_of(
@@ -87,7 +88,8 @@ def changes_of(
         else:
             name, joint, source = effect.heading
             parameters = tuple(parameter.name for parameter in effect.parameters(model.chain))
-            changes.append(PossibleChange(name, joint, parameters, effect, source))
+            nameless = effect if effect.is_nameless else None
+            changes.append(PossibleChange(name, joint, parameters, effect, source, nameless))
     return tuple(changes), tuple(surroundings)
 
 
@@ -133,9 +135,14 @@ def _of_parameters(model: Model) -> Iterator[PossibleChange]:
                     for name in names
                 )
             if len(names) > 1 or not single:
-                belief = effect.belief(members)
                 yield PossibleChange(
-                    effect.name, joint, names, source=source, parts=single, belief=belief
+                    effect.name,
+                    joint,
+                    names,
+                    source=source,
+                    nameless=effect if effect.is_nameless else None,
+                    parts=single,
+                    belief=effect.belief(members),
                 )
     yield from _bent_links(model)
 

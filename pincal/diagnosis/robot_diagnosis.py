@@ -20,7 +20,6 @@ from pincal.diagnosis.change_search import ChangeVerdict, search
 from pincal.diagnosis.diagnosis_file import (
     ChangedParameter,
     ChangeEntry,
-    ChangeName,
     CurvesEntry,
     DiagnosisFile,
     ExcludedEntry,
@@ -482,14 +481,9 @@ def _entries(verdict: ChangeVerdict, posterior: Refitted, session: str) -> Itera
     changes = verdict.lineup.changes
     for step in verdict.steps:
         change = changes[step.score.change]
-        equivalent = (
-            ChangeName(effect=c.name, joint=c.joint, source=c.source)
-            for c in rival_names(changes, step)
-        )
+        equivalent = (rival.label for rival in rival_names(changes, step))
         yield ChangeEntry(
-            effect=change.name,
-            joint=change.joint,
-            source=change.source,
+            **msgspec.structs.asdict(change.label),
             parameters=_changed(verdict, posterior, step.score.change),
             p_value=step.p_value,
             equivalent=tuple(equivalent),
