@@ -53,8 +53,10 @@ from pincal.thresholds import Count
 
 log = logging.getLogger(__name__)
 
-# Effects that are named again together: each has a table with the products of all candidates.
-_AT_ONCE: Count = 4
+# Effects that are named again together, at most and of a model of how many parameters altogether:
+# each has a table with the products of all candidates.
+_AT_ONCE: Count = 6
+_PARAMETERS: Count = 4000
 
 _Pass = tuple[bool, dict[object, int], ScoreTests]
 # An effect, the fit without it, tests against this, and named candidates.
@@ -288,9 +290,10 @@ def named_given(
     ]
     shared.test([*(effect for some in tried for effect in some), *spare])
     every = list(zip(effects, rests, tests, tried, strict=True))
-    for start in range(0, len(every), _AT_ONCE):
+    at_once = int(np.clip(_PARAMETERS // max(len(fit.values), 1), 1, _AT_ONCE))
+    for start in range(0, len(every), at_once):
         del shared.passes[1:]
-        yield from _explained(every[start : start + _AT_ONCE], spare, shared, search)
+        yield from _explained(every[start : start + at_once], spare, shared, search)
 
 
 def _explained(
