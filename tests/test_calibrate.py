@@ -19,11 +19,13 @@ from pincal import (
 )
 from pincal.errors import MeasurementError
 from pincal.identify import many_rows
-from pincal.identify.calibrate import expected_fit, refit
+from pincal.identify.calibrate import expected_fit, fit_tables, refit
 from pincal.identify.explain import explain
+from pincal.identify.fit import posterior_of
 from pincal.identify.noise import is_exact
 from pincal.identify.normal import accumulate, accumulate_each, reweighted
 from pincal.identify.split import hold_out
+from pincal.identify.station import Station
 from pincal.model.catalogue import TransmissionError
 from pincal.model.effects import BearingElasticity, JointElasticity
 from pincal.simulate import paper_positions
@@ -447,6 +449,26 @@ def test_normal_equations_are_those_of_the_whole_jacobian(curved):
     scale = np.sqrt(np.maximum(np.sum(A**2, axis=1), 1e-300))
     np.testing.assert_allclose(normal.H[0] / np.outer(scale, scale), A @ A.T / np.outer(scale, scale), atol=1e-12)
     np.testing.assert_allclose(normal.g[0] / scale, A @ r / scale, atol=1e-12 * np.linalg.norm(r))
+
+
+def test_what_is_asked_at_the_end_of_a_fit_needs_no_further_linearisation(kuka, noisy, monkeypatch):
+    """The problem remembers the latest normal equations, for the same values, columns and row weights only."""
+    fit = fit_tables(kuka, noisy[0], OPTIONS)
+    again = replace(fit.problem)
+    counted = []
+    plain = Station.linearise_shared
+    monkeypatch.setattr(Station, "linearise_shared", lambda *at: counted.append(1) or plain(*at))
+
+    def covariance(problem, weights):
+        return posterior_of(problem, replace(fit.solution, weights=weights), fit.priors).covariance
+
+    known = covariance(fit.problem, fit.solution.weights)
+    assert not counted
+    np.testing.assert_array_equal(covariance(again, fit.solution.weights), known)
+    assert counted
+    fewer = np.where(np.arange(len(fit.problem)) < 20, 0.0, fit.solution.weights)
+    np.testing.assert_array_equal(covariance(fit.problem, fewer), covariance(again, fewer))
+    assert not np.array_equal(covariance(fit.problem, fewer), known)
 
 
 @pytest.mark.parametrize("changed", [7, 300])

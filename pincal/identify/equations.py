@@ -149,6 +149,8 @@ class Linearised:
     def _normals(self) -> list[Normal]:
         """The normal equations of the stations of each batch."""
         normals = self.normals
+        if not normals:
+            normals |= self.problem.work.remembered.get(self._point, {})
         every = range(len(self._batches))
         robust = [self.robust[batch.rows] for batch in self._batches]
         todo = [
@@ -159,7 +161,14 @@ class Linearised:
             for k, of in ((k, self._batches[k]) for k in todo)
         )
         normals |= zip(todo, self._done(works), strict=True)
+        if todo:
+            self.problem.work.remember(self._point, normals)
         return [normals[k] for k in every]
+
+    @cached_property
+    def _point(self) -> bytes:
+        """What normal equations depend on."""
+        return b"".join(array.tobytes() for array in (self.values, self.free, self.robust))
 
     @cached_property
     def _squares(self) -> list[StationSquares]:

@@ -9,7 +9,7 @@ arguments, so that any executor can map them.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import compress, pairwise
 from typing import Any
@@ -106,11 +106,36 @@ class Batch:
         return _together(self.stations)
 
 
+# Points at which a single station's normal equations are remembered: the end of a fit, and the same
+# with more columns for a test; and their largest size there [bytes], as a search has many problems.
+_REMEMBERED: Count = 2
+_MOST_REMEMBERED: Count = 200_000
+
+
 @dataclass(frozen=True, eq=False)
 class Work:
-    """The stations of a problem, which are sent to a worker once, and do tasks there."""
+    """The stations of a problem, which are sent to a worker once, and do tasks there.
+
+    Attributes:
+        stations: the stations.
+        remembered: the latest normal equations of a single station, by number of its batch, for
+            what they depend on: those at the end of a fit are asked for again and again.
+    """
 
     stations: tuple[Station, ...]
+    remembered: dict[bytes, dict[int, Normal]] = field(default_factory=dict)
+
+    def __reduce__(self) -> tuple[type[Work], tuple[tuple[Station, ...]]]:
+        """Send the stations alone."""
+        return Work, (self.stations,)
+
+    def remember(self, point: bytes, normals: dict[int, Normal]) -> None:
+        """Remember small normal equations of a single station for what they depend on."""
+        size = sum(normal.H.nbytes for normal in normals.values())
+        if len(self.stations) == 1 and size <= _MOST_REMEMBERED:
+            self.remembered[point] = dict(normals)
+            for oldest in list(self.remembered)[:-_REMEMBERED]:
+                del self.remembered[oldest]
 
     def __call__(self, task: Task) -> Any:
         """Do a task."""
