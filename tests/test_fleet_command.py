@@ -151,6 +151,9 @@ def test_tables_models_and_diagnoses_go_into_a_store(
     assert "5 robots, 3 checks: 2 changed" in printed and "joint_3.theta" in printed and "see its diagnosis" in printed
     assert "ignored: checks of r9, which have no calibration" in printed
     page = (folder / "fleet.html").read_text(encoding="utf-8")
+    assert run("fleet", "check", of, store, "--out", folder / "fleet", "--json") == Exit.CHANGED
+    assert json.loads((folder / "fleet" / "fleet.json").read_text()) == json.loads(capsys.readouterr().out)
+    assert (folder / "fleet" / "report.html").read_text(encoding="utf-8") == page
     assert 0 < page.find(">r0<") < page.find(">r1<")
     assert {key.machine for key in open_store(store).keys("models")} == {f"r{k}" for k in range(5)}
 

@@ -62,13 +62,14 @@ def test_roll_and_straightness_of_a_guide_are_found(found: Discovery) -> None:
 
 
 def test_their_parameters_have_the_units_of_what_they_move(arm: Robot) -> None:
-    """Roll in radians, displacement in metres; a revolute joint has neither."""
+    """Roll in radians, displacement in metres, slopes of a kink by themselves; a revolute joint has no guide."""
     conditions = Conditions.at(arm.random_configurations(30, np.random.default_rng(1)))
     chain = Unnamed("rail", "a", "rail"), Unnamed("rail", "gamma_z", "rail")
     every = list(nameless_candidates(Chain.of(arm), conditions, arm.joint_names))
+    kink = Unnamed("pan", "drive", "pan", "kink", place=0.5)
     of_guides = {(e.joint, e.acts_on) for e in every if e.acts_on in ("gamma_z", "a")}
 
-    assert [effect.parameters(Chain.of(arm))[0].unit for effect in chain] == ["m", "rad"]
+    assert [effect.parameters(Chain.of(arm))[0].unit for effect in (*chain, kink)] == ["m", "rad", "1"]
     assert of_guides == {("rail", "gamma_z"), ("rail", "a")}
     assert [effect_words(EffectName.of(effect)) for effect in chain] == [
         "unnamed of rail (curve of rail, displacement a)",

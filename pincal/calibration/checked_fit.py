@@ -16,7 +16,7 @@ from pincal.calibration.stepping import step_notes, with_steps
 from pincal.errors import BadInputError, warn
 from pincal.identify.calibrate import Tables, fit_tables, tables_of
 from pincal.identify.options import Options
-from pincal.measure.admit import admit, check_table
+from pincal.measure.admit import admit, check_table, refuse_name
 from pincal.measure.log_reader import LogReader, reader_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, stations_of
@@ -117,6 +117,7 @@ def _tables(robot: Robot, measurements: Tables | Files) -> Tables:
     """Return the tables of this robot, reading files; several files are stations named
     after them.
     """
+    refuse_name(robot)
     several = (
         [measurements]
         if isinstance(measurements, Measurements | str | os.PathLike)

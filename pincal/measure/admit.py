@@ -6,15 +6,17 @@ values, such as degrees, millimetres or swapped joints, are errors; unlikely one
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.errors import MeasurementError, PincalWarning, few, nearest_first, warn
+from pincal.errors import BadInputError, MeasurementError, PincalWarning, few, nearest_first, warn
 from pincal.measure.column_numbers import JOINT_COLUMNS
 from pincal.measure.joint_columns import JointColumns
 from pincal.measure.measurements import Measurements, sensor_like, sensor_of
@@ -56,7 +58,9 @@ def admit(
 
     Raises:
         MeasurementError: if a table can't be of this robot, or its rows are too few.
+        BadInputError: if a name or file stands for the robot.
     """
+    refuse_name(robot)
     tables = {name: table.in_order_of(robot) for name, table in tables.items()}
     setups = {name: setup_of(name) for name in tables}
     idle: list[str] = []
@@ -80,6 +84,21 @@ def admit(
             check_table(robot, table)
             found[name] = table
     return Admitted(found, tuple(notes), tuple(dict.fromkeys(idle)))
+
+
+def refuse_name(robot: Any) -> None:
+    """Refuse a name or a file in place of a robot.
+
+    Raises:
+        BadInputError: for these.
+
+    Example:
+        >>> refuse_name("ur10")
+        Traceback (most recent call last):
+        pincal.errors.BadInputError: robot is 'ur10'; expected pincal.Robot.from_urdf('ur10')
+    """
+    if isinstance(robot, str | os.PathLike):
+        raise BadInputError(f"robot is {robot!r}; expected pincal.Robot.from_urdf({robot!r})")
 
 
 def admit_test(robot: Robot, table: Measurements, setup: Setup) -> Measurements:

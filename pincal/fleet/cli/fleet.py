@@ -4,6 +4,7 @@ of machines.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
@@ -209,6 +210,7 @@ class FleetCheckArguments:
 
     type: Path = argument("TYPE.json", "The type, as written by fleet learn.")
     store: str = store_argument()
+    out: Path | None = option("Folder for fleet.json and the page report.html.", metavar="DIR")
     report: Path | None = option(
         "Also write a page: what to look at first.", metavar="PAGE.html", type=Output(".html")
     )
@@ -225,7 +227,6 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
     long they are monitored. A change that machines with the same label share is reported as a drift
     of that group.
     """
-    from pincal.atomic import write_atomic
     from pincal.fleet import summary
     from pincal.fleet.checks import fleet_changes
     from pincal.fleet.jobs import visits_of, without_information
@@ -236,12 +237,7 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
     store = open_store(arguments.store)
     known, strangers = _since_calibration(visits_of(store))
     found = fleet_changes(of, known, alpha=arguments.alpha, every=arguments.every)
-    if arguments.report is not None:
-        from pincal.fleet.fleet_pages import fleet_page
-
-        version = provenance([])["pincal"]
-        page = fleet_page(of, found, alpha=arguments.alpha, version=version)
-        write_atomic(arguments.report, page)
+    written = _written(arguments, of, found)
     if arguments.general.as_json:
         print_json(summary.plain_history(found))
     else:
@@ -252,9 +248,30 @@ def fleet_check(arguments: FleetCheckArguments) -> Exit:
             calibrate = f"calibrate ROBOT.urdf {arguments.store} --type {arguments.type}"
             tables = counted(left, "table")
             click.echo(f"note: {tables} of the store not calibrated yet: pincal fleet {calibrate}")
-        if arguments.report is not None:
-            click.echo(f"written to {arguments.report}")
+        if written:
+            click.echo(f"written to {', '.join(map(str, written))}")
     return Exit.CHANGED if found.open or found.drifted else Exit.DONE
+
+
+def _written(arguments: FleetCheckArguments, of: RobotType, found: FleetHistory) -> list[Path]:
+    """Write what was found where it is wanted, and return where."""
+    from pincal.atomic import write_atomic
+    from pincal.fleet import summary
+    from pincal.fleet.fleet_pages import fleet_page
+    from pincal.io.result_folder import output_folder
+
+    written = [path for path in (arguments.out, arguments.report) if path is not None]
+    if not written:
+        return []
+    page = fleet_page(of, found, alpha=arguments.alpha, version=provenance([])["pincal"])
+    if arguments.report is not None:
+        write_atomic(arguments.report, page)
+    if arguments.out is not None:
+        history = json.dumps(summary.plain_history(found), indent=2, allow_nan=False)
+        with output_folder(arguments.out) as draft:
+            (draft / "fleet.json").write_text(f"{history}\n", encoding="utf-8")
+            (draft / "report.html").write_text(page, encoding="utf-8")
+    return written
 
 
 def _since_calibration(visits: Iterable[Visit]) -> tuple[list[Visit], list[str]]:

@@ -214,11 +214,13 @@ class Unnamed(Smoothable):
         return replace(self, height=height)
 
     def parameters(self, chain: Chain) -> tuple[Parameter, ...]:
-        """Coefficients of the basis functions [rad; m along a prismatic joint]."""
+        """Coefficients of the basis functions [rad; m along a prismatic one; slopes of a kink]."""
         orders = "x".join(f"{k:g}" for k in (self.own_order, self.order) if k is not None)
         shape = "" if self.shape == "curve" else f"_{self.shape}{orders}".replace(".", "_")
         stem = f"{self.joint}.{self.acts_on}_of_{self.depends_on}{shape}"
         unit = {"drive": drive_unit(chain, self.joint), "a": "m"}.get(self.acts_on, "rad")
+        if self.shape == "kink" and self.depends_on == self.joint:
+            unit = "1"
         return tuple(
             Parameter(f"{stem}_{i + 1}", unit, self.name, 0.0, size)
             for i, size in enumerate(self._sizes)
