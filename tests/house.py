@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from trees import parsed
+from trees import nodes, parsed
 
 LAYOUT = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER}
 KINDS = ("code", "imports", "docstrings", "comments", "blank")
@@ -76,7 +76,7 @@ class File:
     @cached_property
     def functions(self) -> list[Function]:
         """All functions and methods."""
-        return [node for node in ast.walk(self.tree) if isinstance(node, Function)]
+        return [node for node in nodes(self.text) if isinstance(node, Function)]
 
     @cached_property
     def public_names(self) -> set[str]:
@@ -189,9 +189,7 @@ class House:
     @cached_property
     def parallel(self) -> list[str]:
         """Assignments of several expressions at once."""
-        return [
-            f"{file.name}:{ast.unparse(node)}" for file in self.files for node in ast.walk(file.tree) if is_parallel(node)
-        ]
+        return [f"{file.name}:{ast.unparse(node)}" for file in self.files for node in nodes(file.text) if is_parallel(node)]
 
     @cached_property
     def twice_defined(self) -> dict[str, list[str]]:

@@ -51,6 +51,7 @@ def without_arrivals(fit: ModelFit) -> ModelFit:
     return refit(plain, fit.options.effects)
 
 
+@pytest.mark.long
 def test_exact_drives_share_no_noise() -> None:
     """Where drives arrive exactly, rows of a stop are independent, and weights stay as they are."""
     for seed in range(6):

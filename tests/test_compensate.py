@@ -339,7 +339,8 @@ def test_positions_alone_keep_the_orientation_that_the_program_meant(robot: Robo
     assert np.all(np.linalg.norm(free.q - seeds.q, axis=1) < np.linalg.norm(kept.q - seeds.q, axis=1))
 
 
-@pytest.mark.parametrize("arm", [pytest.param("ur10", marks=pytest.mark.long), "panda"])
+@pytest.mark.long
+@pytest.mark.parametrize("arm", ["ur10", "panda"])
 def test_poses_far_from_the_seed_are_found_within_the_limits(arm: str, rng: np.random.Generator) -> None:
     """From the middle of the range nearly all poses that the arm can take are reached, and no joint passes its limit."""
     robot = ARMS[arm]()

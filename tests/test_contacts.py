@@ -108,6 +108,7 @@ def off_by(model: FittedRobot, table: Measurements) -> float:
     return float(np.sqrt(np.mean(np.sum(residuals**2, axis=0))))
 
 
+@pytest.mark.long
 def test_priors_are_as_wide_as_the_readings_allow(
     fit: FittedRobot, baxter: Robot, touching: Measurements, machine: sim.TrueMachine
 ) -> None:

@@ -383,7 +383,7 @@ def test_constraints_that_can_not_be_are_refused(make, words):
 # What the poses will tell.
 
 
-@pytest.mark.parametrize("sensor", ["position", "pose", "distance"])
+@pytest.mark.parametrize("sensor", ["position", pytest.param("pose", marks=pytest.mark.long), "distance"])
 def test_foresight_is_the_derivative_of_the_readings(kuka, rng, sensor):
     """Central differences of the readings, in units of noise and priors, whatever the sensor is."""
     conditions = Conditions.at(kuka.random_configurations(5, rng), payload=50.0)

@@ -261,6 +261,7 @@ def test_on_few_rows_what_has_no_name_is_found() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_what_can_not_be_seen_is_never_named() -> None:
     """Free lengths absorb the scale of an instrument: on no arm is a name given."""
     verdicts, _ = verdicts_of(["measurement_scale"], range(8400, 8410))

@@ -159,6 +159,7 @@ def test_predictions_without_a_fold_are_as_uncertain_as_those_of_a_fit_without_i
     np.testing.assert_allclose(np.einsum("naa->na", fitted_variances(fit, [0])[0]), by_all, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_what_noise_hides_is_the_mean_of_its_posterior(rng: np.random.Generator) -> None:
     """The size of what is lacking is found where it shows, and is of the order of its own uncertainty where it does not.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from functools import cache
 
-from test_layers import MODULES, tree_of
+from test_layers import MODULES, nodes_of
 
 from pincal.io.entries import EFFECTS
 
@@ -45,7 +45,7 @@ ALLOWED_TEXTS = {
 def said(module: str) -> tuple[set[str], set[str]]:
     """Return all names that a module has, and all its texts."""
     names, found = set(), set()
-    for node in ast.walk(tree_of(module)):
+    for node in nodes_of(module):
         if isinstance(node, ast.Name):
             names.add(node.id)
         elif isinstance(node, ast.Attribute):

@@ -390,7 +390,7 @@ def test_what_is_out_of_reach_leaves_the_joints_alone(kuka: Robot, tmp_path: Pat
     assert set(compiled.compensate(beyond, edge)[1]) == {1}
 
 
-@pytest.mark.parametrize("nominal", [False, True])
+@pytest.mark.parametrize("nominal", [pytest.param(False, marks=pytest.mark.long), True])
 def test_reached_is_what_the_model_confirms(kuka: Robot, nominal: bool, tmp_path: Path, rng: np.random.Generator) -> None:
     """Of 2000 orientations half a turn off, nearly so or by any turn, C and NumPy claim what the model confirms."""
     bare = calibrated_of(Model(Chain.of(kuka), ()), np.zeros(0))

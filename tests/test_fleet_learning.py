@@ -219,6 +219,7 @@ def test_a_machine_that_was_hit_hard_is_named_among_few(count: int) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_machines_without_correlations_hardly_show_any() -> None:
     """Of twenty families without any, twenty machines each show some in at most four, by chance."""
     count = 0
@@ -359,7 +360,7 @@ def test_p_values_of_machines_of_the_type_are_uniform_or_larger() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("count", (1, 3, 10))
+@pytest.mark.parametrize("count", [3, *(pytest.param(count, marks=pytest.mark.rates) for count in (1, 10))])
 def test_few_machines_give_a_prior_that_covers(count: int) -> None:
     """Over families: intervals of 95 % hold 92 to 99 % of further machines, along what is seen."""
     rng, inside = np.random.default_rng(13), []

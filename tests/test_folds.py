@@ -77,6 +77,7 @@ def test_folds_are_the_same_one_by_one(robot: Robot, monkeypatch: pytest.MonkeyP
             np.testing.assert_allclose(again, station, rtol=0.0, atol=1e-6 * NOISE)
 
 
+@pytest.mark.long
 def test_folds_of_parallel_axes_are_fitted_to_their_end(tmp_path: Path) -> None:
     """Base and tool of a planar arm move along its axes together; the errors are those of fits of the other rows."""
     planar = Robot.from_urdf("double_pendulum_continuous")
@@ -220,6 +221,7 @@ def test_a_session_of_most_poses_is_not_predicted_by_the_rest(robot: Robot) -> N
     assert list(Folds.of(fit.problem, ("regions", "sessions")).of_way) == ["regions"]
 
 
+@pytest.mark.long
 def test_an_error_that_persists_along_the_rows_costs_no_fold_its_instrument(robot: Robot) -> None:
     """Of a random walk only the first row tells where the instrument stands; without it predictions are as good."""
     rows = measured(120)

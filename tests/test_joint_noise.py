@@ -149,6 +149,7 @@ def test_a_discovery_weighs_its_last_fit_and_says_so(scatter: float, kuka: Robot
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_rows_weighed_by_the_joints_make_a_truer_model(kuka: Robot) -> None:
     """Over twenty machines, at other poses without noise; and the model knows how true it is."""
     ratios, told = [], []

@@ -10,7 +10,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
-from trees import parsed
+from trees import nodes
 
 import pincal
 
@@ -97,16 +97,16 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
-def tree_of(module: str) -> ast.Module:
-    """Return what a module says."""
-    return parsed(MODULES[module].read_text(encoding="utf-8"))
+def nodes_of(module: str) -> tuple[ast.AST, ...]:
+    """Return all nodes of what a module says."""
+    return nodes(MODULES[module].read_text(encoding="utf-8"))
 
 
 @cache
 def imports(module: str) -> set[str]:
     """Return the modules of pincal that a module imports, within functions and for type checkers, too."""
     found: set[str] = set()
-    for node in ast.walk(tree_of(module)):
+    for node in nodes_of(module):
         if isinstance(node, ast.Import):
             found.update(name for alias in node.names for name in _prefixes(alias.name))
         elif isinstance(node, ast.ImportFrom):

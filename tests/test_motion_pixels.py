@@ -197,6 +197,7 @@ def test_errors_of_the_path_are_not_laid_on_the_camera(tmp_path: Path, monkeypat
         assert tuple(doubt[: len("the images contradict")] for doubt in doubts_of_known(fit)) == said
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
 def test_a_camera_in_the_cell_is_read_in_motion(tmp_path: Path) -> None:
     """So it is for two targets on the tool before a fixed camera."""

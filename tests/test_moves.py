@@ -114,6 +114,7 @@ def rippled(seed: int, *, change: float = 0.0, ripple: float = 3e-4, split: bool
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_what_no_model_knows_moves_nothing(robot: Robot) -> None:
     """Ripples of all drives, seen from one side one day and from the other the next: at most 2 of 10 (5 before)."""
     alarms = [seed for seed in range(10) if any(moves_of(fit_tables(robot, rippled(seed), Options(effects=ELASTIC))))]

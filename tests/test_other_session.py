@@ -129,13 +129,15 @@ def test_a_function_of_two_joints_that_is_another_is_told_by_its_size(
 
 
 @pytest.mark.long
-def test_drives_that_are_as_they_were_are_not_named(first: FittedRobot) -> None:
-    """Ten later sessions of the same robot."""
-    robot = first.model.chain.robot
-    alarms = [pincal.diagnose(first, session(robot, 40, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=s)).changed for s in range(2, 12)]
-    assert sum(alarms) <= 1
+@pytest.mark.parametrize("sessions", [4, pytest.param(10, marks=pytest.mark.rates)])
+def test_drives_that_are_as_they_were_are_not_named(first: FittedRobot, sessions: int) -> None:
+    """In later sessions of the same robot, in all but one of ten."""
+    robot, seeds = first.model.chain.robot, range(2, 2 + sessions)
+    alarms = [pincal.diagnose(first, session(robot, 40, {DRIVES[0]: 1, DRIVES[1]: 2}, seed=s)).changed for s in seeds]
+    assert sum(alarms) <= sessions // 10
 
 
+@pytest.mark.long
 def test_a_curve_that_was_not_seen_everywhere_is_said_to_be_so() -> None:
     """Half of the new poses stand where the calibration had none: the table says so, and that is no change."""
     robot = Robot.from_urdf("ur10")

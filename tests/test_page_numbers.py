@@ -45,9 +45,14 @@ def runs(kuka: Robot) -> dict[str, Calibration]:
     }
 
 
-def checked(subject: Subject, files: dict[str, Any]) -> PageNumbers:
-    """Return the numbers of a page, all of which are entries of its files."""
-    page = PageNumbers(report_page(subject))
+@pytest.fixture(scope="module")
+def texts(runs: dict[str, Calibration]) -> dict[str, str]:
+    """Return the pages of these calibrations."""
+    return {name: report_page(Subject(run, ORIGIN)) for name, run in runs.items()}
+
+
+def checked(page: PageNumbers, subject: Subject, files: dict[str, Any]) -> PageNumbers:
+    """Return the numbers of the page of a subject, all of which are entries of its files."""
     files = json.loads(json.dumps(files))
     said = json.dumps(files, ensure_ascii=False) + str(judged(subject.result, subject.search).reason) + CONSTANTS
     assert [*disagreements(page, files)] == []
@@ -56,10 +61,12 @@ def checked(subject: Subject, files: dict[str, Any]) -> PageNumbers:
 
 
 @pytest.mark.parametrize("name", ["folds", "held out", "fitted", "elastic", "poses", "stations"])
-def test_every_number_of_a_calibration_is_in_its_result(runs: dict[str, Calibration], name: str) -> None:
+def test_every_number_of_a_calibration_is_in_its_result(
+    runs: dict[str, Calibration], texts: dict[str, str], name: str
+) -> None:
     """To the digits that are shown, in the unit that is shown; at least as many as there are parameters."""
     run = runs[name]
-    page = checked(Subject(run, ORIGIN), {"result.json": run.result.to_dict()})
+    page = checked(PageNumbers(texts[name]), Subject(run, ORIGIN), {"result.json": run.result.to_dict()})
 
     assert len(page.shown) > len(run.result.parameters)
 
@@ -69,15 +76,15 @@ def test_every_number_of_a_search_is_in_its_result() -> None:
     """Those of the calibration in result.json, those of what was found in discovery.json."""
     found = discovered()
     files = {"result.json": found.calibration.result.to_dict(), "discovery.json": found.report}
-    page = checked(Subject(found.calibration, ORIGIN, search=SearchAnswer(found)), files)
+    subject = Subject(found.calibration, ORIGIN, search=SearchAnswer(found))
+    page = checked(PageNumbers(report_page(subject)), subject, files)
 
     assert any(pointer.startswith("discovery.json#/effects/0/") for of in page.shown for pointer in of.pointers)
 
 
-def test_a_wrong_number_is_noticed(runs: dict[str, Calibration]) -> None:
+def test_a_wrong_number_is_noticed(runs: dict[str, Calibration], texts: dict[str, str]) -> None:
     """One more in the last digit that is shown."""
-    run = runs["folds"]
-    text = report_page(Subject(run, ORIGIN))
+    run, text = runs["folds"], texts["folds"]
     mean = f"{run.result.error['calibrated']['test']['mean_mm']:.4f}"
     wrong = f"{float(mean) + 1e-4:.4f}"
     page = PageNumbers(text.replace(f">{mean} mm<", f">{wrong} mm<", 1))
@@ -115,10 +122,10 @@ def test_the_first_sentence_is_of_the_rows_that_are_drawn(runs: dict[str, Calibr
         ("held out", "errors in [0-9]+ rows that the calibration has not used"),
     ],
 )
-def test_the_way_of_holding_out_is_named(runs: dict[str, Calibration], name: str, words: str) -> None:
+def test_the_way_of_holding_out_is_named(runs: dict[str, Calibration], texts: dict[str, str], name: str, words: str) -> None:
     """By the way that result.json has."""
     run = runs[name]
-    page = " ".join(re.sub("<[^>]*>", "", report_page(Subject(run, ORIGIN)).partition("</style>")[2]).split())
+    page = " ".join(re.sub("<[^>]*>", "", texts[name].partition("</style>")[2]).split())
 
     assert re.search(words, page)
     if name == "folds":

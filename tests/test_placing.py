@@ -102,6 +102,7 @@ def test_a_station_of_several_can_be_placed(machine: sim.TrueMachine, kuka: Robo
 
 
 @pytest.mark.long
+@pytest.mark.rates
 def test_the_misfit_follows_chi_square(machine: sim.TrueMachine, kuka: Robot) -> None:
     """Over calibrations from few rows, with a large uncertainty of their own, p values are uniform and the ratio is 1."""
     fits = [

@@ -247,6 +247,7 @@ def test_frames_of_any_arm_are_exact(joints: list[Joint]) -> None:
     assert_same_kinematics(robot, q, by_yourdfpy=False)
 
 
+@pytest.mark.long
 @given(arms())
 @settings(max_examples=25, deadline=None, derandomize=True)
 def test_yourdfpy_agrees_on_any_arm(joints: list[Joint]) -> None:

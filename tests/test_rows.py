@@ -412,8 +412,9 @@ def test_outliers_gather_or_do_not(kuka: Robot) -> None:
 
 
 @pytest.mark.long
-def test_a_bump_of_a_drive_is_told_by_its_joint_and_place(kuka: Robot) -> None:
-    """.15 mrad on ten neighbouring rows of 300; of 50 draws without, half of them with gross errors, none has one."""
+@pytest.mark.parametrize("draws", [6, pytest.param(50, marks=pytest.mark.rates)])
+def test_a_bump_of_a_drive_is_told_by_its_joint_and_place(kuka: Robot, draws: int) -> None:
+    """.15 mrad on ten neighbouring rows of 300; of draws without, half of them with gross errors, none has one."""
     rng = np.random.default_rng(3)
 
     def fitted(positions: np.ndarray, q: np.ndarray) -> ModelFit:
@@ -421,7 +422,7 @@ def test_a_bump_of_a_drive_is_told_by_its_joint_and_place(kuka: Robot) -> None:
             kuka, measurements_from_arrays(kuka.joint_names, q, position=positions), Options(effects=GEOMETRIC)
         ).fit
 
-    for draw in range(50):
+    for draw in range(draws):
         q = kuka.random_configurations(300, rng)
         noise = NOISE * rng.standard_normal((300, 3))
         noise[rng.choice(300, 15 * (draw % 2), replace=False)] += 2e-3

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import SHARED
-from pairs import one_in_three
 from visited import NOISE, ROBOT, Visited, drawn
 
 from pincal import GEOMETRIC, Options, Robot, calibrate, read_measurements, run_calibration
@@ -54,7 +53,7 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("case", one_in_three(list(CHANGES)))
+@pytest.mark.parametrize("case", [pytest.param(case, marks=pytest.mark.long if k else ()) for k, case in enumerate(CHANGES)])
 def test_a_change_between_passes_is_found_with_its_line(case: str) -> None:
     """By the row at which it happened, to within three, and by its cause, though means of poses show nothing."""
     plan, cut, cause = CHANGES[case]
@@ -141,6 +140,7 @@ def test_wrong_readings_make_no_change_between_visits() -> None:
     assert seen(table) == []
 
 
+@pytest.mark.long
 def test_visits_that_scatter_more_than_drives_do_are_a_doubt() -> None:
     """Drives that stop to .3 mrad are no drives; to 60 urad they are, and the note says that the robot repeats so."""
     poor, _ = Visited(cycles=3, arrival=3e-4).table(7)

@@ -154,6 +154,7 @@ def test_what_is_stated_is_taken(table: Measurements, kuka: Robot, tmp_path: Pat
         assert "expected" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_coupled_joint_may_report_more_than_its_limits(table: Measurements, kuka: Robot) -> None:
     """It is not taken for degrees or for a swapped column, if all rows are within the limits together with its neighbour."""
     narrow = replace(kuka, lower=table.q.min(axis=0) - 0.01, upper=table.q.max(axis=0) + 0.01)

@@ -18,3 +18,9 @@ def parsed(text: str) -> ast.Module:
     finally:
         if was_enabled:
             gc.enable()
+
+
+@cache
+def nodes(text: str) -> tuple[ast.AST, ...]:
+    """Return all nodes of what a source says, walked once for all rules."""
+    return tuple(ast.walk(parsed(text)))
