@@ -11,6 +11,7 @@ import pytest
 from pincal import Calibration, Options, Robot, read_measurements, run_calibration
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
+from pincal.calibration.held_out import headline_of
 from pincal.cli import main
 from pincal.identify.calibrate import fit_tables
 from pincal.identify.fit import ModelFit
@@ -233,3 +234,11 @@ def test_an_error_that_persists_along_the_rows_costs_no_fold_its_instrument(robo
     assert found.fit.problem.stations[0].serial is not None
     assert errors["stretches"]["mean_mm"] < 1.3 * errors["train"]["mean_mm"]
     assert errors["stretches"]["max_mm"] < 2.0 * errors["train"]["max_mm"]
+
+
+def test_rounding_decides_no_headline() -> None:
+    """Regions and stretches that leave out the same rows differ by rounding; then it is that of the regions."""
+    for worse in (0.3, 0.3 * (1.0 + 1e-14)):
+        assert headline_of({"regions": {"mean": 0.3}, "stretches": {"mean": worse}}) == "regions"
+    assert headline_of({"regions": {"mean": 0.3}, "stretches": {"mean": 0.31}}) == "stretches"
+    assert headline_of({"test": {"mean": 0.1}, "regions": {"mean": 0.3}}) == "test"

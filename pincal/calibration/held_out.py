@@ -35,6 +35,7 @@ from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
 from pincal.sensors.setup import Setup
 from pincal.spread import spread
+from pincal.thresholds import Scale
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
 SplitBy = Literal["both", "random", "blocked", "station"]
@@ -48,6 +49,9 @@ WAYS: Mapping[SplitBy, tuple[Way, ...]] = {
     "station": (),
 }
 """The ways in which rows are divided into folds."""
+
+# Relative difference of two errors that is rounding.
+_ROUNDING: Scale = 1e-6
 
 
 @dataclass(frozen=True)
@@ -348,10 +352,14 @@ def _by_independent_rows(fit: ModelFit) -> ModelFit:
 
 def headline_of(errors: Mapping[str, Mapping[str, float]]) -> str:
     """Return which of the errors of :func:`errors_held_out` is the headline: those of all rows that
-    were held out for good, "test", or the way of the folds in which predictions are worse.
+    were held out for good, "test", or the way of the folds in which predictions are worse, of equal
+    ones the first.
     """
     ways = [] if "test" in errors else [name for name in errors if name in get_args(Way)]
-    return max(ways, key=lambda way: next(iter(errors[way].values())), default="test")
+    first = {way: next(iter(errors[way].values())) for way in ways}
+    # Ways that leave out the same rows differ by rounding, which decides nothing.
+    least = (1.0 - _ROUNDING) * max(first.values(), default=0.0)
+    return next((way for way, error in first.items() if error >= least), "test")
 
 
 @dataclass(frozen=True)
