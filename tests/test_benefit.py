@@ -95,7 +95,12 @@ def ratios(machines: int, poses: int, size: float, *, declared: bool) -> list[fl
 
 @pytest.mark.parametrize(
     ("declared", "machines"),
-    [(True, 4), *(pytest.param(*case, marks=pytest.mark.long) for case in ((True, 10), (False, 5)))],
+    [
+        (True, 4),
+        pytest.param(True, 10, marks=pytest.mark.long),
+        pytest.param(False, 2, marks=pytest.mark.long),
+        pytest.param(False, 5, marks=[pytest.mark.long, pytest.mark.rates]),
+    ],
 )
 def test_a_delivered_robot_is_not_worse_than_its_urdf(declared, machines):
     """From a few marker poses the delivered geometry is no more than 2 % worse in the mean; a plain fit is far worse."""
@@ -117,7 +122,12 @@ def test_fifty_delivered_robots_are_not_worse_than_their_urdf(poses, size, decla
 
 
 @pytest.mark.parametrize(
-    ("size", "machines"), [(1e-4, 3), *(pytest.param(size, 10, marks=pytest.mark.long) for size in (1e-4, 1e-3))]
+    ("size", "machines"),
+    [
+        (1e-4, 3),
+        pytest.param(1e-3, 3, marks=pytest.mark.long),
+        *(pytest.param(size, 10, marks=[pytest.mark.long, pytest.mark.rates]) for size in (1e-4, 1e-3)),
+    ],
 )
 def test_good_readings_always_calibrate(size, machines):
     """From 30 readings of a tracker every robot is calibrated, also one that is off by a tenth of a millimetre only."""

@@ -9,13 +9,15 @@ from functools import cache
 def parsed(text: str) -> ast.Module:
     """Return what a source says, parsed once for all rules.
 
-    Its nodes are many, and all of them stay: to look for some to be freed meanwhile took two thirds of the time.
+    Its nodes are many, and all of them stay: to look for some to be freed meanwhile took two thirds of the time, and to
+    look through them later would take that of tests which measure it.
     """
     was_enabled = gc.isenabled()
     gc.disable()
     try:
         return ast.parse(text)
     finally:
+        gc.freeze()
         if was_enabled:
             gc.enable()
 
