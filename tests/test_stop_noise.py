@@ -228,7 +228,7 @@ def test_what_is_announced_exceeds_its_uncertainty(single: tuple[MeasuredRobot, 
     verdict = changes_since(model, placed, 0.01)
     lineup = verdict.lineup
     (true,) = verdict.steps
-    other = next(k for k, c in enumerate(lineup.changes) if c.heading == ("joint_offset", "axis_5", None))
+    other = next(k for k, c in enumerate(lineup.changes) if (c.name, c.joint) == ("joint_offset", "axis_5"))
     spurious = NamedChange(replace(true.score, change=other), 1e-20, ())
     both = replace(verdict, steps=(spurious, true), values=lineup.release([other, true.score.change], verdict.values))
 
