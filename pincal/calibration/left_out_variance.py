@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, eigh, solve_triangular
 
 from pincal.calibration.wandering import covariance_at_mean
 from pincal.identify.fit import ModelFit
@@ -20,6 +20,8 @@ from pincal.thresholds import Count, Scale
 # Largest part of what is known of a direction that a single fold may have given: where it gave all,
 # priors remain, to the accuracy of a difference.
 _MOST: Scale = 0.99
+# Standard deviation below which a parameter is known exactly [any unit].
+_SMALLEST: Scale = 1e-300
 # Rows whose motions by all parameters are held at once.
 _AT_ONCE: Count = 512
 
@@ -91,10 +93,10 @@ def _without(moved: np.ndarray, known: np.ndarray) -> np.ndarray:
     try:
         # A factor exists where no direction is known by the fold to more than this part.
         cholesky(_MOST * own - known, lower=True, overwrite_a=True, check_finite=False)
-        L = cholesky(own - known, lower=True, overwrite_a=True, check_finite=False)
     except LinAlgError:
-        w, V = np.linalg.eigh(known)
-        return np.asarray(moved @ (V / np.sqrt(1.0 - np.clip(w, 0.0, _MOST))))
+        w, V = eigh(known, subset_by_value=(_MOST, np.inf), check_finite=False)
+        known = known - (V * (w - _MOST)) @ V.T
+    L = cholesky(own - known, lower=True, overwrite_a=True, check_finite=False)
     return np.asarray(solve_triangular(L, moved.T, lower=True, check_finite=False).T)
 
 
@@ -109,21 +111,30 @@ def _known_by(fit: ModelFit, some: np.ndarray, root: np.ndarray) -> np.ndarray:
     """Return the information of some rows, a mask of those of all stations, on the columns of a
     root of the covariance of the free parameters, shape (r, r).
     """
+    # In units of their uncertainty parameters are alike, so that products keep their digits.
+    sizes = np.linalg.norm(root, axis=1)
+    scaled = root / np.maximum(sizes, _SMALLEST)[:, None]
+    information = sizes[:, None] * _information(fit, some) * sizes
+    return np.asarray(scaled.T @ information @ scaled)
+
+
+def _information(fit: ModelFit, some: np.ndarray) -> np.ndarray:
+    """Return the information of some rows on the free parameters, shape (F, F)."""
     problem = fit.problem
     free = fit.solution.free
     number = np.cumsum(free) - 1
-    found = np.zeros((root.shape[1], root.shape[1]))
+    found = np.zeros((int(free.sum()), int(free.sum())))
     parts = zip(problem.stations, problem.places, problem.rows, problem.block_spans, strict=True)
     for station, places, rows, blocks in parts:
         own = free[places]
-        steps = root[number[places[own]]]
+        G = np.zeros((int(own.sum()), int(own.sum())))
         sigma = np.repeat(fit.solution.sigma[blocks], station.block_sizes)
         scale = fit.solution.weights[rows] * station.weights / sigma[:, None]
         plain = replace(station, whitening=None, serial=None, arrival=None)
         for mine in _at_once(np.flatnonzero(some[rows])):
             few = plain.select(mine)
-            for piece, _, J in few.linearise_correlated(fit.solution.values[places], own):
-                Y = J.along(steps) * scale[:, mine[piece]]
-                Y = Y.reshape(len(Y), -1)
-                found += Y @ Y.T
+            for piece, residuals, J in few.linearise_correlated(fit.solution.values[places], own):
+                J.weighted(scale[:, mine[piece]]).add_gram(residuals, G, np.zeros(len(G)))
+        at = number[places[own]]
+        found[np.ix_(at, at)] += G
     return found

@@ -154,8 +154,9 @@ class LeftOutRows:
         model = with_moving_drives(station.model)
         of_model, _ = station.split(self.rows.values)
         values = np.concatenate([of_model, np.zeros(model.n_parameters - len(of_model))])
-        _, J = model.linearise(values, station.conditions, rows=6)
-        return np.moveaxis(J[:, 3:, len(of_model) :], 2, 0)
+        is_drive = np.arange(len(values)) >= len(of_model)
+        _, J = model.linearise(values, station.conditions, free=is_drive, rows=6)
+        return np.moveaxis(J[:, 3:], 2, 0)
 
 
 def _known_noise(fit: ModelFit, k: int, block: int = 0) -> np.ndarray:
