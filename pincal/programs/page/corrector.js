@@ -253,7 +253,8 @@ function draw() {
   const rows = result ? result.rows : [], row = rows[here];
   const q = row ? row.q : options.start, state = { ...options, approach: JOINTS.map(() => 0), ...(row?.state ?? {}), q };
   const pose = row ? calibrated(state)[0] : nominal(state)[0], { points, axes } = armAt(q, [pose[3], pose[7], pose[11]]);
-  const thick = Math.max(6, 0.085 * reach * size);
+  // Of what is seen, too, as the reach of an arm on a track contains its travel.
+  const girth = Math.min(0.085 * reach, 0.17 * radius), thick = Math.max(6, girth * size);
   for (let i = 0; i + 1 < points.length; ++i) {
     const taper = i + 2 >= points.length ? 0.25 : Math.max(0.4, 1 - 0.5 * i / axes.length);
     const ends = [seen(points[i]), seen(points[i + 1])];
@@ -261,7 +262,7 @@ function draw() {
     stroke(ends.map(([x, y]) => [x - 0.15 * thick * taper, y - 0.1 * thick * taper]), 0.3 * thick * taper, "rgb(255 255 255 / .22)");
   }
   axes.forEach((axis, i) => {
-    const half = 0.045 * reach * Math.max(0.45, 1 - 0.5 * i / axes.length), p = points[i + 1];
+    const half = 0.53 * girth * Math.max(0.45, 1 - 0.5 * i / axes.length), p = points[i + 1];
     stroke([-1, 1].map((side) => seen(p.map((x, k) => x + side * half * axis[k]))), thick * Math.max(0.5, 1 - 0.45 * i / axes.length), colour("joint"));
   });
   label(ctx, axes.map((_, i) => seen(points[i + 1])).map(([x, y]) => [x + 0.75 * thick + 6, y]), colour("text"));
