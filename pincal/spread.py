@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib import import_module
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
@@ -44,6 +44,8 @@ _BROKEN = (BrokenExecutor, CancelledError)
 _GIVEN_UP = ("KilledWorker",)
 # Interval at which a wait for workers can be interrupted [s].
 _GLANCE: Scale = 0.3
+# Time in which an executor that was given up ends, unless it never does [s].
+_MOMENT: Scale = 0.5
 
 log = logging.getLogger(__name__)
 
@@ -151,9 +153,20 @@ def own_processes() -> Iterator[Executor]:
         # Their results are not needed, and an interrupted import may fail in any way.
         for process in active_children():
             process.terminate()
+        _give_up(executor)
         raise
-    finally:
-        executor.shutdown(cancel_futures=True)
+    executor.shutdown(cancel_futures=True)
+
+
+def _give_up(executor: Executor) -> None:
+    """Shut an executor down whose results are not needed, and wait a moment for its end.
+
+    An interruption may have left the lock of a task held, for which its thread then waits forever.
+    """
+    end = partial(executor.shutdown, cancel_futures=True)
+    ending = threading.Thread(target=end, name="give up", daemon=True)
+    ending.start()
+    ending.join(_MOMENT)
 
 
 def _end_after(sentinel: int) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from pincal.errors import BadInputError, WorkersLostError
-from pincal.spread import spread
+from pincal.spread import own_processes, spread
 
 TASK = 0.1  # how long a nap is [s]
 
@@ -157,3 +157,17 @@ def test_a_wait_for_workers_ends_with_an_interruption(tmp_path: Path) -> None:
     running.send_signal(signal.SIGINT)
     assert "KeyboardInterrupt" in running.communicate(timeout=50)[1]
     assert time.monotonic() - began < 5.0
+
+
+def test_a_lock_that_an_interruption_left_held_does_not_keep_the_process() -> None:
+    """The thread of the pool waits for it, as after an interruption between taking a lock and using it."""
+    with pytest.raises(KeyboardInterrupt), own_processes() as executor:
+        tasks = [executor.submit(time.sleep, 0.0) for _ in range(50)]
+        held = tasks[-1]._condition
+        held.acquire()
+        began = time.monotonic()
+        raise KeyboardInterrupt
+    took = time.monotonic() - began
+    held.release()
+
+    assert took < 3.0
