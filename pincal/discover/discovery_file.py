@@ -38,7 +38,7 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         depends_on: the variable of an effect without a name: a joint, "time", "temperature" or
             "payload".
         acts_on: the coordinate on which an effect without a name acts: "drive", "gamma_x",
-            "gamma_y", "s_x" or "s_y".
+            "gamma_y", "s_x" or "s_y"; of a prismatic joint also "gamma_z" or "a".
         shape: form of a dependence without a name: "curve", "waves", "product", "map", "field",
             "step" or "kink".
         place: position of its break along the variable [unit of the variable].
