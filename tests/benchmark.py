@@ -162,7 +162,7 @@ def table_of(n: int, *, with_elasticity: bool, noise: float = NOISE) -> Measurem
 def time_calibration() -> Iterator[Line]:
     """Time the library's ``calibrate()``; base and tool unknown, rank and covariance included."""
     for name, effects, n, target in (
-        ("geometric", GEOMETRIC, 1_000, 0.025),
+        ("geometric", GEOMETRIC, 1_000, 0.018),
         ("geometric", GEOMETRIC, 10_000, 0.25),
         ("elastic", ELASTIC, 1_000, None),
     ):

@@ -36,7 +36,7 @@ from pincal.identify.noise import Noise
 from pincal.identify.rounded_joints import found_rounded
 from pincal.identify.station import Station
 from pincal.identify.whitening import StopNoise
-from pincal.measure.poses import SCATTER, same_joints
+from pincal.measure.poses import SCATTER, are_distinct, same_joints
 
 log = logging.getLogger(__name__)
 
@@ -61,9 +61,9 @@ class ArrivalNoise:
 def shares_stops(station: Station) -> bool:
     """Return whether several rows of a station are of one pose, as of several targets or points."""
     joints = same_joints(station.conditions.q, SCATTER)
-    if station.conditions.are_of_motion or len(np.unique(joints)) == len(station):
+    if station.conditions.are_of_motion or are_distinct(joints):
         return False
-    return len(np.unique(poses_of(station))) < len(station)
+    return not are_distinct(poses_of(station))
 
 
 def with_arrivals(fit: ModelFit) -> ModelFit:

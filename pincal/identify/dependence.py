@@ -32,6 +32,7 @@ from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import AnyFit, ModelFit, posterior_of
 from pincal.identify.station import Station
 from pincal.identify.whitening import Serial, turned_into
+from pincal.measure.poses import are_distinct
 from pincal.model.conditions import spread_of_moving
 from pincal.thresholds import Count, Scale
 
@@ -254,7 +255,7 @@ class _FittedStation:
         pose = (
             self.poses[self.counted] if by_rows > CRITERIA.dependent else np.arange(len(position))
         )
-        if len(np.unique(pose)) == len(pose):
+        if are_distinct(pose):
             return by_rows
         # Readings of several targets in one pose share the robot's error there.
         _, first, pose = np.unique(pose, return_index=True, return_inverse=True)
@@ -295,7 +296,8 @@ class _FittedStation:
         columns = np.concatenate(
             [np.concatenate([residuals[None], J]) for residuals, J, _ in pieces], axis=2
         )
-        return columns * (few.weights / self.sigma), pieces[0][2]
+        columns *= few.weights / self.sigma
+        return columns, pieces[0][2]
 
     def serial(self) -> Serial | None:
         """Return how the noise is correlated along the rows as they were read; None where it is
@@ -308,7 +310,7 @@ class _FittedStation:
             return None
         if first.dependence < CRITERIA.dependent:
             return None
-        if len(np.unique(plain.poses)) < len(plain.station):
+        if not are_distinct(plain.poses):
             # Several readings of a pose are correlated by the pose, which is another noise.
             return None
         some = first.first_readings(_READINGS)
@@ -370,9 +372,8 @@ class _FittedStation:
             return 1.0
         columns, places = self.columns(some)
         J = columns[1:]
-        normal = np.tensordot(J, J, axes=((1, 2), (1, 2))) + np.diag(
-            self.sizes[self.free][places] ** -2.0
-        )
+        flat = J.reshape(len(J), -1)
+        normal = flat @ flat.T + np.diag(self.sizes[self.free][places] ** -2.0)
         return _largest_factor(np.einsum("dmn,mn->dn", J, columns[0]), normal, at_once)
 
 

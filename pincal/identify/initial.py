@@ -185,13 +185,16 @@ def place_setups(
     by_rows = sorted(tables, key=lambda name: len(tables[name]))
     largest = {tables[name].setup: name for name in by_rows}
     first = {n: t for n, t in tables.items() if not t.setup or largest[t.setup] == n}
-    placed = dict(zip(first, place_arm(arm, values, first, options=options), strict=True))
+    # What others are placed by is fitted.
+    alone = len(first) == len(tables)
+    found = place_arm(arm, values, first, options=options, is_start=alone)
+    placed = dict(zip(first, found, strict=True))
     for name, table in tables.items():
         if name not in placed:
-            station, found = placed[largest[table.setup]]
+            station, there = placed[largest[table.setup]]
             own = StationOptions(
                 **vars(options.stations.get(name, StationOptions()))
-                | {"base": _base_of(station, found)}
+                | {"base": _base_of(station, there)}
             )
             known = replace(options, stations={**options.stations, name: own})
             ((other, at),) = place_arm(arm, values, {name: table}, options=known)
@@ -201,7 +204,7 @@ def place_setups(
             )
             for k, parameter in enumerate(other.parameters):
                 if parameter.element == "base":
-                    at[k] = found[station.parameters.index(parameter)]
+                    at[k] = there[station.parameters.index(parameter)]
             placed[name] = other.with_model(other.model.with_chain(chain)), at
     return [placed[name] for name in tables]
 
@@ -225,7 +228,12 @@ def _base_of(station: Station, values: np.ndarray) -> np.ndarray:
 
 
 def place_arm(
-    arm: Model, values: np.ndarray, tables: Mapping[str, Measurements], *, options: Options
+    arm: Model,
+    values: np.ndarray,
+    tables: Mapping[str, Measurements],
+    *,
+    options: Options,
+    is_start: bool = False,
 ) -> list[tuple[Station, np.ndarray]]:
     """Return the stations of an arm with known deviations, base and tool roughly placed, and their
     values.
@@ -239,12 +247,16 @@ def place_arm(
         values: shape (P,), of its parameters.
         tables: each station's table by its name, "" for a single one.
         options: prior knowledge of the stations.
+        is_start: whether base and tool are fitted afterwards, so that where each station has a
+            single closed-form start these are the result.
     """
     models = _Models()
     candidates = [
         _candidates(arm, values, table, name, options.at(name), models)
         for name, table in tables.items()
     ]
+    if is_start and all(len(starts) == 1 for starts in candidates):
+        return [starts[0] for starts in candidates]
     best: list[tuple[float, Station, np.ndarray]] = [(np.inf, *starts[0]) for starts in candidates]
     every = [(i, start) for i, starts in enumerate(candidates) for start in starts]
     # Stations that share more than the robot are placed one by one.

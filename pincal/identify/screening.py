@@ -20,7 +20,13 @@ from pincal.identify.criteria import VISITS
 from pincal.identify.fit import ModelFit
 from pincal.identify.visit_scatter import Arrivals, arrivals_of, levers_of
 from pincal.measure.measurements import Measurements
-from pincal.measure.poses import SCATTER, numbers_of_copies, replicate_groups, without_copies
+from pincal.measure.poses import (
+    SCATTER,
+    are_distinct,
+    numbers_of_copies,
+    replicate_groups,
+    without_copies,
+)
 from pincal.sensors.sensor import Sensor
 from pincal.thresholds import Count
 
@@ -162,7 +168,7 @@ def _repeated(table: Measurements, group: np.ndarray) -> np.ndarray:
     """Return the rows of poses that were read several times, copies not counted, of rows whose pose
     has a number, shape (N,).
     """
-    if len(np.unique(group)) == len(group):
+    if are_distinct(group):
         return np.zeros(0, int)
     kept = without_copies(table, group)
     several = np.bincount(group[kept], minlength=group.max() + 1) > 1

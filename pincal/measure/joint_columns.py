@@ -207,8 +207,9 @@ def steps_of(q: np.ndarray) -> np.ndarray:
     found = np.zeros(q.shape[1])
     for k, positions in enumerate(q.T):
         step = next((step for step in _STEPS if _is_in_steps(positions, step)), 0.0)
-        values = len(np.unique(np.round(positions, _DIGITS)))
-        found[k] = step if values > JOINT_COLUMNS.various * len(positions) else 0.0
+        if step:
+            values = len(np.unique(np.round(positions, _DIGITS)))
+            found[k] = step if values > JOINT_COLUMNS.various * len(positions) else 0.0
     return found
 
 

@@ -20,7 +20,15 @@ from functools import cached_property
 import numpy as np
 
 from pincal.measure.measurements import Measurements
-from pincal.measure.poses import SCATTER, mean_rows, pose_groups, replicate_groups, without_copies
+from pincal.measure.poses import (
+    SCATTER,
+    are_distinct,
+    count_distinct,
+    mean_rows,
+    pose_groups,
+    replicate_groups,
+    without_copies,
+)
 from pincal.measure.reading_numbers import DIVISION
 
 
@@ -51,17 +59,17 @@ class Plan:
     @cached_property
     def n_poses(self) -> int:
         """Number of poses."""
-        return len(np.unique(self.pose))
+        return count_distinct(self.pose)
 
     @cached_property
     def n_stops(self) -> int:
         """Number of stops of the robot."""
-        return len(np.unique(self.stop))
+        return count_distinct(self.stop)
 
     @cached_property
     def is_repeated(self) -> bool:
         """Whether any reading was repeated."""
-        return len(np.unique(self.thing)) < len(self)
+        return not are_distinct(self.thing)
 
     @property
     def is_revisited(self) -> bool:
