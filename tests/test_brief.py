@@ -13,11 +13,12 @@ from rich.console import Console
 from pincal import Options, Robot, read_measurements, run_calibration
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.caveats import CaveatKind
 from pincal.cli.brief import print_brief
 from pincal.discover.cli.search_screen import _by_joint, _listed
 from pincal.discover.discovery_file import FoundEffect, Stability
 from pincal.notes import Note, Severity
-from pincal.report.judgement import Act, steps_after
+from pincal.report.judgement import Act, NextStep, steps_after
 
 URDF = kuka_urdf_path()
 MOST = 14
@@ -244,3 +245,32 @@ def test_the_first_step_is_the_act_that_the_verdict_asks_for(calibrated: Calibra
     }
     worse = replace(calibrated, result=replace(result, chi2_p_value=0.4, error={**result.error, "calibrated": lost}))
     assert steps_after(worse)[0].act is None and "no better than by the URDF" in steps_after(worse)[0].text
+
+
+@pytest.mark.parametrize("p_value", [None, 0.4, 1e-9])
+def test_a_doubt_of_how_rows_were_measured_is_what_to_see_to(calibrated: Calibration, p_value: float | None) -> None:
+    """No search undoes the order of the rows; it is first where the residuals exceed the noise, or may do so by effects."""
+    doubt = Note(Severity.DOUBT, "of the order of the rows")
+    noise = {**calibrated.result.noise, "source": "estimated" if p_value is None else "declared"}
+    result = replace(calibrated.result, chi2_p_value=p_value, noise=noise, warnings=(doubt,))
+
+    def steps(kind: CaveatKind) -> list[NextStep]:
+        return steps_after(replace(calibrated, result=replace(result, doubted=(kind,))))
+
+    is_within = p_value == 0.4
+    for kind, is_told in ((CaveatKind.SORTED, p_value != 1e-9), (CaveatKind.DEPENDENT_ROWS, is_within)):
+        first, *others = steps(kind)
+        assert (first.act is None and first.text.endswith(("effect of a joint.", "and calibrate."))) == is_told
+        assert any(step.act is Act.SEARCH for step in [first, *others]) != is_within
+
+
+def test_a_table_in_the_order_of_a_joint_is_to_be_measured_in_another(tables: Path, tmp_path: Path, capsys: Capture) -> None:
+    """Its residuals are no larger than the noise: a search has nothing to find; the file says as much as before."""
+    head, *rows = (tables / "tracker.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    table, out = tmp_path / "sorted.csv", tmp_path / "out"
+    table.write_text(head + "".join(sorted(rows, key=lambda row: float(row.split(",")[0]))), encoding="utf-8")
+    lines = printed(capsys, "calibrate", URDF, table, "--noise", "0.05mm", "--out", out)
+
+    assert "joint_1 moved steadily along the rows" in " ".join(lines)
+    assert said(lines, "next").startswith("Measure some of the first poses once more at the end")
+    assert "doubted" not in json.loads((out / "result.json").read_text())

@@ -44,6 +44,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements, write_table
 from pincal.model.catalogue import GearEccentricity, TransmissionError, candidates
 from pincal.model.catalogue.unnamed import Unnamed
+from pincal.notes import Note, Severity
 from pincal.parameters import estimate_of
 from pincal.report.judgement import relative_to_noise
 
@@ -604,6 +605,18 @@ def test_a_verdict_says_what_is_wrong() -> None:
     assert (
         "0.250 mm rms beyond the noise" in verdict_of_search(msgspec.structs.replace(findings, unexplained_mm=0.25)).reason
     )
+
+
+def test_chance_is_not_what_is_wrong_where_there_is_a_doubt() -> None:
+    """What is beyond a known noise that explains the residuals is left to the doubt that keeps the verdict."""
+    gap = Gap(mean_mm=0.1, rms_mm=0.1, max_mm=0.2)
+    bare: dict[str, Any] = {"where": (), "effects": (), "scatter": (), "not_testable": (), "noise_floor_mm": 0.08}
+    doubt = Note(Severity.DOUBT, "a joint moved steadily along the rows")
+    verdict = FoundVerdict.NOT_ADEQUATE
+    found = Findings(**bare, gap={"before": gap, "after": gap}, verdict=verdict, unexplained_mm=0.011, warnings=(doubt,))
+
+    assert "0.011 mm rms beyond the noise" in verdict_of_search(found).reason
+    assert verdict_of_search(found, is_within_noise=True).reason == "Nothing was added; see the doubt stated first."
 
 
 @given(

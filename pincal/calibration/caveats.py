@@ -148,8 +148,9 @@ class CaveatKind(Enum):
     )
     DEPENDENT_ROWS = (
         "the residuals depend on the order of the rows: {what}; rows were weighted accordingly; "
-        "look for what changed during the measurement: the instrument's set-up, temperature, the "
-        "clamping of robot and target"
+        "look for what changed during the measurement (the instrument's set-up, temperature, the "
+        "clamping of robot and target), or for an effect that neighbouring poses share (pincal "
+        "discover)"
     )
     LEFT_IN_MOTION = (
         "the residuals follow the motion: {what}; rows were weighted accordingly; the model lacks "
@@ -163,7 +164,8 @@ class CaveatKind(Enum):
     )
     BLOCKS = (
         "the errors of consecutive rows are correlated: standard deviations are {factor:.3g} times "
-        "those of independent rows; look for what changed during the measurement"
+        "those of independent rows; look for what changed during the measurement, or for an effect "
+        "that neighbouring poses share (pincal discover)"
     )
     SORTED = (
         "{joint} moved steadily along the rows, so drift with time can't be distinguished "

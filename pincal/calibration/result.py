@@ -70,6 +70,8 @@ from pincal.validate.pose_characteristics import error_intervals
 
 # Pairs listed at most, the strongest first.
 _MOST_CORRELATIONS: Count = 20
+# What of a result is for its summary alone; the file has it in its warnings.
+_NOT_WRITTEN = ("doubt", "shift", "doubted", "arrivals")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +83,8 @@ class Result(Outcome):
     """Why the calibration is rejected though the fit converged; empty if it is not."""
     shift: str = ""
     """Where readings shift from some line on, as if of two set-ups; empty if they do not."""
+    doubted: tuple[CaveatKind, ...] = ()
+    """What the findings among the doubts are of, in their order."""
     arrivals: float | None = None
     """To what all drives stop, if that explains what exceeds the declared noise of the instrument
     [rad].
@@ -170,7 +174,7 @@ class Result(Outcome):
         contents = {
             name: value
             for name, value in asdict(self).items()
-            if name not in {*absent, "doubt", "shift", "arrivals"}
+            if name not in {*absent, *_NOT_WRITTEN}
         }
         contents |= {
             "parameters": [row.to_dict() for row in self.parameters],
@@ -314,6 +318,7 @@ def result_of(
         doubt=next((str(n) for n in found if n.kind in UNUSABLE), ""),
         arrivals=arrivals,
         shift=next((str(n) for n in found if n.kind is CaveatKind.STEP), ""),
+        doubted=tuple(n.kind for n in found if n.kind in DOUBTS),
         validation=_validation(validated, error),
         improvement=assessed.improved or UNSET,
         angle_gain=angle_gain(fit) or UNSET,

@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from pincal.calibration.calibration import Calibration
+from pincal.calibration.caveats import CaveatKind
 from pincal.calibration.result import Result
 from pincal.calibration.result_tables import ParameterRow
 from pincal.errors import few
@@ -177,6 +178,7 @@ def steps_after(calibration: Calibration, search: SearchReport | None = None) ->
         return [NextStep(f"First find out what is wrong: {result.doubt}.")]
     steps = [
         *map(NextStep, [*_of_the_fit(result), *_of_no_gain(result), *_of_the_tool(calibration)]),
+        *map(NextStep, _of_the_measuring(result)),
         *_of_the_model(calibration, search, judged(result, search).judgement),
     ]
     if not steps:
@@ -239,6 +241,39 @@ def _of_the_tool(calibration: Calibration) -> Iterator[str]:
         )
 
 
+# What to do about a doubt of how the rows were measured, which no effect of the arm explains.
+_MEASURED = {
+    CaveatKind.SORTED: "Measure some of the first poses once more at the end, or all in random "
+    "order, and calibrate again: without that, drift may be taken for an effect of a joint.",
+    CaveatKind.CONTRADICTED: "Check the given values that the readings contradict (the doubt "
+    "names them), and calibrate again.",
+    CaveatKind.OWN_POSE: "Supply the readings of an instrument, or name their columns (--columns).",
+    CaveatKind.UNSEEN_DIRECTION: "Add contacts in other directions, and calibrate again.",
+    CaveatKind.BLIND: "Measure in more directions and at more places, or with an instrument.",
+    CaveatKind.NOISY_REPEATS: "Find out why readings of one stop differ, or declare the noise that "
+    "they show.",
+    CaveatKind.VISITS_SCATTER: "Find out why visits of a pose differ, such as a loose target, or "
+    "declare the noise that they show.",
+}
+# The same of doubts that an effect may explain where the residuals exceed the noise, or may do so.
+_WITHIN_NOISE = {
+    kind: "Find out what changed while the rows were measured (set-up of the instrument, "
+    "temperature, clamping), measure again, or give it a column, and calibrate."
+    for kind in (CaveatKind.DEPENDENT_ROWS, CaveatKind.BLOCKS, CaveatKind.VISITS_APART)
+}
+
+
+def _of_the_measuring(result: Result) -> Iterator[str]:
+    """Yield what to do about the first doubt of how the rows were measured, unless residuals
+    beyond the noise call for a search first.
+    """
+    compared = result.noise_test
+    if compared is not None and compared.is_misfit:
+        return
+    cures = _MEASURED if compared is None else _MEASURED | _WITHIN_NOISE
+    yield from [cures[kind] for kind in result.doubted if kind in cures][:1]
+
+
 def _of_the_model(
     calibration: Calibration, search: SearchReport | None, judgement: Verdict
 ) -> Iterator[NextStep]:
@@ -251,6 +286,9 @@ def _of_the_model(
             "with both: an IMU gives no lengths."
         )
     elif search is not None or not is_open or judgement is Verdict.ADEQUATE:
+        return
+    elif result.noise_test is not None and any(_of_the_measuring(result)):
+        # Residuals within the noise hold nothing for a search to find.
         return
     elif judgement is Verdict.NOT_JUDGED and (option := noise_option(result)):
         yield NextStep(

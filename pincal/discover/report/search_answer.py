@@ -30,8 +30,12 @@ class SearchAnswer:
     def judged(self) -> Judged:
         """Return whether the search has explained the data, and if not, why."""
         result = self.discovery.calibration.result
-        is_of_arrivals = result.arrivals is not None
-        return verdict_of_search(self.discovery.findings, is_of_arrivals=is_of_arrivals)
+        compared = result.noise_test
+        return verdict_of_search(
+            self.discovery.findings,
+            is_of_arrivals=result.arrivals is not None,
+            is_within_noise=compared is not None and not compared.is_misfit,
+        )
 
     def next_steps(self) -> Iterator[str]:
         """Yield how to distinguish what was found from its alternatives, and what to record."""
@@ -45,9 +49,11 @@ class SearchAnswer:
         return found_section(self.discovery)
 
 
-def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judged:
+def verdict_of_search(
+    found: Findings, *, is_of_arrivals: bool = False, is_within_noise: bool = False
+) -> Judged:
     """Return whether a search has explained the data, and if not, why; perhaps because of how
-    drives stop.
+    drives stop. Of residuals that a known noise explains, what is beyond it is chance.
     """
     n = len(found.effects)
     left = found.unexplained_mm
@@ -67,7 +73,9 @@ def verdict_of_search(found: Findings, *, is_of_arrivals: bool = False) -> Judge
     if found.verdict is Verdict.NOT_JUDGED:
         why = _why_not_judged(found, is_of_arrivals=is_of_arrivals)
         return Judged(found.verdict, f"{added}; {why}.")
-    return Judged(found.verdict, f"{added}; {', and '.join(_what_is_wrong(found, beyond))}.")
+    is_chance = is_within_noise and bool(doubts_of(found.warnings))
+    wrong = _what_is_wrong(found, "" if is_chance else beyond)
+    return Judged(found.verdict, f"{added}; {', and '.join(wrong)}.")
 
 
 def _why_not_judged(found: Findings, *, is_of_arrivals: bool) -> str:
