@@ -151,6 +151,10 @@ class PositionCovariance:
         """Return the covariance with a further source, such as a sensor on the flange."""
         return PositionCovariance({**self.sources, name: errors})
 
+    def without_source(self, name: str) -> PositionCovariance:
+        """Return the covariance as if there were no errors by a source."""
+        return self.with_source(name, SharedErrors.of_all(np.zeros((len(self), 3, 0))))
+
     def select(self, rows: np.ndarray) -> PositionCovariance:
         """Return the covariance of some positions (mask or indices)."""
         return PositionCovariance({k: errors.select(rows) for k, errors in self.sources.items()})

@@ -57,6 +57,10 @@ class LocatedPoints:
             stops=tuple(self.stops[i] for i in index),
         )
 
+    def without_source(self, name: str) -> LocatedPoints:
+        """Return the points as if they had no errors by a source."""
+        return replace(self, covariance=self.covariance.without_source(name))
+
     def moved(self, shift: np.ndarray) -> LocatedPoints:
         """Return the points at other places, by shifts of shape (K, 3) [m]."""
         return replace(self, place=self.place + shift)

@@ -26,7 +26,7 @@ from pincal.features.flange_sensor import FlangeSensor
 from pincal.features.gauge_entries import PassOf, gauge_entries
 from pincal.features.measured_entries import PartResult
 from pincal.features.measured_file import MeasuredFile
-from pincal.features.mounted_sensor import MountedSensor, Reservations
+from pincal.features.mounted_sensor import PARAMETERS, MountedSensor, Reservations
 from pincal.features.part import Part
 from pincal.features.part_values import PartValues
 from pincal.features.readings import CONTACT, IMAGE, RANGE, FeatureReadings
@@ -36,6 +36,7 @@ from pincal.io.strict_json import write_json
 from pincal.measure.table import write_table
 from pincal.notes import Note, Severity, doubts_first
 from pincal.thresholds import Count
+from pincal.units import format_small
 from pincal.validate.misfit import Verdict
 
 # Names that a message lists.
@@ -114,7 +115,7 @@ def measure_part(
     points = located_points(mounted)
     if part.expansion is not None:
         points = part.expansion.at_reference(points)
-    features = FittedPart.of(part, points, declared)
+    features = _fitted(mounted, part, points)
     values = features.evaluated()
     passes = _Passes.of(part, points, declared, readings)
     result = PartResult(
@@ -146,6 +147,43 @@ def located_points(mounted: MountedSensor) -> LocatedPoints:
     """Return the points of all readings of a sensor."""
     is_image = mounted.readings.kind == IMAGE
     return points_of_images(mounted) if is_image else points_of_sensor(mounted)
+
+
+def _fitted(mounted: MountedSensor, part: Part, points: LocatedPoints) -> FittedPart:
+    """Return the features through points.
+
+    Raises:
+        BadInputError: for points that do not determine their feature. If they would with a model
+            whose parameters were known, it is the calibration that has to be completed.
+    """
+    try:
+        return FittedPart.of(part, points, mounted.declared)
+    except BadInputError as error:
+        if not _are_determined(part, points.without_source(PARAMETERS), mounted.declared):
+            raise
+        which = str(error).partition(":")[0]
+        raise BadInputError(f"{which}: {_open_words(mounted)}") from error
+
+
+def _are_determined(part: Part, points: LocatedPoints, declared: FlangeSensor) -> bool:
+    """Return whether points determine their features."""
+    try:
+        FittedPart.of(part, points, declared)
+    except BadInputError:
+        return False
+    return True
+
+
+def _open_words(mounted: MountedSensor) -> str:
+    """Return what a calibration leaves open where it, not the points, is why a feature can't be
+    fitted, and the cure.
+    """
+    return (
+        "its readings would do, but the calibration of this model leaves open where they are: the "
+        "place of the target on the tool has a standard deviation of "
+        f"{format_small(mounted.place_sigma, 'm')}. Calibrate with poses that turn the wrist as "
+        "these do, about two axes, or give the place (tool in cell.toml)"
+    )
 
 
 def _check_names(readings: FeatureReadings, part: Part) -> None:

@@ -24,6 +24,7 @@ from pincal.compensate.robot_frames import PoseFrame, in_base_frame, tip_in_inst
 from pincal.errors import BadInputError
 from pincal.features.flange_sensor import FlangeSensor
 from pincal.features.readings import CAMERA_POINT, IMAGE, RANGE, FeatureReadings
+from pincal.identify.beliefs import is_on_tool
 from pincal.model.conditions import Conditions
 from pincal.model.motions import with_moving_drives
 from pincal.robot.se3 import compose
@@ -56,6 +57,8 @@ class SourceEvidence:
     dof: float
 
 
+PARAMETERS = "parameters"
+"""Source of uncertainty: the parameters of the calibrated robot."""
 STATED = SourceEvidence("B", np.inf)
 """A standard uncertainty that somebody states."""
 
@@ -151,6 +154,17 @@ class MountedSensor:
         mount = self.declared.mount
         return self.carried if mount is None else compose(self.carried, mount[None])
 
+    @property
+    def place_sigma(self) -> float:
+        """Largest standard deviation of a coordinate of the calibrated target in the tip's frame
+        [m]; 0 if the mount is declared.
+        """
+        if not self.is_own:
+            return 0.0
+        estimate = self.fitted.estimate
+        of_tool = np.array([is_on_tool(p) for p in estimate.parameters])
+        return float(estimate.sigma[of_tool].max(initial=0.0))
+
     @cached_property
     def tips(self) -> np.ndarray:
         """Positions of the tip, shape (N, 3) [m]."""
@@ -211,7 +225,7 @@ class MountedSensor:
         """Yield what each source of the arm's errors rests on."""
         station = self.fitted.station
         rest = {
-            "parameters": SourceEvidence("A", self.calibration_dof),
+            PARAMETERS: SourceEvidence("A", self.calibration_dof),
             "model": SourceEvidence("A", _dof_of_discrepancy(self.fitted)),
             "conditions": SourceEvidence("A", self.calibration_dof),
         }
