@@ -85,6 +85,19 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             **{"period": at.period, "period_unit": "m" if at.period else None, **more},
         )
 
+    @property
+    def in_tables(self) -> EffectName:
+        """What of the name tables of one robot have in common: of an effect without a name what it
+        depends on and where it acts, but neither its shape nor its orders.
+        """
+        return EffectName(
+            effect=self.effect,
+            joint=self.joint,
+            source=self.source,
+            depends_on=self.depends_on,
+            acts_on=self.acts_on,
+        )
+
 
 class Stage(Gap, frozen=True, kw_only=True, omit_defaults=True):
     """Errors after one change of the model; each starts from the stage before.
