@@ -398,6 +398,18 @@ def fixed(places: int) -> Callable[[Any], str]:
     )
 
 
+def show_size(places: int) -> Callable[[float], str]:
+    """Return a function that formats the size of what is not zero with so many decimal places: a
+    smaller one by a bound.
+
+    Example:
+        >>> show_size(4)(0.01234), show_size(4)(2e-6)
+        ('0.0123', '<0.0001')
+    """
+    least = 10.0**-places
+    return lambda size: f"{size:.{places}f}" if size >= least / 2.0 else f"<{least:.{places}f}"
+
+
 # Decimal places beyond which a number is shown with an exponent.
 _MOST_PLACES: Count = 6
 

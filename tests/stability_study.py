@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from rates import interval
 
 from pincal.calibration.fitted_robot import FittedRobot
+from pincal.discover.discovery_file import EffectName
 from pincal.discover.ending import widened
 from pincal.discover.run import begin_subsamples
 from pincal.errors import PincalWarning
@@ -68,7 +69,7 @@ def printed(task: tuple[str, int, float]) -> Printed:
     at = fit.readings(held).conditions
     error = fit.predict(at)[:, :, 3] - case.clean[held.rows - case.rows.rows[0]]
     coverage = float(np.mean(np.abs(error) < 1.96 * fit.position_sigma(at)))
-    names = tuple((halves.count(step.effect.heading), ok) for step, ok in zip(steps, right, strict=True))
+    names = tuple((halves.count(EffectName.of(step.effect).in_tables), ok) for step, ok in zip(steps, right, strict=True))
     return Printed(kind, seed, names, coverage)
 
 

@@ -251,6 +251,22 @@ def test_a_part_keeps_values_limits_and_decisions(of_part: Certificate) -> None:
     assert of_part.files["part.toml"] == "cd" * 32
 
 
+def test_no_uncertainty_is_said_to_be_zero(tmp_path: Path) -> None:
+    """One below the last digit has a bound; what the datum holds was not measured and has none, in words and in the file."""
+    measured = copy.deepcopy(MEASURED)
+    values = measured["features"][0]["values"]
+    values["k"] = values["x"] | {"unit": "", "value": 1.0, "nominal": 1.0, "U": 2.1e-6}
+    values["y"] = values["x"] | {"value": 0.0, "U": 1.2e-10}
+    (tmp_path / "measured.json").write_text(json.dumps(measured))
+
+    certificate = certificate_of_measured(tmp_path, Identity(), ISSUE)
+    page = certificate_page(certificate)
+    assert "y (held by the datum)" in page and "0.0000 (k" not in page
+    assert "&lt;0.0001 (k = " in page
+    held = digital_certificate(certificate).decode().partition("y (held by the datum)")[2].partition("</dcc:quantity>")[0]
+    assert "si:value" in held and "expandedMU" not in held
+
+
 def test_a_direction_is_not_taken_for_the_coverage_factor(tmp_path: Path) -> None:
     """The components i, j, k of a unit vector are named as such, beside a U with its k."""
     measured = copy.deepcopy(MEASURED)

@@ -385,15 +385,19 @@ def entry_of(effect: str, joint: str, **more: Any) -> FoundEffect:
             "to distinguish backlash of joint_3 from its alternatives: approach [some] poses from both sides",
         ),
         (
-            entry_of("unnamed", "joint_1", depends_on="time", shape="wave", period=600.0),
+            entry_of("unnamed", "joint_1", depends_on="time", shape="wave", period=600.0, period_unit="s"),
             "repeats every 600 s",
         ),
         (
-            entry_of("unnamed", "joint_1", depends_on="joint_2", shape="wave", period=0.25),
-            "repeats every 0.25 rad",
+            entry_of("unnamed", "joint_1", depends_on="joint_2", shape="wave", period=0.25, period_unit="rad"),
+            "repeats every 14.3 deg",
+        ),
+        (
+            entry_of("unnamed", "rail", depends_on="rail", shape="curve", period=0.25, period_unit="m"),
+            "unnamed of rail (curve of rail) repeats every 250 mm",
         ),
     ],
-    ids=["a spectral line", "alternatives", "a period of time", "a period of a joint"],
+    ids=["a spectral line", "alternatives", "a period of time", "a period of a joint", "a period along a rail"],
 )
 def test_the_screen_says_of_an_effect_what_no_table_holds(found: Discovery, entry: FoundEffect, words: str) -> None:
     """Its spectral line, what tells it from its alternatives, and its period; of an effect without them no such line."""

@@ -318,7 +318,8 @@ def test_what_is_guessed_is_told(tmp_path: Path) -> None:
     assert notes == [
         "log.csv: A B C are read as KUKA's A B C about z, y, x; if that is wrong, use --orientation "
         "kuka|fanuc|abb|ur|rpy|xyzw|wxyz",
-        'log.csv: columns of text are ignored: "operator"',
+        'log.csv: columns of text are ignored: "operator"; rows count alike, whoever measured them: pincal measure compares '
+        "operators (GR&R)",
         "log.csv: joints are taken from the columns J1=joint_a1, J2=joint_a2, J3=joint_a3; if that is wrong, map them with "
         "--columns",
     ]

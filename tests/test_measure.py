@@ -305,6 +305,26 @@ def test_lengths_are_stated_at_20_degrees(camera: FittedRobot, rng: np.random.Ge
     assert any("lengths are stated at 20 deg C" in note.text for note in found.warnings)
 
 
+def test_what_the_calibration_leaves_open_is_no_fault_of_the_readings(rng: np.random.Generator, tmp_path: Path) -> None:
+    """Contacts of a turning wrist with a probe whose place on the tool no pose of the calibration told."""
+    robot = cases.robot_with("position")
+    parameters = robot.estimate.parameters
+    is_open = [p.element == "tool" for p in parameters]
+    covariance = robot.covariance + np.diag(np.where(is_open, 4.0, 0.0))
+    unknown = replace(robot, estimate=estimate_of(parameters, robot.values, covariance))
+    turns = cases.poses_near(rng, 1) + np.linspace(0.0, 5.0, 8)[:, None] * np.eye(6)[5]
+    readings = cases.table(turns, ["h1"] * 8)
+    part = tmp_path / "part.toml"
+    part.write_text('unit = "mm"\n[feature.h1]\nkind = "circle"\nnominal = [0, 0, 0]\ndirection = [0, 0, 1]\n')
+    words = r"'h1' \(circle\): its readings would do, .*the target on the tool has a standard deviation of 2000 mm"
+
+    assert measure_part(robot, readings, Part.from_toml(part)).found.features
+    with pytest.raises(BadInputError, match=words):
+        measure_part(unknown, readings, Part.from_toml(part))
+    with pytest.raises(BadInputError, match="4 points are in one line"):
+        measure_part(robot, cases.table(turns[[0, 0, 0, 0]], ["h1"] * 4), Part.from_toml(part))
+
+
 @pytest.mark.parametrize(
     ("element", "unit", "size", "words"),
     [

@@ -102,8 +102,10 @@ def listed(text: str) -> list[list[float]]:
 
 
 def edited(path: Path, *keys: str | int, value: Any = None, edit: Callable[[Any], Any] | None = None) -> Path:
-    """Change or (without value or edit) remove what stands at some keys of a JSON file."""
+    """Change or (without value or edit) remove what stands at some keys of a JSON file, which has no check then."""
     content = json.loads(path.read_text())
+    if keys != ("check",):
+        content.pop("check", None)
     place = content
     for key in keys[:-1]:
         place = place[key]
@@ -361,7 +363,7 @@ def test_every_missing_key_is_named(path: Path) -> None:
     """Whatever key is taken out, the error says which and in which file; fields of effects and the URDF may be missing."""
     text = path.read_text()
     optional = ("symbols", "urdf", "nominal_values", "rows", "is_noise_declared", "bearing_heights", "days")
-    optional += ("repeatability", "on_carriages", "unmodelled", "information", "files", "priors")
+    optional += ("repeatability", "on_carriages", "unmodelled", "information", "files", "priors", "check")
     ways = [way for way in _keys(json.loads(text)) if way[-1] not in optional]
 
     assert len(ways) > 40
@@ -386,6 +388,23 @@ def test_every_value_of_the_wrong_kind_is_refused(path: Path) -> None:
             path.write_text(text)
             with pytest.raises(ModelFileError, match=r"model\.json"):
                 load_model(edited(path, *way, value=wrong))
+
+
+@pytest.mark.parametrize("keys", [("values", 3), ("stations", 0, "sigma", 0), ("robot", "masses", 1)])
+def test_a_value_that_was_edited_is_refused(path: Path, keys: tuple[str | int, ...]) -> None:
+    """Each is valid by itself; another layout or order of the file is none; without the check it is used as it is."""
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(dict(reversed(content.items())), indent=2))
+    load_model(path)
+    place = content
+    for key in keys[:-1]:
+        place = place[key]
+    place[keys[-1]] += 1e-3
+    path.write_text(json.dumps(content))
+
+    with pytest.raises(ModelFileError, match=r"a value was changed after the file was written .*remove the key check"):
+        load_model(path)
+    load_model(edited(path, *keys, edit=lambda value: value))
 
 
 @pytest.mark.parametrize("kept", [0.0, 0.001, 0.3, 0.7, 0.999])

@@ -12,7 +12,7 @@ from scipy.stats import binom, kstest
 from stability_study import by_class, study
 
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.discover.discovery_file import Findings, Repeated, Stability
+from pincal.discover.discovery_file import EffectName, Findings, Repeated, Stability
 from pincal.discover.ending import of_bearings, of_candidates, of_masses
 from pincal.discover.findings import bootstrap_last, chance_of_best, findings_of
 from pincal.discover.levers import missing_features
@@ -27,6 +27,7 @@ from pincal.identify.mass_error import MassError, variance_of_masses
 from pincal.identify.options import Options
 from pincal.identify.split import row_groups
 from pincal.model.catalogue.bearing_features import bearing_features
+from pincal.model.catalogue.unnamed import Unnamed
 from pincal.model.effects import GEOMETRIC
 from pincal.parameters import root_of
 
@@ -59,13 +60,26 @@ def test_halves_are_complementary_pairs_of_whole_regions() -> None:
 
 def test_a_name_counts_where_it_is_named_or_could_be_meant() -> None:
     """The source of a coupling is part of its name; what came up first in most halves and is not known is told."""
-    by_2, by_3 = (("joint_coupling", "a", source) for source in ("joint_2", "joint_3"))
-    gear = ("gear_ratio", "b", None)
+    by_2, by_3 = (EffectName(effect="joint_coupling", joint="a", source=source) for source in ("joint_2", "joint_3"))
+    gear = EffectName(effect="gear_ratio", joint="b")
     halves = Subsamples((((by_2, gear),), ((by_3,), (gear, by_2)), ((gear,),)), 50)
 
     assert [halves.count(name) for name in (by_2, by_3, gear)] == [2, 1, 3]
     assert halves.others([by_2], 0.6) == [(gear, 2)]
     assert halves.others([by_2, gear], 0.6) == []
+
+
+def test_what_has_no_name_counts_by_what_it_depends_on_and_where_it_acts() -> None:
+    """A tilt that drifts is no curve of the same joint's drive; shape and order differ from half to half."""
+    waves = Unnamed("a", "drive", "b", "waves", order=3)
+    same = (Unnamed("a", "drive", "b"), Unnamed("a", "drive", "b", "field", lengths=(2.0, 1.5)))
+    others = (Unnamed("a", "drive", "time"), Unnamed("a", "s_x", "b"), Unnamed("c", "drive", "b"))
+    name, *named = (EffectName.of(effect).in_tables for effect in (waves, *same, *others))
+    halves = Subsamples(tuple(((other,),) for other in named), 50)
+
+    assert halves.count(name) == len(same)
+    told = dict(halves.others([name], 0.0))
+    assert len(told) == len(others) and all(each.depends_on and each.acts_on for each in told)
 
 
 @pytest.mark.long

@@ -11,8 +11,11 @@ import pytest
 
 from pincal import ELASTIC, Calibration, Options, Robot, load_model, measurements_from_arrays, run_calibration
 from pincal import simulate as sim
+from pincal.discover.discovery_file import EffectName
+from pincal.discover.report.found_words import effect_words
 from pincal.errors import PincalWarning
 from pincal.model.catalogue.link_bending import LinkBending
+from pincal.model.catalogue.unnamed import nameless_candidates
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
 from pincal.model.conditions import Conditions, nominal_moments
 from pincal.model.model import Model
@@ -144,7 +147,7 @@ def test_a_file_of_an_earlier_version_says_that_moments_differ(tmp_path: Path) -
     measured(0.3)[0].fit.save(path)
     load_model(path)
     saved = json.loads(path.read_text())
-    del saved["stations"][0]["chain"]["on_carriages"]
+    del saved["stations"][0]["chain"]["on_carriages"], saved["check"]
     path.write_text(json.dumps(saved))
 
     with pytest.warns(PincalWarning, match="about the start of the travel.*calibrate again"):
@@ -167,3 +170,21 @@ def test_a_boom_bends_under_a_carriage_that_moves_on(rng: np.random.Generator) -
     size = np.abs(bent[:, :3]).max()
     assert size > 1e-5
     np.testing.assert_allclose(predicted, bent[:, :3], rtol=0.0, atol=2e-3 * size)
+
+
+def test_waves_along_a_track_are_told_by_their_period() -> None:
+    """In words, files and titles: a track has no revolutions; waves of joints that turn keep their order."""
+    chain = Chain.of(Robot.from_urdf(urdf(3.0)))
+    q = np.random.default_rng(1).uniform(0.1, 2.0, (30, 7))
+    waves = [e for e in nameless_candidates(chain, Conditions.at(q), ("track", "pan")) if e.shape == "waves"]
+    names = [EffectName.of(effect) for effect in waves]
+
+    assert {e.depends_on for e in waves} == {*chain.robot.joint_names}
+    for effect, name in zip(waves, names, strict=True):
+        along = effect.depends_on == "track"
+        assert (name.order is None) == along == (name.period_unit == "m")
+        assert ("of period 2094 mm of track" if along and effect.order == 3 else "of ") in effect_words(name)
+        assert ("order" in effect_words(name)) != along
+        assert effect.order is not None
+        if along:
+            assert name.period == pytest.approx(2.0 * np.pi / effect.order)

@@ -5,6 +5,7 @@ Version 1 was of one station, with a dense covariance, version 2 of several.
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,6 +21,7 @@ from pincal.calibration.model_file import (
     MeasuredEntry,
     ModelFile,
     StationEntry,
+    check_of,
 )
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.io.arrays import ArrayShape, Numbers, Packed, Record, packed_covariance
@@ -209,6 +211,21 @@ class _Head(msgspec.Struct, frozen=True):
             raise Fault(f"is {self.format_version}", expected, key=".format_version")
 
 
+def _require_unchanged(content: bytes, found: ModelFile, file: str) -> None:
+    """Refuse a file with other values than those that were written together.
+
+    Each may be valid: a length of a smooth function that does not belong to its coefficients would
+    give wrong positions.
+    """
+    if found.check is None or found.check == check_of(json.loads(content)):
+        return
+    raise MODEL_FILE.error(
+        f"{file}: a value was changed after the file was written (check does not match), and its "
+        "values may no longer belong together; expected the file as it was written: calibrate "
+        "again, or remove the key check to use the file as it is"
+    )
+
+
 def read_model(path: str | os.PathLike[str]) -> ModelFile:
     """Read ``model.json`` of any version.
 
@@ -231,7 +248,9 @@ def read_model(path: str | os.PathLike[str]) -> ModelFile:
             "or move the model to a separate folder"
         )
     if head.format_version == FORMAT_VERSION:
-        return built(content, ModelFile, MODEL_FILE, file=file, hook=restoring())
+        found = built(content, ModelFile, MODEL_FILE, file=file, hook=restoring())
+        _require_unchanged(content, found, file)
+        return found
     earlier: type[FileOfOne] | type[FileOfSeveral] = (
         FileOfOne if head.format_version == 1 else FileOfSeveral
     )

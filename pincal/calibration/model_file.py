@@ -6,8 +6,10 @@ The file holds a fitted robot with one station or more. Files of earlier version
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
 import msgspec
@@ -202,6 +204,8 @@ class ModelFile(Record, frozen=True, kw_only=True):
         id: identity of robot, instrument and circumstances; none where nothing was stated.
         statement: what the calibration states of the model; not in files of earlier versions.
         files: the files written with it, with their SHA-256; none where it was saved alone.
+        check: SHA-256 of all values but ``files``, which have to belong together; not in files of
+            earlier versions. A file that is meant to be edited has none.
     """
 
     format_version: int
@@ -221,6 +225,7 @@ class ModelFile(Record, frozen=True, kw_only=True):
     id: Identity | None = None
     statement: ModelStatement | None = None
     files: dict[str, str] | None = None
+    check: str | None = None
 
     @classmethod
     def of_robot(
@@ -341,4 +346,18 @@ def write_model_file(path: str | os.PathLike[str], made: Callable[[], ModelFile]
         raise OutputError(
             f"{os.fspath(path)}: not finite or not whole: {place} {fault}; calibrate again"
         ) from None
-    write_json(path, {"format_version": file.format_version, **plain(file)}, indent=None)
+    contents = {"format_version": file.format_version, **plain(file)}
+    write_json(path, {"check": check_of(contents), **contents}, indent=None)
+
+
+def check_of(contents: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of the values of a ``model.json``, whatever their order and layout.
+
+    Example:
+        >>> check_of({"values": [1e-3], "check": "0"}) == check_of({"values": [0.001]})
+        True
+        >>> check_of({"values": [0.002]}) == check_of({"values": [0.001]})
+        False
+    """
+    values = {key: value for key, value in contents.items() if key not in ("files", "check")}
+    return hashlib.sha256(json.dumps(values, sort_keys=True).encode("ascii")).hexdigest()

@@ -9,7 +9,7 @@ from pincal.certificate.contents import NOT_STATED, Certificate, Figure, Range
 from pincal.errors import counted
 from pincal.identity import KEYS
 from pincal.thresholds import Count
-from pincal.units import show_limits
+from pincal.units import show_limits, show_size
 
 # Short names for what identifies robot, instrument and circumstances.
 _LABELS = {
@@ -88,11 +88,14 @@ def _cells(figure: Figure, has_uncertainties: bool, has_limits: bool) -> Iterato
 def _uncertainty(figure: Figure) -> str:
     """Return expanded uncertainty or interval in words; empty without either."""
     if figure.expanded is not None:
-        return f"{figure.expanded.value:.4f} (k = {figure.expanded.factor:.3g})"
+        return f"{_size(figure.expanded.value)} (k = {figure.expanded.factor:.3g})"
     if figure.interval is None or figure.interval[0] is None:
         return ""
     lower, upper = figure.interval
     return f"above {lower:.4f}" if upper is None else f"{lower:.4f} to {upper:.4f}"
+
+
+_size = show_size(4)
 
 
 def _number(value: float) -> str:

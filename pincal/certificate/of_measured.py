@@ -128,12 +128,14 @@ def _group(feature: FeatureEntry) -> FigureGroup:
 
 def _figures(feature: FeatureEntry) -> Iterator[Figure]:
     for name, of in feature.values.items():
+        # A k without a word would be taken for the coverage factor.
+        said = name if name in QUANTITIES[feature.kind] else f"direction {name}"
+        stated = None if of.is_held else StatedUncertainty(of.U, of.k, _probability(of))
         yield Figure(
-            # A k without a word would be taken for the coverage factor.
-            name=name if name in QUANTITIES[feature.kind] else f"direction {name}",
+            name=f"{said} (held by the datum)" if of.is_held else said,
             value=of.value,
             unit=of.unit,
-            expanded=StatedUncertainty(of.U, of.k, _probability(of)),
+            expanded=stated,
             nominal=of.nominal,
             limits=None if of.limits is None else _limits(of.limits),
             decision=of.decision,

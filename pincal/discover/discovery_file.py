@@ -34,7 +34,10 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         effect: its name in the catalogue.
         joint: the joint on which it acts; null for one of the whole arm.
         source: the joint whose position it follows, if another one.
-        order: cycles per revolution of the joint, of a periodic effect.
+        order: cycles per revolution of the joint, of a periodic effect; not along a prismatic one.
+        period: of waves along a prismatic joint [m]; of an effect that was found and has no name,
+            of any periodic dependence.
+        period_unit: unit of the period.
         depends_on: the variable of an effect without a name: a joint, "time", "temperature" or
             "payload".
         acts_on: the coordinate on which an effect without a name acts: "drive", "gamma_x",
@@ -49,6 +52,8 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     joint: str | None
     source: str | None = None
     order: int | float | None = None
+    period: float | None = None
+    period_unit: str | None = None
     depends_on: str | None = None
     acts_on: str | None = None
     shape: str | None = None
@@ -71,13 +76,26 @@ class EffectName(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             effect=name,
             joint=joint,
             source=source,
-            order=at.order,
+            order=at.order if at.period is None else None,
             depends_on=at.follows if nameless else None,
             acts_on=at.acts_on if nameless else None,
             shape=at.shape,
             place=at.place,
             station=at.station,
-            **more,
+            **{"period": at.period, "period_unit": "m" if at.period else None, **more},
+        )
+
+    @property
+    def in_tables(self) -> EffectName:
+        """What of the name tables of one robot have in common: of an effect without a name what it
+        depends on and where it acts, but neither its shape nor its orders.
+        """
+        return EffectName(
+            effect=self.effect,
+            joint=self.joint,
+            source=self.source,
+            depends_on=self.depends_on,
+            acts_on=self.acts_on,
         )
 
 
@@ -164,7 +182,6 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
     """An effect that was found; elasticity of a single joint.
 
     Attributes:
-        period: of a periodic dependence without a name, in units of its variable.
         resolution: uncertainty of the order of a ripple [1/revolution]: one over the revolutions of
             the joint.
         beside: orders of further harmonics within this resolution, by which the amplitude varies
@@ -181,7 +198,6 @@ class FoundEffect(EffectName, frozen=True, kw_only=True, omit_defaults=True):
         stability: number of subsamples in which the search finds it; None if not tested.
     """
 
-    period: float | None = None
     resolution: float | None = None
     beside: tuple[float, ...] = ()
     origin: str = ""

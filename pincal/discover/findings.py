@@ -4,9 +4,9 @@ the misfit was.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from msgspec.structs import replace as changed
@@ -92,7 +92,7 @@ def findings_of(
     scatter = None if excess is None else excess.scattering
     floor, unexplained = _errors_of(final)
     is_misfit = final.is_declared and chdtrc(final.solution.degrees, final.solution.chi2) < MISFIT
-    periods = {trace.effect: period_of(trace) for trace in traces if trace.effect.is_nameless}
+    periods = _periods(traces)
     effects = tuple(
         found
         for step in trail.steps
@@ -145,13 +145,22 @@ def _errors_of(fit: ModelFit) -> tuple[float, float]:
     return float(floor), float(unexplained)
 
 
+def _periods(traces: Iterable[PartialResidual]) -> dict[Effect, dict[str, Any]]:
+    """Return the periods of effects without a name, with their units."""
+    return {
+        trace.effect: {"period": period, "period_unit": trace.unit}
+        for trace in traces
+        if trace.effect.is_nameless and (period := period_of(trace)) is not None
+    }
+
+
 def _found(
     fit: ModelFit,
     trail: History,
     step: SearchStep,
     *,
     gaps: tuple[Stage, ...],
-    periods: dict[Effect, float | None],
+    periods: dict[Effect, dict[str, Any]],
 ) -> Iterator[FoundEffect]:
     """Yield the effects of one step; elasticity joint by joint."""
     place = next(i for i, change in enumerate(trail.changes) if change.fit is step.after)
@@ -171,7 +180,6 @@ def _found(
             continue
         yield FoundEffect.of(
             known.effect,
-            period=periods.get(known.effect),
             parameters=_parameters(known.estimate, known.sigma),
             p_value=known.p_value,
             gap_before_mm=before.mean_mm,
@@ -181,6 +189,7 @@ def _found(
             equivalent=tuple(EffectName.of(other) for other in known.equivalent),
             tell_apart=known.tell_apart,
             **line,
+            **periods.get(known.effect, {}),
         )
 
 

@@ -23,6 +23,7 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 from msgspec import to_builtins
+from msgspec.structs import asdict
 from msgspec.structs import replace as changed
 
 from pincal.calibration.benefit import without_harm
@@ -79,10 +80,8 @@ from pincal.validate.misfit import SURE, Verdict
 # would be rounding.
 _LEAST: Scale = 0.5
 
-Heading = tuple[str, str | None, str | None]
-"""Effect, joint and source, which together are the name of an effect."""
-Group = tuple[Heading, ...]
-"""Headings of an effect found and of its equivalents."""
+Group = tuple[EffectName, ...]
+"""Names of an effect found and of its equivalents, as far as all tables have them."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -430,18 +429,16 @@ class Subsamples:
     def __len__(self) -> int:
         return len(self.named)
 
-    def count(self, heading: Heading) -> int:
+    def count(self, name: EffectName) -> int:
         """Return the number of halves in which a name was found, also as an equivalent."""
-        return sum(any(heading in group for group in groups) for groups in self.named)
+        return sum(any(name in group for group in groups) for groups in self.named)
 
-    def others(self, known: Sequence[Heading], share: float) -> list[tuple[Heading, int]]:
+    def others(self, known: Sequence[EffectName], share: float) -> list[tuple[EffectName, int]]:
         """Return unknown names that were found, not only as equivalents, in at least a share of the
         halves, with counts.
         """
         first = Counter(
-            heading
-            for groups in self.named
-            for heading in dict.fromkeys(group[0] for group in groups)
+            name for groups in self.named for name in dict.fromkeys(group[0] for group in groups)
         )
         return [
             (name, n)
@@ -531,11 +528,13 @@ def _groups(trail: History) -> Iterator[Group]:
     for step in trail.steps:
         if step.is_elastic:
             yield from (
-                (sure.effect.heading,)
+                (EffectName.of(sure.effect).in_tables,)
                 for sure in significant_compliances(trail.final, step.effects)
             )
         else:
-            yield (step.effect.heading, *(other.heading for other in step.equivalent))
+            yield tuple(
+                EffectName.of(effect).in_tables for effect in (step.effect, *step.equivalent)
+            )
 
 
 def with_subsamples(
@@ -547,7 +546,7 @@ def with_subsamples(
     if not halves:
         return changed(findings, bootstrap=bootstrap)
     every = [
-        (entry, Stability(halves.count(_heading(entry)), len(halves))) for entry in findings.effects
+        (entry, Stability(halves.count(entry.in_tables), len(halves))) for entry in findings.effects
     ]
     effects = tuple(changed(entry, stability=of) for entry, of in every)
     names = (
@@ -559,10 +558,10 @@ def with_subsamples(
         if of.share < SURE
     )
     # Names found in most halves that are neither found on all rows nor equivalents.
-    known = [_heading(name) for entry in effects for name in (entry, *entry.equivalent)]
+    known = [name.in_tables for entry in effects for name in (entry, *entry.equivalent)]
     only = (
-        Repeated(effect=effect, joint=joint, source=source, stability=Stability(named, len(halves)))
-        for (effect, joint, source), named in halves.others(known, SURE)
+        Repeated(**asdict(name), stability=Stability(named, len(halves)))
+        for name, named in halves.others(known, SURE)
     )
     stability: dict[str, Any] = {
         "hints": tuple(hints),
@@ -570,7 +569,3 @@ def with_subsamples(
         "poses_in_a_half": halves.poses,
     }
     return changed(findings, effects=effects, bootstrap=bootstrap, **stability)
-
-
-def _heading(entry: EffectName) -> Heading:
-    return entry.effect, entry.joint, entry.source

@@ -24,6 +24,7 @@ from pincal.model.effect import Curve, Effect, Family, Locus
 from pincal.model.effect_bases import drive_unit
 from pincal.model.effects import Compliance
 from pincal.recorded import RECORDABLE
+from pincal.units import format_joint
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
 
 # Shapes of effects that depend on the joint's own position and another's.
@@ -345,6 +346,8 @@ def _title(effect: Effect) -> str:
     across = effect.is_nameless and effect.locus.acts_on != "drive"
     where += f" ({effect.locus.acts_on})" if across else ""
     order = f" order {effect.locus.order:g}" if (effect.locus.order or 1) != 1 else ""
+    if effect.locus.period is not None:
+        order = f" of period {format_joint(effect.locus.period, 'm', '.4g')}"
     # Bearing features share the heading of compliances, so their own names are used.
     is_feature = effect.family is Family.ELASTICITY and effect.locus.station is None
     return f"{effect.name if is_feature else effect.heading[0]}{of}{by}{where}{order}"

@@ -14,6 +14,10 @@ from pincal.features.decision import ConformityVerdict, overall_verdict
 from pincal.identity import Identity
 from pincal.io.strict_json import Fault
 from pincal.notes import Note
+from pincal.thresholds import Scale
+
+# Expanded uncertainty that is rounding of what the datum holds [unit of the value].
+_ROUNDING: Scale = 1e-9
 
 
 class ValueEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -46,6 +50,11 @@ class ValueEntry(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     decision: ConformityVerdict | None = None
     risk: float | None = None
     by_source: dict[str, float] = {}
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the datum has it by definition: it was not measured, and has no uncertainty."""
+        return self.U <= _ROUNDING
 
     def __post_init__(self) -> None:
         for name in ("u", "U", "k"):

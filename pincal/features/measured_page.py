@@ -25,7 +25,7 @@ from pincal.report.blocks import (
 from pincal.report.html import render
 from pincal.result_table import Cell, Column, Kind, RowTone, Table
 from pincal.thresholds import Count
-from pincal.units import fixed, show_limits, show_percent
+from pincal.units import fixed, show_limits, show_percent, show_size
 
 # Names that a sentence lists.
 _NAMED: Count = 4
@@ -148,7 +148,8 @@ def _is_told(found: MeasuredFile, feature: FeatureEntry, name: str, value: Value
 
 def _cells(feature: FeatureEntry, name: str, value: ValueEntry) -> dict[str, Cell]:
     """Return the cells of a quantity by their columns."""
-    show = fixed(_PLACES.get(value.unit, 6))
+    places = _PLACES.get(value.unit, 6)
+    show = fixed(places)
     limits = "" if value.limits is None else _limit_words(*value.limits)
     return {
         "feature": feature.name,
@@ -156,7 +157,7 @@ def _cells(feature: FeatureEntry, name: str, value: ValueEntry) -> dict[str, Cel
         "nominal": show(value.nominal),
         "value": show(value.value),
         "deviation": show(value.deviation),
-        "U": show(value.U),
+        "U": "by datum" if value.is_held else show_size(places)(value.U),
         "unit": value.unit,
         "limits": limits,
         "decision": value.decision or "",

@@ -162,7 +162,7 @@ def _fitted(mounted: MountedSensor, part: Part, points: LocatedPoints) -> Fitted
         if not _are_determined(part, points.without_source(PARAMETERS), mounted.declared):
             raise
         which = str(error).partition(":")[0]
-        raise BadInputError(f"{which}: {_open_words(mounted, points)}") from error
+        raise BadInputError(f"{which}: {_open_words(mounted)}") from error
 
 
 def _are_determined(part: Part, points: LocatedPoints, declared: FlangeSensor) -> bool:
@@ -174,24 +174,15 @@ def _are_determined(part: Part, points: LocatedPoints, declared: FlangeSensor) -
     return True
 
 
-def _open_words(mounted: MountedSensor, points: LocatedPoints) -> str:
+def _open_words(mounted: MountedSensor) -> str:
     """Return what a calibration leaves open where it, not the points, is why a feature can't be
     fitted, and the cure.
     """
-    by_parameters = points.covariance.sources[PARAMETERS].blocks
-    largest = float(np.sqrt(np.diagonal(by_parameters, axis1=1, axis2=2).max()))
-    place = mounted.place_sigma
-    # A turn moves the target by at most twice its distance from the tip.
-    if 2.0 * place < largest:
-        return (
-            "its readings would do, but the calibration does not tell where they are (standard "
-            f"uncertainty up to {format_small(largest, 'm')}): calibrate with poses like those of "
-            "the readings"
-        )
     return (
-        "its readings would do, but the calibration of this model leaves open where the target is "
-        f"on the tool (standard deviation {format_small(place, 'm')}): calibrate with poses that "
-        "turn the wrist about two axes, or give the place (tool in cell.toml)"
+        "its readings would do, but the calibration of this model leaves open where they are: the "
+        "place of the target on the tool has a standard deviation of "
+        f"{format_small(mounted.place_sigma, 'm')}. Calibrate with poses that turn the wrist as "
+        "these do, about two axes, or give the place (tool in cell.toml)"
     )
 
 

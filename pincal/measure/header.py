@@ -599,7 +599,13 @@ def _check_unknown(
             warn(
                 f"{sheet.path.name}: {what} are ignored: "
                 f"{', '.join(map(_short, texts[:_LISTED]))}{more}"
+                f"{_WHOEVER if _OPERATOR in (text.casefold() for text in texts) else ''}"
             )
+
+
+# The column that tells who measured a row, and what is done with it.
+_OPERATOR = "operator"
+_WHOEVER = "; rows count alike, whoever measured them: pincal measure compares operators (GR&R)"
 
 
 def _is_slip(name: str, names: Sequence[str]) -> bool:

@@ -97,6 +97,8 @@ class Locus:
         span: observed range of the variable, beyond which the effect is constant.
         own_order: cycles per revolution of its joint, of a function of two joints.
         own_span: observed range of its joint, beyond which a function of two joints is constant.
+        on_rail: whether the variable is the position of a prismatic joint, of which waves have a
+            period [m] and no cycles per revolution.
     """
 
     joint: str | None = None
@@ -111,6 +113,12 @@ class Locus:
     span: tuple[float, float] | None = None
     own_order: float | None = None
     own_span: tuple[float, float] | None = None
+    on_rail: bool = False
+
+    @property
+    def period(self) -> float | None:
+        """Length after which waves along a prismatic joint repeat [m]; None for all others."""
+        return 2.0 * np.pi / self.order if self.on_rail and self.order else None
 
     @property
     def source(self) -> str | None:

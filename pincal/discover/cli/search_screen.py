@@ -28,7 +28,7 @@ from pincal.model.effect import Family
 from pincal.model.effect_registry import EFFECTS
 from pincal.report.judgement import judged
 from pincal.result_table import hanging, one_line
-from pincal.units import show_chance
+from pincal.units import format_joint, show_chance
 
 # Of a model that has more than names, which its errors are with.
 _REST = "; and a smooth remainder without a name"
@@ -167,8 +167,5 @@ def _print_effect(entry: FoundEffect, out: Console) -> None:
             )
         )
     if entry.period is not None:
-        unit = {"time": "s", "temperature": "K", "payload": "kg"}.get(entry.depends_on or "", "rad")
-        out.print(
-            one_line(f"{effect_words(entry)} repeats every {entry.period:.4g} {unit}"),
-            markup=False,
-        )
+        how_far = format_joint(entry.period, entry.period_unit or "rad")
+        out.print(one_line(f"{effect_words(entry)} repeats every {how_far}"), markup=False)

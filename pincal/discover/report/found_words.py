@@ -14,7 +14,7 @@ from pincal.discover.discovery_file import (
 )
 from pincal.discover.policy import REMAINDER
 from pincal.errors import counted
-from pincal.units import format_small
+from pincal.units import format_joint, format_small
 
 # Words for variables whose names do not explain themselves.
 _VARIABLES = {"move": "its last move"}
@@ -37,6 +37,9 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         >>> tilt = dict(depends_on="axis_2", acts_on="s_x", shape="curve")
         >>> effect_words(EffectName(effect="unnamed", joint="axis_2", **tilt), joint=False)
         'unnamed (curve of axis_2, tilt s_x)'
+        >>> rail = dict(depends_on="rail", shape="waves", period=2.0944)
+        >>> effect_words(EffectName(effect="unnamed", joint="rail", **rail), joint=False)
+        'unnamed (waves of period 2094 mm of rail)'
     """
     words = [entry.effect]
     if joint and entry.joint:
@@ -46,7 +49,7 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
     if entry.station:
         words.append(f"at {entry.station}")
     if entry.depends_on:
-        order = f" of order {entry.order:g}" if entry.order else ""
+        order = _cycles(entry)
         on = entry.acts_on or "drive"
         across = "" if on == "drive" else f", {_ACROSS.get(on, 'tilt')} {on}"
         of = (
@@ -62,6 +65,15 @@ def effect_words(entry: EffectName, *, joint: bool = True) -> str:
         else:
             words.append(f"order {entry.order}")
     return " ".join(words)
+
+
+def _cycles(entry: EffectName) -> str:
+    """Return the order of a periodic effect without a name, of a prismatic joint its period."""
+    if entry.order:
+        return f" of order {entry.order:g}"
+    if entry.period is None or entry.shape not in ("waves", "product"):
+        return ""
+    return f" of period {format_joint(entry.period, 'm', '.4g')}"
 
 
 def line_words(entry: FoundEffect) -> str:

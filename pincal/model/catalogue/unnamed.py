@@ -69,13 +69,15 @@ class Unnamed(Smoothable):
             ``place``), or "kink" (a change of slope there).
         lower, upper: the measured range; outside it a curve keeps its end value.
         size: number of basis functions of a curve, and of a map along each joint.
-        order: cycles per revolution; of a product default 1.
+        order: cycles per revolution; of a product default 1. Along a prismatic joint waves repeat
+            every 2 pi / ``order`` metres.
         place: breakpoint [rad or m].
         own_lower, own_upper: the range of the joint's own position, of a map or a field.
         own_order: cycles per revolution of the joint itself, of a product; default: 1.
         lengths: of a field, along the joint's own position and the other's [rad or m].
         height: of a field, standard deviation of the error [rad or m].
         chosen_among: number of independent orders and joints among which these were selected.
+        on_rail: whether ``depends_on`` is a prismatic joint.
     """
 
     joint: str
@@ -93,6 +95,7 @@ class Unnamed(Smoothable):
     lengths: tuple[float, float] | None = None
     height: float = _SIZE
     chosen_among: float = 1.0
+    on_rail: bool = False
     name: ClassVar[str] = "unnamed"
     meaning: ClassVar[str] = "a significant effect that is not in the catalogue"
     family: ClassVar[Family] = Family.NAMELESS
@@ -135,6 +138,7 @@ class Unnamed(Smoothable):
             span=span,
             own_order=self.own_order,
             own_span=self._own_span,
+            on_rail=self.on_rail,
         )
 
     @property
@@ -281,6 +285,8 @@ def nameless_candidates(
     order 1 and 2 are in the catalogue, too. Waves and products need fewer parameters than a curve.
     """
     names = chain.robot.joint_names
+    kinds = zip(names, chain.robot.joint_types, strict=True)
+    rails = {name for name, kind in kinds if kind == "prismatic"}
     does = moves(conditions.q)
     columns = {name: conditions.q[:, i] for i, name in enumerate(names) if does[i]}
     columns |= {
@@ -298,13 +304,15 @@ def nameless_candidates(
             lower = float(column.min())
             upper = float(column.max())
             own = source == joint
-            slides = chain.robot.joint_types[names.index(joint)] == "prismatic"
-            of_guide = _OF_GUIDE if slides else ()
+            of_guide = _OF_GUIDE if joint in rails else ()
             for acts_on in (*_ACROSS, *_BEFORE, *of_guide) if own else _DRIVE:
                 yield Unnamed(joint, acts_on, source, lower=lower, upper=upper, size=_PIECES)
             if source in names:
+                on_rail = source in rails
                 yield from (
-                    _of_two_joints(joint, source) if not own else _of_one_joint(joint, column)
+                    _of_one_joint(joint, column, on_rail=on_rail)
+                    if own
+                    else _of_two_joints(joint, source, on_rail=on_rail)
                 )
 
 
@@ -345,15 +353,16 @@ def wave_of_two(
     )
 
 
-def _of_two_joints(joint: str, source: str) -> Iterator[Unnamed]:
+def _of_two_joints(joint: str, source: str, *, on_rail: bool) -> Iterator[Unnamed]:
     for acts_on in (*_DRIVE, *_ACROSS):
-        yield from (Unnamed(joint, acts_on, source, "waves", order=order) for order in _ORDERS)
-    yield Unnamed(joint, "drive", source, "product")
+        for order in _ORDERS:
+            yield Unnamed(joint, acts_on, source, "waves", order=order, on_rail=on_rail)
+    yield Unnamed(joint, "drive", source, "product", on_rail=on_rail)
 
 
-def _of_one_joint(joint: str, column: np.ndarray) -> Iterator[Unnamed]:
+def _of_one_joint(joint: str, column: np.ndarray, *, on_rail: bool) -> Iterator[Unnamed]:
     for acts_on in (*_DRIVE, *_ACROSS, *_BEFORE):
-        yield Unnamed(joint, acts_on, joint, "waves", order=3)
+        yield Unnamed(joint, acts_on, joint, "waves", order=3, on_rail=on_rail)
     for place in np.quantile(column, _PLACES):
         yield Unnamed(joint, "drive", joint, "step", place=float(place))
         yield Unnamed(joint, "drive", joint, "kink", place=float(place))
