@@ -86,7 +86,7 @@ def kuka() -> Robot:
 def forget_plugins(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let no test meet the effects and sensors of another's plugins, and no worker look for these: files may be gone."""
     monkeypatch.setattr(plugins, "_loaded", dict(plugins._loaded))
-    known, imported = [(registry, set(registry.known())) for registry in (EFFECTS, SENSORS)], set(sys.modules)
+    known, imported = [(registry, set(registry.known())) for registry in (EFFECTS, SENSORS)], sys.modules.copy()
     yield
     for registry, names in known:
         for name in registry._classes.keys() - names:

@@ -86,7 +86,7 @@ def conditions_of(robot: Robot) -> Conditions:
 
 
 @pytest.mark.parametrize("moment_frame", ["before", "after"])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_a_bearing_bends_as_the_true_machine(tmp_path: Path, seed: int, moment_frame: MomentFrame) -> None:
     """On every joint three compliances leave 2e-5 of what it does; their principal values are the machine's."""
     urdf = written(tmp_path / "skew.urdf", skew_arm(seed))
@@ -149,7 +149,7 @@ def test_what_geometry_takes_of_a_wobble_is_not_counted() -> None:
     assert [tests.score([i], 1).rank for i in range(2)] == [2, 4]
 
 
-@pytest.mark.parametrize("seed", [30127, 71027, 71238, 71251])
+@pytest.mark.parametrize("seed", [30127, 71027, *(pytest.param(seed, marks=pytest.mark.long) for seed in (71238, 71251))])
 def test_no_wobble_is_found_where_geometry_is_beyond_its_priors(seed: int) -> None:
     """Sound arms with two nearly parallel axes, whose common normal stands somewhere else: 3 to 6 standard deviations."""
     case = draw_case("null", seed, **(fresh(seed) | {"n": 60}))

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,10 @@ from pincal import Robot
 from pincal.cli import pincal
 from pincal.cli.arguments import Verb
 from pincal.cli.cell_file import CELL_KEYS, CellFile, write_cell
+from pincal.discover.detectability import DetectabilityTable, detectable_effects
+from pincal.discover.report import detectability_tables
 from pincal.errors import BadInputError
+from pincal.identify.fit import ModelFit
 from pincal.measure.table import write_table
 
 CONTEXT = click.Context(pincal)
@@ -34,6 +38,21 @@ def verbs() -> dict[str, Verb]:
 
 
 VERBS = verbs()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_outlook() -> Iterator[None]:
+    """Work out once what a search could find: half of a check, and of no cell file's concern."""
+    found: list[DetectabilityTable] = []
+
+    def once(fit: ModelFit) -> DetectabilityTable:
+        if not found:
+            found.append(detectable_effects(fit))
+        return found[0]
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(detectability_tables, "detectable_effects", once)
+        yield
 
 
 @pytest.fixture

@@ -67,7 +67,12 @@ def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Any]:
 
 @pytest.mark.parametrize(
     ("damage", "suffix"),
-    [*((how, suffix) for how in (_cut, _empty, _zeros, _noise) for suffix in ("nbi", "nbc")), (_one_bit, "nbc")],
+    [
+        *((how, "nbc") for how in (_cut, _zeros, _one_bit)),
+        *((how, "nbi") for how in (_empty, _noise)),
+        *(pytest.param(how, "nbi", marks=pytest.mark.long) for how in (_cut, _zeros)),
+        *(pytest.param(how, "nbc", marks=pytest.mark.long) for how in (_empty, _noise)),
+    ],
 )
 def test_a_damaged_file_is_compiled_anew(
     fresh: Callable[[], Any], tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: Any, suffix: str

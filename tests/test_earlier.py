@@ -122,8 +122,9 @@ def test_score_tests_beside_it_are_those_of_all_rows(both: FittedRobot) -> None:
         assert found.gain([k])[0] == pytest.approx(left(free) - left(with_it), rel=1e-6)
 
 
-@pytest.mark.parametrize("count", [1, 2])
-@pytest.mark.parametrize("poses", [5, 60])
+@pytest.mark.parametrize(
+    ("poses", "count"), [(5, 2), (60, 1), *(pytest.param(*case, marks=pytest.mark.long) for case in ((5, 1), (60, 2)))]
+)
 def test_a_model_file_and_new_rows_equal_all_rows(
     count: int, poses: int, machine: sim.TrueMachine, kuka: Robot, tmp_path: Path
 ) -> None:

@@ -159,7 +159,7 @@ def test_the_command_tells_it_in_a_line(robot, tmp_path, capsys):
 PLANS = SHARED / "cases" / "plans"
 
 
-@pytest.mark.parametrize("plan", ["17_serpentine_grid", "18_circle_point"])
+@pytest.mark.parametrize("plan", ["17_serpentine_grid", pytest.param("18_circle_point", marks=pytest.mark.long)])
 def test_plans_that_leave_poses_out_say_what_is_to_be_expected_there(plan):
     """A grid and single-joint sweeps of independent generators: what is expected elsewhere is of the size of the errors."""
     folder = PLANS / plan

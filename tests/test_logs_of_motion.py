@@ -442,7 +442,7 @@ def test_an_imu_that_is_polled_at_nearly_its_own_rate_is_told(logs: Tables, tmp_
     assert re.search(r"imu.csv: \d+ rows, .* repeat the previous one .* was it polled at nearly its own rate", told)
 
 
-@pytest.mark.parametrize("rate", [82.0, *(pytest.param(rate, marks=pytest.mark.long) for rate in (97.0, 100.4)), 130.0])
+@pytest.mark.parametrize("rate", [82.0, *(pytest.param(rate, marks=pytest.mark.long) for rate in (97.0, 100.4, 130.0))])
 def test_an_imu_that_is_polled_has_the_times_of_its_samples(logs: Tables, rate: float, tmp_path: Path) -> None:
     """Whose delays, up to a sample, follow the rates of an arm; stamps of samples, or that step, are left as they are."""
     tables, rng = copied({name: logs[name] for name in ("joints", "imu")}), np.random.default_rng(0)

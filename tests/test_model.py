@@ -58,6 +58,14 @@ ARMS: dict[str, Callable[[], Robot]] = {
 }
 # Those that are like another one are long.
 PARAMS = [pytest.param(name, marks=pytest.mark.long) if name in ("ur10", "head to hand") else name for name in ARMS]
+# Moments of two paths up a tree and down are those of one frame as of another.
+ARMS_AND_FRAMES = [
+    pytest.param(
+        name, frame, marks=pytest.mark.long if name in ("ur10", "head to hand") or (frame != "paper" and " " in name) else ()
+    )
+    for name in ARMS
+    for frame in MOMENT_FRAMES
+]
 EFFECTS: dict[str, tuple[Effect, ...]] = {
     **{effect.name: (effect,) for effect in ELASTIC},
     "base_frame": (BaseFrame(),),
@@ -374,7 +382,7 @@ def one_payload(robot: Robot, n: int, rng: np.random.Generator) -> tuple[Conditi
 
 
 @pytest.mark.parametrize("equilibrium", [False, True])
-@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
+@pytest.mark.parametrize(("robot", "moment_frame"), ARMS_AND_FRAMES, indirect=["robot"])
 def test_augmented_model_has_the_same_tip(
     robot: Robot, moment_frame: MomentFrame, equilibrium: bool, rng: np.random.Generator
 ) -> None:
@@ -391,7 +399,7 @@ def test_augmented_model_has_the_same_tip(
     )
 
 
-@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
+@pytest.mark.parametrize(("robot", "moment_frame"), ARMS_AND_FRAMES, indirect=["robot"])
 def test_augmented_jacobian_is_the_kinematic_one(robot: Robot, moment_frame: MomentFrame, rng: np.random.Generator) -> None:
     """Columns of parameters that move one coordinate by themselves are columns of Pinocchio's frame Jacobian."""
     chain = bare_chain(robot, moment_frame)
@@ -415,7 +423,7 @@ def geometric_coordinates(model: Model) -> list[int]:
     return found
 
 
-@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
+@pytest.mark.parametrize(("robot", "moment_frame"), ARMS_AND_FRAMES, indirect=["robot"])
 def test_moments_about_the_drives_are_generalised_gravity(
     robot: Robot, moment_frame: MomentFrame, rng: np.random.Generator
 ) -> None:
@@ -431,7 +439,7 @@ def test_moments_about_the_drives_are_generalised_gravity(
     np.testing.assert_allclose(moments[:, 2::3], expected, rtol=0.0, atol=EXACT * np.abs(moments).max())
 
 
-@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
+@pytest.mark.parametrize(("robot", "moment_frame"), ARMS_AND_FRAMES, indirect=["robot"])
 def test_slopes_of_the_moments_are_pinocchios(robot: Robot, moment_frame: MomentFrame, rng: np.random.Generator) -> None:
     """Pinocchio's gravity derivatives are the central differences of the moments by the geometric parameters."""
     chain = bare_chain(robot, moment_frame)
@@ -450,7 +458,7 @@ def test_slopes_of_the_moments_are_pinocchios(robot: Robot, moment_frame: Moment
         np.testing.assert_allclose(slopes[:, :, p], numeric, rtol=0.0, atol=1e-8 * np.abs(slopes).max())
 
 
-@pytest.mark.parametrize("moment_frame", MOMENT_FRAMES)
+@pytest.mark.parametrize(("robot", "moment_frame"), ARMS_AND_FRAMES, indirect=["robot"])
 def test_jacobian_through_the_moments_is_pinocchios(
     robot: Robot, moment_frame: MomentFrame, rng: np.random.Generator
 ) -> None:

@@ -67,7 +67,7 @@ def of_poses(kuka: Robot, machine: sim.TrueMachine) -> FittedRobot:
     return calibrate(kuka, measured(kuka, machine, 60, 2, 1e-4), options).at()
 
 
-@pytest.mark.parametrize("angle", [5e-5, 1e-4, 1e-3])
+@pytest.mark.parametrize("angle", [5e-5, pytest.param(1e-4, marks=pytest.mark.long), 1e-3])
 def test_poses_tell_of_a_model_of_positions(
     kuka: Robot, machine: sim.TrueMachine, of_positions: FittedRobot, angle: float
 ) -> None:

@@ -114,7 +114,8 @@ def test_a_datum_takes_out_what_all_points_share(datum: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "datum", [pytest.param(datum, marks=pytest.mark.long if datum == "best fit of surfaces" else ()) for datum in DATUMS]
+    "datum",
+    [pytest.param(datum, marks=pytest.mark.long if datum in ("best fit of surfaces", "3-2-1") else ()) for datum in DATUMS],
 )
 def test_values_have_the_spread_that_is_stated(datum: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """JCGM 101: deviations of many draws, whitened by the covariance of the values, are of unit size."""

@@ -115,8 +115,8 @@ def test_a_function_of_two_joints_is_no_scatter(kuka: Robot) -> None:
     ("shape", "poses", "told"),
     [
         (lambda q: np.sin(q[1]) * np.sin(q[3]), 200, ("b", "d")),
-        (lambda q: q[1] * q[2], 200, ("b", "c")),
-        (lambda q: np.sin(3.0 * q[2]), 200, ("c",)),
+        pytest.param(lambda q: q[1] * q[2], 200, ("b", "c"), marks=pytest.mark.long),
+        pytest.param(lambda q: np.sin(3.0 * q[2]), 200, ("c",), marks=pytest.mark.long),
         (lambda q: np.sin(q[0] + q[1] + q[2]), 200, ("a", "b", "c")),
         (None, 200, ()),
         (None, 20, None),

@@ -37,7 +37,7 @@ READ: dict[str, Callable[[np.ndarray], Sensor]] = {
 }
 KINDS = tuple(READ)
 # Two placements in every run, some more before each commit, all of them where rates are counted.
-SOME, MORE, ALL = 2, 6, 30
+SOME, MORE, ALL = 1, 6, 30
 
 
 def draws(n: int = ALL) -> list[ParameterSet]:

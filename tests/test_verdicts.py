@@ -92,7 +92,14 @@ def test_warnings_of_version_0_1_0_are_read() -> None:
     assert old.warnings == ("so it is",)
 
 
-@pytest.mark.parametrize(("poses", "cycles", "sigma"), [(8, 1, 5e-5), (8, 3, 5e-5), (15, 1, 5e-5), (7, 1, 2e-6)])
+@pytest.mark.parametrize(
+    ("poses", "cycles", "sigma"),
+    [
+        (8, 3, 5e-5),
+        (7, 1, 2e-6),
+        *(pytest.param(poses, 1, 5e-5, marks=pytest.mark.long) for poses in (8, 15)),
+    ],
+)
 def test_few_poses_are_not_judged(poses: int, cycles: int, sigma: float) -> None:
     """Eight poses, however often they are measured, do not make a model of sixty parameters adequate."""
     robot = Robot.from_urdf(URDF)

@@ -255,14 +255,14 @@ def _tip_motion(
     v[:, drives] += path.at(time, 1)
     a[:, drives] += path.at(time, 2)
     T = np.empty((len(time), 4, 4))
-    motions = np.empty((len(time), 3, 3))
+    velocity, change = np.empty((2, len(time), 6))
     for i in range(len(time)):
         pin.forwardKinematics(model, data, here[i], v[i], a[i])
         T[i] = data.oMi[tip].homogeneous
-        rate = data.v[tip].angular
-        moved = data.a[tip]
-        motions[i] = rate, moved.angular, moved.linear + np.cross(rate, data.v[tip].linear)
-    return TipMotion(T, motions[:, 0], motions[:, 1], motions[:, 2])
+        velocity[i] = data.v[tip].vector
+        change[i] = data.a[tip].vector
+    rate = velocity[:, 3:]
+    return TipMotion(T, rate, change[:, 3:], change[:, :3] + np.cross(rate, velocity[:, :3]))
 
 
 def _deformed(

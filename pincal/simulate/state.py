@@ -338,11 +338,16 @@ def _free(twist: np.ndarray) -> np.ndarray:
     """Return translation and quaternion of a free joint, shape (..., 7), for twists of shape (...,
     6).
     """
-    from scipy.spatial.transform import Rotation
-
-    rotation = Rotation.from_euler("ZYX", twist[..., :2:-1].reshape(-1, 3))
-    quaternion = rotation.as_quat().reshape(*twist.shape[:-1], 4)
-    return np.concatenate((twist[..., :3], quaternion), axis=-1)
+    # Half angles; the quaternion of Rz Ry, times that of Rx.
+    cx, cy, cz = np.cos(0.5 * twist[..., 3:]).T
+    sx, sy, sz = np.sin(0.5 * twist[..., 3:]).T
+    quaternion = (
+        cz * cy * sx - sz * sy * cx,
+        cz * sy * cx + sz * cy * sx,
+        sz * cy * cx - cz * sy * sx,
+        cz * cy * cx + sz * sy * sx,
+    )
+    return np.concatenate((twist[..., :3], np.stack(quaternion).T), axis=-1)
 
 
 def place(model: Any, data: Any, q: np.ndarray) -> np.ndarray:
@@ -462,12 +467,17 @@ class _Bodies:
         """Return the sum of (centre - origin k) x weight + couple over the bodies of mask k, shape
         (N, k, 3).
         """
-        pairs = zip(np.moveaxis(origins, 1, 0), carried, strict=True)
-        moments = [
-            np.cross(self.centres[:, b] - o[:, None], self.weights[:, b]) + self.couples[:, b]
-            for o, b in pairs
-        ]
-        return np.stack([each.sum(axis=1) for each in moments], axis=1)
+        # NumPy's cross product takes longer to rearrange so few rows than to multiply them.
+        centres, weights, couples = map(np.transpose, (self.centres, self.weights, self.couples))
+        moments = np.empty((3, len(carried), len(self.centres)))
+        for k, bodies in enumerate(carried):
+            x, y, z = centres[:, bodies] - origins[:, k].T[:, None]
+            fx, fy, fz = weights[:, bodies]
+            mx, my, mz = couples[:, bodies]
+            moments[0, k] = (y * fz - z * fy + mx).sum(axis=0)
+            moments[1, k] = (z * fx - x * fz + my).sum(axis=0)
+            moments[2, k] = (x * fy - y * fx + mz).sum(axis=0)
+        return moments.T
 
     def forces(self, carried: np.ndarray) -> np.ndarray:
         """Return the sum of the weights of the bodies of each mask, shape (N, k, 3)."""
@@ -476,4 +486,5 @@ class _Bodies:
 
 def _turned(frames: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Return vectors of the base frame in the axes of frames, shape (N, k, 3)."""
-    return np.asarray(np.einsum("nkab,nka->nkb", frames[..., :3, :3], vectors))
+    x, y, z = (frames[..., axis, :3] * vectors[..., axis, None] for axis in range(3))
+    return np.asarray(x + y + z)
