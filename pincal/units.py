@@ -315,15 +315,15 @@ def joint_unit(unit: str) -> Unit:
     return _OF_JOINTS.get(unit, Unit(1.0, unit))
 
 
-def format_joint(value: float, unit: str, form: str = ".3g") -> str:
+def format_joint(value: float, unit: str) -> str:
     """Return a joint's position or its change, as a pendant shows it.
 
     Example:
-        >>> format_joint(-0.19792, "rad", ".4g"), format_joint(0.0123, "m")
+        >>> format_joint(-0.19792, "rad"), format_joint(0.0123, "m")
         ('-11.34 deg', '12.3 mm')
     """
     factor, name = joint_unit(unit)
-    return f"{value * factor:{form}} {name}"
+    return f"{value * factor:.4g} {name}"
 
 
 def range_of_joint(low: float, high: float, unit: str) -> str:

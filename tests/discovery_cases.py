@@ -408,8 +408,6 @@ NAMED = (
     "payload_error",
     "gear_ripple",
 )
-# What follows the last move is told where rows stand in order, as in a table of ``draw_case(..., in_order=True)``.
-IN_ORDER = ("settling", "backlash")
 # One joint's drive or bearing of an arm that is rigid otherwise.
 SOFT = ("joint_elasticity", "bearing_elasticity")
 NEEDS = {"backlash": "approach", "thermal_expansion": "temperature", "thermal_offset": "temperature", "base_drift": "time"}

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import UNSET, to_builtins
-from plan_cases import PLANS, PlanCase, anywhere, draw_plan_case
+from plan_cases import PlanCase, anywhere, draw_plan_case
 from rates import in_words, interval
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -423,8 +423,3 @@ _OTHERS = (
         _markers,
     ),
 )
-
-
-def kinds_of(verb: str) -> tuple[str, ...]:
-    """Return the kinds of which a command is asked by default."""
-    return tuple(kind for kind, plan in PLANS.items() if verb in plan.verbs)

@@ -15,7 +15,7 @@ from pincal.acceptance.decided_errors import decided
 from pincal.acceptance.enclosing_sphere import smallest_sphere
 from pincal.acceptance.lengths import Contacts, Permitted, acceptance
 from pincal.acceptance.probing import KnownSphere, probing
-from pincal.design.acceptance_plan import PLACES, plan_acceptance
+from pincal.design.acceptance_plan import plan_acceptance
 from pincal.design.probing_plan import plan_probing, points_on_hemisphere
 from pincal.design.reach import Limits, Reach, SensorSetup
 from pincal.errors import MeasurementError, PincalWarning
@@ -121,7 +121,7 @@ def test_a_plan_has_the_tool_point_in_the_ends() -> None:
     ur10 = Robot.from_urdf("ur10")
     reach = Reach(ur10, SensorSetup(tool=(0.0, 0.0, 0.1)), Limits())
     plan = plan_acceptance(reach, [0.4], times=2)
-    assert len(plan.lengths) == PLACES and len(plan.contacts) == 4 * PLACES
+    assert len(plan.lengths) == 7 and len(plan.contacts) == 4 * 7
     ends = {name: end for of in plan.lengths for name, end in zip((of.first, of.second), of.ends, strict=True)}
     for of in plan.lengths:
         assert np.linalg.norm(of.ends[1] - of.ends[0]) == pytest.approx(0.4)

@@ -10,7 +10,7 @@ from scipy.stats import ttest_rel
 from pincal import simulate as sim
 from pincal.discover.discovery_file import NamedRegion
 from pincal.discover.names_by_region import chance_of_more, doubt_of_regions, regions_by_names
-from pincal.discover.policy import REMAINDER
+from pincal.discover.remainder_numbers import REMAINDER
 from pincal.discover.report.found_section import found_section
 from pincal.discover.report.found_words import region_words
 from pincal.discover.run import Discovery, run_discovery

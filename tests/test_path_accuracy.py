@@ -8,7 +8,6 @@ import pytest
 from pincal.validate.path_accuracy import along_path, cycles_of, path_words
 
 PERIOD, RATE, RADIUS = 8.0, 200.0, 0.3
-JUNK = np.random.default_rng(0)
 
 
 def circle(cycles: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

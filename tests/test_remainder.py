@@ -24,7 +24,8 @@ from pincal.cli.cell_defaults import _words_of
 from pincal.compensate.compensation import compensate_program
 from pincal.compensate.robot_frames import in_base_frame, program_poses
 from pincal.discover.cli.search_screen import summary_of_search
-from pincal.discover.policy import POLICY, REMAINDER
+from pincal.discover.policy import POLICY
+from pincal.discover.remainder_numbers import REMAINDER
 from pincal.discover.report.found_section import found_section
 from pincal.discover.report.found_words import smooth_words
 from pincal.discover.run import Discovery, run_discovery

@@ -13,9 +13,9 @@ from selection_cases import bent_panda, waving_ur5
 from pincal import GEOMETRIC, Measurements, Options
 from pincal.discover.backward import losses_by_block
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.policy import TESTING
 from pincal.discover.products import Information
 from pincal.discover.run import Discovery, run_discovery
+from pincal.discover.score_numbers import TESTING
 from pincal.identify.fit import ModelFit
 from pincal.identify.quadratic import Form
 from pincal.model.catalogue import GearRatio

@@ -17,9 +17,10 @@ from pincal import GEOMETRIC, Measurements, Options, Robot
 from pincal import simulate as sim
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.discover import drive_curves
+from pincal.discover.curve_numbers import CURVES
 from pincal.discover.drive_curves import CurveSquares, resolved, smoothed
 from pincal.discover.levers import situation_of
-from pincal.discover.policy import CURVES, POLICY
+from pincal.discover.policy import POLICY
 from pincal.discover.score_tests import GivenNuisances
 from pincal.identify.calibrate import fit_tables, refit
 from pincal.identify.fit import ModelFit

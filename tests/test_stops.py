@@ -7,7 +7,7 @@ import pytest
 
 from pincal.measure.measurements import Measurements, concatenate, measurements_from_arrays
 from pincal.measure.poses import by_pose
-from pincal.measure.stops import by_stop, plan_of, with_stops_counted
+from pincal.measure.stops import by_stop, plan_of
 
 POSES = np.array([[0.1, 0.2], [0.5, -0.3], [1.0, 0.7]])
 
@@ -105,13 +105,9 @@ def test_means_of_stops_keep_visits_apart() -> None:
     assert means.readings_per_row.tolist() == [2, 1, 1]
 
 
-def test_means_of_poses_count_their_stops() -> None:
-    """Five readings in two stops are one mean of a pose with two stops behind it."""
-    rows = table([0, 0, 0, 1, 0, 0])
-    means = with_stops_counted(by_pose(rows), rows)
-
-    assert means.readings_per_row.tolist() == [5, 1]
-    assert means.stops_per_row.tolist() == [2, 1]
+def test_means_of_poses_count_their_readings() -> None:
+    """Five readings in two stops are one mean of a pose."""
+    assert by_pose(table([0, 0, 0, 1, 0, 0])).readings_per_row.tolist() == [5, 1]
 
 
 def test_a_stop_is_no_other_pose() -> None:
@@ -128,6 +124,6 @@ def test_small_tables_have_plans(visits: list[int]) -> None:
 def test_joined_tables_keep_their_counts() -> None:
     """Tables of means can be joined with tables of single readings."""
     rows = table([0, 0, 1])
-    both = concatenate([with_stops_counted(by_pose(rows), rows), table([2])])
+    both = concatenate([by_pose(rows), table([2])])
 
-    assert both.stops_per_row.tolist() == [1, 1, 1]
+    assert both.readings_per_row.tolist() == [2, 1, 1]

@@ -45,13 +45,6 @@ def test_the_end_gauge_of_the_gum() -> None:
     assert sum(budget.share(entry) for entry in budget.entries) == pytest.approx(1.0)
 
 
-def test_limits_give_standard_uncertainties() -> None:
-    """Half-width over the roots of 3, 6 and 2."""
-    found = [BudgetEntry.of_limits("s", 1.0, of).u for of in ("rectangular", "triangular", "arcsine")]
-
-    assert found == pytest.approx([3**-0.5, 6**-0.5, 2**-0.5])
-
-
 def test_known_sources_have_no_end_of_degrees_of_freedom() -> None:
     """And very small numbers do not leave the range of floats."""
     known = UncertaintyBudget((BudgetEntry("a", "B", 1e-90), BudgetEntry("b", "B", 0.0)))
@@ -66,8 +59,6 @@ REFUSED = {
     "negative": (lambda: BudgetEntry("a", "A", -1.0), "0 or more"),
     "dof": (lambda: BudgetEntry("a", "A", 1.0, 0.0), "more than 0"),
     "type": (lambda: BudgetEntry("a", "C", 1.0), "A or B"),  # type: ignore[arg-type]
-    "distribution": (lambda: BudgetEntry("a", "A", 1.0, 3.0, "gauss"), "expected one of"),
-    "limits": (lambda: BudgetEntry.of_limits("a", 1.0, "normal"), "within limits"),
     "coverage": (lambda: coverage_factor(3.0, 1.0), "less than 1"),
     "coverage dof": (lambda: coverage_factor(0.0), "more than 0"),
 }

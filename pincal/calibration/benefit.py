@@ -37,12 +37,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pincal.calibration.caveats import Caveat, CaveatKind
+from pincal.calibration.delivery_numbers import DELIVERY
 from pincal.calibration.elsewhere import random_conditions
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.improvement import unplaced
 from pincal.identify.beliefs import deviations, priors_of
 from pincal.identify.calibrate import refit
-from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import with_blocks
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import ModelFit, posterior_of
@@ -271,7 +271,7 @@ class _Averaged(NamedTuple):
         """The weights of the scales for those who expect the URDF to be right."""
         # To leave a robot as it is costs a gain; to make it worse costs trust.
         odds = np.zeros(len(self.given))
-        odds[0] = np.log(CRITERIA.as_described * (len(self.given) - 1))
+        odds[0] = np.log(DELIVERY.as_described * (len(self.given) - 1))
         return _weights(self.evidences + odds)
 
     def mean_squares(self, x: np.ndarray) -> np.ndarray:
@@ -290,8 +290,8 @@ class _Averaged(NamedTuple):
         """Return whether doubters expect a robot with deviations ``x`` to be better."""
         anywhere = self.expected(self.W, x) / self.expected(self.W, 0.0 * x)
         at_measured = self.expected(self.W_measured, x) / self.expected(self.W_measured, 0.0 * x)
-        return anywhere < CRITERIA.worth_it or (
-            at_measured < CRITERIA.worth_it and anywhere < CRITERIA.no_worse
+        return anywhere < DELIVERY.worth_it or (
+            at_measured < DELIVERY.worth_it and anywhere < DELIVERY.no_worse
         )
 
     @property

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from pincal.calibration.calibration_numbers import DOUBTED
+from pincal.calibration.change_numbers import CHANGES
 from pincal.errors import counted
 from pincal.identify.arrivals import shares_stops
 from pincal.identify.beliefs import is_on_tool
 from pincal.identify.calibrate import doubts_of_known
 from pincal.identify.choices import found_moments
-from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
 from pincal.identify.rounded_joints import RoundedJoints
 from pincal.identify.station import Station

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.calibration.calibration_numbers import COVERAGE
-from pincal.identify.criteria import CHANGES
+from pincal.calibration.change_numbers import CHANGES
 from pincal.io.arrays import ArrayShape, Matrix, Numbers, Record
 from pincal.model.chain import Chain
 from pincal.model.conditions import Conditions, into_range, recorded_variable

@@ -21,7 +21,7 @@ from pincal.calibration.earlier_files import read_model
 from pincal.calibration.fit_evidence import Evidence, FitEvidence, KeptEvidence
 from pincal.calibration.fitted_station import FittedStation
 from pincal.calibration.information import RobotInformation
-from pincal.calibration.likelihood import log_likelihood, noise_in_words, score
+from pincal.calibration.likelihood import log_likelihood, score
 from pincal.calibration.model_file import ModelFile, write_model_file
 from pincal.calibration.model_statement import ModelStatement
 from pincal.calibration.position_covariance import PositionCovariance
@@ -33,6 +33,7 @@ from pincal.calibration.result_tables import (
     parameter_table,
     residual_table,
 )
+from pincal.calibration.robot_words import in_few_lines, in_one_line
 from pincal.calibration.unmodelled import Unmodelled
 from pincal.errors import BadInputError, MeasurementError
 from pincal.identify import split
@@ -40,10 +41,10 @@ from pincal.identify.explain import ParameterFinding, explain
 from pincal.identify.fit import ModelFit, Solution
 from pincal.identify.options import Options
 from pincal.identify.problem import Problem
-from pincal.identify.station import Station, conditions_of, station_of, together
+from pincal.identify.station import Station, station_of, together
 from pincal.identity import Identity
+from pincal.io.camera_file import camera_entries
 from pincal.io.urdf_export import UrdfExport, calibrated_urdf
-from pincal.measure.admit import check_joints_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.table import read_measurements
 from pincal.model.augmented import pinocchio_model
@@ -52,17 +53,12 @@ from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.parameters import Estimate
 from pincal.result_table import Table
-from pincal.robot.se3 import placed
 from pincal.sensors.setup import Setup
-from pincal.thresholds import Count
-from pincal.units import real_array
 
 if TYPE_CHECKING:
     import pinocchio as pin
 
 _Rows = TypeVar("_Rows", Measurements, Conditions)
-# Stations whose noise stands in one line.
-_NAMED_STATIONS: Count = 3
 
 
 @dataclass(frozen=True, repr=False)
@@ -151,17 +147,7 @@ class FittedRobot:
 
     def __repr__(self) -> str:
         robot = self.stations[0].model.chain.robot.name
-        if isinstance(self.evidence, FitEvidence):
-            noise = noise_in_words(self.fit)
-            if len(noise) > _NAMED_STATIONS:
-                more = f"and {len(noise) - _NAMED_STATIONS} more stations"
-                noise = [*noise[:_NAMED_STATIONS], more]
-            what = f"{len(self.problem)} rows, noise {'; '.join(noise)}"
-        elif len(self.stations) > 1:
-            what = f"stations {' '.join(self.names)}"
-        else:
-            what = f"{len(self.estimate)} parameters, {self.sensor_kind}"
-        return f"FittedRobot({robot!r}: {what})"
+        return f"FittedRobot({robot!r}: {in_one_line(self.stations, self.estimate, self.evidence)})"
 
     def _repr_html_(self) -> str:
         lines = "<br>".join(html.escape(line) for line in self.summary().splitlines())
@@ -344,24 +330,7 @@ class FittedRobot:
         """Return the robot, its measurements, the number of fitted parameters and, of a fit, how it
         ended, in words.
         """
-        model = self.stations[0].model
-        robot = model.chain.robot
-        effects = ", ".join(dict.fromkeys(effect.name for effect in model.effects))
-        kinds = ", ".join(dict.fromkeys(station.sensor_kind for station in self.stations))
-        words = (
-            f"{robot.name}, {robot.n_joints} joints from {robot.base} to {robot.tip}, "
-            f"calibrated with {kinds} measurements\n{int(self.estimate.free.sum())} of "
-            f"{len(self.estimate)} parameters fitted: {effects}"
-        )
-        if not isinstance(self.evidence, FitEvidence):
-            return words
-        solution = self.solution
-        state = "converged" if solution.converged else "did not converge"
-        return (
-            f"{words}\n{len(self.problem)} rows, {state} after {self.fit.iterations} iterations; "
-            f"{solution.posterior.identifiable_rank} combinations of {int(solution.free.sum())} "
-            f"parameters determined; noise {'; '.join(noise_in_words(self.fit))}"
-        )
+        return in_few_lines(self.stations, self.estimate, self.evidence)
 
     # Evidence
 
@@ -513,8 +482,7 @@ class FittedRobot:
         """Return whether it predicts measurements of this kind: its own, or any if it has no
         parameters of a sensor.
         """
-        has_own = bool(self.setup.points) or len(self.values) > self.model.n_parameters
-        return not has_own or self.sensor_kind == measurements.kind
+        return self.station.reads(measurements)
 
     def conditions(self, measurements: Measurements) -> Conditions:
         """Return the conditions of a table's rows, with the payload's centre of mass that the
@@ -523,7 +491,7 @@ class FittedRobot:
         Raises:
             BadInputError: for a target that the model does not have.
         """
-        return conditions_of(self.model, measurements, np.array(self.payload_centre))
+        return self.station.conditions(measurements)
 
     def conditions_at(
         self, q: ArrayLike, *, payload: float = 0.0, target: str | None = None
@@ -535,25 +503,7 @@ class FittedRobot:
         Raises:
             BadInputError: if the joint positions have another shape, or there is no such target.
         """
-        positions = np.atleast_2d(real_array(q, "joint positions"))
-        robot = self.model.chain.robot
-        n = robot.n_joints
-        if robot.dependent and positions.ndim == 2 and positions.shape[1] == len(robot.own_joints):
-            positions = robot.spread(positions)
-        if positions.ndim != 2 or positions.shape[1] != n:
-            raise BadInputError(
-                f"joint positions have shape {np.shape(q)}; expected (N, {n}), one row per pose"
-            )
-        targets = self.model.chain.targets
-        if target is not None and target not in targets:
-            raise BadInputError(
-                f"target {target!r} is not in the model; expected one of {', '.join(targets)}"
-            )
-        found = Conditions.at(
-            robot.from_reported(positions), payload=payload, payload_centre=self.payload_centre
-        )
-        number = 0 if target is None else targets.index(target)
-        return replace(found, target=np.full(len(positions), number))
+        return self.station.conditions_at(q, payload=payload, target=target)
 
     def outside(self, conditions: Conditions) -> list[Outside]:
         """Return, row by row, values beyond the range of the fitted rows, where the model is not
@@ -617,26 +567,9 @@ class FittedRobot:
             MeasurementError: if the joints of a table are not the robot's, or their positions
                 are impossible.
         """
-        conditions = self._conditions(at, payload=payload, target=target)
+        conditions = self.station.as_conditions(at, payload=payload, target=target)
         poses = self.model.predict(self.model_values, self.of_its_day(conditions))
         return (poses, self.position_sigma(conditions)) if return_sigma else poses
-
-    def _conditions(
-        self,
-        at: Conditions | Measurements | ArrayLike,
-        *,
-        payload: float = 0.0,
-        target: str | None = None,
-    ) -> Conditions:
-        """Return the conditions of poses, as :meth:`predict` takes them."""
-        if isinstance(at, Measurements):
-            robot = self.model.chain.robot
-            table = at.in_order_of(robot)
-            check_joints_of(robot, table)
-            return self.conditions(table)
-        if isinstance(at, Conditions):
-            return at
-        return self.conditions_at(at, payload=payload, target=target)
 
     def position_sigma(self, conditions: Conditions) -> np.ndarray:
         """Return the standard uncertainty of the predicted position, shape (N, 3) [m], in the
@@ -698,8 +631,8 @@ class FittedRobot:
             BadInputError: for joint positions or points of another shape.
         """
         carrier = self._carrier(frame)
-        conditions = self._conditions(at)
-        place = _points(point, len(conditions))
+        conditions = self.station.as_conditions(at)
+        place = PointOnTip.given(point, None, len(conditions)).place
         poses = carrier.model.predict(carrier.model_values, carrier.of_its_day(conditions))
         return np.asarray(np.einsum("nij,nj->ni", poses[:, :, :3], place) + poses[:, :, 3])
 
@@ -733,15 +666,14 @@ class FittedRobot:
         Raises:
             BadInputError: for joint positions, points, covariances or stops of another shape.
         """
-        conditions = self._conditions(at)
+        conditions = self.station.as_conditions(at)
         n = len(conditions)
         stops = None if stop is None else np.asarray(stop)
         if stops is not None and stops.shape != (n,):
             raise BadInputError(f"stops have shape {stops.shape}; expected ({n},), one per pose")
         if point is None and point_covariance is None and frame == "instrument":
             return self.uncertainty.covariance_of(conditions, stop=stops)
-        covariance = None if point_covariance is None else _covariances(point_covariance, n)
-        on_tip = PointOnTip(_points(np.zeros(3) if point is None else point, n), covariance)
+        on_tip = PointOnTip.given(np.zeros(3) if point is None else point, point_covariance, n)
         return self._carrier(frame).uncertainty.covariance_of(conditions, on_tip, stops)
 
     def _carrier(self, frame: Literal["base", "instrument"]) -> FittedRobot:
@@ -853,43 +785,13 @@ class FittedRobot:
         Raises:
             BadInputError: if the model was not calibrated with images.
         """
-        places = {
-            p.name.removeprefix("camera."): p
-            for p in self.estimate.parameters
-            if p.effect.startswith("lens")
-        }
-        if not places:
+        found = camera_entries(self.estimate, self.model.chain.tool_rotations[0])
+        if not found:
             raise BadInputError(
                 f"this model was calibrated with {self.sensor_kind}, not with images: it "
                 "has no camera"
             )
-        mount = placed(self.model.chain.tool_rotations[0], self.estimate.frame("camera"))
-        lens = {
-            name: parameter.nominal + self.estimate[parameter.name]
-            for name, parameter in places.items()
-        }
-        return {**lens, "T_tip_camera": mount.tolist()}
-
-
-def _points(point: ArrayLike, n: int) -> np.ndarray:
-    """Return points on the tip of n poses, shape (3,) or (n, 3)."""
-    place = real_array(point, "points on the tip")
-    if place.shape not in ((3,), (n, 3)):
-        raise BadInputError(
-            f"points on the tip have shape {place.shape}; expected (3,), or ({n}, 3), one per pose"
-        )
-    return np.asarray(np.broadcast_to(place, (n, 3)))
-
-
-def _covariances(covariance: ArrayLike, n: int) -> np.ndarray:
-    """Return the covariances of points on the tip of n poses, shape (3, 3) or (n, 3, 3)."""
-    found = real_array(covariance, "covariances of points on the tip")
-    if found.shape not in ((3, 3), (n, 3, 3)):
-        raise BadInputError(
-            f"covariances of points on the tip have shape {found.shape}; expected (3, 3), or "
-            f"({n}, 3, 3), one per pose"
-        )
-    return found
+        return found
 
 
 def load_model(path: str | os.PathLike[str]) -> FittedRobot:

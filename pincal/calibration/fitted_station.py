@@ -1,17 +1,25 @@
-"""A station at which a robot was fitted: its model, set-up and noise, and what its rows covered."""
+"""A station at which a robot was fitted: its model, set-up and noise, what its rows covered, and
+the conditions of other rows there.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pincal.calibration.covered import Covered
 from pincal.calibration.repeatability import Repeatability
+from pincal.errors import BadInputError
 from pincal.identify.fit import ModelFit
-from pincal.identify.station import fingerprints
+from pincal.identify.station import conditions_of, fingerprints
+from pincal.measure.admit import check_joints_of
+from pincal.measure.measurements import Measurements
+from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.sensors.setup import Setup
+from pincal.units import real_array
 
 
 @dataclass(frozen=True)
@@ -74,3 +82,77 @@ class FittedStation:
             is_noise_declared=options.sigma is not None,
             repeatability=None if scatter is None else Repeatability.of(scatter),
         )
+
+    def reads(self, measurements: Measurements) -> bool:
+        """Return whether measurements of this kind are predicted: the station's own, or any if it
+        has no parameters of a sensor.
+        """
+        has_own = bool(self.setup.points) or len(self.parameter_names) > self.model.n_parameters
+        return not has_own or self.sensor_kind == measurements.kind
+
+    def as_conditions(
+        self,
+        at: Conditions | Measurements | ArrayLike,
+        *,
+        payload: float = 0.0,
+        target: str | None = None,
+    ) -> Conditions:
+        """Return the conditions of N poses: as they are given, of a table of this robot, whose
+        joints are matched by name, or of joint positions.
+
+        Args:
+            at: the poses; joint positions as for :meth:`conditions_at`.
+            payload: mass at the tip [kg]; only with joint positions.
+            target: name of the target; likewise.
+
+        Raises:
+            BadInputError: if the joint positions have another shape, or there is no such target.
+            MeasurementError: if the joints of a table are not the robot's, or their positions
+                are impossible.
+        """
+        if isinstance(at, Measurements):
+            robot = self.model.chain.robot
+            table = at.in_order_of(robot)
+            check_joints_of(robot, table)
+            return self.conditions(table)
+        if isinstance(at, Conditions):
+            return at
+        return self.conditions_at(at, payload=payload, target=target)
+
+    def conditions(self, table: Measurements) -> Conditions:
+        """Return the conditions of a table's rows, with the station's centre of mass of the
+        payload.
+
+        Raises:
+            BadInputError: for a target that the model does not have.
+        """
+        return conditions_of(self.model, table, np.array(self.payload_centre))
+
+    def conditions_at(
+        self, q: ArrayLike, *, payload: float = 0.0, target: str | None = None
+    ) -> Conditions:
+        """Return the conditions of reported joint positions, shape (N, n) or (n,) [rad, prismatic
+        m], with a common payload [kg] and target; without one the first.
+
+        Raises:
+            BadInputError: if the joint positions have another shape, or there is no such target.
+        """
+        positions = np.atleast_2d(real_array(q, "joint positions"))
+        robot = self.model.chain.robot
+        n = robot.n_joints
+        if robot.dependent and positions.ndim == 2 and positions.shape[1] == len(robot.own_joints):
+            positions = robot.spread(positions)
+        if positions.ndim != 2 or positions.shape[1] != n:
+            raise BadInputError(
+                f"joint positions have shape {np.shape(q)}; expected (N, {n}), one row per pose"
+            )
+        targets = self.model.chain.targets
+        if target is not None and target not in targets:
+            raise BadInputError(
+                f"target {target!r} is not in the model; expected one of {', '.join(targets)}"
+            )
+        found = Conditions.at(
+            robot.from_reported(positions), payload=payload, payload_centre=self.payload_centre
+        )
+        number = 0 if target is None else targets.index(target)
+        return replace(found, target=np.full(len(positions), number))

@@ -17,8 +17,8 @@ from itertools import compress
 import numpy as np
 
 from pincal.calibration.caveats import Caveat, CaveatKind
+from pincal.calibration.delivery_numbers import DELIVERY
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.identify.criteria import CRITERIA
 from pincal.identify.fit import ModelFit
 from pincal.identify.options import PriorScale
 from pincal.identify.station import Station
@@ -87,7 +87,7 @@ def unseen_directions(fit: ModelFit) -> tuple[np.ndarray, ...]:
     squares, axes = np.linalg.eigh(
         sum(_directions(station, fit.values[places]) for station, places, _ in fit.stations)
     )
-    return tuple(axes[:, squares < CRITERIA.unseen_direction * squares.sum()].T)
+    return tuple(axes[:, squares < DELIVERY.unseen_direction * squares.sum()].T)
 
 
 def _directions(station: Station, values: np.ndarray) -> np.ndarray:
@@ -121,7 +121,7 @@ def findings_without_instrument(fit: ModelFit, improved: Sequence[Improvement]) 
     for link in dict.fromkeys(region.link for region in improved):
         before, after = _rms_elsewhere(region for region in improved if region.link == link)
         falls.append(f"from {before:.2g} to {after:.2g} mm at {link}")
-        if after > CRITERIA.not_improved * before:
+        if after > DELIVERY.not_improved * before:
             yield Caveat(CaveatKind.BLIND, {"link": link, "before": before, "after": after})
     scales = PriorScale(*(fit.options.prior_scale or PriorScale()))
     yield Caveat(CaveatKind.NO_INSTRUMENT, {**scales._asdict(), "how": ", ".join(falls)})
@@ -146,7 +146,7 @@ def _moved_mounts(fit: ModelFit) -> Iterator[Caveat]:
         of_mount = {f"{joint}.{symbol}" for symbol in (*MOUNT_SYMBOLS, "d")}
         lengths = [k for k, name in enumerate(estimate.names) if name in of_mount]
         moved, sigma = (float(np.linalg.norm(of[lengths])) for of in (fit.values, estimate.sigma))
-        if moved > CRITERIA.mount_moved and sigma > CRITERIA.mount_held * moved:
+        if moved > DELIVERY.mount_moved and sigma > DELIVERY.mount_held * moved:
             figures = {"joint": joint, "moved": 1e3 * moved, "sigma": 1e3 * sigma}
             yield Caveat(CaveatKind.MOUNT_MOVED, figures)
 

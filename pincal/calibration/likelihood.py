@@ -1,4 +1,4 @@
-"""Likelihood of readings under a fit, and its noise in words."""
+"""Likelihood of readings under a fit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.admit import admit_test
 from pincal.measure.measurements import Measurements
-from pincal.units import format_readable
 
 
 def log_likelihood(fit: ModelFit) -> float:
@@ -50,14 +49,3 @@ def _log_density(fit: ModelFit, k: int, rows: Station, weights: np.ndarray) -> f
     constant += 0.0 if rows.serial is None else rows.serial.log_determinant
     constant += 0.0 if rows.arrival is None else rows.arrival.log_determinant
     return -0.5 * (float(np.sum(residuals[:, counted] ** 2)) + constant)
-
-
-def noise_in_words(fit: ModelFit) -> list[str]:
-    """Return the noise of each station's residuals, with its name if there are several."""
-    found = list[str]()
-    for station, _, blocks in fit.stations:
-        estimated = fit.solution.estimated[blocks]
-        sizes = zip(estimated.tolist(), station.sensor.blocks, strict=True)
-        words = ", ".join(format_readable(size, block.unit) for size, block in sizes)
-        found.append(words if len(fit.problem.stations) == 1 else f"{station.name}: {words}")
-    return found

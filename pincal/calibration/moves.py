@@ -19,6 +19,7 @@ import numpy as np
 from scipy.linalg import block_diag, null_space
 from scipy.special import chdtrc
 
+from pincal.calibration.change_numbers import CHANGES
 from pincal.calibration.station_information import (
     Apart,
     SharedInformation,
@@ -27,7 +28,6 @@ from pincal.calibration.station_information import (
     difference,
     fit_with,
 )
-from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
 from pincal.model.catalogue.candidates import testable
 from pincal.model.conditions import PoseSet, joined_conditions, recorded_variable

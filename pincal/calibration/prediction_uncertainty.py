@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pincal.calibration.another_day import of_its_day, unrecorded, varied_by
 from pincal.calibration.discrepancy import Discrepancy
 from pincal.calibration.fitted_station import FittedStation
 from pincal.calibration.position_covariance import PositionCovariance, SharedErrors
+from pincal.errors import BadInputError
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.model.motions import with_moving_drives
 from pincal.thresholds import Count
+from pincal.units import real_array
 
 # What makes predictions uncertain, as budgets name it, besides a point on the tip.
 POSITION_SOURCES = ("parameters", "model", "arrival", "conditions")
@@ -37,6 +40,34 @@ class PointOnTip:
 
     place: np.ndarray
     covariance: np.ndarray | None = None
+
+    @classmethod
+    def given(cls, place: ArrayLike, covariance: ArrayLike | None, n: int) -> PointOnTip:
+        """Return a point at each of n poses as a user gives it.
+
+        Args:
+            place: shape (3,) or (n, 3), in the tip's frame [m].
+            covariance: shape (3, 3) or (n, 3, 3), likewise [m^2]; None for a known point.
+            n: number of poses.
+
+        Raises:
+            BadInputError: for points or covariances of another shape.
+        """
+        at = real_array(place, "points on the tip")
+        if at.shape not in ((3,), (n, 3)):
+            raise BadInputError(
+                f"points on the tip have shape {at.shape}; expected (3,), or ({n}, 3), one per pose"
+            )
+        at = np.asarray(np.broadcast_to(at, (n, 3)))
+        if covariance is None:
+            return cls(at)
+        known = real_array(covariance, "covariances of points on the tip")
+        if known.shape not in ((3, 3), (n, 3, 3)):
+            raise BadInputError(
+                f"covariances of points on the tip have shape {known.shape}; expected (3, 3), or "
+                f"({n}, 3, 3), one per pose"
+            )
+        return cls(at, known)
 
     def offsets(self, rotations: np.ndarray) -> np.ndarray:
         """Return where it is relative to the tip, shape (N, 3) [m], along the axes to which

@@ -17,10 +17,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pincal.calibration.change_numbers import CHANGES
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.repeatability import Repeatability
-from pincal.identify.criteria import CHANGES, STOPS
 from pincal.identify.station import count
+from pincal.identify.stop_numbers import STOPS
 from pincal.identify.stop_scatter import StopScatter
 from pincal.sensors.registry import blocks_of
 from pincal.sensors.sensor import Block

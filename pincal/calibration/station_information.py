@@ -23,7 +23,7 @@ from typing import Self
 import numpy as np
 from scipy.special import chdtr, chdtrc, fdtrc
 
-from pincal.identify.criteria import CHANGES
+from pincal.calibration.change_numbers import CHANGES
 from pincal.identify.fit import ModelFit, Priors
 from pincal.identify.normal import accumulate
 from pincal.identify.posterior import Posterior, eliminate

@@ -19,8 +19,8 @@ from typing import Annotated
 
 import numpy as np
 
+from pincal.calibration.change_numbers import CHANGES
 from pincal.calibration.station_information import fit_with, information_at, shared_places
-from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import ModelFit
 from pincal.identify.normal import accumulate
 from pincal.identify.posterior import eliminate

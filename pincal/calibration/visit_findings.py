@@ -9,8 +9,8 @@ from scipy.special import chdtrc
 
 from pincal.calibration.caveats import Caveat, CaveatKind
 from pincal.calibration.held_out import StationRows
-from pincal.identify.criteria import VISITS
 from pincal.identify.fit import ModelFit
+from pincal.identify.visit_numbers import VISITS
 from pincal.measure.measurements import Measurements, concatenate
 from pincal.measure.poses import SCATTER, replicate_groups
 from pincal.measure.stops import by_stop, plan_of

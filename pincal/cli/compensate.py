@@ -497,7 +497,7 @@ def _summary(result: dict[str, Any]) -> Iterator[str]:
     yield from _not_ok_lines(result["not_ok"])
     if result["change"]:
         change = result["change"]
-        size = format_joint(change["value"], change["unit"], ".4g")
+        size = format_joint(change["value"], change["unit"])
         yield f"  largest change     {size} of a joint ({change['joint']}, line {change['line']})"
     yield f"written to {result['out']}"
 

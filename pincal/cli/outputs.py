@@ -125,7 +125,7 @@ def extrapolation(
     rows = len({value.row for value in values})
     notes = [f"rows outside the range of the calibration data: {rows}"] if rows else []
     for row, name, value, low, high in values[:_SHOWN]:
-        at = format_joint(value, units[name], ".4g")
+        at = format_joint(value, units[name])
         notes.append(
             f"line {lines[row]}: {name} = {at}, calibrated from "
             f"{range_of_joint(low, high, units[name])}"

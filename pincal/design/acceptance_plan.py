@@ -27,9 +27,6 @@ _CANDIDATES: Count = 60
 # Random poses that are brought to each end.
 _POSES: Count = 64
 
-PLACES: Count = len(_DIRECTIONS)
-"""Places in which lengths are tested."""
-
 
 @dataclass(frozen=True, eq=False)
 class Contact:

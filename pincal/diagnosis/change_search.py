@@ -11,10 +11,11 @@ from functools import cached_property
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
+from pincal.calibration.change_numbers import CHANGES
+from pincal.diagnosis.diagnosis_numbers import DIAGNOSIS
 from pincal.diagnosis.lineup import ChangeHypotheses
 from pincal.diagnosis.row_evidence import RowEvidence
 from pincal.hypotheses.hypothesis import Explanation, likeliest
-from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import ROUNDING, root_of_inverse
 from pincal.identify.selection import Scored, select_stepwise
 from pincal.thresholds import Count, Scale
@@ -64,7 +65,7 @@ class NamedChange:
 
 def limit_for(alpha: float, n_tested: int) -> float:
     """Return the p-value below which one of ``n_tested`` changes raises an alarm."""
-    return alpha * CHANGES.for_changes / max(n_tested, 1)
+    return alpha * DIAGNOSIS.for_changes / max(n_tested, 1)
 
 
 def search(
@@ -89,7 +90,7 @@ def search(
             state.evidence.form.square - rest.evidence.form.square
         )
         if cost < (0.0 if best is None else min(best.score.cost, 0.0)):
-            if len(apart) >= CHANGES.too_many * len(state.rows):
+            if len(apart) >= DIAGNOSIS.too_many * len(state.rows):
                 return replace(state, wrong_rows=tuple(apart.tolist()), is_undecided=True)
             state = rest
     most = _MOST + sum(change.belief is not None for change in lineup.changes)
@@ -157,7 +158,7 @@ class ChangeVerdict:
     @property
     def is_unexplained(self) -> bool:
         """Whether the remaining residuals exceed the noise."""
-        return not self.is_undecided and self.misfit_p_value < self.alpha * CHANGES.for_misfit
+        return not self.is_undecided and self.misfit_p_value < self.alpha * DIAGNOSIS.for_misfit
 
     @property
     def limit(self) -> float:
@@ -187,7 +188,7 @@ class ChangeVerdict:
         rows = self.evidence.rows
         chances = chdtrc(np.maximum(rows[:, 1], 1.0), rows[:, 0])
         worst = int(np.argmin(chances))
-        if chances[worst] < CHANGES.wrong_row / len(rows) and len(rows) > CHANGES.fewest_rows:
+        if chances[worst] < DIAGNOSIS.wrong_row / len(rows) and len(rows) > DIAGNOSIS.fewest_rows:
             gain, rank = rows[worst]
             yield Scored(worst, float(rank * self.price - gain))
 
@@ -235,7 +236,7 @@ class ChangeVerdict:
     def p_further(self) -> float:
         """Probability of any alarm as strong on a robot that has not changed further."""
         least = min((score.p_value for score in self.scores), default=1.0) * len(self.scores)
-        return min(1.0, least / CHANGES.for_changes, self.misfit_p_value / CHANGES.for_misfit)
+        return min(1.0, least / DIAGNOSIS.for_changes, self.misfit_p_value / DIAGNOSIS.for_misfit)
 
     def best(self) -> NamedChange | None:
         """Return the change of least cost, if it is significant, with its equivalents."""
@@ -244,11 +245,11 @@ class ChangeVerdict:
             return None
         found = likeliest(
             [Explanation(score, score.cost, score.p_value < limit) for score in self._ranked()],
-            lambda least: least + CHANGES.equivalent,
+            lambda least: least + DIAGNOSIS.equivalent,
         )
         if found is None:
             return None
-        p_value = found.best.p_value * len(self.scores) / CHANGES.for_changes
+        p_value = found.best.p_value * len(self.scores) / DIAGNOSIS.for_changes
         return NamedChange(found.best, min(1.0, p_value), found.rivals)
 
     def _ranked(self) -> list[ChangeScore]:
@@ -296,7 +297,7 @@ class ChangeVerdict:
         n = max(self.evidence.form.degrees - score.rank, 1)
         rest = self.evidence.form.square - score.gain
         part = (score.gain - score.rank) / n
-        if not 0.0 < part < CHANGES.part_of_noise:
+        if not 0.0 < part < DIAGNOSIS.part_of_noise:
             return False
         return bool(rest / (1.0 - part) + n * np.log(1.0 - part) < rest)
 
@@ -308,7 +309,7 @@ class ChangeVerdict:
             return self
         chances = self._chances()
         weakest = int(np.argmax(chances))
-        if chances[weakest] <= CHANGES.vanished:
+        if chances[weakest] <= DIAGNOSIS.vanished:
             return self
         steps = tuple(step for k, step in enumerate(self.steps) if k != weakest)
         state = replace(self, steps=steps)

@@ -12,13 +12,13 @@ from scipy.special import fdtri, ncfdtr
 
 from pincal.diagnosis.change_search import ChangeVerdict, NamedChange
 from pincal.diagnosis.diagnosis_file import ExcludedEntry
+from pincal.diagnosis.diagnosis_numbers import DIAGNOSIS
 from pincal.diagnosis.lineup import PossibleChange
-from pincal.identify.criteria import CHANGES
 from pincal.identify.station import Station
 from pincal.thresholds import Count, Scale
 
 # Probability of detecting a change of the reported size.
-DETECTED = CHANGES.detected
+DETECTED = DIAGNOSIS.detected
 # Numbers of further poses to distinguish changes, random poses among which they are chosen, and
 # those shown.
 _MORE: tuple[Count, ...] = (3, 6, 12, 25, 50)
@@ -90,15 +90,15 @@ def tell_apart(verdict: ChangeVerdict, step: NamedChange) -> str:
     change = step.score.change
     there, apart = most_different_poses(verdict, change, rival)
     most = f"{1e3 * apart[0]:.2g} mm"
-    for n in _MORE if apart[0] > CHANGES.resolvable else ():
-        if separation(verdict, there.select(np.arange(n)), change, rival) > CHANGES.told_apart:
+    for n in _MORE if apart[0] > DIAGNOSIS.resolvable else ():
+        if separation(verdict, there.select(np.arange(n)), change, rival) > DIAGNOSIS.told_apart:
             shown = ", then ".join(_pose_words(verdict, there, i) for i in range(min(n, _SHOWN)))
             like = " and poses like these" if n > _SHOWN else ""
             return (
                 f"measure {n} more poses in which the two differ most, by {most} at the "
                 f"target: {shown}{like}"
             )
-    few = f"{_MORE[-1]} more poses" if apart[0] > CHANGES.resolvable else "any instrument"
+    few = f"{_MORE[-1]} more poses" if apart[0] > DIAGNOSIS.resolvable else "any instrument"
     return (
         f"the two differ by at most {most}, too little for {few}; re-identify either, or "
         "inspect the joints themselves"

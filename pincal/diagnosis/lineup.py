@@ -11,12 +11,12 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.calibration.change_numbers import CHANGES
 from pincal.calibration.fit_evidence import KeptEvidence
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.diagnosis.row_evidence import Known, RowEvidence, prior_root, rows_in_noise
 from pincal.discover.discovery_file import EffectName
 from pincal.discover.levers import compliances_of
-from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import ROUNDING, Quadratic, root_of_inverse
 from pincal.identify.station import Station
 from pincal.identify.stop_scatter import SharedNoise

@@ -202,7 +202,7 @@ def _taken_in(
     if means is not measurements:
         # By their own noise, not by the number of readings.
         noise = noise.of_means(placed, means)
-        measurements = replace(means, readings_per_row=None, stops_per_row=None)
+        measurements = replace(means, readings_per_row=None)
     factor = _shared(placed)
     if factor > 1.0:
         noise = noise.widened(placed, factor**0.5)

@@ -17,8 +17,8 @@ from scipy.linalg import block_diag
 from pincal.calibration.covered import SeenCurve, curves_at
 from pincal.calibration.placing import Placed
 from pincal.diagnosis.diagnosis_file import CurveEntry, CurvesEntry
+from pincal.diagnosis.diagnosis_numbers import DIAGNOSIS
 from pincal.diagnosis.row_evidence import rows_in_noise
-from pincal.identify.criteria import CHANGES
 from pincal.identify.quadratic import Factor, Form
 from pincal.identify.split import row_groups
 from pincal.measure.measurements import Measurements
@@ -89,12 +89,12 @@ def redrawn_curves(
     """
     model = placed.station.model
     curves = _believed_curves(model)
-    if not curves or kept.sum() < CHANGES.curve_rows:
+    if not curves or kept.sum() < DIAGNOSIS.curve_rows:
         return None
     own = np.flatnonzero(placed.solution.free)
     places = [np.arange(span.start, span.stop) for _, span, _ in curves]
     free = np.unique(np.concatenate([own, *places]))
-    block = row_groups(table, split="blocked", seed=0) % CHANGES.curve_blocks
+    block = row_groups(table, split="blocked", seed=0) % DIAGNOSIS.curve_blocks
     rows = _rows(placed, free, block=block, kept=kept)
 
     def reestimated(some: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

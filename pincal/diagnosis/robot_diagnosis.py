@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from pincal.calibration.caveats import CaveatKind, findings_on_outliers
+from pincal.calibration.change_numbers import CHANGES
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import FrameShift, Placed, fitted_rows, moved, place_station
 from pincal.calibration.validation import stand_still
@@ -25,12 +26,12 @@ from pincal.diagnosis.diagnosis_file import (
     ExcludedEntry,
     MovedEntry,
 )
+from pincal.diagnosis.diagnosis_numbers import DIAGNOSIS
 from pincal.diagnosis.excluded import excluded, rival_names, tell_apart
 from pincal.diagnosis.lineup import ChangeHypotheses, Refitted
 from pincal.diagnosis.redrawn_curves import redrawn_curves
 from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, MeasurementError
-from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
@@ -49,7 +50,7 @@ from pincal.units import format_readable
 from pincal.validate.accuracy import error_summary, pose_error_sizes
 
 # Probability of a false alarm.
-FALSE_ALARM = CHANGES.false_alarm
+FALSE_ALARM = DIAGNOSIS.false_alarm
 # Rows used to search for changes at most: all are held in memory with all possible changes.
 _MOST_ROWS: Count = 6_000
 
@@ -163,7 +164,7 @@ def diagnose(
     verdict = judged.verdict
     station = judged.reidentified.readings(placed.table)
     after = error_summary(station, judged.reidentified.values)
-    _refuse_strange(model, placed.table, after["median_mm"], CHANGES.hopeless)
+    _refuse_strange(model, placed.table, after["median_mm"], DIAGNOSIS.hopeless)
     nearest = _least_moved(calibrated, judged.reidentified)
     is_still = not verdict.changed and stand_still(calibrated.each, placed)
     notes = [*judged.notes(), *_averaged(whole, len(measurements)), *_estimated(placed)]
@@ -420,7 +421,7 @@ def relocated(
     placed = place_station(model, stops, sigma_orientation=sigma_orientation)
     # Rows are known by their joints, which steps of a clock shift.
     known = int(np.sum(fitted_rows(model.rows, placed.model, placed.stops)))
-    if known > CHANGES.same_by_chance:
+    if known > DIAGNOSIS.same_by_chance:
         raise MeasurementError(
             f"{measurements.source}: the model was fitted to {known} of these "
             f"{len(stops.readings)} rows, so they can't "
@@ -430,7 +431,7 @@ def relocated(
         model,
         measurements,
         error_summary(placed.station, placed.values)["median_mm"],
-        CHANGES.strange,
+        DIAGNOSIS.strange,
     )
     return placed
 
@@ -465,8 +466,8 @@ def _unseen(curves: CurvesEntry | None) -> Iterator[str]:
         return
     best = curves.joints[0]
     if (
-        best.error_mm < CHANGES.worth_a_note * curves.as_it_was_mm
-        and best.seen < CHANGES.worth_a_note
+        best.error_mm < DIAGNOSIS.worth_a_note * curves.as_it_was_mm
+        and best.seen < DIAGNOSIS.worth_a_note
     ):
         yield (
             f"the mean error falls from {curves.as_it_was_mm:.3g} to {best.error_mm:.3g} mm with a "
@@ -554,7 +555,7 @@ def _notes(
             "already present at the calibration and is not modelled, so it is not a change; "
             "discover identifies missing effects"
         )
-    if len(verdict.steps) >= CHANGES.many:
+    if len(verdict.steps) >= DIAGNOSIS.many:
         yield Note(
             Severity.DOUBT,
             f"{len(verdict.steps)} changes at once are rare: make sure that the rows are of this "

@@ -25,6 +25,7 @@ from pincal.discover.candidate_tests import (
     unnamed_given,
     variants,
 )
+from pincal.discover.curve_numbers import CURVES
 from pincal.discover.decisions import (
     CandidateTable,
     Decision,
@@ -41,9 +42,11 @@ from pincal.discover.decisions import (
 from pincal.discover.elastic import with_features
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_from, situation_of
-from pincal.discover.policy import CURVES, TESTING, WAVES, Policy
+from pincal.discover.policy import Policy
+from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
 from pincal.discover.steps import SearchState, SearchStep, listed, named_step
+from pincal.discover.wave_numbers import WAVES
 from pincal.identify.calibrate import refitted_without
 from pincal.identify.fit import ModelFit, without
 from pincal.model.catalogue.unnamed import nameless_candidates

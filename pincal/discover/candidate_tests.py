@@ -28,8 +28,9 @@ from pincal.discover.levers import (
     situation_of,
     strongest_tones,
 )
-from pincal.discover.policy import TESTING, Policy
+from pincal.discover.policy import Policy
 from pincal.discover.scatter import p_value_of_uneven_noise
+from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
 from pincal.identify.fit import ModelFit
 from pincal.identify.many_rows import spread_rows

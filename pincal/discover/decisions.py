@@ -15,7 +15,8 @@ import numpy as np
 from scipy.special import fdtri
 
 from pincal.discover.first_order import ScoreResult, ScoreTests
-from pincal.discover.policy import TESTING, Policy
+from pincal.discover.policy import Policy
+from pincal.discover.score_numbers import TESTING
 from pincal.model.effect import Curve, Effect, Harmonic
 
 Question = Literal["enter", "elastic", "stay", "rest"]

@@ -11,9 +11,10 @@ import numpy as np
 from scipy.special import ncfdtr
 
 from pincal.discover.decisions import critical_gain
+from pincal.discover.detectability_numbers import SIGHT
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import situation_of
-from pincal.discover.policy import POLICY, SIGHT
+from pincal.discover.policy import POLICY
 from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.identify.calibrate import refit
 from pincal.identify.fit import ModelFit

@@ -23,9 +23,9 @@ import numpy as np
 from scipy.linalg import eigvalsh, lstsq
 from scipy.linalg.lapack import dtrtri
 
+from pincal.discover.curve_numbers import CURVES
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import situation_of
-from pincal.discover.policy import CURVES
 from pincal.discover.score_tests import GivenNuisances
 from pincal.identify.beliefs import priors_of
 from pincal.identify.equations import Linearised

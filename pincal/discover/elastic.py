@@ -21,10 +21,12 @@ from pincal.discover.decisions import (
     each_heading_once,
     is_supported,
 )
+from pincal.discover.detectability_numbers import SIGHT
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_compliances
-from pincal.discover.policy import POLICY, SIGHT, TESTING, Policy
+from pincal.discover.policy import POLICY, Policy
 from pincal.discover.products import Information
+from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
 from pincal.identify.beliefs import priors_of
 from pincal.identify.calibrate import refit, with_bearings

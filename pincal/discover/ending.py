@@ -33,9 +33,10 @@ from pincal.discover.decisions import each_heading_once, is_near
 from pincal.discover.drive_curves import smoothed
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_features, situation_of
-from pincal.discover.policy import NOISE, WAVES
+from pincal.discover.noise_numbers import NOISE
 from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.discover.steps import History, SearchState, SearchStep, listed
+from pincal.discover.wave_numbers import WAVES
 from pincal.identify.arrivals import shares_stops, with_arrivals
 from pincal.identify.calibrate import Tolerance, refit
 from pincal.identify.choices import deviance

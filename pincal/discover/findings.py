@@ -36,8 +36,9 @@ from pincal.discover.elastic import (
 from pincal.discover.ending import line_details
 from pincal.discover.first_order import ScoreTests, chance_of
 from pincal.discover.locate import Located, locate
-from pincal.discover.policy import TESTING, WHERE
+from pincal.discover.place_numbers import WHERE
 from pincal.discover.scatter import Excess, find_excess
+from pincal.discover.score_numbers import TESTING
 from pincal.discover.shrink import PartialResidual, period_of
 from pincal.discover.smooth_rest import SmoothRest
 from pincal.discover.steps import History, SearchStep

@@ -29,8 +29,8 @@ from typing import Self
 import numpy as np
 from scipy.special import fdtrc
 
-from pincal.discover.policy import TESTING
 from pincal.discover.products import Information, RowPart
+from pincal.discover.score_numbers import TESTING
 from pincal.identify.quadratic import ROUNDING, SEEN, Factor
 from pincal.model.effect import Effect
 

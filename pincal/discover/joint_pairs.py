@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 from scipy.special import chdtri
 
 from pincal.discover.levers import seen_along, situation_of
-from pincal.discover.policy import WAVES
+from pincal.discover.wave_numbers import WAVES
 from pincal.identify.fit import ModelFit
 from pincal.model.catalogue.ripple import independent_orders, resolution_of
 from pincal.model.catalogue.unnamed import wave_of_two

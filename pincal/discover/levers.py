@@ -22,7 +22,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from pincal.discover.policy import WAVES
+from pincal.discover.wave_numbers import WAVES
 from pincal.identify.fit import ModelFit
 from pincal.identify.fit_levers import with_motions
 from pincal.model.basis import FEWEST_SPLINES, spline_basis

@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 
 from pincal.discover.discovery_file import Disagreement
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.policy import WHERE
+from pincal.discover.place_numbers import WHERE
 from pincal.discover.products import Information
 from pincal.discover.score_tests import Tangent
 from pincal.identify.fit import ModelFit

@@ -25,7 +25,8 @@ from pincal.discover.decisions import Decision, Row, accepted, each_heading_once
 from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.ending import fit_all_rows, name_lines
 from pincal.discover.levers import missing_compliances
-from pincal.discover.policy import POLICY, TESTING, Policy
+from pincal.discover.policy import POLICY, Policy
+from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
 from pincal.discover.steps import (
     History,

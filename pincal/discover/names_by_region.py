@@ -13,7 +13,7 @@ from scipy.special import stdtr
 
 from pincal.calibration.held_out import LeftOutErrors, StationRows, Validated, left_out_errors
 from pincal.discover.discovery_file import NamedRegion
-from pincal.discover.policy import REMAINDER
+from pincal.discover.remainder_numbers import REMAINDER
 from pincal.discover.smooth_judge import as_calibrated, joined_regions
 from pincal.discover.steps import History
 from pincal.notes import Note, Severity

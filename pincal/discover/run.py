@@ -49,8 +49,9 @@ from pincal.discover.ending import note_on_joints, widened
 from pincal.discover.findings import bootstrap_last, findings_of
 from pincal.discover.loop import discover_effects, withdraw_names_at_change
 from pincal.discover.names_by_region import doubt_of_regions, regions_by_names
-from pincal.discover.policy import POLICY, TESTING, Policy
+from pincal.discover.policy import POLICY, Policy
 from pincal.discover.scatter import arrivals_within
+from pincal.discover.score_numbers import TESTING
 from pincal.discover.shrink import PartialResidual, partial_residuals, stages_of
 from pincal.discover.smooth_rest import SmoothRest, note_on_remainder, with_remainder
 from pincal.discover.steps import History, listed

@@ -37,7 +37,8 @@ from scipy.special import chdtrc, chdtri, fdtrc
 from pincal.discover.alike_scatter import AlikeScatter
 from pincal.discover.discovery_file import ScatteringJoint
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.policy import NOISE, TESTING
+from pincal.discover.noise_numbers import NOISE
+from pincal.discover.score_numbers import TESTING
 from pincal.identify.fit import ModelFit
 from pincal.identify.fit_levers import levers
 from pincal.identify.station import Station

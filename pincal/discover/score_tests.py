@@ -14,8 +14,8 @@ import numpy as np
 
 from pincal.discover.first_order import ScoreTests
 from pincal.discover.levers import missing_features
-from pincal.discover.policy import TESTING
 from pincal.discover.products import Information, RowPart, Whitening
+from pincal.discover.score_numbers import TESTING
 from pincal.identify.beliefs import priors_of
 from pincal.identify.fit import ModelFit
 from pincal.identify.jacobian import Jacobian, add_block, block, span

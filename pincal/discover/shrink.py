@@ -13,8 +13,8 @@ from msgspec.structs import asdict
 from pincal.calibration.held_out import StationRows, Validated, errors_held_out, headline_of
 from pincal.discover.discovery_file import EffectName, Gap, Stage
 from pincal.discover.levers import on_steps
-from pincal.discover.policy import WAVES
 from pincal.discover.steps import History, ModelChange
+from pincal.discover.wave_numbers import WAVES
 from pincal.identify.dependence import placed_at_mean
 from pincal.identify.fit import ModelFit
 from pincal.identify.fit_levers import levers

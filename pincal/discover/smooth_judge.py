@@ -11,7 +11,8 @@ import numpy as np
 
 from pincal.discover.decisions import standard_errors
 from pincal.discover.levers import missing_compliances
-from pincal.discover.policy import REMAINDER, TESTING
+from pincal.discover.remainder_numbers import REMAINDER
+from pincal.discover.score_numbers import TESTING
 from pincal.discover.steps import History
 from pincal.identify.calibrate import Tolerance, refit, reweighted_by_order, with_bearings
 from pincal.identify.dependence import placed_at_mean

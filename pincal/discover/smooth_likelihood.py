@@ -26,7 +26,7 @@ from math import comb
 import numpy as np
 
 from pincal.discover.first_order import ScoreTests
-from pincal.discover.policy import REMAINDER
+from pincal.discover.remainder_numbers import REMAINDER
 from pincal.discover.score_tests import Tangent
 from pincal.identify.fit import ModelFit
 from pincal.model.catalogue.remainder import Erring, SmoothRemainder

@@ -22,7 +22,7 @@ from scipy.special import chdtrc
 
 from pincal.discover.discovery_file import Region, Smooth, SmoothPart
 from pincal.discover.ending import joint_noise, weighed
-from pincal.discover.policy import REMAINDER
+from pincal.discover.remainder_numbers import REMAINDER
 from pincal.discover.smooth_judge import LeftOutRegions, RegionJudge
 from pincal.discover.smooth_likelihood import likely_remainders
 from pincal.discover.steps import History

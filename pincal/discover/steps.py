@@ -23,7 +23,8 @@ from pincal.discover.drive_curves import resolved
 from pincal.discover.elastic import elastic_way, likeliest_fit
 from pincal.discover.first_order import ScoreResult, ScoreTests
 from pincal.discover.levers import missing_compliances
-from pincal.discover.policy import TESTING, Policy
+from pincal.discover.policy import Policy
+from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import score_test, score_test_given_nuisances
 from pincal.identify.arrivals import with_arrivals
 from pincal.identify.calibrate import Tolerance, refit

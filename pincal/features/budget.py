@@ -10,21 +10,11 @@ follow from Welch and Satterthwaite's formula (G.2b), and the coverage factor fr
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from pincal.errors import BadInputError, nearest_first
+from pincal.errors import BadInputError
 from pincal.features.decision_numbers import DECISION
-
-# Standard deviation of a distribution of half-width 1 (JCGM 100, 4.3.7 to 4.3.9; JCGM 101, 6.4).
-_OF_HALF_WIDTH: Mapping[str, float] = {
-    "rectangular": 1.0 / math.sqrt(3.0),
-    "triangular": 1.0 / math.sqrt(6.0),
-    "arcsine": 1.0 / math.sqrt(2.0),
-}
-DISTRIBUTIONS = ("normal", "t", *_OF_HALF_WIDTH)
-"""Distributions that an entry of a budget may state."""
 
 
 @dataclass(frozen=True)
@@ -36,14 +26,12 @@ class BudgetEntry:
         type: "A", by statistics, or "B", by other means.
         u: its contribution, a standard uncertainty in the unit of the value.
         dof: degrees of freedom; infinite where u is taken as known.
-        distribution: of ``DISTRIBUTIONS``.
     """
 
     source: str
     type: Literal["A", "B"]
     u: float
     dof: float = math.inf
-    distribution: str = "normal"
 
     def __post_init__(self) -> None:
         """Refuse what is no uncertainty."""
@@ -58,44 +46,6 @@ class BudgetEntry:
             )
         if self.type not in ("A", "B"):
             raise BadInputError(f"source {self.source!r}: type {self.type!r}; expected A or B")
-        if self.distribution not in DISTRIBUTIONS:
-            known = ", ".join(nearest_first([self.distribution], DISTRIBUTIONS))
-            raise BadInputError(
-                f"source {self.source!r}: distribution {self.distribution!r}; expected one of "
-                f"{known}"
-            )
-
-    @classmethod
-    def of_limits(
-        cls,
-        source: str,
-        half_width: float,
-        distribution: str = "rectangular",
-        dof: float = math.inf,
-    ) -> BudgetEntry:
-        """Return the type B entry of a quantity that is within limits.
-
-        Args:
-            source: its name.
-            half_width: of the interval, times the sensitivity of the value.
-            distribution: "rectangular", "triangular" or "arcsine".
-            dof: of the half-width, JCGM 100, G.4.2.
-
-        Raises:
-            BadInputError: for another distribution, or a half-width that is none.
-
-        Example:
-            >>> round(BudgetEntry.of_limits("resolution", 0.5).u, 4)
-            0.2887
-        """
-        if distribution not in _OF_HALF_WIDTH:
-            known = ", ".join(nearest_first([distribution], _OF_HALF_WIDTH))
-            raise BadInputError(
-                f"source {source!r}: distribution {distribution!r} within limits; expected one of "
-                f"{known}"
-            )
-        u = half_width * _OF_HALF_WIDTH[distribution]
-        return cls(source, "B", u, dof, distribution)
 
 
 @dataclass(frozen=True)

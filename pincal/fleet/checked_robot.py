@@ -29,6 +29,7 @@ from pincal.calibration.check_record import (
 )
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.placing import fitted_rows
+from pincal.diagnosis.diagnosis_numbers import DIAGNOSIS
 from pincal.errors import BadInputError, MeasurementError, counted
 from pincal.fleet.checked_motion import (
     BASE,
@@ -41,7 +42,6 @@ from pincal.fleet.checked_motion import (
 )
 from pincal.fleet.fleet_numbers import INTERIM
 from pincal.fleet.interim_evidence import CheckRows, InterimEvidence, Suspect, interim_evidence
-from pincal.identify.criteria import CHANGES
 from pincal.measure.measurements import Measurements
 from pincal.measure.stops import StopRows
 from pincal.parameters import root_of
@@ -162,7 +162,7 @@ class CheckedRobot:
         no later check takes back.
         """
         reach = self.fitted.robot_model().model.chain.robot.reach
-        if check.unit == "m" and check.error > CHANGES.strange * reach:
+        if check.unit == "m" and check.error > DIAGNOSIS.strange * reach:
             raise MeasurementError(
                 f"{check.rows.table}: readings miss the model by {1e3 * check.error:.0f} mm rms, "
                 f"where the robot reaches {reach:.2f} m. They belong to another robot or target, "
@@ -186,7 +186,7 @@ class CheckedRobot:
         one = station_robot(self.fitted, stops.table.kind, station)
         if one.reads(stops.table):
             known = int(np.sum(fitted_rows(one.rows, one, stops)))
-            if known > CHANGES.same_by_chance:
+            if known > DIAGNOSIS.same_by_chance:
                 raise MeasurementError(
                     f"{measurements.source}: the model was fitted to {known} of these "
                     f"{len(stops.readings)} rows, so they can't show whether the robot has "

@@ -383,16 +383,14 @@ class Store:
         """Return rows of a machine."""
         return measurements_of(self.frame(key), f"{self.place}/{key.path}")
 
-    def add_information(self, day: str, machine: Machine, *, role: str = CALIBRATION) -> Key:
-        """Add information on a machine, by its name.
+    def add_information(self, day: str, machine: Machine) -> Key:
+        """Add information of a calibration on a machine, by its name.
 
         Raises:
-            BadInputError: for a machine without a name, or an invalid day or role.
+            BadInputError: for a machine without a name, or an invalid day.
             OutputError: if the store can't be written to.
         """
-        if role not in ROLES:
-            raise BadInputError(f"role {role!r}; expected {' or '.join(ROLES)}")
-        frame = information_frame(machine, role)
+        frame = information_frame(machine, CALIBRATION)
         frame = frame.with_columns(pl.lit("").alias(name) for name in ("job", "table", "failure"))
         return self._added(INFORMATION, machine.name, day, frame)
 

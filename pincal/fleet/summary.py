@@ -98,7 +98,6 @@ def at_tool(
     effects: tuple[Effect, ...] = GEOMETRIC,
     *,
     noise: float = 5e-5,
-    seed: int = 0,
 ) -> AtTool:
     """Return how far machines of a type differ at the tool.
 
@@ -107,13 +106,12 @@ def at_tool(
         robot: the arm.
         effects: of the model of a further machine, calibrated from positions.
         noise: of one component of a position [m].
-        seed: of the poses.
 
     Raises:
         BadInputError: if the arm has another nominal geometry, or the model has none of the type's
             parameters.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     cared = Conditions.at(robot.random_configurations(_POSES, rng))
     alone = Options(effects=with_masses(robot, effects), sigma=noise)
     typed = replace(alone, earlier=of.prior_of(robot, effects))

@@ -34,9 +34,10 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import chdtri
 
-from pincal.identify.criteria import CRITERIA, VISITS
+from pincal.identify.criteria import CRITERIA
 from pincal.identify.drive_levers import drive_levers
 from pincal.identify.fit import ModelFit
+from pincal.identify.visit_numbers import VISITS
 from pincal.thresholds import Count, Scale
 
 # Variances are searched within these factors of that of the readings, as seen at the target.

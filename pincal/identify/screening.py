@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtri
 
-from pincal.identify.criteria import VISITS
 from pincal.identify.fit import ModelFit
+from pincal.identify.visit_numbers import VISITS
 from pincal.identify.visit_scatter import Arrivals, arrivals_of, levers_of
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import (

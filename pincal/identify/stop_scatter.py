@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri, expit
 
-from pincal.identify.criteria import STOPS
 from pincal.identify.drive_levers import drive_levers
 from pincal.identify.station import Station
+from pincal.identify.stop_numbers import STOPS
 from pincal.measure.stops import Plan
 from pincal.thresholds import Count, Scale
 

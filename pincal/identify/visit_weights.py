@@ -22,9 +22,9 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtri
 
-from pincal.identify.criteria import STOPS
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
+from pincal.identify.stop_numbers import STOPS
 from pincal.identify.stop_scatter import scatter_of_stops
 from pincal.measure.measurements import Measurements
 from pincal.measure.stops import Plan, plan_of

@@ -12,7 +12,8 @@ from pincal.errors import MeasurementError
 from pincal.io.arrays import Matrix, array_of
 from pincal.io.file_numbers import IN_FILES
 from pincal.io.strict_json import Fault, FileKind, read_json
-from pincal.robot.se3 import are_rotations
+from pincal.parameters import Estimate
+from pincal.robot.se3 import are_rotations, placed
 from pincal.sensors.lens import DISTORTION, PINHOLE, Lens
 
 _CAMERA_FILE = FileKind(
@@ -62,6 +63,23 @@ def read_camera(path: str | os.PathLike[str]) -> CameraFile:
         MeasurementError: if the file can't be read, or a value is missing or invalid.
     """
     return read_json(path, CameraFile, _CAMERA_FILE, hook=_matrix)
+
+
+def camera_entries(estimate: Estimate, tool_rotation: np.ndarray) -> dict[str, Any]:
+    """Return the camera of an estimate as :func:`read_camera` reads it; empty if it has none.
+
+    Args:
+        estimate: with the lens and the frame of the camera, relative to the nominal.
+        tool_rotation: shape (3, 3), from the frame of the nominal camera to that of the tip.
+    """
+    lens = {
+        p.name.removeprefix("camera."): p.nominal + estimate[p.name]
+        for p in estimate.parameters
+        if p.effect.startswith("lens")
+    }
+    if not lens:
+        return {}
+    return {**lens, "T_tip_camera": placed(tool_rotation, estimate.frame("camera")).tolist()}
 
 
 def _matrix(kind: Any, value: Any) -> np.ndarray:

@@ -8,8 +8,11 @@ from dataclasses import dataclass
 
 from pincal.errors import MeasurementError
 from pincal.measure.heading import NUMBERED, normal_unit
+from pincal.thresholds import Count
 from pincal.units import UNITS
 
+# Columns that a message lists at most.
+_LISTED: Count = 20
 # Words next to the letter of an axis in names of a position.
 _PLACES = frozenset(
     ("p", "pos", "position", "tcp", "point", "target", "meas", "measured", "tracker", "reflector",
@@ -159,10 +162,10 @@ def unignored(labels: Sequence[Label], ignored: Sequence[str]) -> list[Label]:
     ]
 
 
-def columns_listed(labels: Sequence[str], most: int = 20) -> str:
+def columns_listed(labels: Sequence[str]) -> str:
     """Return the columns of a table, for messages."""
-    shown = ", ".join(f'"{text[:30]}"' for text in labels[:most])
-    return f"the table has {shown}{', ...' if len(labels) > most else ''}"
+    shown = ", ".join(f'"{text[:30]}"' for text in labels[:_LISTED])
+    return f"the table has {shown}{', ...' if len(labels) > _LISTED else ''}"
 
 
 def _bare(text: str) -> str:

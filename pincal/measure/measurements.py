@@ -21,7 +21,7 @@ from pincal.units import expected_number, is_possible, real_array, unmasked
 
 # Arrays in addition to the readings.
 _OF_JOINTS = {name: variable.quantity for name, variable in RECORDED.items() if variable.of_joints}
-_ARRAYS = ("q", *_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row", "stops_per_row")
+_ARRAYS = ("q", *_OF_JOINTS, "rows", *CONDITIONS, "sigma", "readings_per_row")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -72,8 +72,6 @@ class Measurements(Recorded):
     """Number of readings of which each row is the mean, shape (N,); None where each row is a single
     reading.
     """
-    stops_per_row: np.ndarray | None = None
-    """Number of stops of the robot in which they were read, shape (N,); None likewise."""
     units: Mapping[str, str] = field(default_factory=dict)
     """The units in the header, by column; others were taken as SI."""
     approach_from: str = ""
@@ -361,10 +359,9 @@ def concatenate(tables: Sequence[Measurements]) -> Measurements:
     """
     if not tables:
         raise MeasurementError("no table to join; expected at least one")
-    for name in ("readings_per_row", "stops_per_row"):
-        if any(getattr(table, name) is not None for table in tables):
-            # Rows of other tables are single readings.
-            tables = [_with_ones(table, name) for table in tables]
+    if any(table.readings_per_row is not None for table in tables):
+        # Rows of other tables are single readings.
+        tables = [_counted(table) for table in tables]
     if any(table.move is not None for table in tables):
         # Last moves are no column of a file, and unknown for rows without a declared order.
         tables = [
@@ -404,12 +401,11 @@ def _check_alike(first: Measurements, other: Measurements) -> None:
         )
 
 
-def _with_ones(table: Measurements, name: str) -> Measurements:
-    """Return a table with a column of counts, 1 in each row if it has none."""
-    if getattr(table, name) is not None:
+def _counted(table: Measurements) -> Measurements:
+    """Return a table with the number of readings of each row, 1 if it has none."""
+    if table.readings_per_row is not None:
         return table
-    counts: dict[str, Any] = {name: np.ones(len(table), int)}
-    return replace(table, **counts)
+    return replace(table, readings_per_row=np.ones(len(table), int))
 
 
 def validated(

@@ -14,7 +14,7 @@ many of the model as it has poses.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -214,22 +214,6 @@ def by_stop(table: Measurements) -> Measurements:
     pairs = np.column_stack([plan.stop, plan.thing])
     number = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
     return mean_rows(table, number)
-
-
-def with_stops_counted(means: Measurements, table: Measurements) -> Measurements:
-    """Return means of poses with the number of stops behind each, from the table of single
-    readings.
-    """
-    if means is table or means.stops_per_row is not None or table.is_of_motion:
-        return means
-    plan = plan_of(table)
-    pairs = np.unique(np.column_stack([plan.thing, plan.stop]), axis=0)
-    stops = np.bincount(pairs[:, 0], minlength=int(plan.thing.max()) + 1)
-    first = np.searchsorted(table.rows, means.rows) if np.all(np.diff(table.rows) > 0) else None
-    if first is None:
-        index = {line: i for i, line in enumerate(table.rows.tolist())}
-        first = np.array([index[line] for line in means.rows.tolist()], int)
-    return replace(means, stops_per_row=stops[plan.thing[first]])
 
 
 def _stops_begin(table: Measurements, pose: np.ndarray, order: np.ndarray) -> np.ndarray:

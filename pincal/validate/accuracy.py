@@ -29,7 +29,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pincal.errors import counted
-from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.thresholds import Count
@@ -104,14 +103,6 @@ def error_statistics(
         for unit, of_unit in errors.items()
         for name, value in _statistics(np.concatenate(of_unit), np.concatenate(weights[unit]), unit)
     }
-
-
-def leading_block(fit: ModelFit) -> int:
-    """Return the number of the first block of readings that determines positions; if none does, of
-    the first of all.
-    """
-    stations = ((station, blocks.start) for station, _, blocks in fit.stations)
-    return next((first for station, first in stations if station.sensor.reads_place), 0)
 
 
 def leading_unit(statistics: Mapping[str, float]) -> str:

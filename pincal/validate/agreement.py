@@ -12,7 +12,6 @@ import numpy as np
 
 from pincal.errors import MeasurementError
 from pincal.hypotheses.hypothesis import Explanation, Likeliest, likeliest
-from pincal.identify.criteria import AGREEMENT
 from pincal.identify.fit import ModelFit
 from pincal.identify.initial import base_seen
 from pincal.identify.options import Options
@@ -20,6 +19,7 @@ from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import JointOffset, LinkGeometry
 from pincal.robot.robot import Robot
+from pincal.validate.agreement_numbers import AGREEMENT
 from pincal.validate.cures import NONE, Case, Correction, Mistake, shift_words
 from pincal.validate.orientations import OrientationSearch
 from pincal.validate.rough_fit import roughly_placed, typical_residuals

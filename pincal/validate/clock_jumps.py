@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pincal.errors import MeasurementError
-from pincal.identify.criteria import MIDWAY
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
 from pincal.measure.clock_jump import OFTEN, Jump, sure_jumps
@@ -16,6 +15,7 @@ from pincal.measure.measurements import Measurements
 from pincal.measure.reading_numbers import JUMPS
 from pincal.recorded import Moving
 from pincal.thresholds import Count
+from pincal.validate.midway_numbers import MIDWAY
 
 # Rows that suffice to detect one.
 _ROWS: Count = 2_000

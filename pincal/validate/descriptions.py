@@ -17,12 +17,12 @@ from math import comb
 
 import numpy as np
 
-from pincal.identify.criteria import AGREEMENT
 from pincal.identify.options import Options
 from pincal.model.effects import JointOffset, LinkGeometry
 from pincal.robot.mastering import free_joints
 from pincal.sensors.extrinsics import sample_rows
 from pincal.thresholds import Count, Scale
+from pincal.validate.agreement_numbers import AGREEMENT
 from pincal.validate.cures import Case, Correction, couplings_of
 from pincal.validate.linear_scan import UNKNOWNS, LinearScan
 from pincal.validate.rough_fit import UNFIT, revolute_joints, roughly_placed, typical_residuals

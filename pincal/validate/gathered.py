@@ -20,12 +20,12 @@ from functools import cached_property
 import numpy as np
 from scipy.special import bdtrc, stdtr
 
-from pincal.identify.criteria import GATHERED
 from pincal.identify.motion_fields import MotionField, fields_of_joints
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import SCATTER, same_joints
 from pincal.thresholds import Count, Scale
+from pincal.validate.gathering_numbers import GATHERED
 
 # Outliers up to which all windows are tested.
 _MOST: Count = 200

@@ -29,7 +29,6 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import chdtri
 
 from pincal.hypotheses.hypothesis import Explanation, likeliest
-from pincal.identify.criteria import MIDWAY
 from pincal.identify.motion_fields import MotionField, sag_of_drives
 from pincal.identify.station import Station
 from pincal.sensors.extrinsics import sample_rows
@@ -42,6 +41,7 @@ from pincal.validate.causes import (
     StepCause,
     event_of,
 )
+from pincal.validate.midway_numbers import MIDWAY
 
 # A drift is a curve of this degree along the rows: it explains six sevenths of a step in the
 # middle, less of one elsewhere, and nearly all of a robot that warms up.

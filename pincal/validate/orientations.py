@@ -18,12 +18,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pincal.hypotheses.hypothesis import Explanation, Hypothesis, likeliest
-from pincal.identify.criteria import AGREEMENT
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import rotation_matrices
 from pincal.sensors.pose import PoseSensor
 from pincal.thresholds import Count, Scale
+from pincal.validate.agreement_numbers import AGREEMENT
 from pincal.validate.cures import INVERT, NONE, W_FIRST
 from pincal.validate.rough_fit import within_a_turn
 from pincal.validate.trials import Remainder

@@ -13,7 +13,6 @@ import numpy as np
 
 from pincal.errors import BadInputError, IdentificationError
 from pincal.identify.beliefs import bounds_of, is_frame, priors_of, released_of
-from pincal.identify.criteria import AGREEMENT
 from pincal.identify.fit import Priors
 from pincal.identify.initial import place, starts_of
 from pincal.identify.noise import Noise
@@ -26,6 +25,7 @@ from pincal.model.effects import JointOffset
 from pincal.robot.mastering import free_joints
 from pincal.robot.robot import Robot
 from pincal.thresholds import Count, Scale
+from pincal.validate.agreement_numbers import AGREEMENT
 
 # Rows that suffice for a typical error.
 _TYPICAL: Count = 1000

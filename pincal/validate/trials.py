@@ -17,7 +17,6 @@ from scipy.optimize import minimize_scalar
 from scipy.special import fdtr
 
 from pincal.identify.calibrate import fit_tables
-from pincal.identify.criteria import AGREEMENT
 from pincal.identify.fit import ModelFit
 from pincal.identify.initial import starts_of
 from pincal.identify.options import Options
@@ -26,6 +25,7 @@ from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
 from pincal.sensors.extrinsics import sample_rows
 from pincal.thresholds import Count, Scale
+from pincal.validate.agreement_numbers import AGREEMENT
 from pincal.validate.cures import TOPICS, Case, Correction, Mistake, lengths_of, mistakes, scaled
 from pincal.validate.descriptions import DescriptionSearch
 from pincal.validate.rough_fit import (

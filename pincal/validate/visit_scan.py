@@ -24,8 +24,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtri, digamma, fdtrc, polygamma
 
-from pincal.identify.criteria import VISITS
 from pincal.identify.motion_fields import MotionField
+from pincal.identify.visit_numbers import VISITS
 from pincal.identify.visit_scatter import Arrivals, arrivals_of
 from pincal.thresholds import Count, Scale
 

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.special import bdtrc, chdtri
 
 from pincal.hypotheses.hypothesis import Explanation, likeliest
-from pincal.identify.criteria import VISITS
 from pincal.identify.motion_fields import MotionField
 from pincal.identify.station import Station
+from pincal.identify.visit_numbers import VISITS
 from pincal.identify.visit_scatter import Arrivals
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import without_copies

@@ -12,7 +12,7 @@ from pincal.design.motion_design import MotionDesign
 from pincal.design.plan_tables import motion_table, pose_count_table
 from pincal.design.pose_design import PREDICTED_BY, Design
 from pincal.design.study import RANDOM_DESIGNS
-from pincal.discover.policy import SIGHT
+from pincal.discover.detectability_numbers import SIGHT
 from pincal.result_table import hanging, one_line
 
 # Observability indices that are printed; the others are in --json.

@@ -12,7 +12,7 @@ from pincal.discover.discovery_file import (
     NamedRegion,
     Smooth,
 )
-from pincal.discover.policy import REMAINDER
+from pincal.discover.remainder_numbers import REMAINDER
 from pincal.errors import counted
 from pincal.units import format_joint, format_small
 
