@@ -21,7 +21,7 @@ from pincal import compiled
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.model import effects as catalogue
-from pincal.model import kernels, sizes
+from pincal.model import kernel_walk, kernels, sizes
 from pincal.model.augmented import augmented_model, joint_placements, pinocchio_model
 from pincal.model.catalogue.bearing_features import ObliqueBearing
 from pincal.model.chain import MOMENT_FRAMES, Chain, MomentFrame
@@ -156,6 +156,24 @@ def test_parameters_are_named_by_element_and_symbol(robot: Robot, name: str) -> 
         assert parameter.size > 0.0 and np.isfinite(parameter.nominal)
         assert parameter.effect in {effect.name for effect in EFFECTS[name]}
         assert model.names[model.index(parameter.name)] == parameter.name
+
+
+@pytest.mark.parametrize("reach", [0.8, 7.0, 1e4, 1e6])
+def test_cosines_and_sines_are_exact(reach: float, rng: np.random.Generator) -> None:
+    @njit
+    def turned(angles: np.ndarray, cosines: np.ndarray, sines: np.ndarray) -> None:
+        for i in range(len(angles)):
+            kernel_walk.cosines_and_sines(angles[i], cosines[i], sines[i])
+
+    angles = rng.uniform(-reach, reach, (200, kernel_walk.LANES))
+    # At all eighths of a turn near zero, where quarters change.
+    angles[0] = 0.25 * np.pi * (np.arange(kernel_walk.LANES) - 32)
+    found = np.empty((2, *angles.shape))
+    turned(angles, *found)
+    np.testing.assert_allclose(found, [np.cos(angles), np.sin(angles)], rtol=0.0, atol=2.3e-16)
+    np.testing.assert_allclose(found[:, 0], [np.cos(angles[0]), np.sin(angles[0])], rtol=1e-15)
+    turned(np.full((1, kernel_walk.LANES), np.nan), *found[:, :1])
+    assert np.isnan(found[:, 0]).all()
 
 
 @pytest.mark.parametrize("name", EFFECTS)
