@@ -326,42 +326,6 @@ def test_what_the_calibration_leaves_open_is_no_fault_of_the_readings(rng: np.ra
 
 
 @pytest.mark.parametrize(
-    ("element", "unit", "size", "words"),
-    [
-        (
-            "tool",
-            "m",
-            2.0,
-            r"where the target is on the tool \(standard deviation 2000 mm\): calibrate with poses that turn",
-        ),
-        (
-            "wrist_3_joint",
-            "rad",
-            0.5,
-            r"calibration does not tell where they are .*: calibrate with poses like those of the",
-        ),
-    ],
-)
-def test_what_the_calibration_leaves_open_is_no_fault_of_the_readings(
-    element: str, unit: str, size: float, words: str, rng: np.random.Generator, tmp_path: Path
-) -> None:
-    """Contacts of a turning wrist with a probe whose place no pose of the calibration told, or with an unknown joint."""
-    robot = cases.robot_with("position")
-    parameters = robot.estimate.parameters
-    is_open = [p.element == element and p.unit == unit for p in parameters]
-    covariance = robot.covariance + np.diag(np.where(is_open, size**2, 0.0))
-    unknown = replace(robot, estimate=estimate_of(parameters, robot.values, covariance))
-    turns = cases.poses_near(rng, 1) + np.linspace(0.0, 5.0, 8)[:, None] * np.eye(6)[5]
-    readings = cases.table(turns, ["h1"] * 8)
-    part = tmp_path / "part.toml"
-    part.write_text('unit = "mm"\n[feature.h1]\nkind = "circle"\nnominal = [0, 0, 0]\ndirection = [0, 0, 1]\n')
-
-    assert measure_part(robot, readings, Part.from_toml(part)).found.features
-    with pytest.raises(BadInputError, match=f"'h1' \\(circle\\): its readings would do, but the .*{words}"):
-        measure_part(unknown, readings, Part.from_toml(part))
-
-
-@pytest.mark.parametrize(
     ("wrong", "words"),
     [
         ("expansion = 3", "expected a table"),
