@@ -347,7 +347,7 @@ def _title(effect: Effect) -> str:
     where += f" ({effect.locus.acts_on})" if across else ""
     order = f" order {effect.locus.order:g}" if (effect.locus.order or 1) != 1 else ""
     if effect.locus.period is not None:
-        order = f" of period {format_joint(effect.locus.period, 'm', '.4g')}"
+        order = f" of period {format_joint(effect.locus.period, 'm')}"
     # Bearing features share the heading of compliances, so their own names are used.
     is_feature = effect.family is Family.ELASTICITY and effect.locus.station is None
     return f"{effect.name if is_feature else effect.heading[0]}{of}{by}{where}{order}"

@@ -73,7 +73,7 @@ def _cycles(entry: EffectName) -> str:
         return f" of order {entry.order:g}"
     if entry.period is None or entry.shape not in ("waves", "product"):
         return ""
-    return f" of period {format_joint(entry.period, 'm', '.4g')}"
+    return f" of period {format_joint(entry.period, 'm')}"
 
 
 def line_words(entry: FoundEffect) -> str:
