@@ -426,7 +426,7 @@ def test_rows_that_are_written_late_or_twice_are_put_in_order(logs: Tables, tmp_
         stream = getattr(session, name)
         np.testing.assert_array_equal(stream.time, logs[name]["time"])
         assert f"{name}.csv: 300 rows occur twice" in told and re.search(
-            rf"{name}.csv: \d+ rows, .* late and are sorted", told
+            rf"{name}.csv: \d+ rows are late, .* and sorted by time", told
         )
 
 
@@ -439,7 +439,7 @@ def test_an_imu_that_is_polled_at_nearly_its_own_rate_is_told(logs: Tables, tmp_
     tables["imu"] = {name: values[rows] for name, values in imu.items()} | {"time": polls}
     session, told = read(tmp_path, tables)
     assert session.imu is not None and session.imu.rate == pytest.approx(99.9, abs=0.5)
-    assert re.search(r"imu.csv: \d+ rows, .* repeat the previous one .* was it polled at nearly its own rate", told)
+    assert re.search(r"imu.csv: \d+ rows repeat the previous one, .* was it polled at nearly its own rate", told)
 
 
 @pytest.mark.parametrize("rate", [82.0, *(pytest.param(rate, marks=pytest.mark.long) for rate in (97.0, 100.4, 130.0))])
@@ -504,7 +504,7 @@ def test_gaps_do_no_harm(logs: Tables, tmp_path: Path) -> None:
         time = tables[name]["time"]
         tables[name] = {column: values[(time < begin) | (time > begin + 2.0)] for column, values in tables[name].items()}
     session, told = read(tmp_path, tables)
-    assert "joints.csv: 1 gaps of more" in told and "imu.csv: 1 gaps of more" in told
+    assert "joints.csv: 1 gap of more" in told and "imu.csv: 1 gap of more" in told
     assert laid(session)[0] == pytest.approx(0.4, abs=0.02)
 
 

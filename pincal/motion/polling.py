@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pincal.errors import warn
+from pincal.errors import counted, warn
 from pincal.motion.clocks import Clock
 from pincal.motion.motion_numbers import POLLING
 from pincal.motion.moving_arm import MovingArm
@@ -70,8 +70,8 @@ def at_samples(arm: MovingArm, imu: Stream, clock: Clock, mount: np.ndarray) -> 
     warn(
         f"{imu.name}: its rates are late by varying parts of a sample, as where an IMU with one "
         f"every {1e3 * line.period:.5g} ms is polled; the times of its samples are used instead, "
-        f"{len(imu) - len(found)} rows close to two samples are left out: log the device's own "
-        "stamps"
+        f"{counted(len(imu) - len(found), 'row', 'are')} left out, close to two samples: log the "
+        "device's own stamps"
     )
     return found
 
