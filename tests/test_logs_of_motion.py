@@ -469,6 +469,18 @@ def test_an_imu_that_is_polled_has_the_times_of_its_samples(logs: Tables, rate: 
     assert np.quantile(np.abs(late - np.median(late)), 0.99) < 5e-4 and len(late) > 0.85 * len(np.unique(rows))
 
 
+@pytest.mark.parametrize("size", [-8.3e-3, 8.3e-3])
+def test_one_step_of_nearly_a_sample_is_none_of_polls(logs: Tables, size: float, tmp_path: Path) -> None:
+    """Which with the drift in its place looks like polls that pass one sample from beginning to end."""
+    tables = copied({name: logs[name] for name in ("joints", "imu")})
+    tables["imu"]["time"][1300:] += size
+    session, _ = read(tmp_path, tables)
+    assert session.imu is not None
+    arm = MovingArm.of(ROBOT, JointPath.through(session.joints.time, session.joints.readings["q"]))
+    start = start_imu(arm, session.imu)
+    assert at_samples(arm, session.imu, start.clock, start.mount) is None
+
+
 @pytest.mark.parametrize("digits", [6, 15])
 def test_what_was_interpolated_is_no_reading(logs: Tables, digits: int, tmp_path: Path) -> None:
     """Straight lines across the time in which a target was lost, of any digits; an arm that moves straight on is read."""
