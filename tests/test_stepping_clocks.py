@@ -120,6 +120,21 @@ def test_large_steps_are_found_by_the_nominal_arm() -> None:
     assert found.about(0.0).offset == pytest.approx(true.about(0.0).offset, abs=2e-4)
 
 
+def test_a_clock_that_was_set_on_by_long_is_aligned() -> None:
+    """By a quarter of an hour, in the middle of which there are no stamps at all."""
+    time = np.arange(0.0, 100.0, 0.02)
+
+    def course(at: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.sin(at), np.cos(1.7 * at), np.sin(0.6 * at + 1.0)])
+
+    readings = course(time + 0.02) + 1e-4 * np.random.default_rng(0).standard_normal((len(time), 3))
+    stamps = time + 866.0 * (time >= 45.0)
+    start = Clock(0.0, steps=((45.0 + 866.0, -866.1),))
+    found = aligned(stamps, readings, lambda at, _: course(at), lambda at: abs(at - 50.0) < 60.0, start, source="imu.csv")
+
+    np.testing.assert_allclose(found.clock.to_joints(stamps), time + 0.02, rtol=0.0, atol=1e-4)
+
+
 def test_more_steps_than_a_clock_has_are_refused() -> None:
     """They are stamps of another kind; what to log instead is said."""
     jump = Jump(2.0 * CLOCKS.nominal_jump, 1e-4, 0.5)

@@ -249,15 +249,15 @@ def _whole(
     """
     known = covers(start.to_joints(time))
     refuse_uncovered(known, source=source)
-    begin = time[known].min()
-    end = time[known].max()
-    middle = 0.5 * (begin + end)
+    # Of a reading: amid the stamps there may be none, where a clock was set or a log paused.
+    middle = np.sort(time[known])[np.count_nonzero(known) // 2]
+    farthest = np.abs(time[known] - middle).max()
     first = _FIRST if np.isinf(start.sigma[1]) else np.inf
     clock = start.about(float(middle))
     half = 0.5 * first
     while True:
-        is_whole = half >= 0.5 * (end - begin)
-        half = min(half, 0.5 * (end - begin))
+        is_whole = half >= farthest
+        half = min(half, farthest)
         inside = np.flatnonzero(np.abs(time - middle) <= half + 1e-9)
         rows = inside[
             np.linspace(0, len(inside) - 1, min(_ROWS if is_whole else _SOME, len(inside))).astype(
