@@ -36,6 +36,10 @@ _STEPS: Count = 20
 _SETTLED: Scale = 1e-6
 # Step of the numerical differentiation of features [s].
 _STEP: Scale = 1e-3
+# Steps that a nominal arm is not sure of, at most, by which a drift may be explained.
+_SMALL: Count = 3
+# Standard deviations by which a drift exceeds that of a crystal.
+_CLEARLY: Scale = 5.0
 
 
 @dataclass(frozen=True)
@@ -166,6 +170,8 @@ class Alignment:
         constant: shape (m,).
         scatter: shape (m,), standard deviation of the residuals.
         jump: the likeliest jump of the clock.
+        may_step: whether the clock may have steps of which a nominal arm is not sure, in place of
+            a drift that no crystal has.
     """
 
     clock: Clock
@@ -173,6 +179,12 @@ class Alignment:
     constant: np.ndarray
     scatter: np.ndarray
     jump: Jump
+    may_step: bool = False
+
+    @property
+    def is_crystal(self) -> bool:
+        """Whether the clock drifts no more than a crystal."""
+        return abs(self.clock.drift) <= max(CLOCKS.drift, _CLEARLY * self.clock.sigma[1])
 
 
 def refuse_uncovered(known: np.ndarray, *, source: str) -> None:
@@ -232,7 +244,13 @@ def aligned(
     while found.jump.is_sure(CLOCKS.nominal_jump) and len(found.clock.steps) < JUMPS.most:
         clock = found.clock.stepping(found.jump)
         found = _whole(time, readings, features, covers, clock, source=source)
-    return found
+    beside = found
+    for _ in range(_SMALL):
+        if beside.is_crystal or np.isinf(beside.jump.sigma):
+            break
+        clock = beside.clock.stepping(beside.jump)
+        beside = _whole(time, readings, features, covers, clock, source=source)
+    return replace(found, may_step=beside is not found and beside.is_crystal)
 
 
 def _whole(
