@@ -127,15 +127,20 @@ class _Delays:
         near = np.abs(beats) < 0.5 * rate
         return rate + beats[near], np.asarray(fft(sums))[near]
 
+    def passed(self, frequencies: np.ndarray) -> np.ndarray:
+        """Return how many samples of a device polls pass over the log, by its frequency [Hz], shape
+        (K,).
+        """
+        rate = 1.0 / np.median(np.diff(self.time))
+        return np.asarray(np.abs(frequencies - rate) * self.time[-1])
+
     def phases(self, frequency: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the line at a frequency [Hz] in the delays of parts of the log, complex, beside
         their mean, and the middles of these [s], shapes (P,).
 
         Parts are so long that readings pass some samples.
         """
-        steps = np.diff(self.time)
-        beats = abs(frequency - 1.0 / float(np.median(steps))) * float(self.time[-1])
-        count = int(np.clip(beats / _BEATS, 1, _PARTS))
+        count = int(np.clip(self.passed(np.array(frequency)) / _BEATS, 1, _PARTS))
         waves = np.exp(-2j * np.pi * frequency * self.time)
         shapes = np.column_stack([np.ones(len(waves)), waves.real, waves.imag])
         found = []
@@ -203,7 +208,8 @@ def _line(delays: _Delays) -> _Line | None:
     """Return the samples of a device that was polled; None if delays show no line of its size.
 
     Even polls show samples at as much less than their rate as at more: the delays of one grow with
-    time until they jump back, those of the other would shrink.
+    time until they jump back, those of the other would shrink. Fewer samples passed than a line
+    needs are steps of a clock that drifts, and are found as such.
     """
     if not len(delays.time) or not delays.squares.any():
         return None
@@ -213,6 +219,8 @@ def _line(delays: _Delays) -> _Line | None:
         return None
     width = _WIDTH / float(delays.time[-1])
     left = power.copy()
+    passed = delays.passed(frequencies)
+    left[passed < _BEATS] = 0.0
     found = []
     for _ in range(_PEAKS):
         peak = float(frequencies[np.argmax(left)])
