@@ -32,7 +32,6 @@ from pincal.diagnosis.lineup import ChangeHypotheses, Refitted
 from pincal.diagnosis.redrawn_curves import redrawn_curves
 from pincal.diagnosis.row_evidence import Known
 from pincal.errors import BadInputError, MeasurementError, counted
-from pincal.identify.criteria import CHANGES
 from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
