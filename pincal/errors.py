@@ -189,14 +189,22 @@ def nearest_first(wrong: Iterable[str], known: Iterable[str]) -> list[str]:
     return sorted(dict.fromkeys(known), key=likeness, reverse=True)
 
 
-def counted(count: int, word: str) -> str:
-    """Return a count with its noun.
+# Verbs of one thing that are not those of several with an s.
+_OF_ONE = {"are": "is", "have": "has", "do": "does"}
+
+
+def counted(count: int, word: str, verb: str = "") -> str:
+    """Return a count with its noun, and with its verb as of several.
 
     Example:
         >>> counted(1, "check"), counted(0, "check"), counted(2, "diagnosis")
         ('1 check', '0 checks', '2 diagnoses')
+        >>> counted(1, "row", "are"), counted(1, "row", "repeat"), counted(2, "row", "repeat")
+        ('1 row is', '1 row repeats', '2 rows repeat')
     """
-    return f"{count} {word if count == 1 else f'{word}s'.replace('siss', 'ses')}"
+    noun = word if count == 1 else f"{word}s".replace("siss", "ses")
+    of_one = _OF_ONE.get(verb, f"{verb}s") if verb else ""
+    return f"{count} {noun} {of_one if count == 1 else verb}".rstrip()
 
 
 def few(items: Sequence[object] | np.ndarray, most: int) -> str:

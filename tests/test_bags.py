@@ -129,7 +129,7 @@ def test_what_a_recording_leaves_open_is_refused(tmp_path: Path) -> None:
     assert len(read(both, ignore=["/joint_states1", "/tracker1"])) == K
     with pytest.raises(MeasurementError, match="no joints; expected a topic of sensor_msgs/msg/JointState"):
         read_measurements(record(tmp_path / "none", joints=0), JOINTS)
-    with pytest.raises(MeasurementError, match="0 poses of /joint_states are held still"):
+    with pytest.raises(MeasurementError, match="0 poses of /joint_states held still"):
         read_measurements(record(tmp_path / "short", until=0.2), JOINTS)
     with pytest.raises(MeasurementError, match='no column for joint "elbow"'):
         read_measurements(record(tmp_path / "other"), ("a", "elbow"))

@@ -84,6 +84,8 @@ TILTED = np.array([2.0, -3.0, -9.0])
 LEVEL = np.array([0.0, 0.0, -9.81])
 ARMS = {"kuka": kuka_urdf_path, "ur10": lambda: find_file("ur10"), "panda": lambda: find_file("panda")}
 PARAMS = ["kuka", pytest.param("ur10", marks=pytest.mark.long), "panda"]
+# For what an effect says of itself on any arm: names, places, files.
+SEVEN_JOINTS = [*(pytest.param(name, marks=pytest.mark.long) for name in ("kuka", "ur10")), "panda"]
 FRAMES: list[tuple[MomentFrame, bool]] = [("paper", False), ("paper", True), ("before", False), ("after", True)]
 FRAME_PARAMS = [*FRAMES[::2], *(pytest.param(frame, marks=pytest.mark.long) for frame in FRAMES[1::2])]
 
@@ -244,6 +246,7 @@ def in_catalogue() -> Iterator[type[Effect]]:
                 yield found
 
 
+@pytest.mark.parametrize("robot", SEVEN_JOINTS, indirect=True)
 @pytest.mark.parametrize("name", REGISTERED.known())
 def test_an_effect_says_all_of_itself(robot: Robot, name: str, rng: np.random.Generator) -> None:
     """By being registered a class is under this test: its words, its places on an arm, its variants, its form in files."""
@@ -284,6 +287,7 @@ def test_effects_are_the_same_whatever_their_resolution() -> None:
     assert Unnamed("a", "drive", "b").heading == ("unnamed", "a", None)
 
 
+@pytest.mark.parametrize("robot", SEVEN_JOINTS, indirect=True)
 @pytest.mark.parametrize("name", EFFECTS)
 def test_parameters_and_terms_fit_each_other(robot: Robot, name: str, rng: np.random.Generator) -> None:
     """Names are unique beside those of the full model; each term belongs to a parameter and has a basis a pose."""
@@ -370,6 +374,7 @@ def assert_slopes(
         assert np.abs(slopes - numeric).max() < 1e-6 * (np.abs(numeric).max() + 1e-3)
 
 
+@pytest.mark.parametrize("robot", SEVEN_JOINTS, indirect=True)
 @pytest.mark.parametrize("name", EFFECTS)
 def test_a_saved_model_is_the_same_model(robot: Robot, name: str, rng: np.random.Generator) -> None:
     """Written as JSON and read again, effects are equal and predict the same."""

@@ -242,6 +242,7 @@ def test_a_part_keeps_values_limits_and_decisions(of_part: Certificate) -> None:
     assert [float(found) for found in probabilities] == pytest.approx(covered, abs=5e-5)
     assert found["hole_1 (circle): form"][0] == 0.031
     assert found["uncertainty budget: parameters, type A"][0] == 0.02
+    assert [line.distribution for line in of_part.budget.lines] == ["t", "normal"]
     assert re.findall(r"<dcc:conformity>(\w+)<", xml) == ["pass", "conditionalPass"]
     page = certificate_page(of_part)
     assert "11.9000 to 12.1000" in page and "at most 100.1000" in page and "undecided" in page

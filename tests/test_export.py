@@ -14,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import pytest
 from _pytest.mark import ParameterSet
+from pairs import one_in_three
 from scipy.spatial.transform import Rotation
 from test_catalogue import ARMS, chain_of, conditions_of, surrounded, units_of
 from test_catalogue import EFFECTS as ALL_EFFECTS
@@ -211,7 +212,8 @@ def check_python(calibrated: FittedRobot, rng: np.random.Generator) -> None:
     np.testing.assert_allclose(forward(at.q, **columns_of(at)), calibrated.predict(at), rtol=0.0, atol=EXACT)
 
 
-@pytest.mark.parametrize("name", EFFECTS)
+# All at once they are exported in every run.
+@pytest.mark.parametrize("name", one_in_three(list(EFFECTS)))
 def test_the_formula_of_every_effect_is_what_it_predicts(kuka: Robot, name: str, rng: np.random.Generator) -> None:
     """Of each effect alone, from its own code; one that can't be carried would be refused here."""
     full = drawn(EFFECTS[name](kuka.joint_names), kuka, frame="after")

@@ -519,7 +519,7 @@ def test_hidden_rows_of_a_worksheet_are_told_of(tmp_path: Path) -> None:
         book["measured"].row_dimensions[row].hidden = True
     book.save(path)
     with pytest.warns(
-        PincalWarning, match=r"2 rows of worksheet measured are hidden, .*\(line 3, 6\), and read like the others"
+        PincalWarning, match=r"2 rows are hidden in worksheet measured, .*\(line 3, 6\), and read like the others"
     ):
         assert len(read_measurements(path, JOINTS)) == N
 

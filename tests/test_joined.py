@@ -53,7 +53,7 @@ def test_rows_are_joined_by_a_common_column(tmp_path: Path) -> None:
     """A name that both files have finds the joints, whatever the order, and the log's other columns come along."""
     order = RNG.permutation(K)
     log = joints(Q[order], pose=order + 1, payload=np.full(K, 5.0), speed=np.ones(K))
-    with pytest.warns(PincalWarning, match=r'tracker.csv: 8 rows have their joints from log.csv by the column "pose"'):
+    with pytest.warns(PincalWarning, match=r'tracker.csv: 8 rows have joints from log.csv by the column "pose"'):
         found = joined(tmp_path, readings(pose=np.arange(1.0, K + 1)), log)
 
     np.testing.assert_allclose(found.q, Q, rtol=0, atol=1e-12)
@@ -74,7 +74,9 @@ def test_rows_are_joined_by_time_while_the_pose_is_held(tmp_path: Path) -> None:
     """A reading has the mean of the joints over the pose at its time; one during a motion is left out and told."""
     times = HELD.copy()
     times[3] += 1.5
-    with pytest.warns(PincalWarning, match=r"7 rows .* by time, while the pose is held still; 1 rows between two poses"):
+    with pytest.warns(
+        PincalWarning, match=r"7 rows .* by time, while the pose is held still; 1 row is left out, between two poses"
+    ):
         found = joined(tmp_path, readings(time=times), joints(MOVING, time=TIME))
 
     kept = np.delete(np.arange(K), 3)

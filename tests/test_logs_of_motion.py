@@ -386,6 +386,17 @@ def test_a_clock_that_was_set_on_by_little_has_a_step(logs: Tables, tmp_path: Pa
     np.testing.assert_allclose(parted.q, whole.q[kept], rtol=0.0, atol=2e-3)
 
 
+@pytest.mark.parametrize("steps", [[(20.0, 0.016)], [(12.0, 0.02), (27.0, 0.012)]])
+def test_steps_of_a_clock_are_no_drift(logs: Tables, steps: list[tuple[float, float]], tmp_path: Path) -> None:
+    """Though a nominal arm does not tell small ones: no rate is said that the frames of a camera have; a true one is."""
+    tables = copied({name: logs[name] for name in ("joints", "tracker")})
+    time = logs["tracker"]["time"]
+    tables["tracker"]["time"] = time + sum((size * (time - OFFSET >= at) for at, size in steps), np.zeros(len(time)))
+    assert "ppm" not in laid(read(tmp_path, tables)[0])[2]
+    tables["tracker"]["time"] *= 1.001
+    assert "ppm too fast" in laid(read(tmp_path, tables)[0])[2]
+
+
 @pytest.mark.parametrize("within", [0.0, 1e-4])
 @pytest.mark.parametrize("which", ["joints", "tracker"])
 def test_stamps_of_packets_are_those_of_their_samples_again(logs: Tables, which: str, within: float, tmp_path: Path) -> None:
@@ -426,7 +437,7 @@ def test_rows_that_are_written_late_or_twice_are_put_in_order(logs: Tables, tmp_
         stream = getattr(session, name)
         np.testing.assert_array_equal(stream.time, logs[name]["time"])
         assert f"{name}.csv: 300 rows occur twice" in told and re.search(
-            rf"{name}.csv: \d+ rows, .* late and are sorted", told
+            rf"{name}.csv: \d+ rows are late, .* and sorted by time", told
         )
 
 
@@ -439,7 +450,7 @@ def test_an_imu_that_is_polled_at_nearly_its_own_rate_is_told(logs: Tables, tmp_
     tables["imu"] = {name: values[rows] for name, values in imu.items()} | {"time": polls}
     session, told = read(tmp_path, tables)
     assert session.imu is not None and session.imu.rate == pytest.approx(99.9, abs=0.5)
-    assert re.search(r"imu.csv: \d+ rows, .* repeat the previous one .* was it polled at nearly its own rate", told)
+    assert re.search(r"imu.csv: \d+ rows repeat the previous one, .* was it polled at nearly its own rate", told)
 
 
 @pytest.mark.parametrize("rate", [82.0, *(pytest.param(rate, marks=pytest.mark.long) for rate in (97.0, 100.4, 130.0))])
@@ -467,6 +478,18 @@ def test_an_imu_that_is_polled_has_the_times_of_its_samples(logs: Tables, rate: 
     late = found["polls"].time - true[rows[found["polls"].lines - 2]]
     assert np.ptp(polls - true[rows]) > 8e-3
     assert np.quantile(np.abs(late - np.median(late)), 0.99) < 5e-4 and len(late) > 0.85 * len(np.unique(rows))
+
+
+@pytest.mark.parametrize("size", [-8.3e-3, 8.3e-3])
+def test_one_step_of_nearly_a_sample_is_none_of_polls(logs: Tables, size: float, tmp_path: Path) -> None:
+    """Which with the drift in its place looks like polls that pass one sample from beginning to end."""
+    tables = copied({name: logs[name] for name in ("joints", "imu")})
+    tables["imu"]["time"][1300:] += size
+    session, _ = read(tmp_path, tables)
+    assert session.imu is not None
+    arm = MovingArm.of(ROBOT, JointPath.through(session.joints.time, session.joints.readings["q"]))
+    start = start_imu(arm, session.imu)
+    assert at_samples(arm, session.imu, start.clock, start.mount) is None
 
 
 @pytest.mark.parametrize("digits", [6, 15])
@@ -504,7 +527,7 @@ def test_gaps_do_no_harm(logs: Tables, tmp_path: Path) -> None:
         time = tables[name]["time"]
         tables[name] = {column: values[(time < begin) | (time > begin + 2.0)] for column, values in tables[name].items()}
     session, told = read(tmp_path, tables)
-    assert "joints.csv: 1 gaps of more" in told and "imu.csv: 1 gaps of more" in told
+    assert "joints.csv: 1 gap of more" in told and "imu.csv: 1 gap of more" in told
     assert laid(session)[0] == pytest.approx(0.4, abs=0.02)
 
 

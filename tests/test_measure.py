@@ -137,6 +137,7 @@ def test_the_budget_is_the_covariance(camera: FittedRobot, rng: np.random.Genera
         np.testing.assert_allclose(value.U, value.k * value.u, rtol=1e-12)
     assert {of.source for of in found.budget} >= {"parameters", "sensor"}
     np.testing.assert_allclose(sum(of.share for of in found.budget), 1.0)
+    assert all(of.distribution == ("normal" if of.dof is None else "t") for of in found.budget)
     # A circle of n points at equal angles, each with the noise of a coordinate: u(diameter) = 2 sigma / sqrt(n).
     sensor = found.features[0].values["diameter"].by_source["sensor"]
     np.testing.assert_allclose(sensor, 2.0 * 0.05 / np.sqrt(8), rtol=1e-3)

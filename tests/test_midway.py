@@ -82,7 +82,7 @@ CASES = [(*change, "white") for change in CHANGES] + [(*change, "ar") for change
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=pytest.mark.long if k % 6 else ()) for k, case in enumerate(CASES)], ids=str
+    "case", [pytest.param(case, marks=pytest.mark.long if k % 12 else ()) for k, case in enumerate(CASES)], ids=str
 )
 def test_what_changed_midway_is_named_with_its_line(case: tuple[str, float, str]) -> None:
     """A milliradian of a joint, half a millimetre of the tool, three tenths of the instrument: the row to within three."""
@@ -138,7 +138,7 @@ def elastic(seed: int, n: int, *, moved: float = 0.0) -> StepChange | None:
     return change_in(fit.fit.station, fit.values, fit.solution.free, rows.rows)
 
 
-@pytest.mark.parametrize("seed", [104, 122])
+@pytest.mark.parametrize("seed", [104, pytest.param(122, marks=pytest.mark.long)])
 def test_what_a_model_lacks_is_no_change(seed: int) -> None:
     """Of fifty poses some step explains much of what a rigid model lacks of a soft arm, in any order of the rows."""
     assert elastic(seed, 50) is None

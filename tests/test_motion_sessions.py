@@ -345,10 +345,10 @@ def test_what_is_odd_is_told(logs: tuple[dict[str, Table], ImuSetup], tmp_path: 
         )
     text = "\n".join(str(each.message) for each in told)
 
-    assert "imu.csv: 1 gaps of more than 0.2 s, the longest 1.52 s from 19.99 s on" in text
+    assert "imu.csv: 1 gap of more than 0.2 s, up to 1.52 s from 19.99 s on" in text
     assert "imu.csv: 9 % of the rows repeat the previous one" in text
     assert re.search(r"imu\.csv: \d+ rows are clipped at the limit of the IMU's range", text)
-    assert "tracker.csv: 1 rows with the stamp of the previous row" in text
+    assert "tracker.csv: left out: 1 row with the previous stamp" in text
     assert session.tracker is not None and len(session.tracker) == len(tables["tracker"]["time"]) - 1
 
 

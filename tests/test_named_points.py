@@ -220,14 +220,14 @@ def test_rows_that_tell_nothing_are_left_out_with_a_word(machine: sim.TrueMachin
     """A socket touched once, a point seen once, a point behind the camera, an anchor of three distances."""
     held = contacts(machine, kuka, each=5)
     once = held.select(np.r_[0:10, 10])
-    with pytest.warns(PincalWarning, match=r"1 rows are of a socket with fewer than 2 readings.*\(c\).*lines 12"):
+    with pytest.warns(PincalWarning, match=r"1 row is of a socket with fewer than 2 readings.*\(c\).*line 12"):
         assert len(usable_rows(once, Setup())) == 10
     assert len(usable_rows(once, Setup(points=SOCKETS))) == 11
     points = seen(machine, kuka, poses=3)
     behind = np.array(points.camera_point)
     behind[4, 2] *= -1.0
     flipped = measurements_from_arrays(kuka.joint_names, points.q, camera_point=behind, point=points.point)
-    with pytest.warns(PincalWarning, match=r"1 rows have cz <= 0, a point behind the camera"):
+    with pytest.warns(PincalWarning, match=r"1 row has cz <= 0, a point behind the camera"):
         assert len(usable_rows(flipped, Setup())) == len(points) - 1
     with pytest.warns(PincalWarning, match=r"of an anchor with fewer than 4 readings.*\(s, w\)"):
         few = anchored(machine, kuka, poses=4).select(np.arange(14))
@@ -243,7 +243,7 @@ def test_rows_that_judge_nothing_are_left_out_with_a_word(machine: sim.TrueMachi
     """A new socket touched once agrees with any model; a new point of an object with none."""
     held = contacts(machine, kuka, each=5)
     had = Setup().over(held.select(np.arange(10)))
-    with pytest.warns(PincalWarning, match=r"1 rows are of points not used in the calibration \(c\).*lines 12"):
+    with pytest.warns(PincalWarning, match=r"1 row is of points not used in the calibration \(c\).*line 12"):
         assert len(scorable_rows(held.select(np.arange(11)), had)) == 10
     assert len(scorable_rows(held.select(np.arange(12)), had)) == 12
     views = seen(machine, kuka, poses=2)

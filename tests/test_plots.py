@@ -63,7 +63,7 @@ def test_each_figure_is_drawn(name: str, evidence: RowErrors) -> None:
 
 
 @pytest.mark.parametrize("name", OF_EVIDENCE)
-@pytest.mark.parametrize("count", [1, 5])
+@pytest.mark.parametrize("count", [1, pytest.param(5, marks=pytest.mark.long)])
 def test_few_rows_are_enough(name: str, count: int, evidence: RowErrors) -> None:
     """A handful of rows, or a single one, makes a figure."""
     rows = np.flatnonzero(evidence.is_held)[:count]

@@ -81,7 +81,7 @@ def test_half_of_a_table_is_read_while_the_arm_is_held(in_motion: int, is_read: 
     table = {name: values[:7] for name, values in readings(time=time).items()}
     log = joints(MOVING, time=TIME)
     if is_read:
-        with pytest.warns(PincalWarning, match=f"{in_motion} rows between two poses are left out"):
+        with pytest.warns(PincalWarning, match=f"{in_motion} rows are left out, between two poses"):
             assert len(joined(tmp_path, table, log)) == 7 - in_motion
     else:
         with pytest.raises(MeasurementError):

@@ -166,6 +166,20 @@ def test_innovations_weigh_by_the_inverse_of_the_covariance() -> None:
     np.testing.assert_allclose(serial.coloured(found[0]), columns[0], atol=1e-12)
 
 
+def test_the_transpose_of_what_whitens_serves_the_other_columns() -> None:
+    """Whitened columns times others are columns times the others by the transpose: turned, weighted, in any order."""
+    rng = np.random.default_rng(5)
+    turns = np.linalg.qr(rng.standard_normal((600, 3, 3)))[0]
+    serial = Serial(np.full(3, 0.9), np.full(3, 0.7), rng.permutation(600) * 1.5, rng.random(600) < 0.9, turns)
+    weights = rng.uniform(0.5, 2.0, 600)
+    columns, others = rng.standard_normal((2, 11, 3, 600))
+    back = others.copy()
+    serial.whiten(back, weights, transposed=True)
+
+    expected = np.tensordot(serial.innovations(columns, weights), others, axes=((1, 2), (1, 2)))
+    np.testing.assert_allclose(np.tensordot(columns, back, axes=((1, 2), (1, 2))), expected, atol=1e-11)
+
+
 def least(misfit: Callable[[float], float]) -> float:
     """Return the least value of a misfit by the logarithm of a variance."""
     coarse = np.linspace(-3.0, 3.0, 61)

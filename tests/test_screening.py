@@ -21,7 +21,7 @@ def wrong_rows(table: Measurements) -> np.ndarray:
     return next(iter(calibrate(ROBOT, table, OPTIONS).fit.wrong), np.zeros(len(table), bool))
 
 
-@pytest.mark.parametrize("cycles", [2, 3, 5])
+@pytest.mark.parametrize("cycles", [2, pytest.param(3, marks=pytest.mark.long), 5])
 def test_wrong_readings_are_named_by_their_lines(cycles: int) -> None:
     """Four per cent of the readings are off by 3 mm: these, and no visit beside them."""
     table, is_wrong = Visited(cycles=cycles).table(cycles, wrong=0.04, size=3e-3)

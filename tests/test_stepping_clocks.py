@@ -73,6 +73,22 @@ def test_a_sound_clock_has_no_step() -> None:
         assert not sure_jumps(time, noise, rate, projected, 0.0)  # type: ignore[arg-type]
 
 
+def test_a_step_is_found_beside_readings_that_seem_to_tell_more() -> None:
+    """As those about a step of the joints' clock, across which their path is none of the arm's."""
+    time = np.arange(800) * 0.075
+    rate = np.random.default_rng(1).standard_normal((800, 2))
+    rate[400:406] *= 40.0
+    Q = np.linalg.qr((rate[:, :, None] * np.stack([np.ones(800), time], axis=1)[:, None]).reshape(rate.size, -1))[0]
+
+    def projected(steps: np.ndarray) -> np.ndarray:
+        flat = steps.reshape(rate.size, -1)
+        return np.asarray((flat - Q @ (Q.T @ flat)).reshape(steps.shape))
+
+    noise = 1e-4 * np.random.default_rng(2).standard_normal((800, 2))
+    (found,) = sure_jumps(time, 0.016 * (time >= 30.0)[:, None] * rate + noise, rate, projected, 1e-3)
+    assert found.time == pytest.approx(30.0, abs=0.5) and found.size == pytest.approx(0.016, abs=2e-4)
+
+
 def test_a_clock_has_its_steps_added() -> None:
     """From each stamp on; they stay when the clock is moved, or its offset is given at another stamp."""
     time = np.array([0.0, 9.9, 10.0, 20.0])
@@ -102,6 +118,21 @@ def test_large_steps_are_found_by_the_nominal_arm() -> None:
     assert [at for at, _ in found.steps] == pytest.approx([30.0, 70.0], abs=0.05)
     assert [size for _, size in found.steps] == pytest.approx([0.12, -0.08], abs=1e-4)
     assert found.about(0.0).offset == pytest.approx(true.about(0.0).offset, abs=2e-4)
+
+
+def test_a_clock_that_was_set_on_by_long_is_aligned() -> None:
+    """By a quarter of an hour, in the middle of which there are no stamps at all."""
+    time = np.arange(0.0, 100.0, 0.02)
+
+    def course(at: np.ndarray) -> np.ndarray:
+        return np.column_stack([np.sin(at), np.cos(1.7 * at), np.sin(0.6 * at + 1.0)])
+
+    readings = course(time + 0.02) + 1e-4 * np.random.default_rng(0).standard_normal((len(time), 3))
+    stamps = time + 866.0 * (time >= 45.0)
+    start = Clock(0.0, steps=((45.0 + 866.0, -866.1),))
+    found = aligned(stamps, readings, lambda at, _: course(at), lambda at: abs(at - 50.0) < 60.0, start, source="imu.csv")
+
+    np.testing.assert_allclose(found.clock.to_joints(stamps), time + 0.02, rtol=0.0, atol=1e-4)
 
 
 def test_more_steps_than_a_clock_has_are_refused() -> None:

@@ -103,7 +103,7 @@ class CaveatKind(Enum):
         "do not determine it. Measure in more directions and at more places, or with an instrument"
     )
     MASSES_FOUND = (
-        "the robot description has no usable masses for {links} links: they were estimated with "
+        "the robot description has no usable masses for {links}: they were estimated with "
         "the compliances, {mass:.3g} kg in total (standard deviation {percent:.0f} %); predictions "
         "do not depend on their common factor"
     )
@@ -370,7 +370,11 @@ def findings_on_fit(
         found.append(
             Caveat(
                 CaveatKind.MASSES_FOUND,
-                {"links": len(moments.links), "mass": moments.mass, "percent": percent},
+                {
+                    "links": counted(len(moments.links), "link"),
+                    "mass": moments.mass,
+                    "percent": percent,
+                },
             )
         )
     return found

@@ -21,7 +21,7 @@ from pincal.calibration.day_notes import note_on, notes_on_day
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.row_noise import RowNoise, noise_of_rows
 from pincal.calibration.stepping import laid_again, step_notes
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, counted
 from pincal.identify.beliefs import bounds_of
 from pincal.identify.fit import Priors, Solution
 from pincal.identify.initial import place_arm
@@ -524,7 +524,8 @@ def _refuse_undetermined(
     )
     if worst > OTHER_ROWS.undetermined * solution.sigma[0]:
         raise BadInputError(
-            f"{source}: {len(station)} rows do not determine the pose of instrument and target: "
+            f"{source}: {counted(len(station), 'row', 'do')} not determine the pose of "
+            "instrument and target: "
             f"predictions in other poses are uncertain by {1e3 * worst:.3g} mm; add rows in "
             "different poses and with the tool turned in different ways"
         )

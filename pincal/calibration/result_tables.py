@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from pincal.errors import counted
 from pincal.identify.explain import Reason, Status, explain
 from pincal.identify.fit import ModelFit
 from pincal.identify.station import Station
@@ -402,7 +403,7 @@ def moved_table(stations: Sequence[StationRecord]) -> Table | None:
         Column("since the previous", kind=Kind.LABEL),
     )
     hidden = len(found) - len(rows)
-    omitted = f"{hidden} rows without a change are omitted here; result.json has them."
+    omitted = f"Omitted here: {counted(hidden, 'row')} without a change; see result.json."
     notes = (omitted,) if hidden else ()
     return Table("Parameters that moved between stations", columns, tuple(rows), notes)
 

@@ -9,6 +9,7 @@ from datetime import date
 from typing import Literal
 
 from pincal.errors import BadInputError
+from pincal.features.budget import distribution_of
 from pincal.identity import Identity
 
 NOT_STATED = "not stated"
@@ -100,6 +101,11 @@ class BudgetLine:
     standard: float
     degrees: float | None
     share: float
+
+    @property
+    def distribution(self) -> str:
+        """The distribution by which the standard uncertainty is expanded, "normal" or "t"."""
+        return distribution_of(self.degrees)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -336,7 +336,7 @@ def _budget(to: _Writer, budget: Budget) -> None:
     data = to.inner("data")
     for line in budget.lines:
         made = data.quantity(_source(line.source, line.type), line.standard, budget.unit)
-        facts = {"share of the variance": repr(line.share)}
+        facts = {"distribution": line.distribution, "share of the variance": repr(line.share)}
         if line.degrees is not None:
             facts["degrees of freedom"] = repr(line.degrees)
         _facts(made.inner("measurementMetaData"), facts.items())

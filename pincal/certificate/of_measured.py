@@ -22,7 +22,7 @@ from pincal.certificate.contents import (
     StatedUncertainty,
     checksums_of_inputs,
 )
-from pincal.errors import BadInputError
+from pincal.errors import BadInputError, counted
 from pincal.features.measured_file import (
     DatumEntry,
     FeatureEntry,
@@ -122,7 +122,7 @@ def _group(feature: FeatureEntry) -> FigureGroup:
     return FigureGroup(
         title=f"{feature.name} ({feature.kind})",
         figures=tuple(_figures(feature)),
-        remark=f"{feature.readings} readings" if feature.readings else "",
+        remark=counted(feature.readings, "reading") if feature.readings else "",
     )
 
 

@@ -144,7 +144,7 @@ def predict(arguments: PredictArguments) -> Exit:
     place = place.over(table)
     calibrated = place.model
     conditions = calibrated.conditions(table)
-    log_step(f"predicting {len(table)} poses and their uncertainty")
+    log_step(f"predicting {counted(len(table), 'pose')}, with uncertainty")
     found = calibrated.predict(conditions)
     columns: dict[str, np.ndarray] = dict(zip(table.joint_names, table.q.T, strict=True))
     if len(chain.targets) > 1:

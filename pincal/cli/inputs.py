@@ -28,7 +28,7 @@ from pincal.cli.common import (
 from pincal.cli.progress import log_step
 from pincal.cli.robot_priors import load_prior
 from pincal.cli.streams import Streams, no_streams
-from pincal.errors import BadInputError, ChangedRobotError, nearest_first
+from pincal.errors import BadInputError, ChangedRobotError, counted, nearest_first
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.station import conditions_of
 from pincal.io.camera_file import read_camera
@@ -597,7 +597,7 @@ def _placed(file: Path, model: FittedRobot, path: Path, reading: TableOptions) -
     found = place_station(model, table)
     if doubt := doubt_of(found):
         raise other_robot(doubt, file)
-    words = f"placement from {len(table)} rows of {path.name}: {found.moved}"
+    words = f"placement from {counted(len(table), 'row')} of {path.name}: {found.moved}"
     contents = {
         "placement": {"rows": len(table), "ratio": found.misfit.ratio} | found.moved.to_dict()
     }

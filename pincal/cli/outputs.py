@@ -18,7 +18,7 @@ import click
 
 from pincal.atomic import replacing
 from pincal.cli.cell_defaults import cell_files
-from pincal.errors import AccuracyGateError, OutputError, printable
+from pincal.errors import AccuracyGateError, OutputError, counted, printable
 from pincal.thresholds import Count
 from pincal.units import format_joint, range_of_joint
 
@@ -143,7 +143,7 @@ def extrapolation(
 
 def _curve_words(curve: OutsideCurve, unit: str) -> str:
     return (
-        f"{curve.rows} rows need the {curve.effect} of {curve.joint} at "
+        f"{counted(curve.rows, 'row', 'need')} the {curve.effect} of {curve.joint} at "
         f"{curve.variable} {range_of_joint(curve.lowest, curve.highest, unit)}; it was "
         f"identified from {range_of_joint(curve.lower, curve.upper, unit)} only and is held "
         "constant outside"
@@ -165,7 +165,7 @@ def _gap_words(gaps: Iterable[CurveGap], units: Mapping[str, str]) -> Iterator[s
 
 def _turned_words(found: Turned) -> str:
     return (
-        f"{found.rows} rows have {found.variable} a revolution away from where the "
+        f"{counted(found.rows, 'row', 'have')} {found.variable} a revolution away from where the "
         f"{found.effect} of {found.joint} was "
         "identified; it is assumed to repeat every revolution"
     )

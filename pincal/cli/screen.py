@@ -142,7 +142,7 @@ def arm_words(robot: Robot, option: str = " (--tip takes another link)") -> str:
     ways = "; ".join(
         f"{start} to {tip}" for start, tip in ((robot.path.start, robot.tip), *robot.links)
     )
-    return f"{robot.name}, {robot.n_joints} joints from {ways}{option}"
+    return f"{robot.name}, {counted(robot.n_joints, 'joint')} from {ways}{option}"
 
 
 def _line(out: Console, name: str, text: str) -> None:
@@ -227,7 +227,7 @@ def _summary(result: Result) -> str:
     return (
         f"{result.rows['train']} rows fitted, "
         f"{held_out_words(result) or 'errors by cross-validation'}; "
-        f"{result.iterations} iterations, "
+        f"{counted(result.iterations, 'iteration')}, "
         f"{result.seconds:.2f} s\nnoise {noise_words(result.noise)} "
         f"({noise_origin(result.noise)}){chi2}\n{rank}"
     )

@@ -31,7 +31,7 @@ from pincal.diagnosis.excluded import excluded, rival_names, tell_apart
 from pincal.diagnosis.lineup import ChangeHypotheses, Refitted
 from pincal.diagnosis.redrawn_curves import redrawn_curves
 from pincal.diagnosis.row_evidence import Known
-from pincal.errors import BadInputError, MeasurementError
+from pincal.errors import BadInputError, MeasurementError, counted
 from pincal.identify.fit import Priors
 from pincal.identify.noise import Noise
 from pincal.identify.problem import Problem
@@ -372,11 +372,12 @@ def _averaged(stops: StopRows, n: int) -> Iterator[str]:
     """
     several = len(stops.readings)
     if several < n:
-        yield f"{n - several} of the {n} rows are copies of others, digit by digit, and count once"
+        copies = counted(n - several, "row", "are")
+        yield f"{copies} copies of others, digit by digit, and left out (of {n})"
     if len(stops.table) < several:
         yield (
             f"{several} readings at {stops.plan.n_stops} stops of the robot count as "
-            f"{len(stops.table)} rows, their means: "
+            f"{counted(len(stops.table), 'row')}, their means: "
             "readings within a stop share the arrival of the drives"
         )
 

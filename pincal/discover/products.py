@@ -142,6 +142,24 @@ class Whitening(NamedTuple):
         """Return a Jacobian whitened; if rows are correlated, with a column for each parameter."""
         return self.station.uncorrelated_jacobian(jacobian, self.piece).weighted(self.scale)
 
+    def add_products(
+        self, columns: Jacobian, whitened: Jacobian, S: np.ndarray, rows: slice
+    ) -> None:
+        """Add to S the products of columns, once they are whitened, with whitened ones, at some of
+        the rows.
+
+        Where rows are correlated, the others are multiplied by the transpose of what whitens, so
+        that curves of these columns stay a basis times a column.
+        """
+        if not self.station.is_correlated:
+            others = whitened.poses(rows).weighted(self.scale[:, rows])
+            columns.poses(rows).add_products(others, S)
+            return
+        dense = np.zeros(whitened.dense.shape)
+        dense[..., rows] = whitened.dense[..., rows] * self.scale[:, rows]
+        self.station.uncorrelate(dense, self.piece, transposed=True)
+        columns.add_products(replace(whitened, dense=dense), S)
+
 
 class RowPart(NamedTuple):
     """Some rows of a station, with whitened residuals, and columns that are whitened when they are
@@ -183,8 +201,9 @@ class RowPart(NamedTuple):
         (here, mine), (there, theirs) = pairs
         own = np.zeros((len(here), len(there)))
         found = np.zeros((len(some), len(others)))
-        white = self.whitening.jacobian
-        white(self.candidates.only(mine)).add_products(white(self.candidates.only(theirs)), own)
+        whitened = self.whitening.jacobian(self.candidates.only(theirs))
+        rows = slice(0, len(self.rows))
+        self.whitening.add_products(self.candidates.only(mine), whitened, own, rows)
         found[np.ix_(here, there)] = own
         return found
 

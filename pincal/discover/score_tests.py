@@ -50,11 +50,6 @@ class _Piece(NamedTuple):
     residuals: np.ndarray
     jacobian: Jacobian
 
-    @property
-    def whitened(self) -> Jacobian:
-        """The Jacobian, whitened."""
-        return self.whitening.jacobian(self.jacobian)
-
 
 class _StationColumns(NamedTuple):
     """The whitened columns of a model at one station, and their products.
@@ -102,7 +97,7 @@ class _StationColumns(NamedTuple):
             parts = list(_blocks(blocks[order][piece]))
             residuals = white.whitened(residuals[None])[0]
             part = _Piece(numbers[piece], parts, white, residuals, jacobian)
-            whitened = part.whitened
+            whitened = white.jacobian(jacobian)
             for k, some in parts:
                 whitened.poses(some).add_gram(residuals[:, some], H[k], g[k])
             pieces.append(part)
@@ -329,10 +324,9 @@ class _Products:
         """Add a piece of the rows in place, with the model's columns and candidates' columns at
         these indices.
         """
-        model = piece.whitened
         for columns in self._at_once(piece, self.candidate[ours]):
             some = added if len(columns) == added.size else added.only(columns)
-            self._add(piece, model, piece.whitening.jacobian(some), mine, ours[columns])
+            self._add(piece, piece.whitening.jacobian(some), mine, ours[columns])
 
     def _at_once(self, piece: _Piece, candidate: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the indices of columns, those of a candidate together, that are multiplied at once.
@@ -353,19 +347,17 @@ class _Products:
                 yield np.sort(order[start:end])
                 start = end
 
-    def _add(
-        self, piece: _Piece, model: Jacobian, added: Jacobian, mine: np.ndarray, at: np.ndarray
-    ) -> None:
-        """Add a piece of the rows with some candidates' columns, all whitened."""
+    def _add(self, piece: _Piece, added: Jacobian, mine: np.ndarray, at: np.ndarray) -> None:
+        """Add a piece of the rows with some candidates' whitened columns."""
         c = len(at)
         candidate = self.candidate[at]
         for k, some in piece.blocks:
             part = added.poses(some)
             inner = np.zeros((c, c))
             g = np.zeros(c)
-            cross = np.zeros((model.size, c))
+            cross = np.zeros((piece.jacobian.size, c))
             part.add_gram(piece.residuals[:, some], inner, g, candidate)
-            model.poses(some).add_products(part, cross)
+            piece.whitening.add_products(piece.jacobian, added, cross, some)
             self.g[k][span(at)] += g
             add_block(self.cross[k], mine, at, cross)
             if self.own is None:

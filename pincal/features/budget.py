@@ -48,6 +48,17 @@ class BudgetEntry:
             raise BadInputError(f"source {self.source!r}: type {self.type!r}; expected A or B")
 
 
+def distribution_of(dof: float | None) -> Literal["normal", "t"]:
+    """Return the distribution by which a standard uncertainty with degrees of freedom is expanded:
+    Student's t, or the normal one where they are infinite or None (JCGM 100, G.3).
+
+    Example:
+        >>> distribution_of(12.0), distribution_of(math.inf)
+        ('t', 'normal')
+    """
+    return "normal" if dof is None or math.isinf(dof) else "t"
+
+
 @dataclass(frozen=True)
 class UncertaintyBudget:
     """The uncertainty of one value by its independent sources.

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.features.budget import BudgetEntry, UncertaintyBudget
+from pincal.features.budget import BudgetEntry, UncertaintyBudget, distribution_of
 from pincal.features.decision import DecisionRule
 from pincal.features.decision_numbers import DECISION
 from pincal.features.fitted_part import FittedPart
@@ -171,6 +171,7 @@ class PartResult:
                 u=1e3 * float(np.sqrt(square)),
                 dof=finite(evidence[name].dof),
                 share=square / total if total else 0.0,
+                distribution=distribution_of(evidence[name].dof),
             )
             for name, square in squares.items()
         ]

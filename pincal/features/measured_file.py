@@ -156,6 +156,7 @@ class SourceEntry(msgspec.Struct, frozen=True, kw_only=True):
         u: standard uncertainty [mm].
         dof: degrees of freedom; null for infinite ones.
         share: of the variance.
+        distribution: by which u is expanded; not in files of earlier versions.
     """
 
     source: str
@@ -163,6 +164,7 @@ class SourceEntry(msgspec.Struct, frozen=True, kw_only=True):
     u: float
     dof: float | None
     share: float
+    distribution: Literal["normal", "t"] | None = None
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.u < np.inf:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from pincal.errors import counted, few
+from pincal.features.budget import distribution_of
 from pincal.features.measured_file import FeatureEntry, MeasuredFile, ValueEntry
 from pincal.features.part_feature import DERIVED_KINDS, QUANTITIES
 from pincal.report.blocks import (
@@ -175,12 +176,21 @@ def budget_table(found: MeasuredFile) -> Table:
     columns = (
         Column("source"),
         Column("type", kind=Kind.LABEL),
+        Column("distribution", kind=Kind.LABEL),
         Column("u", "mm", Kind.NUMBER, fixed(4), key="u"),
         Column("degrees of freedom", kind=Kind.NUMBER, show=_degrees, key="dof"),
         Column("share", kind=Kind.NUMBER, show=show_percent, key="share"),
     )
     rows = tuple(
-        (_SOURCES.get(of.source, of.source), of.type, of.u, of.dof, of.share) for of in found.budget
+        (
+            _SOURCES.get(of.source, of.source),
+            of.type,
+            of.distribution or distribution_of(of.dof),
+            of.u,
+            of.dof,
+            of.share,
+        )
+        for of in found.budget
     )
     notes = (
         "Root mean square over all lengths of all features; measured.json has the sources of each "

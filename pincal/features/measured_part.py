@@ -18,7 +18,7 @@ import numpy as np
 
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.compensate.robot_frames import PoseFrame
-from pincal.errors import BadInputError, few, nearest_first
+from pincal.errors import BadInputError, counted, few, nearest_first
 from pincal.features.decision import DecisionRule
 from pincal.features.feature_points import LocatedPoints, points_of_sensor
 from pincal.features.fitted_part import FittedPart
@@ -301,7 +301,7 @@ def _lacking(part: Part, features: FittedPart) -> Iterator[str]:
     missing = [name for name in part.kinds if name not in features.fitted.fits]
     if missing:
         yield (
-            f"{len(missing)} of {len(part.kinds)} features have no readings and are left out: "
+            f"left out, without readings: {len(missing)} of {counted(len(part.kinds), 'feature')}: "
             f"{few(missing, _LISTED)}"
         )
 

@@ -23,6 +23,7 @@ from pincal.model.sparse_basis import (
     sparse_across,
     sparse_times,
     sparse_times_dense,
+    write_times,
 )
 from pincal.thresholds import Count, Scale
 
@@ -51,6 +52,13 @@ class SharedColumns:
                 sparse_times_dense(self.basis, np.ascontiguousarray(self.column), dense)
             )
         return np.asarray(self.basis @ np.einsum("mn,dmn->dn", self.column, dense).T)
+
+    def write_columns(self, out: np.ndarray) -> None:
+        """Write the columns, shape (S, m, n), which take far more memory."""
+        if isinstance(self.basis, SparseBasis):
+            write_times(self.basis, self.column, out)
+        else:
+            np.multiply(self.basis[:, None], self.column, out=out)
 
 
 @dataclass(frozen=True)
@@ -103,12 +111,13 @@ class Jacobian:
 
     def dense_columns(self) -> tuple[np.ndarray, np.ndarray]:
         """Return all columns, shape (F, m, n), and the indices of their parameters, shape (F,)."""
-        most = max(
-            (f.basis.size for f in self.families if isinstance(f.basis, SparseBasis)), default=1
-        )
-        return self.columns(most, slice(None)), np.concatenate(
-            [self.places, *(f.places for f in self.families)]
-        )
+        own = [self.places, *(family.places for family in self.families)]
+        found = np.empty((sum(map(len, own)), *self.dense.shape[1:]))
+        found[: len(self.dense)] = self.dense
+        parts = np.split(found, np.cumsum(list(map(len, own)))[:-1])
+        for family, part in zip(self.families, parts[1:], strict=True):
+            family.write_columns(part)
+        return found, np.concatenate(own)
 
     def along(self, steps: np.ndarray) -> np.ndarray:
         """Return the motion of the readings, shape (R, m, n), by R steps of the parameters, shape

@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pincal.errors import counted
 from pincal.identify.drive_levers import drive_levers
 from pincal.identify.motion_fields import displacements_by_drives
 from pincal.identify.station import Station
@@ -69,9 +70,9 @@ class RoundedJoints:
     def words(self) -> str:
         """What they are, and what it costs."""
         return (
-            f"the positions of {np.count_nonzero(self.steps)} joints are all multiples of "
-            f"{np.rad2deg(self.steps.max()):.3g} deg, as a pendant shows them: this alone moves "
-            f"targets by {self.moved * 1e3:.2g} mm"
+            f"the positions of {counted(int(np.count_nonzero(self.steps)), 'joint')} are all "
+            f"multiples of {np.rad2deg(self.steps.max()):.3g} deg, as a pendant shows them: "
+            f"this alone moves targets by {self.moved * 1e3:.2g} mm"
         )
 
     def explains(self, noise: float = 0.0) -> bool:

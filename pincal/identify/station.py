@@ -223,17 +223,30 @@ class Station:
         """
         if not self.is_correlated:
             return columns
+        found = np.array(columns, order="C")
+        self.uncorrelate(found, piece)
+        return found
+
+    def uncorrelate(self, columns: np.ndarray, piece: slice, *, transposed: bool = False) -> None:
+        """Remove the correlation of rows from columns, in place; or multiply them by the transpose
+        of what removes it.
+        """
         # Rows of larger weight have less of all kinds of noise.
         weights = self.weights[piece]
-        if self.arrival is None and self.serial is not None:
-            # With the weights in one pass, as copies take as long.
-            return self.serial.select(piece).innovations(columns, weights)
-        columns = columns * weights
+        serial = None if self.serial is None else self.serial.select(piece)
+        if self.arrival is None and serial is not None:
+            # With the weights in one pass, as others take as long.
+            serial.whiten(columns, weights, transposed=transposed)
+            return
+        columns *= 1.0 / weights if transposed else weights
+        if serial is not None and transposed:
+            serial.whiten(columns, np.ones(len(weights)), transposed=True)
         if self.arrival is not None:
-            columns = self.arrival.select(piece).whitened(columns)
-        if self.serial is not None:
-            columns = self.serial.select(piece).innovations(columns)
-        return np.asarray(columns / weights)
+            arrival = self.arrival.select(piece)
+            columns[:] = arrival.whitened(columns, transposed=transposed)
+        if serial is not None and not transposed:
+            serial.whiten(columns, np.ones(len(weights)))
+        columns *= weights if transposed else 1.0 / weights
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
         """Return white noise of all rows, shape (m, N), correlated like the readings': the inverse
@@ -422,7 +435,7 @@ class Station:
         size = max(_MOST_NUMBERS // max(columns[0].size, 1), 1) if len(columns) else 1
         for start in range(0, len(columns), size):
             some = slice(start, start + size)
-            columns[some] = self.uncorrelated(columns[some], piece)
+            self.uncorrelate(columns[some], piece)
         return Jacobian(jacobian.size, places, columns)
 
     def _pieces(self) -> Iterator[slice]:

@@ -26,7 +26,7 @@ from pincal.thresholds import Count
 
 # Poses processed at once, so that their data stay in the cache.
 _TILE: Count = 512
-# Columns whose innovations are computed in turn.
+# Columns that are filtered side by side.
 _AT_ONCE: Count = 8
 
 
@@ -57,8 +57,8 @@ def whitened_rows(whitening, columns):
 
 @compiled(nogil=True)
 def recursion(phi, share, gaps, counted):
-    """Return decay, gain and scale, shape (m, N), for :func:`filtered`, of an autoregression plus
-    white noise.
+    """Return decay, gain and scale, shape (3, m, N), for :func:`filter_rows`, of an autoregression
+    plus white noise.
 
     Their variances are ``share`` and 1 - ``share``, shape (m,); ``phi`` is the correlation per
     step; ``gaps``, shape (N,), are the steps from the previous row; rows that are not ``counted``
@@ -66,9 +66,8 @@ def recursion(phi, share, gaps, counted):
     """
     m = len(phi)
     n = len(gaps)
-    decay = np.empty((m, n))
-    gain = np.empty((m, n))
-    scale = np.empty((m, n))
+    found = np.empty((3, m, n))
+    decay, gain, scale = found
     for i in range(m):
         known = share[i]
         for k in range(n):
@@ -79,38 +78,73 @@ def recursion(phi, share, gaps, counted):
             scale[i, k] = 1.0 / np.sqrt(variance)
             gain[i, k] = known / variance if counted[k] else 0.0
             known *= 1.0 - gain[i, k]
-    return decay, gain, scale
+    return found
 
 
 @compiled(nogil=True)
-def filtered(columns, weights, order, decay, gain, scale, back):
-    """Return the innovations of columns, shape (D, m, N), along rows in an order, each times its
+def filter_rows(columns, before, after, order, coefficients, transposed):
+    """Replace columns, shape (D, m, N), by their innovations along rows in an order, each times its
     scale (a Kalman filter).
 
     The prediction of a row is ``decay`` times the last estimate, which is corrected by ``gain``
-    times the innovation; order has shape (N,), the others (m, N), in this order. Rows are filtered
-    times ``weights``, shape (N,), and returned without. With ``back`` columns are returned for
-    given innovations.
+    times the innovation: with the scale the coefficients of each row, shape (3, m, N), in this
+    order, of shape (N,). Rows are multiplied by ``before`` and by ``after`` the filter, shape (N,).
+    If ``transposed``, columns are multiplied by the transpose of all this, given the order, and
+    coefficients, from the last row to the first.
     """
     n_columns, m, n = columns.shape
-    out = np.empty_like(columns)
     known = np.empty(_AT_ONCE)
     for first in range(0, n_columns, _AT_ONCE):
-        # Some columns in turn, so that none waits for its own last step.
-        size = min(_AT_ONCE, n_columns - first)
+        rows = np.zeros((_TILE, _AT_ONCE))
+        some = columns[first : first + _AT_ONCE]
         for i in range(m):
             known[:] = 0.0
-            for k in range(n):
-                row = order[k]
-                weight = weights[row]
-                for c in range(size):
-                    before = known[c] * decay[i, k]
-                    here = columns[first + c, i, row] * weight
-                    beyond = here / scale[i, k] if back else here - before
-                    found = before + beyond if back else beyond * scale[i, k]
-                    out[first + c, i, row] = found / weight
-                    known[c] = before + gain[i, k] * beyond
-    return out
+            for start in range(0, n, _TILE):
+                here = order[start : start + _TILE]
+                for c in range(len(some)):
+                    for k in range(len(here)):
+                        rows[k, c] = some[c, i, here[k]] * before[here[k]]
+                _step(rows[: len(here)], known, coefficients[:, i, start:], transposed)
+                for c in range(len(some)):
+                    for k in range(len(here)):
+                        some[c, i, here[k]] = rows[k, c] * after[here[k]]
+
+
+@compiled(nogil=True)
+def _step(rows, known, coefficients, transposed):
+    """Filter rows of some columns side by side, so that none waits for its own last step; ``known``
+    is what the rows before tell of these.
+    """
+    for k in range(len(rows)):
+        decay = coefficients[0, k]
+        gain = coefficients[1, k]
+        scale = coefficients[2, k]
+        for c in range(_AT_ONCE):
+            if transposed:
+                found = scale * rows[k, c] + gain * known[c]
+                known[c] = decay * (known[c] - found)
+                rows[k, c] = found
+            else:
+                expected = decay * known[c]
+                beyond = rows[k, c] - expected
+                known[c] = expected + gain * beyond
+                rows[k, c] = scale * beyond
+
+
+@compiled(nogil=True)
+def coloured_rows(noise, order, coefficients):
+    """Return the rows, shape (m, N), whose innovations along an order, times their scale, are given
+    ones; coefficients as of :func:`filter_rows`.
+    """
+    found = np.empty_like(noise)
+    for i in range(len(noise)):
+        known = 0.0
+        for k in range(len(order)):
+            decay, gain, scale = coefficients[:, i, k]
+            beyond = noise[i, order[k]] / scale
+            found[i, order[k]] = decay * known + beyond
+            known = decay * known + gain * beyond
+    return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -138,8 +172,8 @@ class Serial:
         return replace(self, position=self.position[rows], counted=self.counted[rows], turns=turns)
 
     @cached_property
-    def _recursion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The order of the rows, shape (N,), and decay, gain and scale of each, shape (m, N)."""
+    def _recursion(self) -> tuple[np.ndarray, np.ndarray]:
+        """The order of the rows, shape (N,), and decay, gain and scale of each, shape (3, m, N)."""
         order = np.argsort(self.position, kind="stable")
         gaps = np.diff(self.position[order], prepend=self.position[order[:1]])
         size = np.sqrt(
@@ -148,8 +182,9 @@ class Serial:
                 for each in zip(self.phi.tolist(), self.share.tolist(), strict=True)
             ]
         )
-        decay, gain, scale = recursion(self.phi, self.share, gaps, self.counted[order])
-        return order, decay, gain, scale * size[:, None]
+        coefficients = recursion(self.phi, self.share, gaps, self.counted[order])
+        coefficients[2] *= size[:, None]
+        return order, coefficients
 
     def _spread(self, phi: float, share: float) -> float:
         """Return the variance of the rows about their mean, in units of the process's; for a random
@@ -186,21 +221,33 @@ class Serial:
         """Logarithm of the determinant of the covariance, relative to white noise of
         the same size.
         """
-        return -2.0 * float(np.sum(np.log(self._recursion[3])))
+        return -2.0 * float(np.sum(np.log(self._recursion[1][2])))
 
     def innovations(self, columns: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
         """Return columns of all rows, shape (D, m, N), whitened to white noise of the same size;
         it is that of rows times ``weights``, shape (N,), by default 1.
         """
+        found = np.array(columns, order="C")
+        self.whiten(found, np.ones(columns.shape[2]) if weights is None else weights)
+        return found
+
+    def whiten(self, columns: np.ndarray, weights: np.ndarray, *, transposed: bool = False) -> None:
+        """Replace columns by their :meth:`innovations`, in place; or multiply them by the
+        transpose of what whitens.
+        """
+        if transposed:
+            back = (np.ascontiguousarray(of[..., ::-1]) for of in self._recursion)
+            filter_rows(columns, 1.0 / weights, weights, *back, True)
+            if self.turns is not None:
+                columns[:] = turned_into(self.turns.swapaxes(1, 2), columns)
+            return
         if self.turns is not None:
-            columns = turned_into(self.turns, columns)
-        weights = np.ones(columns.shape[2]) if weights is None else np.ascontiguousarray(weights)
-        return np.asarray(filtered(np.ascontiguousarray(columns), weights, *self._recursion, False))
+            columns[:] = turned_into(self.turns, columns)
+        filter_rows(columns, weights, 1.0 / weights, *self._recursion, False)
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
         """Return white noise, shape (m, N), with this correlation."""
-        columns = np.ascontiguousarray(noise[None])
-        found = np.asarray(filtered(columns, np.ones(noise.shape[1]), *self._recursion, True)[0])
+        found = np.asarray(coloured_rows(np.ascontiguousarray(noise), *self._recursion))
         return found if self.turns is None else turned_into(self.turns.swapaxes(1, 2), found)
 
 
@@ -256,11 +303,17 @@ class StopNoise:
         together = float(np.sum(np.log1p(self.axes[0][np.unique(self.stop)])))
         return together - 2.0 * len(self.stop) * float(np.sum(np.log(self.size)))
 
-    def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """Return columns of all rows, shape (D, m, N), whitened to white noise of the same size."""
+    def whitened(self, columns: np.ndarray, *, transposed: bool = False) -> np.ndarray:
+        """Return columns of all rows, shape (D, m, N), whitened to white noise of the same size; or
+        the transpose of what whitens times the columns.
+        """
         root = np.sqrt(1.0 + self.axes[0])
         # (1 / root - 1) / values without the difference of near numbers.
-        return np.asarray(self._along(columns, -1.0 / (root * (root + 1.0))) * self.size[:, None])
+        factor = -1.0 / (root * (root + 1.0))
+        size = self.size[:, None]
+        if transposed:
+            return self._along(columns * size, factor)
+        return np.asarray(self._along(columns, factor) * size)
 
     def coloured(self, noise: np.ndarray) -> np.ndarray:
         """Return white noise, shape (m, N), with this covariance: the inverse of

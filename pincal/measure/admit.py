@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pincal.errors import BadInputError, MeasurementError, PincalWarning, few, nearest_first, warn
+from pincal.errors import (
+    BadInputError,
+    MeasurementError,
+    PincalWarning,
+    counted,
+    few,
+    nearest_first,
+    warn,
+)
 from pincal.measure.column_numbers import JOINT_COLUMNS
 from pincal.measure.joint_columns import JointColumns
 from pincal.measure.measurements import Measurements, sensor_like, sensor_of
@@ -186,9 +194,10 @@ def _kept(measurements: Measurements, excluded: Iterable[Excluded]) -> Measureme
         if part.rows.any():
             lines = measurements.rows[part.rows]
             listed = few(lines, _LISTED)
+            verb, _, rest = part.reason.partition(" ")
             warn(
-                f"{measurements.source}: {len(lines)} rows {part.reason} and are left "
-                f"out: lines {listed}"
+                f"{measurements.source}: {counted(len(lines), 'row', verb)} {rest} and left out: "
+                f"line {listed}"
             )
     return measurements if kept.all() else measurements.select(kept)
 
@@ -243,8 +252,8 @@ def _check_count(
     fewest = -(-(tool + joints) // 6) + 1
     if sensor.pose_limit and (poses := len(np.unique(measurements.q, axis=0))) < fewest:
         raise MeasurementError(
-            f"{measurements.source}: {poses} poses {sensor.pose_limit}: expected at least "
-            f"{fewest}, preferably {min(better, 30)} or more"
+            f"{measurements.source}: {counted(poses, 'pose')} {sensor.pose_limit}: expected at "
+            f"least {fewest}, preferably {min(better, 30)} or more"
         )
     needed = -(
         -(len(sensor.base_symbols) + own + tool + joints)
@@ -314,7 +323,8 @@ def check_rows(measurements: Measurements, *, minimum: int) -> None:
     source = measurements.source
     if count < max(minimum, 1):
         raise MeasurementError(
-            f"{source}: {count} rows; expected at least {max(minimum, 1)}, measure more poses"
+            f"{source}: {counted(count, 'row')}; expected at least {max(minimum, 1)}, measure "
+            "more poses"
         )
     if count > 1 and (np.ptp(measurements.q, axis=0) <= JOINT_COLUMNS.constant).all():
         raise MeasurementError(
@@ -323,8 +333,8 @@ def check_rows(measurements: Measurements, *, minimum: int) -> None:
     lines = _duplicate_lines(measurements)
     if lines:
         warn(
-            f"{source}: {len(lines)} rows repeat an earlier row in every column (line "
-            f"{few(lines, _LISTED_LINES)}); "
+            f"{source}: {counted(len(lines), 'row', 'repeat')} an earlier row in every column "
+            f"(line {few(lines, _LISTED_LINES)}); "
             "copies add weight but no information: delete them unless they were measured"
         )
 

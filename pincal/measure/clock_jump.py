@@ -10,7 +10,7 @@ import numpy as np
 from pincal.measure.reading_numbers import JUMPS
 from pincal.thresholds import Count, Scale
 
-# Information of a block on the clock, relative to the best one, from which it is used.
+# Information of a block on the clock, relative to those that tell most, from which it is used.
 _MOVES: Scale = 0.05
 # Rows per block, most blocks, and iterations to find the row of a jump.
 _BLOCK: Count = 40
@@ -89,7 +89,9 @@ class _Search:
         # An arm at rest carries no information on a clock.
         squares = [float(np.sum(rate[block] ** 2)) for block in blocks]
         pairs = zip(blocks, squares, strict=True)
-        parts = [block for block, size in pairs if size > _MOVES * max(squares)]
+        # Where the joints' clock steps, their path seems to tell more in a block or two.
+        most = sorted(squares)[-min(JUMPS.either_side, len(squares))]
+        parts = [block for block, size in pairs if size > _MOVES * most]
         if len(parts) < 2 * JUMPS.either_side:
             return None
         left = unexplained(residuals[:, :, None])[:, :, 0]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from pincal.errors import MeasurementError, few, needed, warn
+from pincal.errors import MeasurementError, counted, few, needed, warn
 from pincal.measure.heading import TableHead, find_heading, names_joints
 from pincal.measure.nameless import numbers_as_names
 from pincal.measure.sheet import FrameSheet, Sheet, check_unpacked
@@ -212,7 +212,7 @@ def _warn_of_hidden(sheet: Any, rows: set[int], name: str, *, is_wanted: bool) -
             hidden.append(row)
     if hidden:
         warn(
-            f"{name}: {len(hidden)} rows of worksheet {sheet.title} are hidden, by a "
+            f"{name}: {counted(len(hidden), 'row', 'are')} hidden in worksheet {sheet.title}, by a "
             "filter perhaps (line "
             f"{few(hidden, _LISTED)}), and read like the others; delete them to leave them out"
         )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pincal.errors import MeasurementError, warn
+from pincal.errors import MeasurementError, counted, warn
 from pincal.measure.labels import name_of
 from pincal.measure.reading_numbers import LOGS
 from pincal.measure.sheet import FrameSheet, Sheet, SheetColumn
@@ -232,10 +232,10 @@ def join(
     if pairs is None:
         raise MeasurementError(_advice(table, log, frame.height, has_times=time is not None))
     lost = frame.height - len(pairs.rows)
-    rest = f"; {lost} rows between two poses are left out" if lost else ""
+    rest = f"; {counted(lost, 'row', 'are')} left out, between two poses" if lost else ""
     source = log.sheet.path.name
     warn(
-        f"{table.path.name}: {len(pairs.rows)} rows have their joints from {source} "
+        f"{table.path.name}: {counted(len(pairs.rows), 'row', 'have')} joints from {source} "
         f"{pairs.words}{rest}"
     )
     kept = [i for i, label in enumerate(table.labels) if label not in keys]

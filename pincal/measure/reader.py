@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pincal.errors import MeasurementError, warn
+from pincal.errors import MeasurementError, counted, warn
 from pincal.measure.approach import BY_COLUMNS, agreeing, completed, gives_order, moves_of_table
 from pincal.measure.excel_sheet import ENDINGS, open_excel
 from pincal.measure.header import (
@@ -203,8 +203,8 @@ def _resting(
     if resting:
         at = ", ".join(f"{name} at {schema.resting[name]:g}" for name in resting)
         warn(
-            f"{source}: no column for {len(resting)} joints off the paths of these "
-            f"rows; they are assumed at rest: {at}"
+            f"{source}: no column for {counted(len(resting), 'joint')} off the paths of these "
+            f"rows; assumed at rest: {at}"
         )
     return {name: np.full(count, schema.resting[name]) for name in resting}
 

@@ -126,6 +126,16 @@ def sparse_times(basis, matrix):
 
 
 @compiled(nogil=True)
+def write_times(basis, column, out):
+    """Write a sparse basis, with its zeros, times a column of shape (m, n), shape (S, m, n)."""
+    out[:] = 0.0
+    for i in range(column.shape[1]):
+        for a in range(basis.starts[i], basis.starts[i + 1]):
+            for j in range(len(column)):
+                out[basis.place[a], j, i] = basis.value[a] * column[j, i]
+
+
+@compiled(nogil=True)
 def sparse_times_dense(basis, column, dense):
     """Return a sparse basis, times a column of shape (m, n), times dense columns of shape (D, m,
     n): shape (S, D).

@@ -36,6 +36,10 @@ _STEPS: Count = 20
 _SETTLED: Scale = 1e-6
 # Step of the numerical differentiation of features [s].
 _STEP: Scale = 1e-3
+# Steps that a nominal arm is not sure of, at most, by which a drift may be explained.
+_SMALL: Count = 3
+# Standard deviations by which a drift exceeds that of a crystal.
+_CLEARLY: Scale = 5.0
 
 
 @dataclass(frozen=True)
@@ -166,6 +170,8 @@ class Alignment:
         constant: shape (m,).
         scatter: shape (m,), standard deviation of the residuals.
         jump: the likeliest jump of the clock.
+        may_step: whether the clock may have steps of which a nominal arm is not sure, in place of
+            a drift that no crystal has.
     """
 
     clock: Clock
@@ -173,6 +179,12 @@ class Alignment:
     constant: np.ndarray
     scatter: np.ndarray
     jump: Jump
+    may_step: bool = False
+
+    @property
+    def is_crystal(self) -> bool:
+        """Whether the clock drifts no more than a crystal."""
+        return abs(self.clock.drift) <= max(CLOCKS.drift, _CLEARLY * self.clock.sigma[1])
 
 
 def refuse_uncovered(known: np.ndarray, *, source: str) -> None:
@@ -232,7 +244,13 @@ def aligned(
     while found.jump.is_sure(CLOCKS.nominal_jump) and len(found.clock.steps) < JUMPS.most:
         clock = found.clock.stepping(found.jump)
         found = _whole(time, readings, features, covers, clock, source=source)
-    return found
+    beside = found
+    for _ in range(_SMALL):
+        if beside.is_crystal or np.isinf(beside.jump.sigma):
+            break
+        clock = beside.clock.stepping(beside.jump)
+        beside = _whole(time, readings, features, covers, clock, source=source)
+    return replace(found, may_step=beside is not found and beside.is_crystal)
 
 
 def _whole(
@@ -249,15 +267,15 @@ def _whole(
     """
     known = covers(start.to_joints(time))
     refuse_uncovered(known, source=source)
-    begin = time[known].min()
-    end = time[known].max()
-    middle = 0.5 * (begin + end)
+    # Of a reading: amid the stamps there may be none, where a clock was set or a log paused.
+    middle = np.sort(time[known])[np.count_nonzero(known) // 2]
+    farthest = np.abs(time[known] - middle).max()
     first = _FIRST if np.isinf(start.sigma[1]) else np.inf
     clock = start.about(float(middle))
     half = 0.5 * first
     while True:
-        is_whole = half >= 0.5 * (end - begin)
-        half = min(half, 0.5 * (end - begin))
+        is_whole = half >= farthest
+        half = min(half, farthest)
         inside = np.flatnonzero(np.abs(time - middle) <= half + 1e-9)
         rows = inside[
             np.linspace(0, len(inside) - 1, min(_ROWS if is_whole else _SOME, len(inside))).astype(

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pincal.errors import warn
+from pincal.errors import counted, warn
 from pincal.motion.clocks import Clock
 from pincal.motion.motion_numbers import POLLING
 from pincal.motion.moving_arm import MovingArm
@@ -70,8 +70,8 @@ def at_samples(arm: MovingArm, imu: Stream, clock: Clock, mount: np.ndarray) -> 
     warn(
         f"{imu.name}: its rates are late by varying parts of a sample, as where an IMU with one "
         f"every {1e3 * line.period:.5g} ms is polled; the times of its samples are used instead, "
-        f"{len(imu) - len(found)} rows close to two samples are left out: log the device's own "
-        "stamps"
+        f"{counted(len(imu) - len(found), 'row', 'are')} left out, close to two samples: log the "
+        "device's own stamps"
     )
     return found
 
@@ -127,15 +127,20 @@ class _Delays:
         near = np.abs(beats) < 0.5 * rate
         return rate + beats[near], np.asarray(fft(sums))[near]
 
+    def passed(self, frequencies: np.ndarray) -> np.ndarray:
+        """Return how many samples of a device polls pass over the log, by its frequency [Hz], shape
+        (K,).
+        """
+        rate = 1.0 / np.median(np.diff(self.time))
+        return np.asarray(np.abs(frequencies - rate) * self.time[-1])
+
     def phases(self, frequency: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the line at a frequency [Hz] in the delays of parts of the log, complex, beside
         their mean, and the middles of these [s], shapes (P,).
 
         Parts are so long that readings pass some samples.
         """
-        steps = np.diff(self.time)
-        beats = abs(frequency - 1.0 / float(np.median(steps))) * float(self.time[-1])
-        count = int(np.clip(beats / _BEATS, 1, _PARTS))
+        count = int(np.clip(self.passed(np.array(frequency)) / _BEATS, 1, _PARTS))
         waves = np.exp(-2j * np.pi * frequency * self.time)
         shapes = np.column_stack([np.ones(len(waves)), waves.real, waves.imag])
         found = []
@@ -203,7 +208,8 @@ def _line(delays: _Delays) -> _Line | None:
     """Return the samples of a device that was polled; None if delays show no line of its size.
 
     Even polls show samples at as much less than their rate as at more: the delays of one grow with
-    time until they jump back, those of the other would shrink.
+    time until they jump back, those of the other would shrink. Fewer samples passed than a line
+    needs are steps of a clock that drifts, and are found as such.
     """
     if not len(delays.time) or not delays.squares.any():
         return None
@@ -213,6 +219,8 @@ def _line(delays: _Delays) -> _Line | None:
         return None
     width = _WIDTH / float(delays.time[-1])
     left = power.copy()
+    passed = delays.passed(frequencies)
+    left[passed < _BEATS] = 0.0
     found = []
     for _ in range(_PEAKS):
         peak = float(frequencies[np.argmax(left)])

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pincal.errors import MeasurementError, warn
+from pincal.errors import MeasurementError, counted, warn
 from pincal.motion.motion_numbers import STAMP, STREAM
 from pincal.motion.stream import Stream
 from pincal.sensors.imu import FORCE
@@ -35,8 +35,8 @@ def in_order(stream: Stream) -> Stream:
     if twice.any() and not in_packets:
         first = stream.lines[twice][0]
         warn(
-            f"{name}: {int(twice.sum())} rows occur twice, the first in line {first}; "
-            "they are used once"
+            f"{name}: {counted(int(twice.sum()), 'row', 'occur')} twice, the first in "
+            f"line {first}: used once"
         )
         stream = stream.select(~twice)
     stream = _sorted(stream, in_packets)
@@ -45,7 +45,7 @@ def in_order(stream: Stream) -> Stream:
             stream, f"{100 * same.mean():.0f} % of the rows have the stamp of the previous row"
         )
     elif (same := _same(stream)[0]).any():
-        warn(f"{name}: {int(same.sum())} rows with the stamp of the previous row are left out")
+        warn(f"{name}: left out: {counted(int(same.sum()), 'row')} with the previous stamp")
         stream = stream.select(~same)
     stream = _checked_rate(stream)
     _warn_of_gaps(stream)
@@ -66,8 +66,8 @@ def _warn_of_gaps(stream: Stream) -> None:
             "sessions, or delete rows from before the clock was set"
         )
     warn(
-        f"{stream.name}: {int(gaps.sum())} gaps of more than {STREAM.long_gap} s, the longest "
-        f"{steps[k]:.3g} s from {_shown(stream.time[k])} on: motion within them is left out"
+        f"{stream.name}: {counted(int(gaps.sum()), 'gap')} of more than {STREAM.long_gap} s, up to "
+        f"{steps[k]:.3g} s from {_shown(stream.time[k])} on: motion within is left out"
     )
 
 
@@ -112,8 +112,8 @@ def _sorted(stream: Stream, in_packets: bool) -> Stream:
     late = latest > time
     name = stream.name
     warn(
-        f"{name}: {int(late.sum())} rows, the first in line {stream.lines[late][0]}, are "
-        "late and are sorted by time"
+        f"{name}: {counted(int(late.sum()), 'row', 'are')} late, the first in line "
+        f"{stream.lines[late][0]}, and sorted by time"
     )
     return ordered
 

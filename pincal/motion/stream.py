@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pincal.errors import MeasurementError, warn
+from pincal.errors import MeasurementError, counted, warn
 from pincal.motion.motion_numbers import STREAM
 from pincal.sensors.imu import FORCE, RATE
 from pincal.thresholds import Count, Scale
@@ -288,8 +288,8 @@ def checked_imu(stream: Stream) -> Stream:
         _refuse_stuck(stream, column, np.where(ends[column], np.nan, values), others)
     if cut.any():
         warn(
-            f"{stream.name}: {int(cut.sum())} rows are clipped at the limit of the IMU's "
-            "range and are left out"
+            f"{stream.name}: {counted(int(cut.sum()), 'row', 'are')} clipped at the limit of the "
+            "IMU's range: left out"
         )
     kept = stream.without(
         held, "have constant forces or rates, which jump before or after: they were not updated"
@@ -307,8 +307,9 @@ def _warn_of_repeats(stream: Stream, repeats: np.ndarray, held: np.ndarray) -> N
         )
     elif again := int((repeats & ~held).sum()):
         warn(
-            f"{stream.name}: {again} rows, the first in line {stream.lines[repeats & ~held][0]}, "
-            "repeat the previous one and are left out: was it polled at nearly its own rate? Then "
+            f"{stream.name}: {counted(again, 'row', 'repeat')} the previous one, the first in "
+            f"line {stream.lines[repeats & ~held][0]}: left out; was it polled at nearly its own "
+            "rate? Then "
             "stamps are up to a sample late, which adds noise; log its own stamps"
         )
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pincal.errors import MeasurementError, needed, warn
+from pincal.errors import MeasurementError, counted, needed, warn
 from pincal.measure.joined import HeldPoses, held_poses, mean_turn
 from pincal.measure.reading_numbers import LAYOUT
 from pincal.measure.sheet import FrameSheet, Sheet
@@ -125,13 +125,13 @@ def _held_readings(path: Path, arm: _Topic, reading: _Topic, joints: Collection[
     seen = np.flatnonzero(middle[:, 1] > middle[:, 0])
     if not len(seen):
         raise MeasurementError(
-            f"{path.name}: {len(poses)} poses of {arm.name} are held still, none with "
+            f"{path.name}: {counted(len(poses), 'pose')} of {arm.name} held still, none with "
             f"readings of {reading.name}; expected "
             "poses held for some tenths of a second while the instrument reads"
         )
     warn(
-        f"{path.name}: {len(seen)} poses held still, joints from {arm.name}, readings from "
-        f"{reading.name}; poses without a reading: {len(poses) - len(seen)}"
+        f"{path.name}: {counted(len(seen), 'pose')} held still, joints from {arm.name}, readings "
+        f"from {reading.name}; poses without a reading: {len(poses) - len(seen)}"
     )
     values = np.array([_mean(reading.values[first:last]) for first, last in middle[seen]])
     held = poses.means(arm.values)[seen]

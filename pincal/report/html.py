@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 
+from pincal.errors import counted
 from pincal.report import sections
 from pincal.report.blocks import Section
 from pincal.report.subject import Subject
@@ -41,7 +42,7 @@ def report_page(
     poses = calibration.n_poses()
     # By cross-validation the rows that are predicted are those that were fitted.
     rows = result.rows["train"] + (result.rows["test"] if calibration.validated is None else 0)
-    lead = f"{calibration.robot.n_joints} joints, {poses} measured poses" + (
+    lead = f"{counted(calibration.robot.n_joints, 'joint')}, {counted(poses, 'measured pose')}" + (
         f" ({rows} rows)" if poses < rows else ""
     )
     lead += ", with a search for missing effects" if subject.search else ""

@@ -356,7 +356,7 @@ def _fit_words(result: Result) -> Markup:
 
 def _arm(robot: Robot) -> Markup:
     ends = (code(robot.base), code(robot.tip))
-    return rich("{}: {} joints from {} to {}", robot.name, robot.n_joints, *ends)
+    return rich("{}: {} from {} to {}", robot.name, counted(robot.n_joints, "joint"), *ends)
 
 
 def _view(subject: Subject) -> Markup:
@@ -398,11 +398,11 @@ def _rows_of(rows: StationRows, outliers: Sequence[int]) -> Markup:
     name = rich("<b>{}</b>: ", rows.name) if rows.name else ""
     held = rich(", {} held out{}", len(test), held) if len(test) else Markup("")
     return rich(
-        "{}{} in {}: {} rows fitted{}{}",
+        "{}{} in {}: {} fitted{}{}",
         name,
         train.kind,
         code(train.source),
-        len(train),
+        counted(len(train), "row"),
         held,
         rejected,
     )
@@ -625,7 +625,8 @@ def moments(subject: Subject) -> Section | None:
     if found is None:
         return None
     held = (
-        f"The robot description has no usable masses for {len(found.links)} links. They were "
+        f"The robot description has no usable masses for {counted(len(found.links), 'link')}. "
+        "They were "
         "estimated with the compliances, starting from the shape of the arm. Only compliance times "
         "moment deflects the arm, so all moments share a factor with the inverse of the "
         f"compliances: it is known to {100.0 * found.factor_sigma:.2g} %, and predictions do not "

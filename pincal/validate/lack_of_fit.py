@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtr, fdtrc
 
+from pincal.errors import counted
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import replicate_groups
@@ -110,7 +111,7 @@ class LackOfFit:
             format_readable(sigma, name.removeprefix("sigma_"))
             for name, sigma in self.pure_error.items()
         ]
-        return f"{' and '.join(sizes)} per coordinate at {self.poses} poses"
+        return f"{' and '.join(sizes)} per coordinate at {counted(self.poses, 'pose')}"
 
 
 def lack_of_fit(

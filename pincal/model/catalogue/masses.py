@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from pincal.errors import counted
 from pincal.model.chain import Chain
 from pincal.model.conditions import MOMENT, Conditions
 from pincal.model.effect import Body, Effect, Family, Locus, Term
@@ -115,7 +116,7 @@ def notes_on_masses(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     if not robot.massless or not any(effect.uses_moments for effect in effects):
         return ()
     return (
-        f"the robot description has no usable masses for {len(robot.massless)} links: moments are "
-        f"those of its shape, {robot.masses.sum():.3g} kg in all; a calibration estimates them "
-        "with the compliances",
+        f"the robot description has no usable masses for {counted(len(robot.massless), 'link')}: "
+        f"moments are those of its shape, {robot.masses.sum():.3g} kg in all; a calibration "
+        "estimates them with the compliances",
     )
