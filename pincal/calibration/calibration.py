@@ -15,15 +15,13 @@ from pincal.calibration.agreed import fit_agreed
 from pincal.calibration.benefit import without_harm
 from pincal.calibration.fitted_robot import FittedRobot
 from pincal.calibration.held_out import (
-    WAYS,
+    HeldBack,
     LeftOut,
     SplitBy,
     StationRows,
     Validated,
     leave_out_stations,
     require_several,
-    split_rows,
-    with_holdout,
 )
 from pincal.calibration.result import Result, result_of
 from pincal.calibration.result_tables import error_table
@@ -155,15 +153,8 @@ def run_calibration(
         IdentificationError: if nothing can be identified.
     """
     begun = time.perf_counter()
-    fitted = fit_admitted(
-        robot,
-        measurements,
-        options,
-        test_fraction=test_fraction,
-        split=split,
-        seed=seed,
-        holdout=holdout,
-    )
+    held_back = HeldBack(test_fraction=test_fraction, split=split, seed=seed, holdout=holdout)
+    fitted = fit_admitted(robot, measurements, options, held_back)
     log.info("assessing the fit")
     fitted = replace(fitted, fit=with_masses_unsure(without_harm(fitted.fit)))
     left_out: Iterable[LeftOut] = ()
@@ -211,41 +202,24 @@ class FittedTables:
 def fit_admitted(
     robot: Robot,
     measurements: Tables,
-    options: Options | None = None,
-    *,
-    test_fraction: float = 0.0,
-    split: SplitBy = "both",
-    seed: int = 0,
-    holdout: Tables | None = None,
+    options: Options | None,
+    held_back: HeldBack,
 ) -> FittedTables:
     """Check tables and fit them; arguments and errors as for :func:`run_calibration`."""
     options = Options() if options is None else options
     tables = tables_of(measurements)
-    held = () if holdout is None else tuple(tables_of(holdout).values())
-    if split == "station":
+    others = held_back.others
+    if held_back.split == "station":
         require_several(tables)
     setup_of = _setups(options)
-    admitted = admit(robot, tables, setup_of, holdout=held)
-    divides = holdout is None and not test_fraction
+    admitted = admit(robot, tables, setup_of, holdout=others)
     with noted() as split_notes:
-        parts = (
-            split_rows(admitted.tables, setup_of, fraction=test_fraction, split=split, seed=seed)
-            if holdout is None
-            else with_holdout(robot, admitted.tables, holdout, setup_of)
-        )
+        parts = held_back.divided(robot, admitted.tables, setup_of)
     trained = {part.name: part.measured[0] for part in parts}
     try:
         agreed = fit_agreed(robot, admitted.tables, options, trained=trained)
     except SteppingClocksError as found:
-        return fit_admitted(
-            robot,
-            with_steps(tables, found),
-            options,
-            test_fraction=test_fraction,
-            split=split,
-            seed=seed,
-            holdout=holdout,
-        )
+        return fit_admitted(robot, with_steps(tables, found), options, held_back)
     fit = agreed.fit
     steps = tuple(step_notes(tables))
     for text in (*agreed.notes, *steps):
@@ -253,10 +227,14 @@ def fit_admitted(
     notes = [*agreed.notes, *steps, *agreed.robot.notes]
     notes += [*dict.fromkeys((*admitted.notes, *split_notes)), *admitted.idle]
     notes += [*unobservable(trained, options), *_on_moment_frame(fit, options.first_frame)]
-    folds = Folds.of(fit.problem, WAYS[split], seed=seed) if divides else None
-    rows = _named_as_fitted(fit, parts)
     return FittedTables(
-        agreed.robot, rows, fit, doubts_first(notes), folds, admitted.tables, options
+        robot=agreed.robot,
+        stations=_named_as_fitted(fit, parts),
+        fit=fit,
+        notes=doubts_first(notes),
+        folds=held_back.folds(fit.problem),
+        admitted=admitted.tables,
+        options=options,
     )
 
 

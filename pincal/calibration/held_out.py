@@ -25,6 +25,7 @@ from pincal.identify.calibrate import Tables, tables_of
 from pincal.identify.fit import ModelFit, Solution
 from pincal.identify.folds import Folds, Way, left_out_residuals
 from pincal.identify.options import Options
+from pincal.identify.problem import Problem
 from pincal.identify.split import hold_out, ways_held_out
 from pincal.identify.station import Station
 from pincal.measure.admit import admit_test, scorable_rows, usable_rows
@@ -141,52 +142,75 @@ class LeftOut:
     obstacle: str = ""
 
 
-def split_rows(
-    tables: Mapping[str, Measurements],
-    setup_of: Callable[[str], Setup],
-    *,
-    fraction: float,
-    split: SplitBy,
-    seed: int,
-) -> tuple[StationRows, ...]:
-    """Hold out a part of each station's rows, none with the split "station"; arguments as of
-    :func:`run_calibration`.
+@dataclass(frozen=True, kw_only=True)
+class HeldBack:
+    """How rows are divided into those that a fit sees and others.
+
+    Attributes:
+        test_fraction: part of each station's poses that is held out for good; ignored with
+            ``holdout``.
+        split: how folds, or the poses held out, are chosen.
+        seed: of this choice.
+        holdout: other measurements in place of held-out rows.
     """
-    if split == "station":
-        return tuple(StationRows.of(name, table) for name, table in tables.items())
-    if not fraction:
-        return tuple(
-            StationRows.of(name, usable_rows(table, setup_of(name)))
-            for name, table in tables.items()
-        )
-    found = []
-    for name, table in tables.items():
-        setup = setup_of(name)
+
+    test_fraction: float = 0.0
+    split: SplitBy = "both"
+    seed: int = 0
+    holdout: Tables | None = None
+
+    @property
+    def others(self) -> tuple[Measurements, ...]:
+        """The other measurements."""
+        return () if self.holdout is None else tuple(tables_of(self.holdout).values())
+
+    def divided(
+        self, robot: Robot, tables: Mapping[str, Measurements], setup_of: Callable[[str], Setup]
+    ) -> tuple[StationRows, ...]:
+        """Return the rows of each station, none of them held out with the split "station".
+
+        Raises:
+            BadInputError: if other measurements are not of a fitted station, or can't be of this
+                robot.
+        """
+        if self.holdout is not None:
+            return _with_holdout(robot, tables, self.holdout, setup_of)
+        return tuple(self._rows(name, table, setup_of(name)) for name, table in tables.items())
+
+    def folds(self, problem: Problem) -> Folds | None:
+        """Return the division of the fitted poses by which errors are stated; None where rows are
+        held out for good.
+        """
+        if self.holdout is not None or self.test_fraction:
+            return None
+        return Folds.of(problem, WAYS[self.split], seed=self.seed)
+
+    def _rows(self, name: str, table: Measurements, setup: Setup) -> StationRows:
+        """Return the rows of a station."""
+        if self.split == "station":
+            return StationRows.of(name, table)
+        if not self.test_fraction:
+            return StationRows.of(name, usable_rows(table, setup))
         ways: dict[Way, np.ndarray] = {}
-        if split == "both":
-            held = ways_held_out(table, fraction, seed=seed)
+        if self.split == "both":
+            held = ways_held_out(table, self.test_fraction, seed=self.seed)
             ways = {way: table.rows[rows] for way, rows in held.items() if rows.any()}
             is_held = np.any(list(held.values()), axis=0)
             train = table.select(~is_held)
             test = table.select(is_held)
         else:
-            train, test = hold_out(table, fraction, split=split, seed=seed)
+            train, test = hold_out(table, self.test_fraction, split=self.split, seed=self.seed)
         train = usable_rows(train, setup)
-        found.append(StationRows.of(name, train, scorable_rows(test, setup.over(train)), ways))
-    return tuple(found)
+        return StationRows.of(name, train, scorable_rows(test, setup.over(train)), ways)
 
 
-def with_holdout(
+def _with_holdout(
     robot: Robot,
     tables: Mapping[str, Measurements],
     holdout: Tables,
     setup_of: Callable[[str], Setup],
 ) -> tuple[StationRows, ...]:
-    """Return the rows of each station with the held-out rows of other tables.
-
-    Raises:
-        BadInputError: if these are not of a fitted station, or can't be of this robot.
-    """
+    """Return the rows of each station with the held-out rows of other tables."""
     held = tables_of(holdout)
     if len(tables) == len(held) == 1:
         held = dict(zip(tables, held.values(), strict=True))

@@ -29,8 +29,6 @@ from pincal.sensors.registry import blocks_of
 from pincal.validate.accuracy import cycle_words, leading_unit
 from pincal.validate.lack_of_fit import LackOfFit
 
-# Observability indices that are printed; the others are in --json.
-_SHOWN = ("O1", "O2")
 # Dimension -> mean distance of independent errors of standard deviation 1 (chi distribution).
 _MEAN_DISTANCE = {1: np.sqrt(2.0 / np.pi), 2: np.sqrt(np.pi / 2.0), 3: np.sqrt(8.0 / np.pi)}
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypedDict, Unpack
+from typing import Any, TypedDict, Unpack, cast
 
 import numpy as np
 from msgspec import to_builtins
@@ -29,7 +29,7 @@ from msgspec.structs import replace as changed
 from pincal.calibration.benefit import without_harm
 from pincal.calibration.calibration import Calibration, FittedTables, fit_admitted
 from pincal.calibration.fitted_robot import FittedRobot
-from pincal.calibration.held_out import LeftOut, Validated, by_stops, leave_out_stations
+from pincal.calibration.held_out import HeldBack, LeftOut, Validated, by_stops, leave_out_stations
 from pincal.calibration.result import result_of
 from pincal.calibration.stated import stated
 from pincal.calibration.validation import Validation
@@ -219,10 +219,10 @@ def run_discovery(
     remainder = choices.pop("remainder", True)
     search = partial(_search, frames=frames, extra=extra, policy=policy)
     left_out: Iterable[LeftOut] = ()
-    held_back: dict[str, Any] = {"test_fraction": 0.0, "split": "both", **choices}
-    if held_back["split"] == "station":
+    held_back = HeldBack(**cast("dict[str, Any]", choices))
+    if held_back.split == "station":
         # Stations are held out instead of rows.
-        held_back |= {"test_fraction": 0.0, "split": "random"}
+        held_back = replace(held_back, test_fraction=0.0, split="random")
         others = partial(_discovered, search, remainder=remainder)
         left_out = leave_out_stations(robot, tables, options, fit_others=others, executor=executor)
     if executor is not None:
@@ -252,12 +252,12 @@ def _tables_of_positions(measurements: Tables) -> dict[str, Measurements]:
 
 
 def _first_fit(
-    robot: Robot, measurements: Tables, options: Options, held_back: dict[str, Any]
+    robot: Robot, measurements: Tables, options: Options, held_back: HeldBack
 ) -> FittedTables:
     """Return the fit from which a search starts."""
     # Correlation along the rows may be due to the effects searched for.
     plain = replace(options, serial=False)
-    first = fit_admitted(robot, measurements, plain, **held_back)
+    first = fit_admitted(robot, measurements, plain, held_back)
     wanted = replace(first.fit.options, serial=options.serial)
     return replace(first, fit=replace(first.fit, options=wanted))
 
@@ -416,7 +416,7 @@ def _discovered(
     remainder: bool,
 ) -> FittedRobot:
     """Return the final fit of a discovery on all rows of some stations."""
-    trail, _ = search(fit_admitted(robot, tables, options))
+    trail, _ = search(fit_admitted(robot, tables, options, HeldBack()))
     return FittedRobot.of((with_remainder(trail)[0] if remainder else trail).final)
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from pincal.errors import MeasurementError, nearest_first, warn
@@ -106,17 +106,29 @@ def understood(sheet: Sheet, schema: Schema) -> Header:
         free = {name: of for name, of in meanings.quantities.items() if name not in columns}
         whole = _is_complete(others, {*columns}, readings, meanings.orientation, schema)
         _check_unknown(sheet, others, free, is_complete=whole)
-    measured = {name for part in readings for name in part.columns}
-    measured |= {*(meanings.orientation.columns if meanings.orientation else ())}
-    measured |= {*columns} if schema.is_stream else set()
-    measured = set() if schema.is_whole else measured
     return Header(
         tuple(columns.values()),
         joints,
         meanings.orientation,
-        tuple(name for name in columns if name in measured),
+        tuple(_measured(columns, readings, meanings.orientation, schema)),
         SheetColumn(flag.index, "\0flag", flag.text, "", "name") if flag and readings else None,
     )
+
+
+def _measured(
+    columns: Iterable[str],
+    readings: Sequence[Field],
+    orientation: Convention | None,
+    schema: Schema,
+) -> Iterator[str]:
+    """Yield the columns without which a row is left out: those of readings, and all of a stream;
+    none where each row counts, as an empty cell is refused there.
+    """
+    if schema.is_whole:
+        return
+    measured = {name for part in readings for name in part.columns}
+    measured |= {*(orientation.columns if orientation else ())}
+    yield from (name for name in columns if schema.is_stream or name in measured)
 
 
 def _labels(sheet: Sheet, schema: Schema, quantities: dict[str, str]) -> list[Label]:

@@ -176,18 +176,23 @@ def find_heading(rows: Sequence[Sequence[str]], joints: Collection[str] = ()) ->
         return None
     header = max(candidates, key=lambda i: (_known(rows[i], joints), -i))
     units = next((i for i in range(header + 1, body) if with_units[i]), None)
+    return _head_of(rows, header, body, units)
+
+
+def _head_of(rows: Sequence[Sequence[str]], header: int, body: int, units: int | None) -> TableHead:
+    """Return the head whose names stand in row ``header``, and their units in a row below or, if
+    there is none, in groups above.
+    """
     above = rows[header - 1] if header else ()
     labels = _distinct([cell.strip() for cell in rows[header]], above)
     if units is not None:
-        labels = _with_units(labels, rows[units])
-    else:
-        for row in rows[header + 1 : body]:
-            _refuse_half_units(row)
-        groups = _group_units(above)
-        if groups:
-            labels = _with_units(labels, groups)
-            units = header - 1
-    return TableHead(header, body, tuple(labels), units)
+        return TableHead(header, body, tuple(_with_units(labels, rows[units])), units)
+    for row in rows[header + 1 : body]:
+        _refuse_half_units(row)
+    groups = _group_units(above)
+    if groups:
+        return TableHead(header, body, tuple(_with_units(labels, groups)), header - 1)
+    return TableHead(header, body, tuple(labels), None)
 
 
 def _with_units(labels: list[str], row: Sequence[str]) -> list[str]:

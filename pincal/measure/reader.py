@@ -173,12 +173,7 @@ def cells_of(
     may_move = bool(header.readings) and "time" in values and not schema.may_lack_joints
     if joints and may_move and not is_part:
         values, rows = held_rows(values, rows, joints, was_joined=was_joined, source=path.name)
-    droop = _droop(values, joints, source=path.name)
-    arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
-    if droop is not None:
-        arrays["droop"] = droop
-    of_joints, origin = _of_each_joint(schema, joints, values, arrays.get("q"), source=path.name)
-    arrays |= of_joints
+    arrays, origin = _of_joints(schema, joints, values, source=path.name)
     for of in schema.fields:
         if any(name in values for name in of.columns):
             arrays[of.name] = _whole(of, values, source=path.name)
@@ -212,6 +207,20 @@ def _resting(
             f"rows; assumed at rest: {at}"
         )
     return {name: np.full(count, schema.resting[name]) for name in resting}
+
+
+def _of_joints(
+    schema: Schema, joints: Sequence[str], values: dict[str, np.ndarray], *, source: str
+) -> tuple[dict[str, np.ndarray], str]:
+    """Remove all columns of joints from the values; return them as arrays, shape (N, n), and the
+    origin of the directions of approach.
+    """
+    droop = _droop(values, joints, source=source)
+    arrays = {} if not joints else {"q": np.column_stack([values.pop(name) for name in joints])}
+    if droop is not None:
+        arrays["droop"] = droop
+    others, origin = _of_each_joint(schema, joints, values, arrays.get("q"), source=source)
+    return arrays | others, origin
 
 
 def _of_each_joint(

@@ -34,7 +34,7 @@ link extends beyond it; at the end of a rod it has none, as a is the rod's lengt
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from itertools import pairwise
@@ -390,10 +390,27 @@ class Chain:
         """
         starts = self._static["starts"]
         frames = self.robot.frames
-        walk = _Walk([frames.T_base_first, *frames.T_branch_first, path.T_joint_tip])
         before = {0: 0} | {joint: i for i, joint in enumerate(frames.branches, 1)}
         in_tree = np.full(self.size, -1)
         in_tree[[starts[joint] for joint in before]] = list(before.values())
+        walk = self._walk(path, before, start, end)
+        return {
+            "tree": Route(np.arange(self.size), np.ones(self.size), in_tree),
+            "path": walk.route,
+            "parents": np.array(self.robot.parents),
+            **self._loads(path),
+            "fixed": np.ascontiguousarray(np.array(walk.fixed)[:, :3]),
+            "tip": 1 + len(frames.branches),
+            "tip_joint": path.tip_joint,
+        }
+
+    def _walk(self, path: LinkPath, before: Mapping[int, int], start: range, end: range) -> _Walk:
+        """Return the walk along a path; ``before`` gives the number of the fixed transform in front
+        of each joint that has one.
+        """
+        starts = self._static["starts"]
+        frames = self.robot.frames
+        walk = _Walk([frames.T_base_first, *frames.T_branch_first, path.T_joint_tip])
         walk.add(range(FRAME), 1.0, None)
         is_there = np.array_equal(path.T_joint_start, np.eye(4))
         pending = None if is_there else np.linalg.inv(path.T_joint_start)
@@ -410,15 +427,7 @@ class Chain:
                 pending = None if T is None else np.linalg.inv(T)
         last = [*end, *range(self.size - FRAME, self.size)]
         walk.add(last, 1.0, _product(pending, path.T_joint_tip))
-        return {
-            "tree": Route(np.arange(self.size), np.ones(self.size), in_tree),
-            "path": walk.route,
-            "parents": np.array(self.robot.parents),
-            **self._loads(path),
-            "fixed": np.ascontiguousarray(np.array(walk.fixed)[:, :3]),
-            "tip": 1 + len(frames.branches),
-            "tip_joint": path.tip_joint,
-        }
+        return walk
 
     def _loads(self, path: LinkPath) -> dict[str, np.ndarray]:
         """Return the joints whose loads bend a path, and those that act on these loads; all joints
