@@ -87,6 +87,9 @@ def test_whitening_is_that_of_the_dense_covariance() -> None:
     np.testing.assert_allclose(white @ white.T, _rows(columns) @ np.linalg.solve(V, _rows(columns).T), rtol=1e-9)
     assert shared.log_determinant == pytest.approx(np.linalg.slogdet(V)[1])
     np.testing.assert_allclose(shared.whitened(shared.coloured(columns[0])[None])[0], columns[0], rtol=1e-9)
+    uneven = replace(shared, size=np.array([1.0, 2.0, 3.0]))
+    there, back = uneven.whitened(columns[:2]), uneven.whitened(columns[2:], transposed=True)
+    np.testing.assert_allclose(_rows(there) @ _rows(columns[2:]).T, _rows(columns[:2]) @ _rows(back).T, rtol=1e-9)
 
 
 def _rows(columns: np.ndarray) -> np.ndarray:

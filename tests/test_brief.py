@@ -135,8 +135,14 @@ REAL = {
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("verb", ["calibrate", "discover"])
-@pytest.mark.parametrize("name", REAL)
+@pytest.mark.parametrize(
+    ("name", "verb"),
+    [
+        ("ur5", "discover"),
+        ("panda", "calibrate"),
+        *(pytest.param(*case, marks=pytest.mark.products) for case in (("ur5", "calibrate"), ("panda", "discover"))),
+    ],
+)
 def test_real_tables_take_fourteen_lines(name: str, verb: str, shared_data: Path, tmp_path: Path, capsys: Capture) -> None:
     """Every effect found is named with its joint."""
     robot, file, every = REAL[name]

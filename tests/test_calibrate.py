@@ -63,9 +63,7 @@ def noisy(kuka):
         *(pytest.param(*of, marks=pytest.mark.long) for of in [(False, "paper"), (True, "paper"), (False, "joint")]),
     ],
 )
-@pytest.mark.parametrize(
-    "seed", [0, pytest.param(1, marks=pytest.mark.long), pytest.param(2, marks=[pytest.mark.long, pytest.mark.rates])]
-)
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=[pytest.mark.long, pytest.mark.rates]) for seed in (1, 2))])
 def test_noise_free_paper_machine_is_found_to_rounding(kuka, seed, known, stages):
     """Table I's machine with 36 + 9 released parameters is identified to 1e-10 m on other poses, within 20 iterations."""
     first = kuka.joint_names[:3]

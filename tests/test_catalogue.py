@@ -85,7 +85,11 @@ LEVEL = np.array([0.0, 0.0, -9.81])
 ARMS = {"kuka": kuka_urdf_path, "ur10": lambda: find_file("ur10"), "panda": lambda: find_file("panda")}
 PARAMS = ["kuka", pytest.param("ur10", marks=pytest.mark.long), "panda"]
 # For what an effect says of itself on any arm: names, places, files.
-SEVEN_JOINTS = [*(pytest.param(name, marks=pytest.mark.long) for name in ("kuka", "ur10")), "panda"]
+SEVEN_JOINTS = [
+    pytest.param("kuka", marks=pytest.mark.long),
+    pytest.param("ur10", marks=[pytest.mark.long, pytest.mark.products]),
+    "panda",
+]
 FRAMES: list[tuple[MomentFrame, bool]] = [("paper", False), ("paper", True), ("before", False), ("after", True)]
 FRAME_PARAMS = [*FRAMES[::2], *(pytest.param(frame, marks=pytest.mark.long) for frame in FRAMES[1::2])]
 

@@ -132,8 +132,8 @@ def test_a_hidden_effect_is_named_with_its_joint(kind: str, seed: int) -> None:
 @pytest.mark.parametrize(
     ("kind", "seed"),
     [
-        # Every third before each commit, all of them where rates are counted.
-        pytest.param(kind, 9700 + i, marks=pytest.mark.rates if i % 3 else ())
+        # Every sixth before each commit, all of them where rates are counted.
+        pytest.param(kind, 9700 + i, marks=pytest.mark.rates if i % 6 else ())
         for i, kind in enumerate((*NAMED, *SOFT, *FOREIGN, *(6 * ("null",))))
     ],
 )

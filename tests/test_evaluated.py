@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pincal import ELASTIC, GEOMETRIC, Conditions, Options, calibrate, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
@@ -14,6 +15,7 @@ from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
 from pincal.identify.jacobian import Jacobian, SharedColumns
+from pincal.identify.normal import accumulate
 from pincal.identify.posterior import Nonzero, Posterior
 from pincal.identify.problem import extended
 from pincal.identify.quadratic import Form
@@ -238,6 +240,48 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
             np.testing.assert_allclose(part.moved(steps[:, None]), moved, rtol=1e-12)
             back = part.among(np.arange(n + m + 1), steps)
             np.testing.assert_allclose(back.residuals, before.residuals + moved[0], rtol=1e-12)
+
+
+def test_readings_whose_rows_are_independent_are_weighed_beside_correlated_ones() -> None:
+    """Positions are independent, orientations drift: products by readings and by rows are those of dense columns."""
+    rng = np.random.default_rng(9)
+    q = ROBOT.random_configurations(90, rng)
+    tips = ROBOT.forward_kinematics(q + 1e-3 * np.sin(q))
+    tips[:, :3, 3] += 5e-5 * rng.standard_normal((90, 3))
+    turned = Rotation.from_matrix(tips[:, :3, :3]).as_quat()
+    own = TransmissionError.over("joint_3", q[:, 2], 20)
+    table = measurements_from_arrays(ROBOT.joint_names, q, position=tips[:, :3, 3], quaternion=turned)
+    fit = calibrate(
+        ROBOT, table, Options(effects=(*GEOMETRIC, own), sigma=5e-5, sigma_orientation=1e-4, length_bound=1.0)
+    ).fit
+    drift = Serial(np.full(6, 0.99), np.repeat([0.0, 0.8], 3), np.arange(90.0), rng.random(90) < 0.9)
+    weighed = fit.over([replace(fit.station, serial=drift)])
+    free, sigma = fit.solution.free, np.repeat(fit.solution.estimated, 3)[:, None]
+    found = accumulate(weighed.station, fit.values, free, np.ones(90))
+    ((_, residuals, jacobian),) = weighed.station.linearise(fit.values, free)
+    J, r = drift.innovations(jacobian), drift.innovations(residuals[None])[0]
+    for b, rows in enumerate((slice(3), slice(3, 6))):
+        scale = np.sqrt(np.maximum(np.diag(found.H[b]), 1e-300))
+        expected = np.tensordot(J[:, rows], J[:, rows], axes=((1, 2), (1, 2)))
+        np.testing.assert_allclose(found.H[b] / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-12)
+        np.testing.assert_allclose(found.g[b] / scale, np.tensordot(J[:, rows], r[rows]) / scale, rtol=1e-9, atol=1e-15)
+
+    candidates = [TransmissionError.over("joint_5", q[:, 4], 24), GearEccentricity("joint_1")]
+    tests = score_test(weighed, candidates, groups=np.arange(90) % 4)
+    problem, known = extended(weighed.problem, candidates)
+    values, every = np.zeros(len(problem.parameters)), np.ones(len(problem.parameters), bool)
+    values[known], every[known] = fit.values, free
+    ((_, _, jacobian),) = problem.stations[0].linearise(values, every)
+    A = drift.innovations(jacobian) / sigma
+    for k in range(4):
+        part = A[:, :, np.arange(90) % 4 == k].reshape(len(A), -1)
+        scale = np.linalg.norm(A, axis=(1, 2))
+        n = len(tests.names)
+        got = np.block(
+            [[tests.model.blocks.H[k], tests.blocks_cross[k]], [tests.blocks_cross[k].T, np.asarray(tests.blocks_inner[k])]]
+        )
+        assert n + len(tests.g) == len(A)
+        np.testing.assert_allclose(got / np.outer(scale, scale), part @ part.T / np.outer(scale, scale), atol=1e-12)
 
 
 def test_what_a_search_no_longer_needs_is_freed_at_once() -> None:

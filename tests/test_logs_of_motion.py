@@ -19,7 +19,7 @@ from pincal.measure.table import write_table
 from pincal.motion.clocks import Clock, aligned
 from pincal.motion.joint_path import JointPath
 from pincal.motion.moving_arm import MovingArm
-from pincal.motion.polling import at_samples
+from pincal.motion.polling import at_even_samples, at_samples
 from pincal.motion.sessions import Session, read_streams
 from pincal.motion.stamps import in_order
 from pincal.motion.starts import start_imu
@@ -478,6 +478,35 @@ def test_an_imu_that_is_polled_has_the_times_of_its_samples(logs: Tables, rate: 
     late = found["polls"].time - true[rows[found["polls"].lines - 2]]
     assert np.ptp(polls - true[rows]) > 8e-3
     assert np.quantile(np.abs(late - np.median(late)), 0.99) < 5e-4 and len(late) > 0.85 * len(np.unique(rows))
+
+
+@pytest.mark.parametrize("rate", [90.0, 110.0, 150.0])
+def test_an_instrument_that_is_polled_too_fast_has_the_times_of_its_samples(
+    logs: Tables, rate: float, tmp_path: Path
+) -> None:
+    """Though some were lost; polls that come whenever they like, or repeat where digits are few, are left as they are."""
+    tables = copied({name: logs[name] for name in ("joints", "tracker")})
+    true, rng = logs["tracker"]["time"], np.random.default_rng(0)
+    polls = np.arange(true[0] + 0.5, true[-1], 1.0 / rate)
+    polls += rng.uniform(0.0, 5e-4, len(polls))
+    polls = polls[(polls < 10.0) | (polls > 10.5)]
+    rows = np.searchsorted(true, polls) - 1
+    tables["tracker"] = {name: values[rows] for name, values in logs["tracker"].items()} | {"time": polls}
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", PincalWarning)
+        (table,) = session_tables(ROBOT, [read(tmp_path, tables)[0]]).values()
+    assert "of an instrument that reads every 16.66" in "\n".join(str(each.message) for each in told)
+    assert table.time is not None and len(np.unique(rows)) - 80 < len(table) <= len(np.unique(rows))
+    late = table.time - true[rows[table.rows - 2]]
+    assert np.ptp(polls - true[rows]) > 0.8 / rate and np.ptp(late) < 2e-4
+
+    read_at = polls[0] + np.cumsum(rng.uniform(0.0, 3.0 / rate, len(polls) // 2))
+    for name, time in (("uneven", read_at[read_at < true[-1]]), ("coarse", true)):
+        kept = np.searchsorted(true, time + 1e-9) - 1
+        digits = 2 if name == "coarse" else 9
+        readings = {axis: np.round(logs["tracker"][axis][kept], digits) for axis in "xyz"}
+        stream = Stream(name, time, {"position": np.column_stack(list(readings.values()))}, {})
+        assert stream.repeats.any() and at_even_samples(stream) is stream
 
 
 @pytest.mark.parametrize("size", [-8.3e-3, 8.3e-3])

@@ -80,7 +80,7 @@ def test_an_error_along_an_axis_is_a_length() -> None:
     [
         (("field", 9104), "field"),
         (("bump", 9103), "field"),
-        (("field", 9114), "field"),
+        pytest.param(("field", 9114), "field", marks=pytest.mark.rates),
         (("two_waves", 9100), "product"),
     ],
 )

@@ -36,8 +36,8 @@ READ: dict[str, Callable[[np.ndarray], Sensor]] = {
     "distance": lambda seen: DistanceSensor(np.linalg.norm(seen[:, :3, 3], axis=1)),
 }
 KINDS = tuple(READ)
-# Two placements in every run, some more before each commit, all of them where rates are counted.
-SOME, MORE, ALL = 1, 6, 30
+# A placement in every run, two more before each commit, all of them where rates are counted.
+SOME, MORE, ALL = 1, 3, 30
 
 
 def draws(n: int = ALL) -> list[ParameterSet]:

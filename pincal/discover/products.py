@@ -138,27 +138,34 @@ class Whitening(NamedTuple):
         """Return columns, shape (D, m, n), whitened."""
         return np.asarray(self.station.uncorrelated(columns, self.piece) * self.scale)
 
-    def jacobian(self, jacobian: Jacobian) -> Jacobian:
-        """Return a Jacobian whitened; if rows are correlated, with a column for each parameter."""
-        return self.station.uncorrelated_jacobian(jacobian, self.piece).weighted(self.scale)
+    def jacobians(self, jacobian: Jacobian) -> Iterator[tuple[slice, Jacobian]]:
+        """Yield readings and a Jacobian at these, whitened; if their rows are correlated, with a
+        column for each parameter.
+        """
+        for readings in self.station.readings_apart:
+            found = self.station.uncorrelated_jacobian(jacobian, self.piece, readings)
+            yield readings, found.weighted(self.scale[readings])
 
     def add_products(
-        self, columns: Jacobian, whitened: Jacobian, S: np.ndarray, rows: slice
+        self, columns: Jacobian, whitened: Jacobian, S: np.ndarray, readings: slice, rows: slice
     ) -> None:
-        """Add to S the products of columns, once they are whitened, with whitened ones, at some of
-        the rows.
+        """Add to S the products of columns, once they are whitened, with whitened ones at some
+        readings, of some of the rows.
 
         Where rows are correlated, the others are multiplied by the transpose of what whitens, so
         that curves of these columns stay a basis times a column.
         """
-        if not self.station.is_correlated:
-            others = whitened.poses(rows).weighted(self.scale[:, rows])
-            columns.poses(rows).add_products(others, S)
+        scale = self.scale[readings, rows]
+        factor = self.station.factor_alone(readings)
+        if factor is not None:
+            others = whitened.poses(rows).weighted(scale * factor)
+            columns.part(readings, rows).add_products(others, S)
             return
         dense = np.zeros(whitened.dense.shape)
-        dense[..., rows] = whitened.dense[..., rows] * self.scale[:, rows]
-        self.station.uncorrelate(dense, self.piece, transposed=True)
-        columns.add_products(replace(whitened, dense=dense), S)
+        dense[..., rows] = whitened.dense[..., rows] * scale
+        self.station.uncorrelate(dense, self.piece, readings, transposed=True)
+        every = slice(0, self.piece.stop - self.piece.start)
+        columns.part(readings, every).add_products(replace(whitened, dense=dense), S)
 
 
 class RowPart(NamedTuple):
@@ -201,9 +208,11 @@ class RowPart(NamedTuple):
         (here, mine), (there, theirs) = pairs
         own = np.zeros((len(here), len(there)))
         found = np.zeros((len(some), len(others)))
-        whitened = self.whitening.jacobian(self.candidates.only(theirs))
+        whitening = self.whitening
         rows = slice(0, len(self.rows))
-        self.whitening.add_products(self.candidates.only(mine), whitened, own, rows)
+        columns = self.candidates.only(mine)
+        for readings, whitened in whitening.jacobians(self.candidates.only(theirs)):
+            whitening.add_products(columns, whitened, own, readings, rows)
         found[np.ix_(here, there)] = own
         return found
 

@@ -97,9 +97,9 @@ class _StationColumns(NamedTuple):
             parts = list(_blocks(blocks[order][piece]))
             residuals = white.whitened(residuals[None])[0]
             part = _Piece(numbers[piece], parts, white, residuals, jacobian)
-            whitened = white.jacobian(jacobian)
-            for k, some in parts:
-                whitened.poses(some).add_gram(residuals[:, some], H[k], g[k])
+            for readings, whitened in white.jacobians(jacobian):
+                for k, some in parts:
+                    whitened.poses(some).add_gram(residuals[readings, some], H[k], g[k])
             pieces.append(part)
         if (facts := believed(station, *local)) is not None:
             H = H + facts.H / n_blocks
@@ -326,7 +326,8 @@ class _Products:
         """
         for columns in self._at_once(piece, self.candidate[ours]):
             some = added if len(columns) == added.size else added.only(columns)
-            self._add(piece, piece.whitening.jacobian(some), mine, ours[columns])
+            for readings, whitened in piece.whitening.jacobians(some):
+                self._add(piece, readings, whitened, mine, ours[columns])
 
     def _at_once(self, piece: _Piece, candidate: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the indices of columns, those of a candidate together, that are multiplied at once.
@@ -347,8 +348,10 @@ class _Products:
                 yield np.sort(order[start:end])
                 start = end
 
-    def _add(self, piece: _Piece, added: Jacobian, mine: np.ndarray, at: np.ndarray) -> None:
-        """Add a piece of the rows with some candidates' whitened columns."""
+    def _add(
+        self, piece: _Piece, readings: slice, added: Jacobian, mine: np.ndarray, at: np.ndarray
+    ) -> None:
+        """Add a piece of the rows with some candidates' columns, whitened at some readings."""
         c = len(at)
         candidate = self.candidate[at]
         for k, some in piece.blocks:
@@ -356,8 +359,8 @@ class _Products:
             inner = np.zeros((c, c))
             g = np.zeros(c)
             cross = np.zeros((piece.jacobian.size, c))
-            part.add_gram(piece.residuals[:, some], inner, g, candidate)
-            piece.whitening.add_products(piece.jacobian, added, cross, some)
+            part.add_gram(piece.residuals[readings, some], inner, g, candidate)
+            piece.whitening.add_products(piece.jacobian, added, cross, readings, some)
             self.g[k][span(at)] += g
             add_block(self.cross[k], mine, at, cross)
             if self.own is None:

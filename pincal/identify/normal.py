@@ -328,14 +328,14 @@ def accumulate_each(
     g = np.zeros((n, len(blocks), n_free))
     squares = np.zeros((n, len(blocks)))
     row_squares = np.empty((len(blocks), len(station)))
-    for piece, residuals, jacobian in station.linearise_shared(values, free):
+    for piece, residuals, jacobian in station.linearise_correlated(values, free):
+        residuals = station.uncorrelated(residuals[None], piece)[0]
         weights = station.weights[piece]
         row_squares[:, piece] = _row_squares(residuals, blocks, weights)
         weights = weights * robust[piece]
         is_uniform = bool(np.all(weights == 1.0))
         here, inner = _parts_of(piece, ends)
-        for b, rows in enumerate(blocks):
-            part = jacobian.part(rows, slice(0, piece.stop - piece.start))
+        for b, (rows, part) in enumerate(station.by_block(jacobian, piece)):
             part.add_grams(
                 residuals[rows],
                 inner,

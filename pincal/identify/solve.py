@@ -157,6 +157,7 @@ class _Run:
 
     Attributes:
         is_whole: whether more than the values is needed.
+        is_along_rows: whether rows are correlated along their order.
         point: the problem at the latest values, rows weighted by robust weights of an earlier
             point.
         judged: noise and robust weights by the residuals there.
@@ -187,10 +188,14 @@ class _Run:
         self.priors = priors
         self.course = course
         self.judge = Judge(problem, free, noise, course.loss)
+        self.is_along_rows = any(station.serial is not None for station in problem.stations)
         # Outliers are known if robust weights are.
         self.hard = isinstance(start, Linearised)
         if not isinstance(start, Linearised):
-            self.point = self.linearised(start.astype(float), np.ones(len(problem)), None)
+            ones = np.ones(len(problem))
+            self.point = self.linearised(
+                start.astype(float), ones, None, squares_first=self.is_along_rows
+            )
         else:
             declared = None if np.isnan(noise.known).any() else noise.known
             self.point = replace(start.narrowed(free), executor=course.executor, sigma=declared)
@@ -493,9 +498,11 @@ class _Trial:
     def succeeds(self, step: np.ndarray) -> bool:
         """Try a step, shape (F,); return whether all fits have a successful step now."""
         run = self._run
-        # Squares suffice for the last point if only its values are needed.
+        # Squares suffice for the last point if only its values are needed. Equations of correlated
+        # rows are summed anew for other robust weights, so only once these are known.
         squares_first = (
             self._is_refused
+            or run.is_along_rows
             or run.was_refused
             or run.is_last
             or (run.wanted < run.course.short and not run.is_whole)

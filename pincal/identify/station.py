@@ -224,16 +224,37 @@ class Station:
         if not self.is_correlated:
             return columns
         found = np.array(columns, order="C")
-        self.uncorrelate(found, piece)
+        self.uncorrelate(found, piece, slice(0, self.reading_size))
         return found
 
-    def uncorrelate(self, columns: np.ndarray, piece: slice, *, transposed: bool = False) -> None:
-        """Remove the correlation of rows from columns, in place; or multiply them by the transpose
-        of what removes it.
+    @property
+    def readings_apart(self) -> list[slice]:
+        """Readings that are whitened by themselves where rows are correlated: blocks of them differ
+        in the noise along the order of the rows, and rows of a stop share all.
+        """
+        if self.serial is None or self.arrival is not None:
+            return [slice(0, self.reading_size)]
+        return self.block_rows
+
+    def factor_alone(self, readings: slice) -> np.ndarray | None:
+        """Return the factor on these readings by which :meth:`uncorrelate` multiplies them, shape
+        (m, 1), if their rows are independent.
+        """
+        if not self.is_correlated:
+            return np.ones((1, 1))
+        if self.serial is None or self.arrival is not None:
+            return None
+        return self.serial.of_readings(readings).alone
+
+    def uncorrelate(
+        self, columns: np.ndarray, piece: slice, readings: slice, *, transposed: bool = False
+    ) -> None:
+        """Remove the correlation of rows from columns at some :attr:`readings_apart`, or at all, in
+        place; or multiply them by the transpose of what removes it.
         """
         # Rows of larger weight have less of all kinds of noise.
         weights = self.weights[piece]
-        serial = None if self.serial is None else self.serial.select(piece)
+        serial = None if self.serial is None else self.serial.of_readings(readings).select(piece)
         if self.arrival is None and serial is not None:
             # With the weights in one pass, as others take as long.
             serial.whiten(columns, weights, transposed=transposed)
@@ -423,19 +444,33 @@ class Station:
         """Return residuals and Jacobian of a piece of the rows, uncorrelated between rows."""
         if not self.is_correlated:
             return residuals, jacobian
-        apart = self.uncorrelated_jacobian(jacobian, piece)
+        apart = self.uncorrelated_jacobian(jacobian, piece, slice(0, self.reading_size))
         return self.uncorrelated(residuals[None], piece)[0], apart
 
-    def uncorrelated_jacobian(self, jacobian: Jacobian, piece: slice) -> Jacobian:
-        """Return a Jacobian of a piece of the rows with the correlation of rows removed."""
-        if not self.is_correlated:
-            return jacobian
+    def by_block(self, jacobian: Jacobian, piece: slice) -> Iterator[tuple[slice, Jacobian]]:
+        """Yield each block of readings, and a Jacobian of a piece of the rows there, uncorrelated
+        between rows.
+        """
+        poses = slice(0, piece.stop - piece.start)
+        for apart in self.readings_apart:
+            part = self.uncorrelated_jacobian(jacobian, piece, apart)
+            for rows in self.block_rows:
+                if apart.start <= rows.start < apart.stop:
+                    here = slice(rows.start - apart.start, rows.stop - apart.start)
+                    yield rows, part.part(here, poses)
+
+    def uncorrelated_jacobian(self, jacobian: Jacobian, piece: slice, readings: slice) -> Jacobian:
+        """Return a Jacobian of a piece of the rows at some :attr:`readings_apart`, or at all, with
+        the correlation of rows removed.
+        """
+        some = jacobian.part(readings, slice(0, piece.stop - piece.start))
+        if (factor := self.factor_alone(readings)) is not None:
+            return some.weighted(factor) if self.is_correlated else some
         # The effect of a curve at one row reaches others, too.
-        columns, places = jacobian.dense_columns()
+        columns, places = some.dense_columns()
         size = max(_MOST_NUMBERS // max(columns[0].size, 1), 1) if len(columns) else 1
         for start in range(0, len(columns), size):
-            some = slice(start, start + size)
-            self.uncorrelate(columns[some], piece)
+            self.uncorrelate(columns[start : start + size], piece, readings)
         return Jacobian(jacobian.size, places, columns)
 
     def _pieces(self) -> Iterator[slice]:

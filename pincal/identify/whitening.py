@@ -171,6 +171,17 @@ class Serial:
         turns = None if self.turns is None else self.turns[rows]
         return replace(self, position=self.position[rows], counted=self.counted[rows], turns=turns)
 
+    def of_readings(self, readings: slice) -> Serial:
+        """Return the correlation of some components."""
+        return replace(self, phi=self.phi[readings], share=self.share[readings])
+
+    @property
+    def alone(self) -> np.ndarray | None:
+        """Factor on each component that whitens it, shape (m, 1), if all rows are independent."""
+        if self.turns is not None or self.share.any():
+            return None
+        return np.asarray(self._recursion[1][2][:, :1])
+
     @cached_property
     def _recursion(self) -> tuple[np.ndarray, np.ndarray]:
         """The order of the rows, shape (N,), and decay, gain and scale of each, shape (3, m, N)."""

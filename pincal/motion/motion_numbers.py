@@ -47,6 +47,7 @@ _FIFTY = _HERE + "test_fifty_packets_show_an_even_rate"
 _ALIKE = _HERE + "test_speeds_of_one_motion_are_alike"
 _SURE = _HERE + "test_a_jump_of_a_clock_is_six_standard_deviations"
 _POLLED = _LOGS + "test_an_imu_that_is_polled_has_the_times_of_its_samples"
+_TOO_FAST = _LOGS + "test_an_instrument_that_is_polled_too_fast_has_the_times_of_its_samples"
 _NEIGHBOURS = _HERE + "test_a_reading_off_its_neighbours_is_of_something_else"
 _KNOTS = _HERE + "test_two_knots_are_bridged"
 _TWO = _HERE + "test_a_knot_has_two_readings"
@@ -232,6 +233,14 @@ class PollingNumbers:
         "chosen: some tenths of a millisecond, by which a stamp may be off its poll")
     gap: float = number(3.0, "medians", _POLLED,
         "of the steps of a log, above which it has a gap", "as for other streams")
+    faster: float = number(1.4, "ratio", _TOO_FAST,
+        "of the time between two samples of an instrument to that between two polls, from which on "
+            "these are faster",
+        "chosen: delays of stamps that are of no samples fill the time between two of these, of "
+            "which polls that are even to a quarter then leave a tenth")
+    within: float = number(1.25, "polls", _TOO_FAST,
+        "by which stamps of samples at an even rate may be late",
+        "1 if polls are even; chosen beyond that for their jitter")
 
 
 # fmt: on

@@ -44,6 +44,8 @@ _PEAKS: Count = 6
 _WIDTH: Scale = 2.0
 # Part of the usual strength of a line from which on the phase of a part is known.
 _STRONG: Scale = 0.3
+# Readings of an instrument from which on its rate is known.
+_FEWEST: Count = 100
 # Length of time about the ends of the joints' path that is left out [s].
 _MARGIN: Scale = 0.1
 
@@ -74,6 +76,52 @@ def at_samples(arm: MovingArm, imu: Stream, clock: Clock, mount: np.ndarray) -> 
         "device's own stamps"
     )
     return found
+
+
+def at_even_samples(stream: Stream) -> Stream:
+    """Return a stream without rows that repeat a sample of an instrument that was polled faster
+    than it reads, and the others at the times of its samples, with a warning; as it is if stamps
+    are not those of such polls.
+
+    The first poll after a sample is late by up to the time between two polls, in which an arm moves
+    by millimetres.
+    """
+    again = stream.repeats
+    stamps = stream.time[~again]
+    if stream.things.any() or not again.any() or len(stamps) < _FEWEST:
+        return stream
+    poll = float(np.median(np.diff(stream.time)))
+    steps = np.diff(stamps)
+    # Where no sample was lost.
+    period = float(np.mean(steps[steps < np.median(steps) + POLLING.within * poll]))
+    lost = steps > period + POLLING.within * poll
+    if period < POLLING.faster * poll or lost.mean() > 0.5:
+        return stream
+    numbers = _numbers(stamps, poll, lost=lost)
+    line = np.polyfit(numbers, stamps, 1)
+    sampled = np.polyval(line, numbers)
+    if np.ptp(stamps - sampled) > POLLING.within * poll:
+        return stream
+    kept = stream.without(
+        again,
+        f"repeat the previous one, of an instrument that reads every {1e3 * line[0]:.5g} ms, whose "
+        "times are used instead of those of polls: the log is too fast",
+    )
+    return replace(kept, time=sampled)
+
+
+def _numbers(stamps: np.ndarray, poll: float, *, lost: np.ndarray) -> np.ndarray:
+    """Return the numbers of samples at an even rate, by the stamps of the first poll after each,
+    shape (N,), the time between two polls [s], and where samples were lost, shape (N - 1,).
+    """
+    stretches = np.split(stamps, np.flatnonzero(lost) + 1)
+    longest = max(stretches, key=len)
+    count = np.arange(len(longest))
+    step, start = np.polyfit(count, longest, 1)
+    late = longest - start - step * count
+    # Amid the time in which no first poll after a sample comes.
+    before = start + late.min() - 0.5 * (step - poll)
+    return np.asarray(np.floor((stamps - before) / step))
 
 
 @dataclass(frozen=True)

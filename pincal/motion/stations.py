@@ -23,7 +23,7 @@ from pincal.motion.imu_rows import APART, ImuRows
 from pincal.motion.joint_path import JointPath
 from pincal.motion.motion_numbers import FOLLOWING, ON_PATH
 from pincal.motion.moving_arm import MovingArm
-from pincal.motion.polling import at_samples
+from pincal.motion.polling import at_even_samples, at_samples
 from pincal.motion.reading_starts import start_readings
 from pincal.motion.sessions import Session
 from pincal.motion.starts import OtherMotionError, aligned_forces, start_imu, steady
@@ -243,6 +243,7 @@ def _sensor(tracker: Stream) -> type[Sensor]:
 
 
 def _tracker_table(arm: MovingArm, tracker: Stream) -> Measurements:
+    tracker = at_even_samples(tracker)
     clock = start_tracker(arm, tracker)
     name = _sensor(tracker).fields[0].name
     again = tracker.repeats
