@@ -21,6 +21,7 @@ from pincal.errors import MeasurementError, counted
 from pincal.measure.clock_jump import Jump, likeliest_jump
 from pincal.measure.reading_numbers import JUMPS
 from pincal.motion.motion_numbers import CLOCKS
+from pincal.sensors.row_samples import evenly
 from pincal.thresholds import Count, Scale
 
 # Sampling rate at which speeds are compared [Hz], and the fraction of the shorter log that has to
@@ -276,8 +277,7 @@ class _Stamped:
             is_whole = half >= farthest
             half = min(half, farthest)
             inside = np.flatnonzero(np.abs(self.time - middle) <= half + 1e-9)
-            count = min(_ROWS if is_whole else _SOME, len(inside))
-            rows = inside[np.linspace(0, len(inside) - 1, count).astype(int)]
+            rows = inside[evenly(len(inside), _ROWS if is_whole else _SOME)]
             found = self.part(rows, clock)
             clock = found.clock
             if is_whole:

@@ -23,7 +23,7 @@ from pincal.identify.options import Options
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.thresholds import Count, Scale
 from pincal.validate.agreement_numbers import AGREEMENT
 from pincal.validate.cures import TOPICS, Case, Correction, Mistake, lengths_of, mistakes, scaled
