@@ -86,13 +86,7 @@ class MovedPlace(Effect):
         """Return the independent motions, each as displacements of coordinates."""
         if self.joint is not None:
             i = chain.robot.joint_names.index(self.joint)
-            return [
-                {
-                    int(chain.drives[i])
-                    if self.acts_on == "drive"
-                    else chain.joint(i, self.acts_on): 1.0
-                }
-            ]
+            return [{chain.joint_or_drive(i, self.acts_on): 1.0}]
         if self.acts_on == "base":
             return [{chain.base(symbol): 1.0} for symbol in FRAME_SYMBOLS]
         # All lengths are scaled by the same factor.
