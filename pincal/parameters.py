@@ -121,6 +121,15 @@ def root_of(covariance: np.ndarray) -> np.ndarray:
     return np.asarray(scale[:, None] * ((axes * np.sqrt(np.maximum(sizes, 0.0))) @ axes.T))
 
 
+def thin_root_of(covariance: np.ndarray) -> np.ndarray:
+    """Return a matrix L, shape (n, r), with L L^T = C for a covariance C, shape (n, n), of rank r:
+    its principal axes, as long as their standard deviations.
+    """
+    variances, axes = np.linalg.eigh(covariance)
+    some = variances > 0.0
+    return np.asarray(axes[:, some] * np.sqrt(variances[some]))
+
+
 @dataclass(frozen=True)
 class Covariance:
     """Covariance of n parameters, C = A A^T + a block per group of parameters.

@@ -26,8 +26,8 @@ from pincal.measure.points_table import read_distances, read_points
 from pincal.measure.table import read_measurements
 from pincal.model.effects import ELASTIC, GEOMETRIC
 from pincal.robot.robot import Robot
-from pincal.sensors.extrinsics import sample_rows
 from pincal.sensors.lens import Lens
+from pincal.sensors.row_samples import sample_rows
 from pincal.sensors.setup import KnownDistance, NamedPoints, Setup
 
 SOCKETS = {"a": (1.6, 0.3, 0.8), "b": (1.6, -0.4, 0.8), "c": (1.2, 0.9, 1.2), "d": (1.3, 0.0, 1.6)}

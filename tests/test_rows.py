@@ -33,11 +33,11 @@ from pincal.identify.dependence import (
     serial_noise,
 )
 from pincal.identify.fit import ModelFit
-from pincal.identify.many_rows import spread_rows
 from pincal.identify.split import ways_held_out
 from pincal.identify.whitening import Serial
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import by_pose
+from pincal.sensors.row_samples import spread_rows
 from pincal.simulate import paper_positions
 from pincal.validate.gathered import bump_in, gathering_of
 

@@ -51,7 +51,7 @@ from pincal.identify.prior_scale import observes_places, prior_scale
 from pincal.identify.quadratic import Factor
 from pincal.identify.station import Station
 from pincal.model.conditions import Conditions
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.thresholds import Count, Scale
 
 # Factors on the priors that are compared: the URDF as it is (for the arithmetic, a thousandth),

@@ -15,6 +15,7 @@ from scipy.linalg import LinAlgError, cholesky, eigh, solve_triangular
 
 from pincal.calibration.wandering import covariance_at_mean
 from pincal.identify.fit import ModelFit
+from pincal.parameters import thin_root_of
 from pincal.thresholds import Count, Scale
 
 # Largest part of what is known of a direction that a single fold may have given: where it gave all,
@@ -37,7 +38,7 @@ def left_out_variances(
         fold: shape (N,), fold of each row of all stations, numbered from 0.
         stations: their numbers; of readings that give positions.
     """
-    root = _root(fit)
+    root = thin_root_of(covariance_at_mean(fit, of_rows=True).dense())
     found = [np.zeros((len(fit.problem.stations[at]), 3, 3)) for at in stations]
     for k in range(int(fold.max(initial=-1)) + 1):
         known = _known_by(fit, fold == k, root)
@@ -54,7 +55,7 @@ def fitted_variances(fit: ModelFit, stations: Sequence[int]) -> list[np.ndarray]
     """Return the covariance of the displacement of each row's target by the parameters of a fit to
     all rows, as :func:`left_out_variances`.
     """
-    root = _root(fit)
+    root = thin_root_of(covariance_at_mean(fit, of_rows=True).dense())
     found = [np.zeros((len(fit.problem.stations[at]), 3, 3)) for at in stations]
     for at, covariance in zip(stations, found, strict=True):
         for rows in _at_once(np.arange(len(covariance))):
@@ -98,13 +99,6 @@ def _without(moved: np.ndarray, known: np.ndarray) -> np.ndarray:
         known = known - (V * (w - _MOST)) @ V.T
     L = cholesky(own - known, lower=True, overwrite_a=True, check_finite=False)
     return np.asarray(solve_triangular(L, moved.T, lower=True, check_finite=False).T)
-
-
-def _root(fit: ModelFit) -> np.ndarray:
-    """Return a root of the covariance of the free parameters, shape (F, r)."""
-    variances, axes = np.linalg.eigh(covariance_at_mean(fit, of_rows=True).dense())
-    some = variances > 0.0
-    return np.asarray(axes[:, some] * np.sqrt(variances[some]))
 
 
 def _known_by(fit: ModelFit, some: np.ndarray, root: np.ndarray) -> np.ndarray:

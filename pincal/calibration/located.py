@@ -31,6 +31,7 @@ from pincal.robot.robot import Robot
 from pincal.robot.se3 import transform
 from pincal.robot.urdf_file import parse_urdf
 from pincal.sensors.pose import PlausiblePositions
+from pincal.sensors.row_samples import evenly
 from pincal.sensors.socket import Coincidences
 from pincal.thresholds import Count
 
@@ -166,7 +167,7 @@ def _touched(robot: Robot, station: Station, links: Sequence[str]) -> np.ndarray
     """Return the pose of a robot by contacts of its own link, the first, with the second; None if
     undetermined.
     """
-    rows = np.unique(np.linspace(0, len(station) - 1, _MOST).astype(int))
+    rows = evenly(len(station), _MOST)
     touches = _Touches.of(robot, station.select(rows), links)
     if touches.spare < OTHER_ROWS.spare:
         return None

@@ -33,7 +33,7 @@ from pincal.model.catalogue.candidates import testable
 from pincal.model.conditions import PoseSet, joined_conditions, recorded_variable
 from pincal.model.effect import Curve
 from pincal.parameters import Parameter
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.thresholds import Count, Scale
 from pincal.validate.outcome import MovedParameter
 

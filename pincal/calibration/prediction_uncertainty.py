@@ -17,6 +17,7 @@ from pincal.errors import BadInputError
 from pincal.model.conditions import Conditions
 from pincal.model.model import Model
 from pincal.model.motions import with_moving_drives
+from pincal.parameters import thin_root_of
 from pincal.thresholds import Count
 from pincal.units import real_array
 
@@ -178,10 +179,9 @@ class PredictionUncertainty:
     def _root(self) -> np.ndarray:
         """A root of the covariance of the parameters, shape (P, r)."""
         known = np.flatnonzero(np.diag(self.covariance) > 0.0)
-        variances, axes = np.linalg.eigh(self.covariance[np.ix_(known, known)])
-        some = variances > 0.0
-        root = np.zeros((len(self.covariance), int(some.sum())))
-        root[known] = axes[:, some] * np.sqrt(variances[some])
+        thin = thin_root_of(self.covariance[np.ix_(known, known)])
+        root = np.zeros((len(self.covariance), thin.shape[1]))
+        root[known] = thin
         return root
 
     @cached_property

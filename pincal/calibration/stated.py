@@ -15,6 +15,7 @@ from pincal.calibration.result import Result
 from pincal.calibration.wandering import covariance_at_mean
 from pincal.identify.fit import ModelFit
 from pincal.model.conditions import Conditions
+from pincal.sensors.row_samples import evenly
 from pincal.thresholds import Count
 from pincal.validate.misfit import Verdict
 from pincal.validate.outcome import Expanded
@@ -54,7 +55,7 @@ def _statement(robot: FittedRobot, result: Result, verdict: Verdict) -> ModelSta
     if at is None or at.position is None:
         return found
     model = robot.at(at.name)
-    some = np.unique(np.linspace(0, len(at) - 1, _POSES).astype(int))
+    some = evenly(len(at), _POSES)
     return ModelStatement(
         verdict=found.verdict,
         doubts=found.doubts,

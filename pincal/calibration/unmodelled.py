@@ -33,6 +33,7 @@ from pincal.model.catalogue.candidates import testable
 from pincal.model.chain import Chain
 from pincal.model.conditions import PoseSet, joined_conditions
 from pincal.model.effect import Curve, Effect
+from pincal.sensors.row_samples import evenly
 from pincal.thresholds import Count, Scale
 
 # Effects, rows and stations at most, which bound the work on large tables.
@@ -154,14 +155,9 @@ def _sample(fit: ModelFit) -> dict[int, np.ndarray]:
     evenly spread.
     """
     stations = fit.problem.stations
-    chosen = np.unique(np.linspace(0, len(stations) - 1, min(len(stations), _STATIONS)).astype(int))
+    chosen = evenly(len(stations), _STATIONS)
     most = _ROWS // len(chosen)
-    return {
-        int(k): np.unique(
-            np.linspace(0, len(stations[k]) - 1, min(len(stations[k]), most)).astype(int)
-        )
-        for k in chosen
-    }
+    return {int(k): evenly(len(stations[k]), most) for k in chosen}
 
 
 def _effects(fit: ModelFit, rows: Mapping[int, np.ndarray]) -> list[Effect]:

@@ -15,7 +15,7 @@ import numpy as np
 from pincal.design.design_numbers import DESIGN_NUMBERS
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
-from pincal.robot.se3 import transform, translation
+from pincal.robot.se3 import perpendicular, transform, translation
 from pincal.robot.urdf_file import arm_text, parse_xml
 from pincal.thresholds import Count, Scale
 
@@ -297,6 +297,6 @@ def _bars(robot: Robot) -> Boxes:
 def _along(here: np.ndarray, there: np.ndarray) -> np.ndarray:
     """Return a frame midway between two points, with its z axis along the line."""
     z = (there - here) / np.linalg.norm(there - here)
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x = -perpendicular(z)
     x /= np.linalg.norm(x)
     return transform(np.column_stack([x, np.cross(z, x), z]), 0.5 * (here + there))

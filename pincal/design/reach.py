@@ -15,6 +15,7 @@ from pincal.design.collisions import Bodies
 from pincal.design.design_numbers import DESIGN_NUMBERS
 from pincal.errors import BadInputError
 from pincal.robot.robot import Robot
+from pincal.robot.se3 import perpendicular
 from pincal.thresholds import Count, Scale
 
 # Half angle of the cone in which a corner-cube reflector is seen [rad]: 30 degrees by the data
@@ -104,7 +105,7 @@ def default_target(robot: Robot) -> np.ndarray:
     )
     # Away from the arm: along the axis in the direction from the last joint to the tip.
     axis = axis if axis @ T_tip_joint[:3, 3] <= 0.0 or slides else -axis
-    side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    side = perpendicular(axis)
     return np.asarray(robot.reach * (_OFF_AXIS * side / np.linalg.norm(side) + _ALONG * axis))
 
 

@@ -44,7 +44,7 @@ from pincal.measure.stops import StopRows
 from pincal.model.conditions import recorded_variable
 from pincal.model.effect import Curve
 from pincal.notes import Note, Severity, doubts_first
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.thresholds import Count
 from pincal.units import format_readable
 from pincal.validate.accuracy import error_summary, pose_error_sizes

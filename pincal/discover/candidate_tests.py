@@ -33,7 +33,6 @@ from pincal.discover.scatter import p_value_of_uneven_noise
 from pincal.discover.score_numbers import TESTING
 from pincal.discover.score_tests import GivenNuisances, score_test_given_nuisances
 from pincal.identify.fit import ModelFit
-from pincal.identify.many_rows import spread_rows
 from pincal.identify.station import Station
 from pincal.model.at_station import changed_effects, own_effects
 from pincal.model.catalogue.bearing_features import bearing_features
@@ -43,6 +42,7 @@ from pincal.model.chain import MomentFrame
 from pincal.model.conditions import PoseSet, part_of
 from pincal.model.effect import Candidate, Effect, ExponentialDrift, Family, Harmonic, Locus
 from pincal.model.effects import Compliance
+from pincal.sensors.row_samples import spread_rows
 
 Tester = Callable[..., ScoreTests]
 """Tests candidates against a fit with nuisances projected out, from effects and, optionally, the

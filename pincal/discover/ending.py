@@ -46,7 +46,7 @@ from pincal.identify.fit_levers import levers
 from pincal.identify.mass_error import MassError
 from pincal.model.catalogue.ripple import resolution_of
 from pincal.model.effect import Curve, Effect, Harmonic
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.units import format_small
 
 log = logging.getLogger(__name__)

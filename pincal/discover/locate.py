@@ -32,6 +32,7 @@ from pincal.model.conditions import Conditions, PoseSet, distinct_values, record
 from pincal.model.effect import Effect, Locus, Term
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.recorded import SURROUNDINGS
+from pincal.sensors.row_samples import evenly
 
 
 @dataclass(frozen=True)
@@ -85,13 +86,7 @@ class MovedPlace(Effect):
         """Return the independent motions, each as displacements of coordinates."""
         if self.joint is not None:
             i = chain.robot.joint_names.index(self.joint)
-            return [
-                {
-                    int(chain.drives[i])
-                    if self.acts_on == "drive"
-                    else chain.joint(i, self.acts_on): 1.0
-                }
-            ]
+            return [{chain.joint_or_drive(i, self.acts_on): 1.0}]
         if self.acts_on == "base":
             return [{chain.base(symbol): 1.0} for symbol in FRAME_SYMBOLS]
         # All lengths are scaled by the same factor.
@@ -130,7 +125,7 @@ def locate(fit: ModelFit, sigma: np.ndarray) -> tuple[list[Located], list[Disagr
         sigma: shape (blocks,), standard deviation of one component of each block of readings.
     """
     rows = np.flatnonzero(fit.solution.weights > 0.0)
-    fit = fit.select(rows[np.unique(np.linspace(0, len(rows) - 1, WHERE.rows).astype(int))])
+    fit = fit.select(rows[evenly(len(rows), WHERE.rows)])
     # Rows are taken to be independent.
     fit = fit.over([replace(fit.station, whitening=None, serial=None, arrival=None)])
     fit = replace(fit, solution=replace(fit.solution, estimated=sigma))

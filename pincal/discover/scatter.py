@@ -44,6 +44,7 @@ from pincal.identify.fit_levers import levers
 from pincal.identify.station import Station
 from pincal.measure.poses import same_joints
 from pincal.model.conditions import moves
+from pincal.sensors.row_samples import evenly
 from pincal.validate.misfit import MISFIT
 
 _ROW_ORDER = "the order of the rows"
@@ -332,8 +333,7 @@ class _Arrivals:
 
 def _sampled_visits(visit: np.ndarray) -> np.ndarray:
     """Return the numbers of as many visits as the variances need, evenly spread."""
-    count = int(visit.max()) + 1
-    return np.unique(np.linspace(0, count - 1, min(count, NOISE.visits)).astype(int))
+    return evenly(int(visit.max()) + 1, NOISE.visits)
 
 
 def _summed(products: np.ndarray, visit: np.ndarray) -> np.ndarray:
@@ -422,7 +422,7 @@ class _AlongLever:
         signal = whole.sigma**2 * a2
         errors = along / np.sqrt(np.maximum(a2, 1e-300) * (whole.noise**2 + signal))
         share = np.sqrt(signal / (whole.noise**2 + signal))
-        some = np.unique(np.linspace(0, len(first) - 1, NOISE.visits).astype(int))
+        some = evenly(len(first), NOISE.visits)
         q = self.station.conditions.q[first[some]]
         names = self.station.model.chain.robot.joint_names
         return related(dict(zip(names, q.T, strict=True)), errors[some], share[some])

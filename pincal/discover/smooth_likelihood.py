@@ -31,6 +31,7 @@ from pincal.discover.score_tests import Tangent
 from pincal.identify.fit import ModelFit
 from pincal.model.catalogue.remainder import Erring, SmoothRemainder
 from pincal.model.conditions import moves
+from pincal.sensors.row_samples import evenly
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,7 @@ def _sample(fit: ModelFit) -> ModelFit:
     sound = np.flatnonzero(fit.solution.weights > 0.0)
     if len(sound) <= REMAINDER.rows and len(sound) == len(fit.problem):
         return fit
-    some = np.unique(np.linspace(0, len(sound) - 1, min(REMAINDER.rows, len(sound))).astype(int))
-    return fit.select(sound[some])
+    return fit.select(sound[evenly(len(sound), REMAINDER.rows)])
 
 
 def _kinds(fit: ModelFit) -> list[SmoothRemainder]:

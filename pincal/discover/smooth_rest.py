@@ -31,7 +31,7 @@ from pincal.identify.dependence import placed_at_mean
 from pincal.identify.fit import ModelFit
 from pincal.identify.folds import Folds
 from pincal.model.catalogue.remainder import SmoothRemainder
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.validate.misfit import MISFIT
 
 log = logging.getLogger(__name__)

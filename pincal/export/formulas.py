@@ -23,6 +23,7 @@ from pincal.model.cubic import Cubic
 from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.model.symbols import Expression, Symbol, either_way, multiply, scalar, symbols
+from pincal.parameters import thin_root_of
 from pincal.recorded import RECORDABLE
 from pincal.robot.robot import Robot
 from pincal.thresholds import Count, Scale
@@ -91,12 +92,10 @@ class Spread:
         uncertainty = calibrated.uncertainty
         C = uncertainty.covariance
         some = np.flatnonzero(np.diag(C) > 0.0)
-        variances, axes = np.linalg.eigh(C[np.ix_(some, some)])
-        kept = variances > 0.0
         n = calibrated.model.chain.robot.n_joints
         lacks = uncertainty.discrepancy
         drives = np.zeros(n) if lacks is None else lacks.factor**2 * lacks.drives.sum(axis=1)
-        root = block_diag(axes[:, kept] * np.sqrt(variances[kept]), np.diag(np.sqrt(drives)))
+        root = block_diag(thin_root_of(C[np.ix_(some, some)]), np.diag(np.sqrt(drives)))
         rest = 0.0 if lacks is None else lacks.factor**2 * lacks.rest
         return cls(tuple(map(int, some)), root, rest + uncertainty.arrival)
 

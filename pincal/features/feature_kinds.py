@@ -15,6 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from pincal.robot.se3 import perpendicular
 from pincal.thresholds import Count, Scale
 
 NUMBERS = ("x", "y", "z", "i", "j", "k", "radius")
@@ -103,8 +104,7 @@ def stepped(numbers: np.ndarray, step: np.ndarray) -> np.ndarray:
 
 def across(direction: np.ndarray) -> np.ndarray:
     """Return two orthonormal directions across a unit direction, shape (3, 2)."""
-    least = np.eye(3)[np.argmin(np.abs(direction))]
-    first = np.cross(direction, least)
+    first = perpendicular(direction)
     first /= np.linalg.norm(first)
     return np.column_stack([first, np.cross(direction, first)])
 

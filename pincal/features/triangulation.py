@@ -19,6 +19,7 @@ from pincal.errors import BadInputError, few
 from pincal.features.feature_points import LocatedPoints
 from pincal.features.features_numbers import FEATURES
 from pincal.features.mounted_sensor import MountedSensor
+from pincal.parameters import thin_root_of
 from pincal.sensors.lens import DISTORTION, PINHOLE, slopes
 from pincal.thresholds import Count, Scale
 
@@ -205,6 +206,4 @@ def _with_camera(
     is_known = np.array([name in whole.names for name in camera], bool)
     by_arm = np.einsum("kanb,nbp->kap", maps, moved, optimize=True)
     columns = np.concatenate([by_arm, by_lens[:, :, is_known]], axis=2)
-    variances, axes = np.linalg.eigh(whole.take(names).dense_covariance())
-    some = variances > 0.0
-    return SharedErrors.of_all(columns @ (axes[:, some] * np.sqrt(variances[some])))
+    return SharedErrors.of_all(columns @ thin_root_of(whole.take(names).dense_covariance()))

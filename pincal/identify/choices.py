@@ -20,7 +20,6 @@ from pincal.identify.beliefs import priors_of
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import ModelFit
-from pincal.identify.many_rows import spread_rows
 from pincal.identify.noise import outlier_limit, rounding
 from pincal.identify.problem import Problem
 from pincal.identify.selection import Scored, select_stepwise
@@ -30,6 +29,7 @@ from pincal.model.conditions import UNFELT, Conditions
 from pincal.model.effect import Effect
 from pincal.model.model import Model
 from pincal.parameters import Covariance, Estimate
+from pincal.sensors.row_samples import spread_rows
 from pincal.thresholds import Count
 
 

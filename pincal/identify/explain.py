@@ -28,7 +28,7 @@ from pincal.identify.quadratic import NULL, Form
 from pincal.identify.station import Station
 from pincal.model.effects import BaseFrame
 from pincal.parameters import Parameter
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.sensors.sensor import KnownParameters
 from pincal.thresholds import Count, Scale
 from pincal.units import format_readable

@@ -4,7 +4,6 @@ finished with all rows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -16,14 +15,12 @@ from pincal.identify.fit import ModelFit
 from pincal.identify.noise import Judge
 from pincal.identify.problem import Problem
 from pincal.identify.solve import Course, solve
-from pincal.thresholds import Count, Scale
+from pincal.thresholds import Count
 
 # Number of rows above which a fit is begun with so many, and the fewest that each station keeps.
 # All rows then move predictions by some hundredths of the noise, which one step corrects.
 MANY: Count = 20_000
 EACH: Count = 1_000
-# Part of an equal share that each station keeps of fewer rows.
-_LEAST: Scale = 0.5
 
 
 def some_of(problem: Problem) -> Problem:
@@ -38,32 +35,6 @@ def some_of(problem: Problem) -> Problem:
         for s in problem.stations
     ]
     return replace(problem, stations=tuple(parts))
-
-
-def spread_rows(counts: Sequence[int], most: int) -> np.ndarray:
-    """Return so many of the rows of stations with some numbers of rows, evenly spread, as indices
-    into the rows of all, shape (R,); all if there are no more.
-
-    A station keeps a part of its share at least: eight poses beside many thousand rows of an IMU
-    are all that tells lengths.
-
-    Example:
-        >>> spread_rows([2, 100], 8).tolist(), spread_rows([2, 4], 8).tolist()
-        ([0, 1, 14, 28, 43, 57, 72, 86, 101], [0, 1, 2, 3, 4, 5])
-    """
-    n = sum(counts)
-    if n <= most:
-        return np.arange(n)
-    rows = np.linspace(0, n - 1, most).astype(int)
-    least = int(_LEAST * most / len(counts))
-    found = list[np.ndarray]()
-    begin = 0
-    for count in counts:
-        own = rows[(rows >= begin) & (rows < begin + count)]
-        few = min(count, least)
-        found.append(own if len(own) >= few else begin + np.linspace(0, count - 1, few).astype(int))
-        begin += count
-    return np.concatenate(found)
 
 
 def over_all(fit: ModelFit, problem: Problem, executor: Executor | None) -> ModelFit:

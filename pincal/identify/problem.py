@@ -27,7 +27,7 @@ from pincal.model.conditions import Conditions, joined_conditions, part_of
 from pincal.model.effect import Effect, Family
 from pincal.model.sizes import largest_bases
 from pincal.parameters import Parameter, carried_over
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.sensors.sensor import Block
 from pincal.thresholds import Count
 

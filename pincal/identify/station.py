@@ -21,7 +21,7 @@ from pincal.measure.measurements import Measurements, sensor_of
 from pincal.model.conditions import Conditions, part_of
 from pincal.model.model import Model, Shared
 from pincal.parameters import Parameter, is_on_link
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.sensors.sensor import Sensor
 from pincal.sensors.setup import Setup
 from pincal.thresholds import Count

@@ -328,6 +328,10 @@ class Chain:
         """Return the index of a coordinate of joint ``i`` (from 0)."""
         return self.joint_coordinates(i)[symbol]
 
+    def joint_or_drive(self, i: int, symbol: str) -> int:
+        """Return the index of a coordinate of joint ``i``, or, for "drive", of its own motion."""
+        return int(self.drives[i]) if symbol == "drive" else self.joint(i, symbol)
+
     def joint_coordinates(self, i: int) -> dict[str, int]:
         """Return the index of each coordinate of joint ``i`` (from 0) by its symbol."""
         return _places(self._shape)[i]

@@ -213,8 +213,7 @@ class DriveEffect(Discoverable):
 
     def coordinate(self, chain: Chain) -> int:
         """Return the coordinate that it adds to."""
-        i = joint_index(chain, self.joint)
-        return int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on)
+        return chain.joint_or_drive(joint_index(chain, self.joint), self.acts_on)
 
     def bases(self, chain: Chain, conditions: Conditions) -> Iterable[np.ndarray]:
         """Return the basis function of each parameter, shape (N,); by default the independent

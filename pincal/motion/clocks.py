@@ -21,6 +21,7 @@ from pincal.errors import MeasurementError, counted
 from pincal.measure.clock_jump import Jump, likeliest_jump
 from pincal.measure.reading_numbers import JUMPS
 from pincal.motion.motion_numbers import CLOCKS
+from pincal.sensors.row_samples import evenly
 from pincal.thresholds import Count, Scale
 
 # Sampling rate at which speeds are compared [Hz], and the fraction of the shorter log that has to
@@ -240,93 +241,81 @@ def aligned(
     Raises:
         MeasurementError: if the joints' path is known at none of the readings.
     """
-    found = _whole(time, readings, features, covers, start, source=source)
+    stamped = _Stamped(time, readings, features, covers, source)
+    found = stamped.whole(start)
     while found.jump.is_sure(CLOCKS.nominal_jump) and len(found.clock.steps) < JUMPS.most:
-        clock = found.clock.stepping(found.jump)
-        found = _whole(time, readings, features, covers, clock, source=source)
+        found = stamped.whole(found.clock.stepping(found.jump))
     beside = found
     for _ in range(_SMALL):
         if beside.is_crystal or np.isinf(beside.jump.sigma):
             break
-        clock = beside.clock.stepping(beside.jump)
-        beside = _whole(time, readings, features, covers, clock, source=source)
+        beside = stamped.whole(beside.clock.stepping(beside.jump))
     return replace(found, may_step=beside is not found and beside.is_crystal)
 
 
-def _whole(
-    time: np.ndarray,
-    readings: np.ndarray,
-    features: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    covers: Callable[[np.ndarray], np.ndarray],
-    start: Clock,
-    *,
-    source: str,
-) -> Alignment:
-    """Return the clock of readings, with as many steps as the start has; arguments as for
-    :func:`aligned`.
-    """
-    known = covers(start.to_joints(time))
-    refuse_uncovered(known, source=source)
-    # Of a reading: amid the stamps there may be none, where a clock was set or a log paused.
-    middle = np.sort(time[known])[np.count_nonzero(known) // 2]
-    farthest = np.abs(time[known] - middle).max()
-    first = _FIRST if np.isinf(start.sigma[1]) else np.inf
-    clock = start.about(float(middle))
-    half = 0.5 * first
-    while True:
-        is_whole = half >= farthest
-        half = min(half, farthest)
-        inside = np.flatnonzero(np.abs(time - middle) <= half + 1e-9)
-        rows = inside[
-            np.linspace(0, len(inside) - 1, min(_ROWS if is_whole else _SOME, len(inside))).astype(
-                int
+@dataclass(frozen=True, eq=False)
+class _Stamped:
+    """Readings by their own clock; attributes are the arguments of :func:`aligned`."""
+
+    time: np.ndarray
+    readings: np.ndarray
+    features: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    covers: Callable[[np.ndarray], np.ndarray]
+    source: str
+
+    def whole(self, start: Clock) -> Alignment:
+        """Return the clock of all readings, with as many steps as the start has."""
+        known = self.covers(start.to_joints(self.time))
+        refuse_uncovered(known, source=self.source)
+        # Of a reading: amid the stamps there may be none, where a clock was set or a log paused.
+        middle = np.sort(self.time[known])[np.count_nonzero(known) // 2]
+        farthest = np.abs(self.time[known] - middle).max()
+        first = _FIRST if np.isinf(start.sigma[1]) else np.inf
+        clock = start.about(float(middle))
+        half = 0.5 * first
+        while True:
+            is_whole = half >= farthest
+            half = min(half, farthest)
+            inside = np.flatnonzero(np.abs(self.time - middle) <= half + 1e-9)
+            rows = inside[evenly(len(inside), _ROWS if is_whole else _SOME)]
+            found = self.part(rows, clock)
+            clock = found.clock
+            if is_whole:
+                return found
+            half *= 2.0
+
+    def part(self, rows: np.ndarray, clock: Clock) -> Alignment:
+        """Return the clock of some readings, from one that is nearly theirs."""
+        for _ in range(_STEPS):
+            seen = rows[self.covers(clock.to_joints(self.time[rows]))]
+            refuse_uncovered(seen, source=self.source)
+            since = self.time[seen] - clock.middle
+            shapes = [np.ones(len(since)), since, *(self.time[seen] >= at for at, _ in clock.steps)]
+            found = _Projected.of(
+                self.readings[seen], clock.to_joints(self.time[seen]), shapes, seen, self.features
             )
-        ]
-        found = _aligned(time, readings, rows, features, covers, clock, source=source)
-        clock = found.clock
-        if is_whole:
-            return found
-        half *= 2.0
-
-
-def _aligned(
-    time: np.ndarray,
-    readings: np.ndarray,
-    rows: np.ndarray,
-    features: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    covers: Callable[[np.ndarray], np.ndarray],
-    clock: Clock,
-    *,
-    source: str,
-) -> Alignment:
-    for _ in range(_STEPS):
-        seen = rows[covers(clock.to_joints(time[rows]))]
-        refuse_uncovered(seen, source=source)
-        since = time[seen] - clock.middle
-        shapes = [np.ones(len(since)), since, *(time[seen] >= at for at, _ in clock.steps)]
-        found = _Projected.of(readings[seen], clock.to_joints(time[seen]), shapes, seen, features)
-        _refuse_few(time[seen], found.basis.shape[1] + len(shapes), source=source)
-        J = found.jacobian
-        H = J.T @ J
-        # A step outside of the rows is not seen.
-        H[np.diag_indices_from(H)] += 1e-12 * H[0, 0]
-        step = np.linalg.solve(H, J.T @ (found.rest * found.weights).ravel())
-        sigma = np.sqrt(np.diag(np.linalg.inv(H)))
-        clock = replace(
-            clock.moved(float(step[0]), float(step[1]), step[2:].tolist()),
-            sigma=(float(sigma[0]), float(sigma[1])),
+            _refuse_few(self.time[seen], found.basis.shape[1] + len(shapes), source=self.source)
+            J = found.jacobian
+            H = J.T @ J
+            # A step outside of the rows is not seen.
+            H[np.diag_indices_from(H)] += 1e-12 * H[0, 0]
+            step = np.linalg.solve(H, J.T @ (found.rest * found.weights).ravel())
+            sigma = np.sqrt(np.diag(np.linalg.inv(H)))
+            clock = replace(
+                clock.moved(float(step[0]), float(step[1]), step[2:].tolist()),
+                sigma=(float(sigma[0]), float(sigma[1])),
+            )
+            if abs(step[0]) < _SETTLED and abs(step[1]) * np.ptp(since) < _SETTLED:
+                break
+        jump = likeliest_jump(
+            since + clock.middle,
+            found.rest * found.weights,
+            found.rate * found.weights,
+            found.unexplained,
+            [at for at, _ in clock.steps],
         )
-        if abs(step[0]) < _SETTLED and abs(step[1]) * np.ptp(since) < _SETTLED:
-            break
-    jump = likeliest_jump(
-        since + clock.middle,
-        found.rest * found.weights,
-        found.rate * found.weights,
-        found.unexplained,
-        [at for at, _ in clock.steps],
-    )
-    solution = found.solution
-    return Alignment(clock, solution[:-1].T, solution[-1], found.scatter, jump)
+        solution = found.solution
+        return Alignment(clock, solution[:-1].T, solution[-1], found.scatter, jump)
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from pincal.motion.moving_arm import MovingArm
 from pincal.motion.stream import Stream
 from pincal.robot.se3 import nearest_rotation, rotation_vectors
 from pincal.sensors.imu import FORCE, RATE, Window
+from pincal.sensors.row_samples import evenly
 from pincal.thresholds import Count, Scale
 from pincal.units import size_of
 
@@ -413,7 +414,7 @@ def _check_turns(arm: MovingArm, tracker: Stream, found: Alignment) -> None:
 
     at = found.clock.to_joints(tracker.time)
     rows = np.flatnonzero(arm.path.covers(at))
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _SAMPLED)).astype(int)]
+    rows = rows[evenly(len(rows), _SAMPLED)]
     # From the axes of the instrument to those of the nominal tip, by the aligned positions.
     seen = np.swapaxes(arm.tips(at[rows])[:, :, :3], 1, 2) @ nearest_rotation(found.matrix[:, :3]).T
 

@@ -97,6 +97,13 @@ def exponentials(vectors: np.ndarray) -> np.ndarray:
     return np.asarray(Rotation.from_rotvec(vectors).as_matrix())
 
 
+def perpendicular(direction: np.ndarray) -> np.ndarray:
+    """Return a vector perpendicular to a unit vector, shape (3,), at least 0.8 long: its cross
+    product with the axis along which it is shortest.
+    """
+    return np.asarray(np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))]))
+
+
 def shortest_turn(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Return the smallest rotation, shape (4, 4), from one unit vector to another."""
     axis = np.cross(start, end)

@@ -14,6 +14,7 @@ from pincal.robot.closure import NEWTON, Closure, Linkage, loose_step
 from pincal.robot.kinematics import Kinematics
 from pincal.robot.link_path import LinkPath, above
 from pincal.robot.robot_numbers import OF_LOOP
+from pincal.robot.se3 import perpendicular
 from pincal.robot.tree import UrdfClosure, UrdfJoint, UrdfTree
 from pincal.robot.urdf_loops import KINDS, ClosureKind
 from pincal.thresholds import Count, Scale
@@ -124,7 +125,7 @@ def _axes(z: np.ndarray, towards: np.ndarray) -> np.ndarray:
     z = z / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
     x = towards - z * (z @ towards)
     if np.linalg.norm(x) < _ON_AXIS:
-        x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+        x = perpendicular(z)
     x = x / np.linalg.norm(x)
     return np.column_stack([x, np.cross(z, x), z])
 

@@ -21,11 +21,12 @@ import numpy as np
 
 from pincal.parameters import FRAME_SYMBOLS, Parameter
 from pincal.robot.se3 import nearest_rotation, transform
-from pincal.sensors.extrinsics import Extrinsics, by_target, sample_rows
+from pincal.sensors.extrinsics import Extrinsics, by_target
 from pincal.sensors.fields import CONDITIONS, POINT, Field, TableRows
 from pincal.sensors.lens import NEAREST, Lens, camera_starts, slopes
 from pincal.sensors.point_sensor import PointSensor, centred, solved
 from pincal.sensors.pose import check_spread
+from pincal.sensors.row_samples import sample_rows
 from pincal.sensors.sensor import (
     Additive,
     Block,

@@ -20,7 +20,7 @@ import numpy as np
 from pincal.identify.options import Options
 from pincal.model.effects import JointOffset, LinkGeometry
 from pincal.robot.mastering import free_joints
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.thresholds import Count, Scale
 from pincal.validate.agreement_numbers import AGREEMENT
 from pincal.validate.cures import Case, Correction, couplings_of

@@ -31,7 +31,7 @@ from scipy.special import chdtri
 from pincal.hypotheses.hypothesis import Explanation, likeliest
 from pincal.identify.motion_fields import MotionField, sag_of_drives
 from pincal.identify.station import Station
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.thresholds import Count, Scale
 from pincal.validate.causes import (
     BETWEEN_ROWS,

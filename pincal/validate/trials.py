@@ -23,7 +23,7 @@ from pincal.identify.options import Options
 from pincal.identify.station import Station
 from pincal.measure.measurements import Measurements
 from pincal.model.effects import GEOMETRIC
-from pincal.sensors.extrinsics import sample_rows
+from pincal.sensors.row_samples import sample_rows
 from pincal.thresholds import Count, Scale
 from pincal.validate.agreement_numbers import AGREEMENT
 from pincal.validate.cures import TOPICS, Case, Correction, Mistake, lengths_of, mistakes, scaled
@@ -137,6 +137,11 @@ class Trials:
     limits: PlausibleResiduals
     options: Options
 
+    @cached_property
+    def _few(self) -> Case:
+        """The robot and the rows used for trials."""
+        return replace(self.case, table=self.case.table.select(_few(self.case.table)))
+
     def cures(self, error: float) -> list[Cure]:
         """Return the mistakes that undone remove most of an error, relative to the limits, with
         base and tool fitted; the best first.
@@ -220,8 +225,7 @@ class Trials:
         """What a calibration of the geometry by some rows leaves with nothing undone, relative to
         the limits: what errors of the arm explain needs no other cause.
         """
-        few = replace(self.case, table=self.case.table.select(_few(self.case.table)))
-        return self.limits.exceeded(self.calibrated(few)[1])
+        return self.limits.exceeded(self.calibrated(self._few)[1])
 
     def calibrated(self, case: Case) -> tuple[ModelFit | None, Residuals]:
         """Return a calibration of the geometry by some rows, and its residuals; None if it
@@ -237,7 +241,7 @@ class Trials:
         """Return the shifts of the zeros of joints, with the residuals of a calibration; None if
         they are about right.
         """
-        few = replace(self.case, table=self.case.table.select(_few(self.case.table)))
+        few = self._few
         shifts = {
             name: shift
             for name, shift in zero_shifts(few.robot, few.table, self.options).items()
@@ -261,7 +265,7 @@ class Trials:
 
         ``resizes`` says that lengths are suspected though what is left without them is plausible.
         """
-        few = replace(self.case, table=self.case.table.select(_few(self.case.table)))
+        few = self._few
         search = DescriptionSearch.of(few, self.options, self.limits.position, resizes=resizes)
         found = None if search is None else search.found()
         if search is None or found is None or not found.correction.size:

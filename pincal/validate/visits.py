@@ -24,6 +24,7 @@ from pincal.identify.visit_scatter import Arrivals
 from pincal.measure.measurements import Measurements
 from pincal.measure.poses import without_copies
 from pincal.measure.stops import Plan, plan_of
+from pincal.sensors.row_samples import evenly
 from pincal.thresholds import Count
 from pincal.validate.causes import (
     BETWEEN_VISITS,
@@ -162,8 +163,7 @@ class _Rows:
             else after
         )
         numbers = numbers[both >= min(VISITS.both_sides, len(self.visits.count))]
-        few = np.unique(np.linspace(0, len(numbers) - 1, min(most, len(numbers))).astype(int))
-        return np.asarray(numbers[few])
+        return np.asarray(numbers[evenly(len(numbers), most)])
 
     def _drift(self, degree: int) -> Pattern:
         curves = np.polynomial.legendre.legvander(self.along, degree)[:, 1:]

@@ -24,6 +24,7 @@ from pincal.model.effect import Effect, Family
 from pincal.model.model import Model
 from pincal.model.sizes import largest_basis
 from pincal.sensors.registry import simulatable
+from pincal.sensors.row_samples import evenly
 from pincal.thresholds import Count
 
 # Number of poses over which nominal base and tool are fitted to the calibrated robot if there are
@@ -264,13 +265,14 @@ def _nominal_from_predictions(calibrated: FittedRobot, over: Conditions) -> np.n
     """Return the values with only base and tool fitted, to the calibrated robot over
     its workspace.
     """
-    rows = np.unique(np.linspace(0, len(over) - 1, _ENOUGH).astype(int))
-    sample = over.select(rows)
+    sample = over.select(evenly(len(over), _ENOUGH))
     poses = calibrated.predict(sample)
     sensor = simulatable()[
         "pose" if calibrated.model.has_tool_orientation else "position"
     ].simulated(poses)
-    return _frames_fitted(calibrated, Station(calibrated.model, sample, sensor, np.ones(len(rows))))
+    return _frames_fitted(
+        calibrated, Station(calibrated.model, sample, sensor, np.ones(len(sample)))
+    )
 
 
 def _frames_fitted(calibrated: FittedRobot, station: Station) -> np.ndarray:

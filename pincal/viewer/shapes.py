@@ -13,7 +13,7 @@ import numpy as np
 from pincal.errors import BadInputError, RobotFileError, needed
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
-from pincal.robot.se3 import rotation_of_rpy
+from pincal.robot.se3 import perpendicular, rotation_of_rpy
 from pincal.robot.urdf_file import parse_xml
 from pincal.thresholds import Count, Scale
 from pincal.units import plain_numbers
@@ -294,7 +294,7 @@ def _simple(robot: Robot, bodies: Sequence[int]) -> Iterator[DrawnShape]:
 def _cylinder(start: np.ndarray, end: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Return a closed cylinder from one point to another."""
     along = (end - start) / np.linalg.norm(end - start)
-    side = np.cross(along, np.eye(3)[np.argmin(np.abs(along))])
+    side = perpendicular(along)
     side /= np.linalg.norm(side)
     angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
     ring = radius * (np.outer(np.cos(angle), side) + np.outer(np.sin(angle), np.cross(along, side)))

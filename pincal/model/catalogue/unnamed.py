@@ -249,7 +249,7 @@ class Unnamed(Smoothable):
         if self.acts_on in _BEFORE:
             tilts = [(p, _BEFORE.index(self.acts_on), basis) for p, basis in bases]
             return tilt_terms(chain, conditions, self.joint, seen_from="before", tilts=tilts)
-        k = int(chain.drives[i]) if self.acts_on == "drive" else chain.joint(i, self.acts_on)
+        k = chain.joint_or_drive(i, self.acts_on)
         return tuple(Term(p, k, basis) for p, basis in bases)
 
     def _basis(self, x: np.ndarray, own: np.ndarray) -> np.ndarray:
