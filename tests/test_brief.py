@@ -22,18 +22,25 @@ from pincal.report.judgement import Act, NextStep, steps_after
 
 URDF = kuka_urdf_path()
 MOST = 14
+SIMULATED = ("simulate", URDF, "--seed", "1", "--quiet")
 Capture = pytest.CaptureFixture[str]
 
 
 @pytest.fixture(scope="module")
 def tables(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with the tables of README.md, and another of a tracker that was moved twice."""
+    """Return a folder with the table of README.md."""
     folder = tmp_path_factory.mktemp("tables")
-    words = ("simulate", URDF, "--seed", "1", "--quiet")
-    assert run(*words, "--poses", "60", "--out", folder / "tracker.csv") == 0
-    for day in (2, 3, 4):
-        assert run(*words, "--poses", "40", "--pose-seed", day, "--out", folder / f"day{day}.csv") == 0
+    assert run(*SIMULATED, "--poses", "60", "--out", folder / "tracker.csv") == 0
     return folder
+
+
+@pytest.fixture(scope="module")
+def days(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return tables of a tracker that was moved twice."""
+    found = [tmp_path_factory.mktemp("days") / f"day{day}.csv" for day in (2, 3, 4)]
+    for seed, path in enumerate(found, 2):
+        assert run(*SIMULATED, "--poses", "40", "--pose-seed", seed, "--out", path) == 0
+    return found
 
 
 def printed(capsys: Capture, *words: object) -> list[str]:
@@ -121,9 +128,10 @@ def test_check_and_calibrate_leave_rows_out_alike(tables: Path, tmp_path: Path, 
 
 @pytest.mark.long
 @pytest.mark.parametrize("more", [("--split", "station"), ()])
-def test_three_stations_take_fourteen_lines(tables: Path, tmp_path: Path, more: tuple[str, ...], capsys: Capture) -> None:
+def test_three_stations_take_fourteen_lines(
+    days: list[Path], tmp_path: Path, more: tuple[str, ...], capsys: Capture
+) -> None:
     """With or without leaving each out."""
-    days = (tables / f"day{day}.csv" for day in (2, 3, 4))
     printed(capsys, "calibrate", URDF, *days, "--noise", "0.05mm", "--out", tmp_path / "out", *more)
 
 

@@ -454,8 +454,8 @@ def test_what_is_asked_at_the_end_of_a_fit_needs_no_further_linearisation(kuka, 
     fit = fit_tables(kuka, noisy[0], OPTIONS)
     again = replace(fit.problem)
     counted = []
-    plain = Station.linearise_shared
-    monkeypatch.setattr(Station, "linearise_shared", lambda *at: counted.append(1) or plain(*at))
+    plain = Station.linearise_correlated
+    monkeypatch.setattr(Station, "linearise_correlated", lambda *at: counted.append(1) or plain(*at))
 
     def covariance(problem, weights):
         return posterior_of(problem, replace(fit.solution, weights=weights), fit.priors).covariance

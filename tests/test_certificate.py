@@ -485,6 +485,9 @@ def test_the_verdict_of_a_search_counts(tmp_path: Path, known: FittedRobot) -> N
 
     assert (certificate.verdict, certificate.doubts) == ("not adequate", ("joint 3 scatters",))
     assert certificate.facts["search"] == "backlash of joint_2 found; 0.0312 mm unexplained"
+    (tmp_path / "discovery.json").write_text(json.dumps(found | {"effects": [effect], "unexplained_mm": 4e-4}))
+    certificate = certificate_of_model(tmp_path / "model.json", Identity(), ISSUE)
+    assert certificate.facts["search"] == "backlash of joint_2 found; the rest is noise"
 
 
 def test_text_from_files_is_safe(of_model: Certificate) -> None:

@@ -686,6 +686,7 @@ def test_singular_rows_are_no_misses(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "not reached" not in told.out
     off = re.search(r"singular +1 row: positions met, orientations off by up to ([0-9.]+) mrad \(line 2\);", told.out)
     assert off is not None and float(off.group(1)) > 0.1
+    assert f"line 2: singular, position met, orientation off by {off.group(1)} mrad" in told.err
 
 
 @pytest.mark.parametrize(

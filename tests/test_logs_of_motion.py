@@ -386,6 +386,24 @@ def test_a_clock_that_was_set_on_by_little_has_a_step(logs: Tables, tmp_path: Pa
     np.testing.assert_allclose(parted.q, whole.q[kept], rtol=0.0, atol=2e-3)
 
 
+@pytest.mark.parametrize("by", [0.04, 1.0])
+@pytest.mark.parametrize("which", ["joints", "imu", "tracker"])
+def test_a_clock_that_was_set_back_by_little_goes_on(logs: Tables, which: str, by: float, tmp_path: Path) -> None:
+    """Some stamps then belong to two samples each: from there on they are those of the samples; rows have their places."""
+    tables = copied({name: logs[name] for name in ("joints", which if which != "joints" else "tracker")})
+    tables[which]["time"][len(tables[which]["time"]) // 2 :] -= by
+    untouched = {name: logs[name] for name in tables}
+    (whole,) = session_tables(ROBOT, [read(tmp_path, untouched)[0]]).values()
+    session, told = read(tmp_path, tables)
+    (parted,) = session_tables(ROBOT, [session]).values()
+
+    middle = len(logs[which]["time"]) // 2 + 2
+    assert re.search(rf"{which}.csv, line {middle}: time runs backwards from .* 1 time in all: .* assumed to go on", told)
+    kept, again = np.isin(whole.rows, parted.rows), np.isin(parted.rows, whole.rows)
+    assert kept.mean() > 0.95 and again.mean() > 0.95
+    np.testing.assert_allclose(parted.q[again], whole.q[kept], rtol=0.0, atol=1e-3)
+
+
 @pytest.mark.parametrize("steps", [[(20.0, 0.016)], [(12.0, 0.02), (27.0, 0.012)]])
 def test_steps_of_a_clock_are_no_drift(logs: Tables, steps: list[tuple[float, float]], tmp_path: Path) -> None:
     """Though a nominal arm does not tell small ones: no rate is said that the frames of a camera have; a true one is."""

@@ -185,11 +185,6 @@ def run_back(time: np.ndarray) -> np.ndarray:
     return time
 
 
-def set_back(time: np.ndarray) -> np.ndarray:
-    time[2000:] -= 0.05
-    return time
-
-
 def lost_packet(tables: dict[str, Table]) -> None:
     """Give samples the stamps of packets, and leave one of these out."""
     kept = np.append(np.arange(2000), np.arange(2005, 3490))
@@ -209,7 +204,6 @@ AT_THE_DOOR: dict[str, tuple[Corrupt, str]] = {
         "counts 1, 2, 3.*divide by the rate",
     ),
     "milliseconds": (change("joints", "time", lambda t: 1e3 * t), r"joints.csv: a row every 10 s.*write `time \[ms\]`"),
-    "a clock that was set": (change("imu", "time", set_back), "imu.csv, line 2002: .* before and after a clock"),
     "packets of which one is lost": (lost_packet, r"those of packets, .* about line \d+ .* as when some are lost"),
     "g": (scale("imu", "a", 1.0 / 9.80665), r"0.9\d* m/s\^2.*looks like \[g\]: write `ax \[g\]`"),
     "gravity taken out": (scale("imu", "a", 0.2), "gravity was removed; log raw accelerations"),

@@ -242,6 +242,20 @@ def test_an_imu_alone_holds_lengths(day: Path, tmp_path: Path) -> None:
     assert freed.values[freed.estimate.names.index("joint_2.a")] != 0.0
 
 
+def test_few_positions_beside_an_imu_are_no_accuracy(day: Path) -> None:
+    """Four are fitted exactly: of unknown noise their error would be 0.0000 mm; a declared noise is kept."""
+    imu = pincal.session_tables(ROBOT, [pincal.read_session(ROBOT, day)])["monday/imu"]
+    held = pincal.read_measurements(day.parent / "eight.csv", ROBOT.joint_names)
+    tables = {"four": held.select(np.arange(4)), "monday/imu": imu}
+
+    with pytest.raises(
+        MeasurementError, match=r"^four: 4 rows of positions, .*declare the noise \(--noise\), or measure more"
+    ):
+        pincal.calibrate(ROBOT, tables, GEOMETRY)
+    found = pincal.calibrate(ROBOT, tables, replace(GEOMETRY, sigma=3e-5))
+    assert found.at("four").sigma[0] == 3e-5
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("seed", ["4", pytest.param("5", marks=pytest.mark.rates)])
 def test_a_noisy_imu_alone_leaves_a_sound_robot_nearer_to_itself(tmp_path: Path, seed: str) -> None:

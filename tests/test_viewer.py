@@ -217,6 +217,17 @@ def test_no_mesh_is_fetched_or_read_from_elsewhere(name: str) -> None:
     assert "was not found" in notes[0]
 
 
+def test_one_missing_mesh_stands_for_all() -> None:
+    """Where none can be shown, as of a URDF without its package, two lines say so, whatever the number of links."""
+    look = LOOK.format('<mesh filename="package://gone/arm.stl"/>')
+    _, notes = shapes_of(small_robot(links=look))
+    visual = look[look.index("<visual>") : look.index("</link>", look.index("<visual>"))]
+    _, more = shapes_of(small_robot(links=look.replace(visual, visual + visual.replace("arm.stl", "hand.stl"))))
+
+    assert len(notes) == len(more) == 2
+    assert ", nor" not in notes[0] and more[0].endswith(", nor 1 other visual")
+
+
 def test_a_mesh_beyond_what_can_be_worked_on_is_not_read(tmp_path: Path) -> None:
     """A file that is too large, files that are so together, and a scene that shows one mesh too often: each is told."""
     with (tmp_path / "arm.stl").open("wb") as file:

@@ -16,7 +16,7 @@ from pincal.identify.options import Options
 from pincal.measure.measurements import Measurements
 from pincal.robot.robot import Robot
 from pincal.thresholds import Count
-from pincal.validate.agreement import check_agreement, unknown_zeros
+from pincal.validate.agreement import check_agreement, refuse_exact, unknown_zeros
 from pincal.validate.clock_jumps import check_clocks
 from pincal.validate.cures import Correction
 
@@ -63,7 +63,8 @@ def fit_agreed(
 
     Raises:
         SteppingClocksError: if a clock jumps.
-        MeasurementError: if one jumps too often, or the tables are not of this robot.
+        MeasurementError: if one jumps too often, the tables are not of this robot, or a few
+            positions of unknown noise are fitted exactly.
     """
     rows = admitted if trained is None else trained
     fit = fit_tables(robot, rows, options, executor=executor)
@@ -77,6 +78,7 @@ def fit_agreed(
         log.info("repeating, as %s", "; ".join(found.notes))
         fit = fit_tables(robot, rows, options, executor=executor)
         found = _checked(robot, admitted, fit, correction_notes(corrected))
+    refuse_exact(fit)
     return AgreedFit(robot, fit, (*correction_notes(corrected), *unknown_zeros(fit)))
 
 

@@ -35,6 +35,7 @@ from pincal.io.result_folder import file_hash
 from pincal.io.strict_json import FileKind, read_json
 from pincal.model.conditions import Conditions
 from pincal.notes import Note, doubts_of
+from pincal.report.report_numbers import REPORT
 from pincal.report.words import noise_origin, noise_words
 from pincal.thresholds import Count
 from pincal.validate.misfit import Verdict, worst
@@ -236,7 +237,9 @@ class _Calibrated:
         if self.search is None:
             return {"search": "none for effects that the model lacks"}
         effects = ", ".join(map(effect_words, self.search.effects)) or "no effect"
-        return {"search": f"{effects} found; {self.search.unexplained_mm:.4f} mm unexplained"}
+        left = self.search.unexplained_mm
+        rest = f"{left:.4f} mm unexplained" if left >= REPORT.beyond_noise else "the rest is noise"
+        return {"search": f"{effects} found; {rest}"}
 
 
 def _budget_of(robot: FittedRobot) -> tuple[Budget | None, dict[str, str]]:

@@ -544,7 +544,12 @@ def _failures(result: dict[str, Any]) -> Iterator[str]:
             f"orientations remain off by up to {turn['max_mrad']:.3f} mrad (line {turn['line']})"
         )
     for row in result["not_ok"][:_SHOWN]:
-        left = f"remaining error {row['error_mm']:.4f} mm and {row['error_mrad']:.4f} mrad"
+        off = f"{row['error_mrad']:.4f} mrad"
+        left = (
+            f"position met, orientation off by {off}"
+            if row["status"] == "singular"
+            else f"remaining error {row['error_mm']:.4f} mm and {off}"
+        )
         yield f"line {row['line']}: {row['status']}, {left}"
     if len(result["not_ok"]) > _SHOWN:
         others = counted(len(result["not_ok"]) - _SHOWN, "further row")

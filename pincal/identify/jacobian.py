@@ -7,7 +7,7 @@ splines costs hardly more than one parameter, as only four splines are nonzero a
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -27,6 +27,8 @@ from pincal.model.sparse_basis import (
 )
 from pincal.thresholds import Count, Scale
 
+# Columns that an operator along the rows changes at once.
+_COLUMNS: Count = 128
 # Parts of the poses are padded to one length up to this factor in size, and up to so many poses at
 # once.
 _PADDING: Scale = 1.5
@@ -283,6 +285,50 @@ class Jacobian:
                 )
                 families.append(SharedColumns(slot[f.places[at]], basis, f.column))
         return Jacobian(len(columns), slot[self.places[kept]], self.dense[kept], tuple(families))
+
+
+@dataclass(frozen=True)
+class AlongRows:
+    """A Jacobian whose columns an operator along the rows changes: with a few columns changed at a
+    time, it takes no more memory than without.
+
+    Attributes:
+        plain: the Jacobian, not changed.
+        change: changes columns, shape (D, m, n), in place; given ``transposed``, by the transpose.
+    """
+
+    plain: Jacobian
+    change: Callable[..., None]
+
+    def add_grams(
+        self,
+        residuals: np.ndarray,
+        ends: np.ndarray,
+        G: np.ndarray,
+        g: np.ndarray,
+        *,
+        weights: np.ndarray | None = None,
+    ) -> None:
+        """Add to G and g as :meth:`Jacobian.add_grams` does, residuals being changed; all poses are
+        one part.
+        """
+        size = self.plain.size
+        square = np.ones(residuals.shape[1]) if weights is None else weights**2
+        for start in range(0, size, _COLUMNS):
+            end = min(start + _COLUMNS, size)
+            columns, places = self.plain.only(np.arange(start, end)).dense_columns()
+            self.change(columns)
+            columns *= square
+            g[0, start + places] += np.tensordot(columns, residuals, axes=2)
+            # Changed back, they meet the other columns as these are stored.
+            self.change(columns, transposed=True)
+            found = np.zeros((size - start, end - start))
+            others = self.plain.only(np.arange(start, size))
+            others.add_products(Jacobian(end - start, places, columns), found)
+            own, rest = np.split(found, [end - start])
+            G[0, start:end, start:end] += 0.5 * (own + own.T)
+            G[0, end:, start:end] += rest
+            G[0, start:end, end:] += rest.T
 
 
 def _padded(of_poses: np.ndarray, counts: np.ndarray) -> np.ndarray:

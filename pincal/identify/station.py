@@ -8,13 +8,13 @@ import base64
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import compress, pairwise
 
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identify.jacobian import Jacobian, SharedColumns
+from pincal.identify.jacobian import AlongRows, Jacobian, SharedColumns
 from pincal.identify.whitening import Serial, StopNoise, whitened_rows
 from pincal.measure.instruments import InstrumentNoise, seen_by
 from pincal.measure.measurements import Measurements, sensor_of
@@ -447,17 +447,25 @@ class Station:
         apart = self.uncorrelated_jacobian(jacobian, piece, slice(0, self.reading_size))
         return self.uncorrelated(residuals[None], piece)[0], apart
 
-    def by_block(self, jacobian: Jacobian, piece: slice) -> Iterator[tuple[slice, Jacobian]]:
+    def by_block(
+        self, jacobian: Jacobian, piece: slice
+    ) -> Iterator[tuple[slice, Jacobian | AlongRows]]:
         """Yield each block of readings, and a Jacobian of a piece of the rows there, uncorrelated
         between rows.
         """
         poses = slice(0, piece.stop - piece.start)
-        for apart in self.readings_apart:
-            part = self.uncorrelated_jacobian(jacobian, piece, apart)
-            for rows in self.block_rows:
-                if apart.start <= rows.start < apart.stop:
-                    here = slice(rows.start - apart.start, rows.stop - apart.start)
-                    yield rows, part.part(here, poses)
+        is_along = self.serial is not None and self.arrival is None
+        whole = jacobian
+        if self.arrival is not None:
+            whole = self.uncorrelated_jacobian(jacobian, piece, slice(0, self.reading_size))
+        for rows in self.block_rows:
+            part = whole.part(rows, poses)
+            if is_along and (factor := self.factor_alone(rows)) is not None:
+                yield rows, part.weighted(factor)
+            elif is_along:
+                yield rows, AlongRows(part, partial(self.uncorrelate, piece=piece, readings=rows))
+            else:
+                yield rows, part
 
     def uncorrelated_jacobian(self, jacobian: Jacobian, piece: slice, readings: slice) -> Jacobian:
         """Return a Jacobian of a piece of the rows at some :attr:`readings_apart`, or at all, with

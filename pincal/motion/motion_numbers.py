@@ -16,6 +16,7 @@ _DOOR = _SESSIONS + "test_streams_that_cannot_be_right_are_refused"
 _MOTION = _SESSIONS + "test_streams_that_do_not_fit_the_motion_are_refused"
 _FAULT = _LOGS + "test_the_stream_at_fault_is_refused"
 _PACKETS = _LOGS + "test_stamps_of_packets_are_those_of_their_samples_again"
+_SET = _LOGS + "test_a_clock_that_was_set_back_by_little_goes_on"
 _ARRIVAL = _LOGS + "test_stamps_of_arrival_are_told_from_those_of_two_devices"
 _LATE = _LOGS + "test_rows_that_are_written_late_or_twice_are_put_in_order"
 _STALE = _LOGS + "test_an_instrument_of_few_digits_keeps_its_rows"
@@ -117,7 +118,7 @@ class StampNumbers:
     extra: float = number(1.5, "stamps", _LATE,
         "more than expected where rows were put in order, above which the clock was set back",
         "chosen: more than one")
-    crowded: float = number(0.2, "ratio", _DOOR,
+    crowded: float = number(0.2, "ratio", _SET,
         "the same, to the expected number", "chosen")
     often_set: int = number(3, "times", _ARRIVAL,
         "that a clock is set in a log, at most", "chosen: more are stamps of arrival")

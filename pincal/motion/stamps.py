@@ -84,8 +84,8 @@ def _same(stream: Stream) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sorted(stream: Stream, in_packets: bool) -> Stream:
-    """Return a stream with late rows in the order of their stamps; refuse a clock that
-    runs back.
+    """Return a stream with late rows in the order of their stamps, or with stamps that go on where
+    a clock was set back by little; refuse one that runs back otherwise.
     """
     time = stream.time
     if not np.any(back := np.diff(time) < 0.0):
@@ -100,15 +100,10 @@ def _sorted(stream: Stream, in_packets: bool) -> Stream:
         return _by_count(
             stream, f"time runs backwards {int(back.sum())} times, by {farthest:.2g} s or less"
         )
+    if is_crowded and farthest <= STAMP.late and back.sum() <= STAMP.often_set:
+        return _continued(stream, back)
     if is_crowded or farthest > STAMP.late:
-        k = int(np.argmax(back))
-        raise MeasurementError(
-            f"{stream.name}, line {stream.lines[k + 1]}: time runs backwards from "
-            f"{_shown(time[k])} to {_shown(time[k + 1])}; expected one log with one clock: give "
-            "logs that were appended to each other, or the parts before and after a clock was set, "
-            "as separate sessions, and add its range to a counter that overflowed; if it runs "
-            "backwards repeatedly, stamps are times of arrival: log the device's own"
-        )
+        raise _runs_back(stream, back)
     late = latest > time
     name = stream.name
     warn(
@@ -116,6 +111,36 @@ def _sorted(stream: Stream, in_packets: bool) -> Stream:
         f"{stream.lines[late][0]}, and sorted by time"
     )
     return ordered
+
+
+def _runs_back(stream: Stream, back: np.ndarray) -> MeasurementError:
+    """Return the error of a log whose stamps run back, shape (T - 1,), with what to do."""
+    k = int(np.argmax(back))
+    return MeasurementError(
+        f"{stream.name}, line {stream.lines[k + 1]}: time runs backwards from "
+        f"{_shown(stream.time[k])} to {_shown(stream.time[k + 1])}; expected one log with one "
+        "clock: give logs that were appended to each other, or the parts before and after a clock "
+        "was set, as separate sessions, and add its range to a counter that overflowed; if it runs "
+        "backwards repeatedly, stamps are times of arrival: log the device's own"
+    )
+
+
+def _continued(stream: Stream, back: np.ndarray) -> Stream:
+    """Return a stream whose clock was set back by little while it was read, where its stamps run
+    back, shape (T - 1,), with stamps that go on there.
+
+    If samples were lost meanwhile, the clock still has a step, which is found like any other.
+    """
+    steps = np.diff(stream.time)
+    by = np.where(back, np.median(steps[~back]) - steps, 0.0)
+    k = int(np.argmax(back))
+    warn(
+        f"{stream.name}, line {stream.lines[k + 1]}: time runs backwards from "
+        f"{_shown(stream.time[k])} to {_shown(stream.time[k + 1])}, "
+        f"{counted(int(back.sum()), 'time')} in all: a clock was set back; stamps are assumed to "
+        "go on there"
+    )
+    return replace(stream, time=stream.time + np.append(0.0, np.cumsum(by)))
 
 
 def _is_crowded(time: np.ndarray, ordered: Stream, in_packets: bool) -> bool:

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pincal.errors import MeasurementError
+from pincal.errors import MeasurementError, counted
 from pincal.hypotheses.hypothesis import Explanation, Likeliest, likeliest
 from pincal.identify.fit import ModelFit
 from pincal.identify.initial import base_seen
@@ -370,6 +370,31 @@ def computed(fit: ModelFit) -> Iterator[tuple[str, bool, str]]:
         is_place = (station.sensor.blocks[0].unit, station.sensor.blocks[0].size) == ("m", 3)
         if is_place and is_spare and min(nominal, left) < AGREEMENT.computed:
             yield station.name, nominal < AGREEMENT.computed, f"{min(nominal, left) * 1e6:.2g} um"
+
+
+def refuse_exact(fit: ModelFit) -> None:
+    """Refuse positions of unknown noise that the parameters fit exactly, beside an IMU that leaves
+    these parameters open: what is left of them is neither their noise nor an accuracy.
+
+    Raises:
+        MeasurementError: with the station, and what would tell its noise.
+    """
+    stations = fit.problem.stations
+    if all(station.sensor.reads_place for station in stations):
+        return
+    for station, places, blocks in fit.stations:
+        free = int(fit.solution.free[places].sum())
+        is_open = fit.noise.declared[blocks.start] is None and station.sensor.reads_place
+        if not is_open or len(station) * station.reading_size > free:
+            continue
+        left, *_ = typical_residuals(station, fit.values[places])
+        if left < AGREEMENT.computed:
+            raise MeasurementError(
+                f"{station.name}: {counted(len(station), 'row')} of positions, and parameters free "
+                "for each of their coordinates: the fit passes through them exactly, so that they "
+                "show neither their noise nor how accurate the model is; declare the noise "
+                "(--noise), or measure more poses"
+            )
 
 
 def mix_up(

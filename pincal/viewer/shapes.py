@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pincal.errors import BadInputError, RobotFileError, needed
+from pincal.errors import BadInputError, RobotFileError, counted, needed
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import perpendicular, rotation_of_rpy
@@ -71,6 +71,9 @@ def shapes_of(
             notes = [f"the visuals of the robot can't be read from its URDF ({error})"]
     bare = sorted(set(range(1, robot.n_joints + 1)) - {shape.body for shape in drawn})
     if not drawn:
+        # That none can be shown follows, so one stands for all.
+        rest = counted(len(notes) - 1, "other visual") if notes[1:] else ""
+        notes = [f"{notes[0]}{f', nor {rest}' if rest else ''}"] if notes else []
         why = (
             "the URDF has no visual geometry"
             if not notes
