@@ -3,11 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
-from pincal.cli import main
 from pincal.measure.measurements import Measurements, measurements_from_arrays
 from pincal.measure.table import write_table
 from pincal.robot.robot import Robot
@@ -54,10 +52,3 @@ def written(path: Path, table: Measurements) -> Path:
     columns = dict(zip(table.joint_names, table.q.T, strict=True)) | dict(zip("xyz", table.position.T, strict=True))
     write_table(path, columns)
     return path
-
-
-def run(*arguments: object) -> int:
-    """Return the exit code of the command."""
-    with pytest.raises(SystemExit) as end:
-        main([str(argument) for argument in arguments])
-    return int(end.value.code or 0)

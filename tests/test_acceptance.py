@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from scipy.optimize import least_squares, minimize
-from test_cli import run
 
 from pincal import Robot
 from pincal.acceptance.decided_errors import decided

@@ -11,8 +11,8 @@ import feature_cases as cases
 import msgspec
 import numpy as np
 import pytest
+from command_line import run
 from test_certificate import RESULT
-from test_cli import run
 from test_interim import arm, five_days, write
 from test_measure import part_in, seen_panel, write_readings
 

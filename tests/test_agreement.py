@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import run
 from machines import kuka as true_kuka
-from placed_arms import FIRST, NOISE, TOOL, measured, run, written
+from placed_arms import FIRST, NOISE, TOOL, measured, written
 
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path

@@ -9,7 +9,8 @@ from typing import Any, Literal
 import click
 import numpy as np
 import pytest
-from test_cli import URDF, columns, results, run  # noqa: F401
+from command_line import run
+from test_cli import URDF, columns, results  # noqa: F401
 
 from pincal.cli import pincal
 from pincal.cli.arguments import NumberType, Verb, argument, group, option, verb

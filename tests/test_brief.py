@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from placed_arms import run
+from command_line import run
 from rich.console import Console
 
 from pincal import Options, Robot, read_measurements, run_calibration

@@ -10,8 +10,9 @@ from typing import Any
 import click
 import numpy as np
 import pytest
+from command_line import run
 from test_calibrate import paper_table
-from test_cli import URDF, columns_of, run
+from test_cli import URDF, columns_of
 
 from pincal import Robot
 from pincal.cli import pincal

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import run
 from lxml import etree
 from scipy import stats
 from test_catalogue import EFFECTS as ALL_EFFECTS
-from test_cli import run
 from test_export import calibrated_of, drawn
 from test_identity import STATED
 

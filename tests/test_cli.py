@@ -12,21 +12,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from scipy import stats
 from test_calibrate import paper_table
 
 from pincal.builtin import kuka_urdf_path
-from pincal.cli import _spread, main
+from pincal.cli import _spread
 from pincal.measure.table import write_table
 
 URDF = str(kuka_urdf_path())
 COM = ["--payload-com", "0.08", "-0.05", "0.22"]
-
-
-def run(*arguments):
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code
 
 
 def columns_of(table):

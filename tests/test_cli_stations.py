@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from command_line import run
 from machines import kuka as true_kuka
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
@@ -20,7 +21,6 @@ from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.fitted_robot import load_model
 from pincal.calibration.held_out import leave_out_stations
-from pincal.cli import main
 from pincal.measure.table import write_table
 
 URDF = str(kuka_urdf_path())
@@ -29,13 +29,6 @@ PLACES = {"A": (1.4, 0.3, 0.6), "B": (1.2, -0.9, 0.9), "C": (0.9, 1.1, 1.1)}
 TURNED = np.array([[0.0, -1.0, 0.0, 3.0], [1.0, 0.0, 0.0, 0.5], [0.0, 0.0, 1.0, -0.3], [0.0, 0.0, 0.0, 1.0]])
 
 Columns = dict[str, np.ndarray]
-
-
-def run(*arguments: object) -> int:
-    """Return the exit code of a command."""
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return int(ended.value.code or 0)
 
 
 @pytest.fixture(scope="module")

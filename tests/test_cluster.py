@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import run
 from test_calibrate import paper_table
-from test_cli_stations import URDF, run, tracked, written
+from test_cli_stations import URDF, tracked, written
 from test_examples import EXAMPLES
 from test_examples import run as run_example
 from test_spread import TASK, Parcel, die, nap, opened

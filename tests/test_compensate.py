@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from command_line import run
 from machines import planar_arm
 from scipy.optimize import minimize
 
@@ -499,13 +500,6 @@ def test_the_public_names_are_there() -> None:
 
 
 # --- the command ----------------------------------------------------------------------------------------------------
-
-
-def run(*arguments: object) -> int:
-    """Run the command; return its exit code."""
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return int(ended.value.code or 0)
 
 
 def columns_of(path: Path) -> dict[str, np.ndarray]:

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import run
 from scipy.spatial.transform import Rotation
-from test_cli import run
 from test_export import EFFECTS, GANTRY, columns_of, drawn, everything, loaded, poses_of
 
 from pincal.calibration.fitted_robot import FittedRobot

@@ -7,8 +7,8 @@ from itertools import combinations, permutations
 import coal
 import numpy as np
 import pytest
+from command_line import run
 from machines import planar_arm
-from test_cli import run
 from test_examples import numbers
 from test_examples import run as run_example
 

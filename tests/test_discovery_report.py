@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from command_line import run
 from discovery_cases import SIGMA, Case, draw_case
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,7 +22,6 @@ from pincal import ELASTIC, GEOMETRIC, Options, Robot, calibrate
 from pincal.calibration.curve_coverage import outside_curves
 from pincal.calibration.fitted_robot import load_model
 from pincal.calibration.precheck import precheck
-from pincal.cli import main
 from pincal.discover.cli.search_screen import print_discovery
 from pincal.discover.decisions import Row, critical_gain, is_more_than_chance
 from pincal.discover.detectability import detectable_noncentrality, minimum_detectable, power_of
@@ -441,12 +441,6 @@ def _columns(rows: Measurements) -> dict[str, np.ndarray]:
     return columns | {"payload": rows.payload}
 
 
-def _run(*arguments: object) -> object:
-    with pytest.raises(SystemExit) as ended:
-        main([str(argument) for argument in arguments])
-    return ended.value.code
-
-
 _LONG = "unnamed of shoulder_pan_joint (field of shoulder_pan_joint and elbow_joint)"
 
 
@@ -468,13 +462,13 @@ def test_check_prints_what_could_be_found(tmp_path: Path, case: Case, capsys: py
     write_table(tmp_path / "data.csv", _columns(case.rows))
     (tmp_path / "robot.urdf").write_bytes(case.robot.urdf)
     common = (tmp_path / "robot.urdf", tmp_path / "data.csv", "--noise", "0.05mm", "--tip", case.robot.tip)
-    assert _run("check", *common, "--verbose", "--quiet") == 0
+    assert run("check", *common, "--verbose", "--quiet") == 0
     printed = capsys.readouterr().out
 
     assert "Smallest effects that would be found" in printed
     assert "backlash" in printed and "µrad" in printed
     assert max(len(line) for line in printed.splitlines()) <= 100
-    assert _run("check", *common, "--json", "--quiet") == 0
+    assert run("check", *common, "--json", "--quiet") == 0
     detectable = json.loads(capsys.readouterr().out)["detectable"]
     assert detectable["source"] == "declared" and detectable["power"] == 0.9
     assert {"effect", "joint", "size", "unit", "reason"} <= set(detectable["effects"][0])
@@ -488,7 +482,7 @@ def test_discover_shows_the_gap_shrink(tmp_path: Path, case: Case, capsys: pytes
     (tmp_path / "robot.urdf").write_bytes(case.robot.urdf)
     files = (tmp_path / "robot.urdf", tmp_path / "data.csv", "--out", tmp_path / "out", "--tip", case.robot.tip)
     options = ("--noise", "0.05mm", "--payload-com", *case.options.payload_centre, "--moment-frame", "after", "--quiet")
-    assert _run("discover", *files, *options, "--verbose", "--stability", "0") == 0
+    assert run("discover", *files, *options, "--verbose", "--stability", "0") == 0
     printed, page = capsys.readouterr().out, (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
     assert f"+ backlash of {case.hidden[0].joint}" in printed and "noise alone" in printed
@@ -542,7 +536,7 @@ def test_rows_outside_a_curve_are_told(elastic_fit: Any, tmp_path: Path, capsys:
     along_each = [(o.joint, o.variable, o.rows) for o in outside_curves(over_both, replace(conditions, q=q))]
     assert along_each == [("joint_2", "joint_3", 1), ("joint_2", "joint_2", 3)]
     assert outside_curves(_model_with(elastic_fit, GearEccentricity("joint_3")), replace(conditions, q=q)) == []
-    assert _run("predict", tmp_path / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "predicted.csv") == 0
+    assert run("predict", tmp_path / "model.json", tmp_path / "poses.csv", "--out", tmp_path / "predicted.csv") == 0
     noted = capsys.readouterr().err
     assert "transmission_error of joint_3" in noted and f"{-np.degrees(0.5):.2f} to {np.degrees(0.5):.2f} deg" in noted
     assert f"0 to {np.degrees(0.9):.2f} deg" in noted

@@ -14,11 +14,11 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import pytest
 from _pytest.mark import ParameterSet
+from command_line import run
 from pairs import one_in_three
 from scipy.spatial.transform import Rotation
 from test_catalogue import ARMS, chain_of, conditions_of, surrounded, units_of
 from test_catalogue import EFFECTS as ALL_EFFECTS
-from test_cli import run
 
 import pincal
 from pincal.builtin import kuka_urdf_path

@@ -13,11 +13,11 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from command_line import run
 from conftest import SHARED
 from linkages import four_bar, palletizer, rod_arm
 from scipy.spatial.transform import Rotation
 from test_catalogue import chain_of, conditions_of, units_of
-from test_cli import run
 from test_export import GANTRY, calibrated_of
 
 from pincal.calibration.fitted_robot import FittedRobot

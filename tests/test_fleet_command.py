@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from fleet_cases import OPTIONS, rows_of, siblings
-from placed_arms import run
 
 import pincal
 from pincal import Robot, calibrate, load_model

@@ -15,11 +15,11 @@ import click
 import numpy as np
 import polars as pl
 import pytest
+from command_line import run
 from scipy.spatial.transform import Rotation
 
 import pincal
 from pincal.builtin import kuka_urdf_path
-from pincal.cli import main as command
 from pincal.cli import pincal as verbs
 from pincal.cli.quantities import LENGTH
 from pincal.errors import MeasurementError, PincalWarning, RobotFileError
@@ -628,13 +628,6 @@ def test_every_verb_reads_tables_in_the_same_way() -> None:
         assert {"columns", "orientation", "ignore"} <= set(named), verb
         assert named["orientation"].type.choices == (*ORIENTATIONS, "none")  # type: ignore[attr-defined]
     assert tuple(KNOWN) == ORIENTATIONS
-
-
-def run(*arguments: object) -> object:
-    """Run the command and return its exit code."""
-    with pytest.raises(SystemExit) as ended:
-        command([str(argument) for argument in arguments])
-    return ended.value.code
 
 
 @pytest.mark.long

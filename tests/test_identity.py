@@ -9,7 +9,8 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from test_cli import URDF, columns_of, run
+from command_line import run
+from test_cli import URDF, columns_of
 from test_export import calibrated_of
 
 from pincal import Robot, export_model, load_model

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from command_line import run
 from interim_cases import INSTRUMENT, TOOL, CheckedArm, checked_arm, day_of
 from interim_study import checks_of
 from rates import is_at_most
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
-from test_cli import run
 
 from pincal import Measurements
 from pincal.calibration.check_record import CheckedRows, Withdrawal, load_record, record_of

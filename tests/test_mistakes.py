@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from mistakes_study import FIRST, NOISE, ORIENTATIONS, PLAIN, Task, draw, is_right, machine_of, poses_of, robot_of, said_of
-from placed_arms import measured, run
+from placed_arms import measured
 from scipy.spatial.transform import Rotation
 from scipy.stats import f as f_distribution
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from motion_study import GEOMETRY, Truth, via_path, vouched
-from test_cli import run
 
 from pincal import Options, Robot
 from pincal.design import motion_design

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from scipy.spatial.transform import Rotation
 
 import pincal
@@ -14,7 +15,6 @@ from pincal import FittedRobot, Measurements, Options, Robot, calibrate, measure
 from pincal import simulate as sim
 from pincal.builtin import kuka_urdf_path
 from pincal.calibration.validation import validate_rows
-from pincal.cli import main
 from pincal.errors import BadInputError
 from pincal.model.effects import GEOMETRIC
 
@@ -38,13 +38,6 @@ def measured(robot: Robot, machine: sim.TrueMachine, n: int, seed: int, angle: f
         return measurements_from_arrays(robot.joint_names, q, position=position)
     turned = Rotation.from_rotvec(angle * rng.standard_normal((n, 3))) * Rotation.from_matrix(seen[:, :3, :3])
     return measurements_from_arrays(robot.joint_names, q, position=position, quaternion=turned.as_quat())
-
-
-def run(*arguments: object) -> int:
-    """Return the exit code of a command."""
-    with pytest.raises(SystemExit) as end:
-        main(list(map(str, arguments)))
-    return int(end.value.code or 0)
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from machines import kuka as true_kuka
-from placed_arms import FIRST, MOVE, TOOL, measured, run, written
+from placed_arms import FIRST, MOVE, TOOL, measured, written
 
 from pincal import simulate as sim
 from pincal.calibration.checked_fit import calibrate

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yourdfpy
-from test_cli import run
+from command_line import run
 
 from pincal.calibration.calibration import run_calibration
 from pincal.calibration.fitted_robot import load_model

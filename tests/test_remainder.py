@@ -9,9 +9,9 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 import pytest
+from command_line import run
 from machines import kuka as true_kuka
 from test_cell_file import VERBS
-from test_cli import run
 from test_corrector import answered
 from test_corrector import states_of as page_states
 from test_export import Compiled, calibrated_of, columns_of, conditions_of, loaded, poses_of, units_of

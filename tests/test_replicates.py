@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from command_line import run
 from report_cases import page_of
 from scipy.stats import kstest
-from test_cli import run
 
 from pincal import ELASTIC, GEOMETRIC, Options, Robot, run_calibration
 from pincal import simulate as sim

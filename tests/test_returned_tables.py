@@ -12,8 +12,8 @@ import numpy as np
 import openpyxl
 import polars as pl
 import pytest
+from command_line import run
 from scipy.spatial.transform import Rotation
-from test_cli import run
 from test_corrector import answered
 from test_export import EFFECTS, drawn
 

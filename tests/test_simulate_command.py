@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from test_cli import run
+from command_line import run
 
 from pincal import Robot, read_measurements
 from pincal.builtin import kuka_urdf_path

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_cli import run
+from command_line import run
 
 from pincal.builtin import kuka_urdf_path
 from pincal.motion.joint_path import JointPath

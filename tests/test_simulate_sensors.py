@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 import yourdfpy
+from command_line import run
 from machines import kuka
 from scipy.spatial.transform import Rotation
-from test_cli import run
 
 from pincal import read_measurements
 from pincal import simulate as sim

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from stop_cases import NOISE, MeasuredRobot, MeasuringPlan
 
 import pincal
 from pincal import FittedRobot, Options
 from pincal.calibration.placing import place_station
 from pincal.calibration.validation import validate_rows
-from pincal.cli import main
 from pincal.design.detection import lineup_over
 from pincal.design.reach import SensorSetup
 from pincal.diagnosis.change_search import NamedChange
@@ -43,13 +43,6 @@ def drawn(seed: int, arrival: float | None = None) -> tuple[MeasuredRobot, np.ra
     """Return a robot and the source of its measurements."""
     rng = np.random.default_rng([seed, 77])
     return MeasuredRobot.drawn(rng, arrival), rng
-
-
-def run(*arguments: object) -> int:
-    """Return the exit code of a command."""
-    with pytest.raises(SystemExit) as end:
-        main(list(map(str, arguments)))
-    return int(end.value.code or 0)
 
 
 @pytest.fixture(scope="module")

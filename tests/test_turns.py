@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from placed_arms import run
+from command_line import run
 
 from pincal.calibration.covered import Covered
 from pincal.calibration.curve_coverage import outside_curves, turned_curves

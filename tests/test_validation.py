@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from machines import kuka as true_kuka
-from placed_arms import FIRST, MOVE, NOISE, measured, run, transform, written
+from placed_arms import FIRST, MOVE, NOISE, measured, transform, written
 
 from pincal import simulate as sim
 from pincal.calibration.calibration import run_calibration

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from placed_arms import run
+from command_line import run
 from scipy.stats import chi2, f
 
 from pincal import Options, Robot, measurements_from_arrays, run_calibration, run_discovery

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 from machines import kuka as true_kuka
-from placed_arms import measured, run, written
+from placed_arms import measured, written
 from zeros_study import ARMS, CASES, corrections, drawn, is_named, tried
 
 from pincal.builtin import kuka_urdf_path

@@ -40,6 +40,13 @@ max_error_option = partial(
     option, "Fail (exit code 5) if the mean error exceeds this.", type=LENGTH
 )
 tip_option = partial(option, "Last link of the arm.", metavar="LINK", in_cell=True)
+from_option = partial(
+    option,
+    "Link in whose frame the target is measured, such as the other hand, or the one with a camera.",
+    metavar="LINK",
+    name="--from",
+    words="the base",
+)
 to_option = partial(
     option, "Link that carries the target; the same as --tip.", metavar="LINK", words="--tip"
 )

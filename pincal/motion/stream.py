@@ -78,11 +78,16 @@ class Stream:
 
     @property
     def repeats(self) -> np.ndarray:
-        """Which rows equal the one before of the same thing except for their time, shape (T,)."""
+        """Which rows equal the one before of the same thing except for their time, shape (T,); none
+        where nothing is read, as of a name alone.
+        """
         things = self.things
         order = np.argsort(things, kind="stable")
-        values = np.column_stack([v[order] for v in self.readings.values() if v.dtype.kind == "f"])
         found = np.zeros(len(self), bool)
+        read = [v[order] for v in self.readings.values() if v.dtype.kind == "f"]
+        if not read:
+            return found
+        values = np.column_stack(read)
         found[order[1:]] = np.all(np.diff(values, axis=0) == 0.0, axis=1) & (
             np.diff(things[order]) == 0
         )

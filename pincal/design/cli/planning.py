@@ -19,6 +19,7 @@ from pincal.cli.common import (
     base_option,
     beside_option,
     coupling_option,
+    from_option,
     sign_option,
     tip_option,
     tip_or_to,
@@ -237,13 +238,7 @@ class DesignArguments:
     degrees: bool = option("Write joint positions in degrees.", False)
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
-    start: str | None = option(
-        "Link in whose frame the target is measured, such as the other hand, or the one with a "
-        "camera.",
-        metavar="LINK",
-        name="--from",
-        words="the base",
-    )
+    start: str | None = from_option()
     to: str | None = to_option()
     beside: tuple[Beside, ...] = beside_option()
     xacro_args: tuple[tuple[str, str], ...] = xacro_option()

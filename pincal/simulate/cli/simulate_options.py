@@ -19,6 +19,7 @@ from pincal.cli.common import (
     Triple,
     base_option,
     beside_option,
+    from_option,
     gravity_option,
     robot_argument,
     tip_option,
@@ -108,13 +109,7 @@ class MachineArguments:
 
     tip: str | None = tip_option(words="flange or tool at the end of the longest chain")
     base: str | None = base_option()
-    start: str | None = option(
-        "Link in whose frame the target is measured, such as the other hand, or the one with a "
-        "camera.",
-        metavar="LINK",
-        name="--from",
-        words="the base",
-    )
+    start: str | None = from_option()
     to: str | None = to_option()
     also: tuple[str, ...] = option(
         "Further link whose joints belong to the machine; the same set of links and seed "
