@@ -288,3 +288,15 @@ def test_a_table_in_the_order_of_a_joint_is_to_be_measured_in_another(tables: Pa
     assert "joint_1 moved steadily along the rows" in " ".join(lines)
     assert said(lines, "next").startswith("Measure some of the first poses once more at the end")
     assert "doubted" not in json.loads((out / "result.json").read_text())
+
+
+def test_what_rejects_a_model_is_said_in_full_once(calibrated: Calibration, capsys: Capture) -> None:
+    """By the doubt that stands first; verdict and next step refer to it."""
+    words = "typical rows still have an error of 94 mm: too large for any calibrated arm"
+    result = replace(calibrated.result, doubt=words, warnings=(Note(Severity.DOUBT, words),))
+    print_brief(replace(calibrated, result=result), Console(width=100), more="--verbose")
+    told = " ".join(capsys.readouterr().out.split())
+
+    assert told.count(words) == 1 and told.startswith(f"doubt: {words}")
+    assert "Do not use it. See the doubt stated first." in told
+    assert "next Find out what is wrong, by the doubt stated first" in told

@@ -29,7 +29,8 @@ from pincal.model.effect_registry import EFFECTS
 from pincal.spread import spread
 
 pytestmark = pytest.mark.long
-WORKERS = 4
+# So many workers, and so many of them that a task may kill.
+WORKERS, FAILURES = 4, 1
 
 
 def knows(name: str) -> bool:
@@ -39,9 +40,16 @@ def knows(name: str) -> bool:
 @pytest.fixture(scope="module")
 def client() -> Iterator[Any]:
     """Return the client of a cluster that is there for all of these tests."""
+    dask = pytest.importorskip("dask", reason="Dask is not installed")
     distributed = pytest.importorskip("distributed", reason="Dask is not installed")
     options = {"n_workers": WORKERS, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": logging.CRITICAL}
-    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster, set_as_default=False) as client:
+    # A worker that dies is replaced by one that imports everything again, for some seconds of processor time.
+    given_up = dask.config.set({"distributed.scheduler.allowed-failures": FAILURES})
+    with (
+        given_up,
+        distributed.LocalCluster(**options) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
         yield client
 
 
@@ -173,6 +181,6 @@ def test_nothing_is_lost_with_a_worker(kuka: Robot, client: Any) -> None:
 
 
 def test_a_task_that_kills_workers_is_given_up(client: Any) -> None:
-    """After the fourth worker, with advice."""
+    """After the second worker, with advice."""
     with pytest.raises(WorkersLostError, match="draw: workers died, usually for lack of memory"):
         list(spread(die, range(1), label="draw", executor=client.get_executor()))

@@ -15,7 +15,7 @@ from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
 from pincal.identify.jacobian import Jacobian, SharedColumns
-from pincal.identify.normal import accumulate
+from pincal.identify.normal import accumulate, accumulate_at
 from pincal.identify.posterior import Nonzero, Posterior
 from pincal.identify.problem import extended
 from pincal.identify.quadratic import Form
@@ -267,6 +267,14 @@ def test_readings_whose_rows_are_independent_are_weighed_beside_correlated_ones(
         expected = np.tensordot(J[:, rows], J[:, rows], axes=((1, 2), (1, 2)))
         np.testing.assert_allclose(found.H[b] / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-12)
         np.testing.assert_allclose(found.g[b] / scale, np.tensordot(J[:, rows], r[rows]) / scale, rtol=1e-9, atol=1e-15)
+
+    order, ends = np.argsort(np.arange(90) % 3, kind="stable"), np.array([0, 30, 60, 90])
+    noise, parts = fit.solution.estimated, weighed.station.select(order)
+    form, _ = accumulate_at(parts, ends, fit.values, free, robust[order], np.tile(noise, (3, 1)))
+    expected = found.at(noise)
+    scale = np.sqrt(np.diag(expected.H))
+    np.testing.assert_allclose(form.H.sum(axis=0) / np.outer(scale, scale), expected.H / np.outer(scale, scale), atol=1e-12)
+    np.testing.assert_allclose(form.g.sum(axis=0) / scale, expected.g / scale, rtol=1e-9, atol=1e-9)
 
     candidates = [TransmissionError.over("joint_5", q[:, 4], 24), GearEccentricity("joint_1")]
     tests = score_test(weighed, candidates, groups=np.arange(90) % 4)

@@ -52,6 +52,13 @@ def test_evidence_is_that_of_the_result(run: Calibration, evidence: RowErrors) -
     assert evidence.noise == pytest.approx(0.05) and len(evidence.line) == 80
 
 
+def test_the_axis_of_an_imu_has_no_name_of_the_program(evidence: RowErrors) -> None:
+    """Its unit tells the quantity, and fits a small figure; a position keeps its name."""
+    for name, unit, label in (("specific_force", "m/s^2", "error [m/s^2]"), ("position", "mm", "position error [mm]")):
+        (axes,) = row_figures.histogram_figure(replace(evidence, name=name, unit=unit)).axes
+        assert axes.get_xlabel() == label
+
+
 @pytest.mark.parametrize("name", OF_EVIDENCE)
 def test_each_figure_is_drawn(name: str, evidence: RowErrors) -> None:
     """Each figure has axes with labels and units, and becomes an SVG without a foreign colour of text."""

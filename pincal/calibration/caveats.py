@@ -109,8 +109,8 @@ class CaveatKind(Enum):
     )
     IMPLAUSIBLE = (
         "{how}: too large for any calibrated arm, so this is not a model of this robot; "
-        "check table, URDF and tip. If "
-        "the instrument is that noisy, declare it (--noise, or a column sigma)"
+        "check table, URDF, tip, and lengths that were given. If the instrument is that noisy, "
+        "declare it (--noise, or a column sigma)"
     )
     OWN_POSE = (
         "with only base and tool fitted, {left} remain: no instrument is that accurate, so these "

@@ -383,7 +383,8 @@ def _without_explained(found: Sequence[Caveat], n_stations: int) -> list[Caveat]
     kept = [
         one for one in kept if one.kind is not CaveatKind.IMPLAUSIBLE or one.station not in stepped
     ]
-    return sorted(kept, key=lambda one: one.kind is not CaveatKind.STEP)
+    # Then what rejects the calibration, which its verdict refers to.
+    return sorted(kept, key=lambda one: (one.kind is not CaveatKind.STEP, one.kind not in UNUSABLE))
 
 
 def _counts(stations: Sequence[AssessedStation]) -> RowCounts:

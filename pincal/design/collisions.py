@@ -46,12 +46,13 @@ class Collisions:
 
     def hit(self, q: np.ndarray) -> np.ndarray:
         """Return whether the arm touches itself, shape (N,), at joint positions of shape (N, n)."""
-        return np.array([self._touches(row, first=True) for row in q], bool)
+        rows = self.robot.configurations(self.model, q)
+        return np.array([self._touches(row, first=True) for row in rows], bool)
 
     def often(self, q: np.ndarray) -> np.ndarray:
         """Return the fraction of the poses in which each pair touches, shape (pairs,)."""
         count = np.zeros(len(self.geometry.collisionPairs))
-        for row in q:
+        for row in self.robot.configurations(self.model, q):
             self._touches(row, first=False)
             count += [result.isCollision() for result in self._work[1].collisionResults]
         return count / max(len(q), 1)
@@ -64,12 +65,13 @@ class Collisions:
             request.security_margin = self.clearance
         return self.model.createData(), found
 
-    def _touches(self, q: np.ndarray, *, first: bool) -> bool:
-        """Return whether any pair touches; with ``first``, stop at the first one."""
+    def _touches(self, row: np.ndarray, *, first: bool) -> bool:
+        """Return whether any pair touches in a configuration; with ``first``, stop at the first
+        one.
+        """
         import pinocchio as pin
 
         data, found = self._work
-        row = self.robot.configuration(self.model, q)
         return bool(pin.computeCollisions(self.model, data, self.geometry, found, row, first))
 
 

@@ -470,12 +470,15 @@ def accumulate_at(
     precision = np.repeat(1.0 / sigma, station.block_sizes, axis=1)[
         np.repeat(np.arange(n), np.diff(ends))
     ].T
-    for piece, residuals, jacobian in station.linearise_shared(values, free):
+    for piece, residuals, jacobian in station.linearise_correlated(values, free):
+        residuals = station.uncorrelated(residuals[None], piece)[0]
         weights = station.weights[piece]
         row_squares[:, piece] = _row_squares(residuals, station.block_rows, weights)
         scale = precision[:, piece] * (weights * robust[piece])
         here, inner = _parts_of(piece, ends)
-        jacobian.weighted(scale).add_grams(residuals * scale, inner, H[here], g[here])
+        for some in station.readings_apart:
+            part = station.uncorrelated_jacobian(jacobian, piece, some).weighted(scale[some])
+            part.add_grams(residuals[some] * scale[some], inner, H[here], g[here])
     blocks = summed(row_squares, ends, robust)
     return Form.of(H, g), StationSquares(blocks, row_squares, np.zeros(n))
 

@@ -135,7 +135,7 @@ def _by_pinocchio(tree: UrdfTree, robot: Robot, q: np.ndarray, links: list[str])
     data = model.createData()
     frames = [model.getFrameId(link, pin.BODY) for link in links]
     found = []
-    for row in q:
-        pin.framesForwardKinematics(model, data, robot.configuration(model, row))
+    for row in robot.configurations(model, q):
+        pin.framesForwardKinematics(model, data, row)
         found.append([data.oMf[frame].homogeneous[:3] for frame in frames])
     return np.array(found)

@@ -157,10 +157,11 @@ def inertial_loads(
         ids = [model.getJointId(name) for name in robot.joint_names]
         order = np.array([model.joints[i].idx_v for i in ids])
         v, a = np.zeros((2, model.nv))
-        for row in np.flatnonzero(mass == kilograms):
+        rows = np.flatnonzero(mass == kilograms)
+        for row, at in zip(rows, robot.configurations(model, q[rows]), strict=True):
             v[order] = velocity[row]
             a[order] = acceleration[row]
-            pin.rnea(model, data, robot.configuration(model, q[row]), v, a)
+            pin.rnea(model, data, at, v, a)
             for k, i in enumerate(ids):
                 loads[row, k] = data.f[i].vector
     return -_about_frames_before(robot, q, loads)

@@ -83,8 +83,8 @@ def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:
         for held, rows, use in ((True, "held-out", "not used"), (False, "fitted", "used")):
             if evidence.part(held=held).any():
                 title = (
-                    f"Histogram of {evidence.name} errors of {rows} rows before and after "
-                    "calibration"
+                    f"Histogram of {evidence.name.replace('_', ' ')} errors of {rows} rows before "
+                    "and after calibration"
                 )
                 caption = (
                     "Share of rows by size of error, on a logarithmic scale: the further left, "
@@ -103,7 +103,7 @@ def error_drawings(readings: Iterable[RowErrors]) -> Iterator[Drawing]:
         )
         yield (
             row_figures.cumulative_figure(evidence),
-            f"Cumulative curves of {evidence.name} errors",
+            f"Cumulative curves of {evidence.name.replace('_', ' ')} errors",
             caption,
         )
 

@@ -78,7 +78,7 @@ def judged(result: Result, search: SearchReport | None = None) -> Judged:
     if not result.converged:
         return Judged(verdict, "The fit did not converge; do not use its numbers.")
     if result.doubt:
-        return Judged(verdict, f"Do not use it: {result.doubt}.")
+        return Judged(verdict, f"Do not use it. {see_doubts(result.doubts)}.")
     if search is not None:
         return search.judged()
     if result.is_kept:
@@ -175,7 +175,7 @@ def steps_after(calibration: Calibration, search: SearchReport | None = None) ->
     """
     result = calibration.result
     if result.doubt:
-        return [NextStep(f"First find out what is wrong: {result.doubt}.")]
+        return [NextStep("Find out what is wrong, by the doubt stated first, and calibrate again.")]
     steps = [
         *map(NextStep, [*_of_the_fit(result), *_of_no_gain(result), *_of_the_tool(calibration)]),
         *map(NextStep, _of_the_measuring(result)),

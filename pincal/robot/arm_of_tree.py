@@ -202,9 +202,10 @@ def path_between(
     tip: str,
     *,
     at_rest: bool = False,
+    model: pin.Model | None = None,
 ) -> LinkPath:
     """Return the path between two links of a tree with some moving joints, see
-    :meth:`pincal.robot.robot.Robot.between`.
+    :meth:`pincal.robot.robot.Robot.between`; ``model`` is that of these joints, where it is known.
     """
     import pinocchio as pin
 
@@ -222,7 +223,8 @@ def path_between(
                 f"{tree.origin}: {between}; expected links with only "
                 f"{', '.join(joint_names)} between them"
             )
-    model = arm_model(tree.text, tuple(joint_names), tree.source)
+    if model is None:
+        model = arm_model(tree.text, tuple(joint_names), tree.source)
     data = model.createData()
     pin.framesForwardKinematics(model, data, pin.neutral(model))
     placed = {
@@ -327,7 +329,8 @@ class _Placed:
         rods = _rods_of(pins, aims)
         frames = dh_frames(neutral.joints[:, :3, 3], neutral.axes, tips, parents, rods)
         T_link_joint = np.linalg.inv(frames.T_base_link) @ neutral.joints
-        way = path_between(tree, names, base, *ends[0]).on_links(T_link_joint)
+        way = path_between(tree, names, base, *ends[0], model=neutral.model)
+        way = way.on_links(T_link_joint)
         frames = replace(frames, T_last_tip=way.T_joint_tip)
         return cls(neutral, parents, tips, pins, frames, way)
 

@@ -420,8 +420,8 @@ class Robot:
         data = model.createData()
         base, frame = (model.getFrameId(link, pin.BODY) for link in (path.start, path.tip))
         out = np.empty((len(q), 4, 4))
-        for i, row in enumerate(real_array(q, "joint positions")):
-            pin.framesForwardKinematics(model, data, self.configuration(model, row))
+        for i, row in enumerate(self.configurations(model, real_array(q, "joint positions"))):
+            pin.framesForwardKinematics(model, data, row)
             out[i] = (data.oMf[base].inverse() * data.oMf[frame]).homogeneous
         return out
 
@@ -435,12 +435,20 @@ class Robot:
 
         Pinocchio's vector contains (cos q, sin q) for a continuous joint.
         """
-        out = np.empty(model.nq)
-        for name, value in zip(self.joint_names, q, strict=True):
+        return np.asarray(self.configurations(model, np.asarray(q)[None])[0])
+
+    def configurations(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
+        """Return :meth:`configuration` of each of N poses: joint positions of shape (N, n),
+        vectors of shape (N, nq).
+        """
+        out = np.empty((len(q), model.nq))
+        for name, values in zip(self.joint_names, q.T, strict=True):
             joint = model.joints[model.getJointId(name)]
-            out[joint.idx_q : joint.idx_q + joint.nq] = (
-                value if joint.nq == 1 else (np.cos(value), np.sin(value))
-            )
+            if joint.nq == 1:
+                out[:, joint.idx_q] = values
+            else:
+                out[:, joint.idx_q] = np.cos(values)
+                out[:, joint.idx_q + 1] = np.sin(values)
         return out
 
     def joint_range(self, span: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

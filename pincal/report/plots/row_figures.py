@@ -55,7 +55,10 @@ def _error_axis(axes: Axes, which: Literal["x", "y"], evidence: RowErrors) -> tu
 
 
 def _error_label(evidence: RowErrors) -> str:
-    return f"{evidence.name} error [{evidence.unit}]"
+    # The readings of an IMU are told by their unit: their names are longer than a small figure is
+    # high.
+    is_of_imu = "/s" in evidence.unit
+    return f"{'' if is_of_imu else f'{evidence.name} '}error [{evidence.unit}]"
 
 
 def histogram_figure(evidence: RowErrors, *, held: bool = True) -> Figure:
