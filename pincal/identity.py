@@ -119,7 +119,7 @@ class Identity(msgspec.Struct, frozen=True, omit_defaults=True):
             raise BadInputError(
                 f"id.temperature {self.temperature:g}; expected deg C, such as 20.5"
             )
-        if self.date and not _is_day(self.date):
+        if self.date and not is_day(self.date):
             raise BadInputError(f"id.date {self.date!r}; expected a day as YYYY-MM-DD")
         if self.country and not re.fullmatch("[A-Z]{2}", self.country):
             raise BadInputError(
@@ -215,7 +215,8 @@ def _is_temperature(value: float) -> bool:
     return math.isfinite(value) and value > _ABSOLUTE_ZERO
 
 
-def _is_day(text: str) -> bool:
+def is_day(text: str) -> bool:
+    """Return whether a text is a date as YYYY-MM-DD, whose order as text is that of the days."""
     try:
         return date.fromisoformat(text).isoformat() == text
     except ValueError:

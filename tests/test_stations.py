@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from machines import kuka as true_kuka
-from scipy.spatial.transform import Rotation
+from placed_arms import transform
 
 from pincal import simulate as sim
 from pincal.calibration.fitted_robot import FittedRobot, load_model
@@ -45,13 +45,6 @@ from pincal.sensors.setup import Setup
 NOISE = 5e-5
 LENS = Lens(2000.0, 2010.0, 1024.0, 768.0, -0.1, 0.05, 1e-3, -5e-4)
 GRID = {f"p{i}": (0.04 * (i % 4), 0.05 * (i // 4), 0.0) for i in range(12)}
-
-
-def transform(angles: tuple[float, float, float], place: tuple[float, float, float]) -> np.ndarray:
-    """Return a transform by angles about x, y, z [rad] and a place [m]."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_euler("xyz", angles).as_matrix(), place
-    return T
 
 
 BASES = (transform((0.1, -0.2, 1.0), (2.0, 0.5, -0.3)), transform((0.0, 0.1, -2.0), (-1.0, 3.0, 0.2)))

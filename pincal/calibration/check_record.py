@@ -11,7 +11,6 @@ import hashlib
 import os
 import re
 from collections.abc import Iterable
-from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,6 +18,7 @@ import msgspec
 import numpy as np
 
 from pincal.errors import BadInputError
+from pincal.identity import is_day
 from pincal.io.strict_json import FileKind, read_json, write_json
 from pincal.measure.measurements import Measurements, validated
 from pincal.thresholds import Count
@@ -281,17 +281,9 @@ def required_day(day: str) -> str:
     Raises:
         BadInputError: if it is no ISO date.
     """
-    if not _is_day(day):
+    if not is_day(day):
         raise BadInputError(f"day {day!r}; expected an ISO date such as 2026-11-03")
     return day
-
-
-def _is_day(text: str) -> bool:
-    """Return whether a text is a date as YYYY-MM-DD, whose order as text is that of the days."""
-    try:
-        return date.fromisoformat(text).isoformat() == text
-    except ValueError:
-        return False
 
 
 def _mark(columns: dict[str, list[Any]]) -> str:
@@ -370,7 +362,7 @@ def _require_withdrawal(where: str, found: Withdrawal) -> None:
     Raises:
         BadInputError: with the key.
     """
-    if not _is_day(found.day):
+    if not is_day(found.day):
         raise BadInputError(
             f"{where}.day: is {found.day!r}; expected an ISO date such as 2026-11-03; "
             f"{_FILE.advice}"
@@ -385,7 +377,7 @@ def _require_rows(where: str, rows: CheckedRows) -> None:
     Raises:
         BadInputError: with the key.
     """
-    if not _is_day(rows.day):
+    if not is_day(rows.day):
         raise BadInputError(
             f"{where}.day: is {rows.day!r}; expected an ISO date such as 2026-11-03; {_FILE.advice}"
         )

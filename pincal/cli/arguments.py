@@ -18,7 +18,14 @@ from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin, get_
 import click
 
 from pincal.cli import show_progress
-from pincal.cli.cell_defaults import CELL_FIELD, ENTRIES, SETTINGS, filled_from_cell, tell_cell
+from pincal.cli.cell_defaults import (
+    CELL_FIELD,
+    ENTRIES,
+    SETTINGS,
+    cell_key,
+    filled_from_cell,
+    tell_cell,
+)
 from pincal.errors import BadInputError, Exit, OutputError
 from pincal.satellites import Place
 from pincal.units import LARGEST, plain_numbers
@@ -237,9 +244,7 @@ class Verb(click.Command):
         super().__init__(params=[each.parameter for each in described], **attributes)
         self._headings = {str(each.parameter.name): each.heading for each in described}
         self._cell_keys = {
-            str(each.parameter.name): _cell_key(each.parameter)
-            for each in described
-            if each.in_cell
+            str(each.parameter.name): cell_key(each.parameter) for each in described if each.in_cell
         }
         self._reads_cell = reads_cell
         self._takes_identity = takes_identity
@@ -349,11 +354,6 @@ def _print_help(context: click.Context, parameter: click.Parameter, given: str |
     text = command.full_help(context) if given == "all" else command.get_help(context)
     click.echo(text, color=context.color)
     context.exit()
-
-
-def _cell_key(parameter: click.Parameter) -> str:
-    """Return the key of a cell file for a parameter."""
-    return str(parameter.opts[0]).lstrip("-").replace("-", "_")
 
 
 def _is_text(word: str) -> bool:

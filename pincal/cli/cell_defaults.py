@@ -252,7 +252,7 @@ class _Reader:
 
     def _settings(self, taken: _Taken) -> Iterator[tuple[str, Any]]:
         """Yield the parameters that ``--set`` gives, and their values; keep what it states."""
-        options = {_key_of(of): of for of in self.command.params if _is_settable(of, self.keys)}
+        options = {cell_key(of): of for of in self.command.params if _is_settable(of, self.keys)}
         found = dict[str, list[str]]()
         for text in (*self.given.get(SETTINGS, ()), *self.given.get(ENTRIES, ())):
             name, sign, value = (part.strip() for part in str(text).partition("="))
@@ -325,8 +325,8 @@ class _Reader:
             taken.given[_ROBOT_FIELD] = robot
 
 
-def _key_of(parameter: click.Parameter) -> str:
-    """Return the key of a parameter for ``--set``: its name with underscores."""
+def cell_key(parameter: click.Parameter) -> str:
+    """Return the key of a parameter in a cell file and for ``--set``: its name with underscores."""
     return parameter.opts[0].lstrip("-").replace("-", "_")
 
 
