@@ -357,9 +357,12 @@ class _Run:
         ):
             return False
         whole = self.point.posterior(self.judged.sigma).whole
-        # A prior that is wider than usual does not make readings more exact.
-        sizes = usual_sizes(self.problem, self.priors.sizes)[self.free]
-        return is_exact(whole, sizes) and len(self.problem) * len(whole) <= MOST_EXACT
+        # A prior that is wider than usual does not make readings more exact, nor does one of what
+        # has no usual size: a target that is within reach of the arm.
+        usual = usual_sizes(self.problem)
+        sizes = np.where(np.isfinite(usual), np.minimum(usual, self.priors.sizes), np.inf)
+        is_beyond = is_exact(whole, sizes[self.free])
+        return is_beyond and len(self.problem) * len(whole) <= MOST_EXACT
 
     def for_next(self) -> Linearised:
         """Return the latest point with the columns that the next fit needs."""
