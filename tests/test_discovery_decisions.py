@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from pincal.discover import backward
 from pincal.discover.decisions import (
     CandidateTable,
     Decision,
@@ -223,3 +226,26 @@ def test_each_heading_is_listed_once() -> None:
 def test_simple_curves_are_functions_of_the_joints_own_position(effect: Effect, expected: bool) -> None:
     """They act about the joint's own axis and follow nothing else; the drive curve itself is none."""
     assert is_own_curve(effect) is expected
+
+
+def test_elasticity_that_predicts_is_not_asked_again_to_predict(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The loss without it is positive; what the others, fitted without it, show of blocks may differ."""
+    tests = SimpleNamespace(
+        effects=[STRANGE],
+        gains_by_block=lambda which: np.array([-1.0, -2.0, 0.5, -1.0]),
+        score=lambda which, among: ScoreResult(343.0, 18, 1e-75, 0.0),
+        p_value_of_any=lambda which: 1e-75,
+    )
+    monkeypatch.setattr(backward, "score_test_given_nuisances", lambda *_, **__: tests)
+    monkeypatch.setattr(backward, "with_features", lambda fit, effects: effects)
+    monkeypatch.setattr(backward, "_is_far_from_zero", lambda *_: False)
+    search = SimpleNamespace(policy=POLICY, groups=None)
+
+    def fails(worth: float, *, is_elastic: bool) -> bool:
+        step: Any = SimpleNamespace(is_elastic=is_elastic, effect=STRANGE, effects=(STRANGE,))
+        state: Any = SimpleNamespace(fit=None, steps=[step, step])
+        return backward._fails(state, step, worth, search, lambda _: None)  # type: ignore[arg-type, return-value]
+
+    assert not fails(5.0, is_elastic=True)
+    assert fails(-0.5, is_elastic=True)
+    assert fails(5.0, is_elastic=False)

@@ -193,7 +193,7 @@ def _fails(
     wider = 1.0 if step.is_elastic else TESTING.wider
     tests = score_test_given_nuisances(rest, own, search.groups, wider=wider)
     every = range(len(own))
-    held_out = Unfitted(standard_errors(tests.gains_by_block(every)))
+    held_out = _held_out(step, tests, worth)
     score = tests.score(every, 1)
     chance = tests.p_value_of_any(every) if is_one_of_many else 0.0
     trials = len({effect.identity for effect in addable(fit, search)}) if is_rest else 1
@@ -208,6 +208,17 @@ def _fails(
         enough=least,
     )
     return not accepted(row, policy)
+
+
+def _held_out(step: SearchStep, tests: ScoreTests, worth: float) -> Unfitted:
+    """Return what a step gains on held-out blocks, by first-order tests against a refit of the
+    others.
+
+    Elasticity has a loss without it as well, its worth. It is far from zero in some of its many
+    parameters only, and others that were fitted without it may extrapolate to blocks by chance.
+    """
+    gained = standard_errors(tests.gains_by_block(range(len(tests.effects))))
+    return Unfitted(max(gained, worth) if step.is_elastic else gained)
 
 
 def _is_far_from_zero(fit: ModelFit, step: SearchStep, policy: Policy) -> bool:
