@@ -26,7 +26,7 @@ from pincal.notes import Note, doubts_first
 from pincal.robot.robot import Robot
 from pincal.satellites import Place
 from pincal.validate.accuracy import error_statistics, pose_error_sizes
-from pincal.validate.agreement import check_agreement
+from pincal.validate.agreement import check_agreement, refuse_exact
 
 
 class Further(Protocol):
@@ -133,6 +133,7 @@ def precheck(robot: Robot, measurements: Tables, options: Options) -> DataReport
     if corrected is not None:
         robot = corrected.of(robot)
         fit = expected_fit(robot, tables, options)
+    refuse_exact(fit)
     notes: list[Note | str] = [*(() if corrected is None else corrected.notes)]
     notes += [*admitted.notes, *admitted.idle]
     notes += [*unobservable(tables, options), *notes_on_masses(robot, options.effects)]

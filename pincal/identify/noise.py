@@ -37,6 +37,8 @@ _STRONG: tuple[Scale, Scale] = (1e-3, 1e-6)
 _CORRECTIONS: Count = 3
 # Rounding of G, in units of the priors' information, above which it is too coarse.
 _COARSE: Scale = 1e-4
+# Noise, in units of the rounding of predictions, below which readings may be exact.
+_NEAR_ROUNDING: Scale = 1e4
 # Residuals of a perfect fit to exact readings, in units of their rounding.
 _EXACT: Scale = 1e-3
 
@@ -51,6 +53,13 @@ def usual_sizes(problem: Problem, at_most: np.ndarray | float = np.inf) -> np.nd
     return np.asarray(
         np.minimum([p.size for p in problem.parameters] / problem.largest_basis[0], at_most)
     )
+
+
+def are_at_rounding(problem: Problem, sigma: np.ndarray) -> bool:
+    """Return whether the noise of all readings, shape (blocks,), is near the rounding of
+    predictions.
+    """
+    return bool(np.all(sigma < _NEAR_ROUNDING * rounding(problem)))
 
 
 def is_exact(G: np.ndarray, sizes: np.ndarray) -> bool:

@@ -22,6 +22,7 @@ from pincal.identify.noise import (
     Judge,
     Loss,
     Noise,
+    are_at_rounding,
     is_exact,
     polish,
     rounding,
@@ -347,8 +348,11 @@ class _Run:
     def is_beyond_normal_equations(self) -> bool:
         """Return whether readings are too exact for J^T J, and few enough for J itself.
 
-        J contains neither knowledge beyond the priors of each parameter nor correlated noise.
+        J contains neither knowledge beyond the priors of each parameter nor correlated noise. Of a
+        few positions that parameters fit exactly beside the noise of an IMU nothing is exact.
         """
+        if not are_at_rounding(self.problem, self.judged.sigma):
+            return False
         correlated = any(s.is_correlated or s.whitening is not None for s in self.problem.stations)
         if (
             correlated

@@ -387,8 +387,7 @@ def refuse_exact(fit: ModelFit) -> None:
         is_open = fit.noise.declared[blocks.start] is None and station.sensor.reads_place
         if not is_open or len(station) * station.reading_size > free:
             continue
-        left, *_ = typical_residuals(station, fit.values[places])
-        if left < AGREEMENT.computed:
+        if fit.solution.estimated[blocks.start] < AGREEMENT.computed:
             raise MeasurementError(
                 f"{station.name}: {counted(len(station), 'row')} of positions, and parameters free "
                 "for each of their coordinates: the fit passes through them exactly, so that they "
