@@ -390,7 +390,7 @@ def entry_of(effect: str, joint: str, **more: Any) -> FoundEffect:
         ),
         (
             entry_of("unnamed", "joint_1", depends_on="joint_2", shape="wave", period=0.25, period_unit="rad"),
-            "repeats every 14.3 deg",
+            "repeats every 14.32 deg",
         ),
         (
             entry_of("unnamed", "rail", depends_on="rail", shape="curve", period=0.25, period_unit="m"),

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -902,3 +903,27 @@ def test_a_bearing_that_feels_a_moment_of_rounding_is_not_made_of_rubber() -> No
 
     assert excited.tolist() == [True, False]
     assert 1e-3 < largest[1] < largest[0]
+
+
+def test_moments_of_rounding_size_no_prior(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Where no centre of mass is beside the axis of its joint, moments of 1e-31 N m gave compliances of 1e28 rad/(N m)."""
+    link = (
+        '<link name="l{0}"><inertial><mass value="9"/><origin xyz="0 0 {1}"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    )
+    joint = (
+        '<joint name="j{1}" type="continuous"><parent link="l{0}"/><child link="l{1}"/><axis xyz="{2}"/>'
+        '<origin xyz="0 0 {3}"/></joint>'
+    )
+    parts = [link.format(i, at) for i, at in enumerate((0, 0.45, 0))]
+    parts += [joint.format(0, 1, "0 0 1", 0.2), joint.format(1, 2, "0 1 0", 0.9)]
+    urdf = tmp_path / "balanced.urdf"
+    urdf.write_text(f'<robot name="balanced">{"".join(parts)}</robot>')
+    model = Model(Chain.of(Robot.from_urdf(urdf)), ELASTIC)
+    poses = Conditions.at(rng.uniform(-3.0, 3.0, (40, 2)))
+    assert np.abs(model.static_moments(np.zeros(model.n_parameters), poses)).max() < 1e-13
+
+    largest, excited = largest_basis(model, poses)
+
+    np.testing.assert_array_equal(largest, 1.0)
+    assert not excited[[i for i, name in enumerate(model.names) if ".k_" in name]].any()

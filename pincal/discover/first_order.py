@@ -105,6 +105,15 @@ class ScoreTests:
         return len(self.names)
 
     @property
+    def squares_left(self) -> float:
+        """What a refit of the model to these rows leaves of the squared residuals, to first order:
+        its priors pull it away from their least.
+        """
+        rows = self.model.rows
+        step = self.model.factor.solve(rows.g + self.model.prior.g)
+        return self.squares - float(step @ (2.0 * rows.g - rows.H @ step))
+
+    @property
     def precision(self) -> np.ndarray:
         """Inverse variances of the priors, shape (N + C,)."""
         return np.asarray(self.sizes**-2.0)

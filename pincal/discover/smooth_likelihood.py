@@ -182,7 +182,7 @@ def _likeliest_of(tests: ScoreTests, effects: Sequence[SmoothRemainder]) -> Size
     j, S, b = tests.within(which)
     prior = tests.sizes[tests.n_model + j]
     own = np.concatenate([np.full(len(tests.columns[i]), i) for i in which])
-    left = tests.squares - float(tests.model.slope @ tests.model.slope)
+    left = tests.squares_left
     none = -0.5 * tests.dof * (np.log(left / tests.dof) + 1.0)
     best: tuple[float, float, tuple[float, ...]] = (-np.inf, 1.0, ())
     # Sizes of one remainder need one decomposition, those of several one for each ratio.

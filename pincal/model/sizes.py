@@ -12,6 +12,11 @@ from pincal.model.conditions import UNFELT, Conditions
 from pincal.model.evaluated import key_of
 from pincal.model.model import Evaluation, Model
 from pincal.model.sparse_basis import dense_rows
+from pincal.thresholds import Scale
+
+# Levers of an arm's weight below which moments are rounding [m], as where each link's centre of
+# mass is on its joint's axis.
+_LEVER_OF_ROUNDING: Scale = 1e-12
 
 
 def largest_basis(model: Model, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
@@ -60,6 +65,7 @@ def _largest_bases(
     state = Evaluation.at(model, np.zeros(model.n_parameters), conditions)
     most = partial(_most, starts=starts)
     moments = np.array([most(moment) for moment in state.moments]).reshape(-1, len(starts))
+    moments[moments <= _LEVER_OF_ROUNDING * _weight(state)] = 0.0
     heaviest = moments.max(axis=0, initial=0.0)
     largest = np.zeros((len(starts), model.n_parameters))
     excited = np.zeros(largest.shape, bool)
@@ -72,6 +78,7 @@ def _largest_bases(
             excited[:, p] |= size > 0.0
         else:
             excited[:, p] |= moments[term.moment] > UNFELT * heaviest
+            size = np.where(moments[term.moment] > 0.0, size, 0.0)
             if term.slope is None:
                 size = np.maximum(size, max(least[p], UNFELT) * heaviest)
         largest[:, p] = np.maximum(largest[:, p], size)
@@ -86,6 +93,12 @@ def _largest_bases(
             largest[:, span] = largest[:, span].max(axis=1, keepdims=True)
             excited[:, span] = excited[:, span].any(axis=1, keepdims=True)
     return np.where(largest > 0.0, largest, 1.0), excited
+
+
+def _weight(state: Evaluation) -> float:
+    """Return the weight of an arm with its load [N]."""
+    mass = float(np.sum(state.layout.masses)) + float(state.payload.mass.max(initial=0.0))
+    return mass * float(np.linalg.norm(state.layout.gravity))
 
 
 def _most(of_rows: np.ndarray, *, starts: np.ndarray) -> np.ndarray:
