@@ -3,6 +3,7 @@
 import gc
 import weakref
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from pincal import ELASTIC, GEOMETRIC, Conditions, Options, calibrate, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
+from pincal.discover.first_order import ScoreTests
 from pincal.discover.locate import _given
+from pincal.discover.products import Information
 from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
@@ -177,6 +180,24 @@ def test_tests_without_an_effect_follow_from_those_with_it(blocks: int) -> None:
     assert found.squares == pytest.approx(direct.squares, rel=3e-3)
     assert found.gains_by_block([0]) == pytest.approx(direct.gains_by_block([0]), rel=0.01, abs=0.5)
     assert found.score([0], 1).gain == pytest.approx(direct.score([0], 1).gain, rel=0.01)
+
+
+def test_what_a_refit_leaves_of_a_sample_is_never_negative() -> None:
+    """Twelve rows, of which the priors of eight parameters pull the values of a fit to many more rows far away."""
+    rng = np.random.default_rng(0)
+    J = rng.standard_normal((12, 8))
+    values = 9.0 * rng.standard_normal(8)
+    r = J @ rng.standard_normal(8) + 0.1 * rng.standard_normal(12)
+    precision = np.diag(rng.uniform(1.0, 30.0, 8))
+    rows = Form.of((J.T @ J)[None], (J.T @ r)[None])
+    information = Information(rows, Form.of(precision, -precision @ values))
+    tests = SimpleNamespace(model=information, squares=float(r @ r))
+
+    left = ScoreTests.squares_left.fget(tests)
+
+    step = np.linalg.solve(J.T @ J + precision, J.T @ r - precision @ values)
+    assert left == pytest.approx(float(np.sum((r - J @ step) ** 2)), rel=1e-10)
+    assert tests.squares - information.slope @ information.slope < 0.0 < left
 
 
 @pytest.mark.parametrize("phi", [None, 0.9], ids=["independent rows", "correlated rows, some columns at once"])
