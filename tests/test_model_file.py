@@ -417,6 +417,13 @@ def test_a_cut_off_file_is_refused(path: Path, kept: float) -> None:
         load_model(path)
 
 
+def test_bytes_that_are_no_text_are_refused_in_any_key(path: Path) -> None:
+    """Keys that are not known are skipped; one of them may have been ``check``."""
+    path.write_bytes(path.read_bytes().replace(b'"check"', b'"ch\xffck"'))
+    with pytest.raises(ModelFileError, match=r"model\.json: truncated or not JSON .*0xff"):
+        load_model(path)
+
+
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"[" * 100_000, b"9" * 10_000, b"[1, 2]", b"null", b"{}"])
 def test_what_is_no_model_is_refused(tmp_path: Path, content: bytes) -> None:
     """Bytes that are no text, JSON without end, numbers without end, another value: always the same class of error."""

@@ -180,6 +180,8 @@ def built(
 backup or run pincal calibrate again
     """
     try:
+        # A text of other bytes is no JSON; where msgspec skips a key it does not look at them.
+        content.decode()
         if _SURROGATES.search(content):
             return msgspec.convert(_loaded(content), wanted, dec_hook=hook)
         return msgspec.json.decode(content, type=wanted, dec_hook=hook)
