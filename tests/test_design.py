@@ -14,7 +14,7 @@ from test_examples import run as run_example
 
 from pincal import GEOMETRIC, DesignRequest, Options, Robot, calibrate, design_poses, measurements_from_arrays
 from pincal.builtin import kuka_urdf_path
-from pincal.design.collisions import Bodies, Boxes
+from pincal.design.collisions import Bodies, Boxes, read_collisions
 from pincal.design.design_model import DesignModel, noncentrality
 from pincal.design.exchange import (
     DesignState,
@@ -279,6 +279,21 @@ def test_a_missing_mesh_is_told_and_not_checked():
 
     assert any("'package://somewhere/fore.stl' was not found" in note for note in alone.notes)
     assert alone.collisions is None
+
+
+@pytest.mark.parametrize(
+    ("pedestal", "said"),
+    [
+        ('<cylinder radius="0.6" length="0.8"/>', "collisions of 1 link (fore) are not checked"),
+        ('<mesh filename="package://gone/base.stl"/>', "the collision meshes of 2 links can't be read"),
+    ],
+)
+def test_one_missing_mesh_stands_for_all(pedestal, said):
+    """However many meshes are missing, a single line says so, with a count."""
+    _, notes = read_collisions(folding_arm("package://gone/fore.stl", pedestal), 0.0)
+
+    assert len(notes) == 1
+    assert said in notes[0] and "was not found" in notes[0]
 
 
 def test_an_arm_without_collision_geometry_says_so():

@@ -465,6 +465,22 @@ def test_a_record_may_stand_elsewhere(folder: Path) -> None:
     assert run("interim", model, str(folder / "mon.csv"), "--record", model) == 3
 
 
+def test_the_record_keeps_who_took_a_check(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As stated on the command line, also where a later withdrawal judges the check again."""
+    record = folder / "operators.json"
+    words = ("interim", str(folder / "model.json"), "--record", str(record))
+    smith = ("--set", "id.operator=A. Smith", "--set", "id.temperature=21.5")
+    assert run(*words, str(folder / "mon.csv"), "--day", "2026-01-05") == 0
+    assert run(*words, str(folder / "tue.csv"), "--day", "2026-01-06", *smith) in (0, 6)
+    assert "on 2026-01-06 by A. Smith" in " ".join(capsys.readouterr().out.split())
+    assert run(*words, "--withdraw", "1", "--reason", "x") in (0, 6)
+    first, second = load_record(record).checks
+
+    assert not first.rows.identity and "by" not in first.words
+    assert (second.rows.identity.operator, second.rows.identity.temperature) == ("A. Smith", 21.5)
+    assert second.words.startswith("2026-01-06 by A. Smith: ")
+
+
 @pytest.mark.long
 def test_runs_at_once_all_enter_the_record(folder: Path) -> None:
     """The later one is judged together with the check of the other, and does not replace it."""

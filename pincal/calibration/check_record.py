@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from pincal.errors import BadInputError
-from pincal.identity import is_day
+from pincal.identity import Identity, is_day
 from pincal.io.strict_json import FileKind, read_json, write_json
 from pincal.measure.measurements import Measurements, validated
 from pincal.thresholds import Count
@@ -70,6 +70,7 @@ class CheckedRows(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
         joints: names of the joints.
         columns: arrays of the table by name; the means of stops.
         sigma: standard deviation of the readings that was stated, of each block [m, rad, px].
+        identity: what was stated of the check: who took it, by which instrument.
     """
 
     day: str
@@ -80,6 +81,7 @@ class CheckedRows(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     joints: tuple[str, ...]
     columns: dict[str, list[Any]]
     sigma: tuple[float, ...]
+    identity: Identity = Identity()
 
     @classmethod
     def of(
@@ -193,7 +195,13 @@ class InterimCheck(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
         found = "no change found"
         if self.change is not None:
             found = f"ALARM, {self.change.what} moved"
-        return f"{self.day}: {found}"
+        return f"{self.day}{self.by}: {found}"
+
+    @property
+    def by(self) -> str:
+        """Who took it, after its day; "" if that was not stated."""
+        operator = self.rows.identity.operator
+        return f" by {operator}" if operator else ""
 
 
 class CheckRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -264,6 +272,14 @@ class CheckRecord(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
                 f"of {self.last.day}; expected checks in the order of their days"
             )
         return msgspec.structs.replace(self, checks=(*self.checks, check))
+
+    def with_identity(self, identity: Identity) -> CheckRecord:
+        """Return the record with what was stated of its last check."""
+        *before, last = self.checks
+        rows = msgspec.structs.replace(last.rows, identity=identity)
+        return msgspec.structs.replace(
+            self, checks=(*before, msgspec.structs.replace(last, rows=rows))
+        )
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the record; an existing file is replaced only when the new one is complete.

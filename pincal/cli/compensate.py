@@ -284,7 +284,8 @@ def _compensate_table(place: PlacedModel, arguments: CompensateArguments) -> Exi
     else:
         _echo_machine(calibrated)
         click.echo("\n".join(_summary(result)))
-    echo_notes([*_failures(result), *place.notes, *notes], quiet=arguments.general.quiet)
+    failures = _failures(result, has_summary=not arguments.general.as_json)
+    echo_notes([*failures, *place.notes, *notes], quiet=arguments.general.quiet)
     tolerated = 0 if arguments.strict else result["rows"] - 1
     return Exit.UNDECIDED if len(result["not_ok"]) > tolerated else Exit.DONE
 
@@ -510,7 +511,7 @@ def _not_ok_lines(not_ok: list[dict[str, Any]]) -> Iterator[str]:
         worst = max(singular, key=lambda row: float(row["error_mrad"]))
         yield (
             f"  singular           {counted(len(singular), 'row')}: positions met, orientations "
-            f"off by up to {worst['error_mrad']:.4f} mrad (line {worst['line']});"
+            f"off by up to {_angle(worst['error_mrad'])} (line {worst['line']});"
         )
         yield "                     if that is too much, move their targets off singular poses"
     if missed:
@@ -526,8 +527,15 @@ def _sizes(error: dict[str, float]) -> str:
     return f"mean {error['mean_mm']:.4f} mm, max {error['max_mm']:.4f} mm"
 
 
-def _failures(result: dict[str, Any]) -> Iterator[str]:
-    """Yield notes on rows that are not reached, and on rows that take large motions."""
+def _angle(mrad: float) -> str:
+    """Return an angle in the unit of the joints' motions, which the same text has."""
+    return f"{np.rad2deg(1e-3 * mrad):.3g} deg"
+
+
+def _failures(result: dict[str, Any], *, has_summary: bool) -> Iterator[str]:
+    """Yield notes on rows that are not reached, and on rows that take large motions; a summary has
+    named the worst of the former.
+    """
     if large := result["large_changes"]:
         rows = f"{counted(len(large), 'row')} (line {few(large, _SHOWN)})"
         yield (
@@ -541,10 +549,11 @@ def _failures(result: dict[str, Any]) -> Iterator[str]:
         yield (
             f"this arm has too few joints to turn the target {turn['unreached']} in place: "
             f"{'not all positions' if lacks_places else 'positions'} are reached, "
-            f"orientations remain off by up to {turn['max_mrad']:.3f} mrad (line {turn['line']})"
+            f"orientations remain off by up to {_angle(turn['max_mrad'])} (line {turn['line']})"
         )
-    for row in result["not_ok"][:_SHOWN]:
-        off = f"{row['error_mrad']:.4f} mrad"
+    named = [] if has_summary and len(result["not_ok"]) == 1 else result["not_ok"]
+    for row in named[:_SHOWN]:
+        off = _angle(row["error_mrad"])
         left = (
             f"position met, orientation off by {off}"
             if row["status"] == "singular"

@@ -5,7 +5,7 @@ its URDF.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pincal.design.design_numbers import DESIGN_NUMBERS
+from pincal.errors import counted, few
 from pincal.robot.packages import Meshes
 from pincal.robot.robot import Robot
 from pincal.robot.se3 import perpendicular, transform, translation
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 # Number of poses by which pairs that touch by construction are found.
 _PROBES: Count = 100
-# Number of such pairs that are named.
+# Number of such pairs, and of links without their mesh, that are named.
 _NAMED: Count = 4
 
 
@@ -85,14 +86,14 @@ def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, 
     from lxml import etree
 
     root = parse_xml(robot.urdf, robot.source)
-    notes = list(_settle_meshes(root, robot.source))
+    missing = list(_settle_meshes(root, robot.source))
     if root.find("link/collision") is None:
-        why = (
-            "none of its collision meshes was found"
-            if notes
-            else "the URDF has no collision geometry"
-        )
-        return None, [*notes, f"self-collision is not checked: {why}"]
+        why = "the URDF has no collision geometry"
+        if missing:
+            links = counted(len({mesh.link for mesh in missing}), "link")
+            why = f"the collision meshes of {links} can't be read: {missing[0].why}"
+        return None, [f"self-collision is not checked: {why}"]
+    notes = _unchecked(missing)
     text = arm_text(etree.tostring(root), robot.joint_names, robot.source)
     model = pin.buildModelFromXML(text)
     try:
@@ -107,23 +108,41 @@ def read_collisions(robot: Robot, clearance: float) -> tuple[Collisions | None, 
     return Collisions(robot, model, geometry, clearance), notes
 
 
-def _settle_meshes(root: Any, source: str) -> Iterator[str]:
-    """Give each collision mesh its absolute path, or remove it and yield a note."""
+@dataclass(frozen=True)
+class _MissingMesh:
+    """A collision mesh that is not checked: its link, and what is wrong with it."""
+
+    link: str
+    why: str
+
+
+def _settle_meshes(root: Any, source: str) -> Iterator[_MissingMesh]:
+    """Give each collision mesh its absolute path, or remove it and yield what is missing."""
     meshes = Meshes(source)
     for link in root.iterfind("link"):
         for collision in link.findall("collision"):
             mesh = collision.find("geometry/mesh")
             if mesh is None:
                 continue
-            path, why = meshes.find(mesh.get("filename", ""))
+            name = mesh.get("filename", "")
+            path, why = meshes.find(name)
             if path is None:
-                yield (
-                    f"{link.get('name')}: mesh {mesh.get('filename', '')!r} {why}, so its "
-                    "collisions are not checked"
-                )
+                yield _MissingMesh(link.get("name", ""), f"{name!r} {why}")
                 link.remove(collision)
             else:
                 mesh.set("filename", os.fspath(path))
+
+
+def _unchecked(missing: Sequence[_MissingMesh]) -> list[str]:
+    """Return a note on the links whose collisions are not checked; one mesh stands for all."""
+    if not missing:
+        return []
+    links = list(dict.fromkeys(mesh.link for mesh in missing))
+    others = f", nor {len(missing) - 1} more" if len(missing) > 1 else ""
+    return [
+        f"collisions of {counted(len(links), 'link')} ({few(links, _NAMED)}) are not checked: "
+        f"mesh {missing[0].why}{others}"
+    ]
 
 
 def _pairs(model: Any, geometry: Any) -> Iterator[tuple[int, int]]:

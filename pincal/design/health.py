@@ -389,12 +389,13 @@ class _Planning:
         """
         lineup = choice.hypotheses
         station = lineup.station
-        root = prior_root(station, lineup.known, lineup.surroundings)
+        errors = _calibration_errors(lineup)
         noise = np.repeat(lineup.robot.sigma, station.block_sizes)[:, None] / station.weights
+        changed = station.residuals(lineup.start + step)
         alarms = 0
         for _ in range(self.request.draws):
-            truth = lineup.start + step + root.T @ self.rng.standard_normal(len(root))
-            change = noise * self.rng.standard_normal(noise.shape) - station.residuals(truth)
+            off = np.tensordot(self.rng.standard_normal(len(errors)), errors, 1)
+            change = noise * self.rng.standard_normal(noise.shape) + off - changed
             rows = replace(station, sensor=station.sensor.shifted(change))
             alarms += raises_alarm(
                 replace(lineup, station=rows), alpha=self.request.alpha, degrees=choice.degrees
@@ -420,6 +421,24 @@ class _Planning:
         loads = np.resize(np.array(self.request.payloads or (0.0,), float), n)
         centre = np.array(self.model.payload_centre, float)
         return Conditions(q, np.zeros(n, int), loads, centre, **columns)
+
+
+def _calibration_errors(lineup: ChangeHypotheses) -> np.ndarray:
+    """Return how the readings, shape (m, n), change with each independent error of the
+    calibration, to first order: shape (k, m, n).
+
+    What the calibration knows is of first order, too. Masses known to a third and compliances that
+    make up for them may be wrong together, as the rows of the calibration hold their product;
+    drawn as they are, their second order would move the target by more than the noise, which
+    these rows would have shown.
+    """
+    station = lineup.station
+    root = prior_root(station, lineup.known, lineup.surroundings)
+    every = np.ones(len(lineup.start), bool)
+    pieces = [
+        np.tensordot(root, jacobian, 1) for _, _, jacobian in station.linearise(lineup.start, every)
+    ]
+    return np.concatenate(pieces, axis=2)
 
 
 def _as_if_calibrated(

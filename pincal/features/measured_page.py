@@ -151,7 +151,7 @@ def _cells(feature: FeatureEntry, name: str, value: ValueEntry) -> dict[str, Cel
     """Return the cells of a quantity by their columns."""
     places = _PLACES.get(value.unit, 6)
     show = fixed(places)
-    limits = "" if value.limits is None else _limit_words(*value.limits)
+    limits = "" if value.limits is None else limit_words(*value.limits, places)
     return {
         "feature": feature.name,
         "quantity": name,
@@ -165,10 +165,24 @@ def _cells(feature: FeatureEntry, name: str, value: ValueEntry) -> dict[str, Cel
     }
 
 
-def _limit_words(lower: float | None, upper: float | None) -> str:
+def limit_words(lower: float | None, upper: float | None, places: int) -> str:
+    """Return the limits of a value with as many decimal places as the value has at most, as limits
+    that were computed have many.
+
+    Example:
+        >>> limit_words(141.3213562373095, 141.5213562373095, 4), limit_words(None, 0.25, 4)
+        ('141.3214 to 141.5214', 'at most 0.25')
+        >>> limit_words(-0.00002, 0.1 + 0.2, 4)
+        '-2e-05 to 0.3'
+    """
+
+    def shown(limit: float) -> str:
+        rounded = round(limit, places)
+        return f"{rounded:.10g}" if rounded or not limit else f"{limit:.2g}"
+
     least = -math.inf if lower is None else lower
     largest = math.inf if upper is None else upper
-    return show_limits(least, largest, "{:.10g}".format)
+    return show_limits(least, largest, shown)
 
 
 def budget_table(found: MeasuredFile) -> Table:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from pincal.features.decision import DecisionRule
     from pincal.features.flange_sensor import FlangeSensor
     from pincal.features.measured_file import MeasuredFile
+    from pincal.features.measured_part import MeasuredPart
     from pincal.features.mounted_sensor import Reservations
+    from pincal.features.readings import FeatureReadings
     from pincal.notes import Note
 
 # Joints that a sentence lists.
@@ -159,10 +161,8 @@ def measure_verb(arguments: MeasureArguments) -> Exit:
 
 def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
     """Measure the part, write the results into a folder, and return them."""
-    from pincal.calibration.check_record import record_path
     from pincal.calibration.fitted_robot import load_model
     from pincal.calibration.placing import without_absent
-    from pincal.features.measured_page import measured_page
     from pincal.features.measured_part import measure_part
     from pincal.features.part import Part
     from pincal.features.readings import read_readings
@@ -176,8 +176,7 @@ def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
     robot = fitted.model.chain.robot
     readings = read_readings(arguments.readings, robot, options=arguments.table.options)
     fitted, absent = without_absent(fitted, readings.rows)
-    conditions = fitted.conditions(readings.rows)
-    _, beyond = extrapolation(fitted, conditions, readings.rows.rows)
+    outside, beyond = _extrapolated(arguments, fitted, readings)
     measured = measure_part(
         fitted,
         readings,
@@ -188,6 +187,31 @@ def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
         rule=_rule(arguments),
         stated=identity.given,
     )
+    notes = (*of_record, *said, *absent, *beyond)
+    measured = measured.completed(_origin(arguments), notes, outside=outside)
+    _write(measured, folder, robot.name)
+    return measured.found
+
+
+def _extrapolated(
+    arguments: MeasureArguments, fitted: FittedRobot, readings: FeatureReadings
+) -> tuple[str, list[str]]:
+    """Return which rows lie outside the range of the calibration, and notes on them; single rows
+    are printed.
+    """
+    conditions = fitted.conditions(readings.rows)
+    _, beyond = extrapolation(fitted, conditions, readings.rows.rows)
+    # Single rows are for the terminal; what they amount to belongs to the result.
+    lines = [note for note in beyond if note.startswith("line ")]
+    echo_notes(lines, quiet=arguments.general.quiet)
+    others = [note for note in beyond if note not in lines]
+    return _outside(fitted.outside(conditions), len(readings)), others
+
+
+def _origin(arguments: MeasureArguments) -> dict[str, Any]:
+    """Return the files on which the result rests, and the version."""
+    from pincal.calibration.check_record import record_path
+
     inputs = (
         arguments.model,
         arguments.readings,
@@ -195,17 +219,16 @@ def _measured(arguments: MeasureArguments, folder: Path) -> MeasuredFile:
         arguments.sensor,
         arguments.checks or record_path(arguments.model),
     )
-    origin = provenance([path for path in inputs if path is not None])
-    # Single rows are for the terminal; what they amount to belongs to the result.
-    lines = [note for note in beyond if note.startswith("line ")]
-    echo_notes(lines, quiet=arguments.general.quiet)
-    others = [note for note in beyond if note not in lines]
-    outside = _outside(fitted.outside(conditions), len(readings))
-    measured = measured.completed(origin, (*of_record, *said, *absent, *others), outside=outside)
+    return provenance([path for path in inputs if path is not None])
+
+
+def _write(measured: MeasuredPart, folder: Path, robot: str) -> None:
+    """Write the results and the page of a measured part into a folder."""
+    from pincal.features.measured_page import measured_page
+
     measured.write(folder)
-    page = measured_page(measured.found, robot=robot.name, version=origin["pincal"])
+    page = measured_page(measured.found, robot=robot, version=measured.found.provenance["pincal"])
     (folder / "report.html").write_text(page, encoding="utf-8")
-    return measured.found
 
 
 def _outside(values: Sequence[Outside], n: int) -> str:

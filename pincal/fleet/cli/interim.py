@@ -33,16 +33,17 @@ _NAMED: Count = 4
 _EXAMPLES = """
 Examples:
   pincal interim results/model.json today.csv
-  pincal interim results/model.json today.csv --new-station --day 2026-11-29
+  pincal interim results/model.json today.csv --new-station --set id.operator="A. Smith"
   pincal interim results/model.json bar.csv --record checks/R17.json --false-alarms 0.01
   pincal interim results/model.json --withdraw 2026-11-29 --reason "nest of the target was loose"
 
 TODAY.csv is a table like that of the calibration: the same targets, or the same sockets or
 artefact, in three poses or more, such as the same few every day. Each check is added to
-model.checks.json beside the model, and judged together with all before: measure refuses a model
-whose last check failed, and its uncertainties include the drift since the calibration. A check that
-was wrong for a reason of its own can be withdrawn: the record keeps it with the reason, and what
-was checked later is judged again without it.
+model.checks.json beside the model, with who took it if that is stated (--set id.operator=NAME), and
+judged together with all before: measure refuses a model whose last check failed, and its
+uncertainties include the drift since the calibration. A check that was wrong for a reason of its
+own can be withdrawn: the record keeps it with the reason, and what was checked later is judged
+again without it.
 """
 
 
@@ -207,8 +208,12 @@ def _recorded(
         false_alarms=arguments.false_alarms,
     )
     note = None if other is None else f"{other}; kept as {kept_aside(path)}"
-    checked.record.save(path)
-    return checked.record, note
+    found = checked.record
+    # What the cell file states is of the calibration.
+    if stated := arguments.identity.without_cell:
+        found = found.with_identity(stated)
+    found.save(path)
+    return found, note
 
 
 def _day(arguments: InterimArguments) -> str:
@@ -274,7 +279,7 @@ def as_plain(record: CheckRecord) -> dict[str, Any]:
         return {"check": None, **others}
     found: dict[str, Any] = msgspec.to_builtins(check)
     rows = found.pop("rows")
-    kept = ("day", "table", "station", "is_new_station")
+    kept = ("day", "table", "station", "is_new_station", "identity")
     of_rows = {name: rows[name] for name in kept if name in rows}
     return {"check": _number(record), **of_rows, **found, **others}
 
@@ -300,7 +305,7 @@ def _lines_of_check(record: CheckRecord, check: InterimCheck) -> Iterator[tuple[
     rows = check.rows
     placed = "instrument set up anew" if rows.is_new_station else "as calibrated"
     poses = len(rows.columns["q"])
-    yield "checked", f"{poses} poses of {record.robot} on {check.day}, {placed}"
+    yield "checked", f"{poses} poses of {record.robot} on {check.day}{check.by}, {placed}"
     yield "check", f"number {_number(record)} since the calibration"
     scale, unit = (1e3, "mm") if check.unit == "m" else (1.0, check.unit)
     yield (
