@@ -20,6 +20,7 @@ from pincal import (
 from pincal.errors import MeasurementError
 from pincal.identify import many_rows
 from pincal.identify.calibrate import expected_fit, fit_tables, refit
+from pincal.identify.equations import Linearised
 from pincal.identify.explain import explain
 from pincal.identify.fit import posterior_of
 from pincal.identify.noise import is_exact
@@ -467,6 +468,27 @@ def test_what_is_asked_at_the_end_of_a_fit_needs_no_further_linearisation(kuka, 
     fewer = np.where(np.arange(len(fit.problem)) < 20, 0.0, fit.solution.weights)
     np.testing.assert_array_equal(covariance(fit.problem, fewer), covariance(again, fewer))
     assert not np.array_equal(covariance(fit.problem, fewer), known)
+
+
+@pytest.mark.parametrize("stations", [1, 3])
+def test_equations_carried_over_a_short_step_are_those_at_its_end(kuka, noisy, stations):
+    """They give the next step, the squares and the uncertainty of a linearisation there, without another one."""
+    table = noisy[0]
+    fit = fit_tables(kuka, [table.select(np.arange(k, len(table), stations)) for k in range(stations)], OPTIONS)
+    free, sigma = fit.solution.free, fit.solution.sigma
+    here = Linearised(replace(fit.problem), fit.values, free, fit.solution.weights, fit.priors.sizes)
+    values = fit.values.copy()
+    sizes = np.minimum(fit.priors.sizes[free], 1e-3)
+    values[free] += 1e-5 * sizes * np.random.default_rng(3).standard_normal(len(sizes))
+
+    carried = here.carried_to(values)
+
+    there = Linearised(replace(fit.problem), values, free, fit.solution.weights, fit.priors.sizes)
+    known, found = there.posterior(sigma), carried.posterior(sigma)
+    np.testing.assert_allclose(carried.squares, there.squares, rtol=1e-12)
+    np.testing.assert_allclose(np.diag(found.covariance), np.diag(known.covariance), rtol=1e-4)
+    step, wanted = (of.step_within(fit.priors.bounds[free])[0] for of in (found, known))
+    assert known.square(step - wanted) < 1e-6 * known.square(wanted)
 
 
 @pytest.mark.parametrize("changed", [7, 300])

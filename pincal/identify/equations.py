@@ -103,6 +103,28 @@ class Linearised:
         """Return the problem at other values, its squares computed before its normal equations."""
         return replace(self, values=values, squares_first=True, normals={}, sums={}, weighed=None)
 
+    @property
+    def may_be_carried(self) -> bool:
+        """Whether normal equations are kept in any case, whatever computes them."""
+        return len(self.problem.stations) == 1 or self._size <= _MOST_KEPT
+
+    def carried_to(self, values: np.ndarray) -> Linearised:
+        """Return the problem at values so near that only residuals differ, not the normal matrix:
+        in a third of the time.
+        """
+        there = self.moved_to(values)
+        each = zip(self._batches, self._normals, there._squares, strict=True)
+        for k, (of, normal, found) in enumerate(each):
+            may = self.free[of.places[0]]
+            step = (values - self.values)[of.places[:, may]]
+            if len(of.stations) == 1:
+                known = believed(of.stations[0], of.values(values), may)
+                there.normals[k] = normal.carried(step[0], found, known)
+            else:
+                there.normals[k] = normal.carried(step, found, None)
+        there.problem.work.remember(there._point, there.normals)
+        return there
+
     def narrowed(self, free: np.ndarray) -> Linearised:
         """Return the same point with fewer free parameters, shape (P,); known normal equations are
         not recomputed.
@@ -136,10 +158,14 @@ class Linearised:
     def _are_kept(self) -> bool:
         """Whether the normal equations of each station are kept."""
         stations = len(self.problem.stations)
-        blocks = len(self.problem.blocks)
-        n_free = np.count_nonzero(self.free[self.problem.places[0]])
         most = _MOST_OF_FEW if stations <= _FEW and self.executor is None else _MOST_KEPT
-        return stations == 1 or 8 * blocks * int(n_free) ** 2 <= most
+        return stations == 1 or self._size <= most
+
+    @property
+    def _size(self) -> int:
+        """Size of the normal equations of each station together [bytes]."""
+        n_free = np.count_nonzero(self.free[self.problem.places[0]])
+        return 8 * len(self.problem.blocks) * int(n_free) ** 2
 
     @cached_property
     def _batches(self) -> list[Batch]:

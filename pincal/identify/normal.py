@@ -293,6 +293,13 @@ class Normal:
             else Form.of(H + self.believed.H, g + self.believed.g)
         )
 
+    def carried(self, step: np.ndarray, there: StationSquares, known: Quadratic | None) -> Normal:
+        """Return the equations after a step so short that H is the same, shape (F,) or (S, F),
+        given what was evaluated there: the squares, and the sensor's knowledge.
+        """
+        g = self.g - np.einsum("...bij,...j->...bi", self.H, step)
+        return replace(self, g=g, squares=there, believed=known)
+
     def narrowed(self, kept: np.ndarray) -> Normal:
         """Return the equations of the parameters at indices ``kept``, shape (K,)."""
         known = None if self.believed is None else self.believed.taking(kept)

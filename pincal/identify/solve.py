@@ -52,6 +52,9 @@ _ROUNDED: Scale = 0.03
 _STEADY: Scale = 0.05
 # Change of robust weights below which they are settled.
 _SETTLED: Scale = 1e-3
+# Largest step, in units of the priors' sizes, over which the normal matrix stays the same to four
+# digits, whatever columns grow with a deviation; it is short, too.
+_NEARBY: Scale = 1e-3
 # Number of steps kept, and the ratio of successive steps above which they are used.
 _MEMORY: Count = 4
 _SLOW: Scale = 0.3
@@ -528,4 +531,19 @@ class _Trial:
         free = self._run.free
         values = self.there.values.copy()
         values[free] = np.where(self.is_open[self._group], here.values[free] + step, values[free])
+        if self._is_carried(values):
+            return here.carried_to(values)
         return self._run.linearised(values, here.robust, self._sigma, squares_first=squares_first)
+
+    def _is_carried(self, values: np.ndarray) -> bool:
+        """Return whether values are so near that the normal matrix here holds there, too, and is
+        needed there.
+        """
+        run = self._run
+        here = self._here
+        if not (run.is_whole and here.may_be_carried) or run.is_last:
+            return False
+        taken = values[run.free] - here.values[run.free]
+        if np.any(np.abs(taken) > _NEARBY * run.priors.sizes[run.free]):
+            return False
+        return run.length(here.posterior(self._sigma).square(taken)) < run.course.short
