@@ -17,6 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
+from machines import kuka as true_kuka
 from rooms import changed_since, is_concerned
 from trees import parsed
 
@@ -28,6 +29,7 @@ from pincal.model.effect_registry import EFFECTS
 from pincal.report import illustrations
 from pincal.robot.robot import Robot
 from pincal.sensors.registry import SENSORS
+from pincal.simulate import TrueMachine
 
 # Data that is not part of the project stands next to it.
 SHARED = Path(__file__).resolve().parents[2] / "shared"
@@ -80,6 +82,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def kuka() -> Robot:
     """Return the built-in KUKA KR 125/2 of the paper."""
     return Robot.from_urdf(kuka_urdf_path())
+
+
+@pytest.fixture(scope="session")
+def machine() -> TrueMachine:
+    """Return a true KUKA whose lengths are off by a millimetre and angles by a milliradian."""
+    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import run
-from machines import kuka as true_kuka
 from placed_arms import FIRST, NOISE, TOOL, measured, written
 
 from pincal import simulate as sim
@@ -85,12 +84,6 @@ TURNED: dict[str, tuple[Change, str]] = {
     ),
     "inverse": (lambda t: turned(t, lambda v: v * [-1, -1, -1, 1]), "appears to be inverted"),
 }
-
-
-@pytest.fixture(scope="module")
-def machine() -> sim.TrueMachine:
-    """Return a machine with errors of a millimetre and a milliradian."""
-    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
 
 
 @pytest.fixture(scope="module")

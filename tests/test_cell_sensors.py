@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
@@ -35,12 +34,6 @@ PLANES = {
     "side": (0.05, 1.0, 0.1, 0.9),
     "plate": (1, -1, 1, 1.9),
 }
-
-
-@pytest.fixture(scope="module")
-def machine() -> sim.TrueMachine:
-    """Return a machine whose lengths are off by a millimetre and angles by a milliradian."""
-    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
 
 
 def tips(machine: sim.TrueMachine, n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

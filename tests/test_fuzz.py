@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -82,12 +82,6 @@ def accepted(read: Callable[[], object]) -> object:
 
 
 @pytest.fixture(scope="module")
-def kuka() -> Robot:
-    """Return the robot of the demo."""
-    return Robot.from_urdf(kuka_urdf_path())
-
-
-@pytest.fixture(scope="module")
 def columns(kuka: Robot) -> dict[str, np.ndarray]:
     """Return a small table."""
     rng = np.random.default_rng(0)
@@ -129,27 +123,34 @@ def plain_rows(content: bytes) -> list[dict[str, float]] | None:
         return None
 
 
-def checked(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return what runs a test on so many mutations, always the same ones, and shows the worst without a search for less."""
-    return settings(
-        max_examples=count,
+# Mutations are drawn in four parts, one of which is tried before each commit, and the others before a release.
+PARTS = 4
+in_parts = pytest.mark.parametrize("part", [0, *(pytest.param(k, marks=pytest.mark.rates) for k in range(1, PARTS))])
+
+
+def tried(test: Callable[[list], None], part: int, *, of: int) -> None:
+    """Run a test on a part of so many mutations, always the same ones; the worst is shown without a search for less."""
+    chosen = settings(
+        max_examples=of // PARTS,
         derandomize=True,
         database=None,
         deadline=None,
         phases=[Phase.generate],
         suppress_health_check=list(HealthCheck),
     )
+    seed(part)(chosen(given(MUTATIONS)(test)))()
 
 
 @pytest.mark.long
-@checked(2000)
-@given(changes=MUTATIONS)
-def test_tables(
-    tmp_path_factory: pytest.TempPathFactory, kuka: Robot, columns: dict[str, np.ndarray], changes: list
-) -> None:
+@in_parts
+def test_tables(tmp_path: Path, kuka: Robot, columns: dict[str, np.ndarray], part: int) -> None:
     """A table that is read has the numbers that stand in it, row by row."""
-    file = tmp_path_factory.getbasetemp() / "fuzzed.csv"
-    content = mutated(text(columns), changes)
+    whole = text(columns)
+    tried(lambda changes: holds_its_numbers(mutated(whole, changes), tmp_path / "fuzzed.csv", kuka), part, of=3000)
+
+
+def holds_its_numbers(content: bytes, file: Path, kuka: Robot) -> None:
+    """Hold a table that is read against a plain reading."""
     file.write_bytes(content)
     found = accepted(lambda: read_measurements(file, kuka.joint_names))
     rows = plain_rows(content)
@@ -165,11 +166,14 @@ def test_tables(
 
 
 @pytest.mark.long
-@checked(1500)
-@given(changes=MUTATIONS)
-def test_robots(tmp_path_factory: pytest.TempPathFactory, changes: list) -> None:
+@in_parts
+def test_robots(part: int) -> None:
     """A robot that is read stands where the origins and axes of its file put it."""
-    content = mutated(KUKA, changes)
+    tried(lambda changes: stands_as_written(mutated(KUKA, changes)), part, of=2000)
+
+
+def stands_as_written(content: bytes) -> None:
+    """Hold the tip of a robot that is read against the numbers of its file."""
     robot = accepted(lambda: Robot.from_urdf(content))
     if robot is None:
         return
@@ -220,12 +224,14 @@ def _matrix(block: Any, n: int) -> np.ndarray:
 
 
 @pytest.mark.long
-@checked(1500)
-@given(changes=MUTATIONS)
-def test_models(tmp_path_factory: pytest.TempPathFactory, model: bytes, changes: list) -> None:
+@in_parts
+def test_models(tmp_path: Path, model: bytes, part: int) -> None:
     """A model that is read has the values, the covariance and the limits that stand in it."""
-    file = tmp_path_factory.getbasetemp() / "fuzzed.json"
-    content = mutated(model, changes)
+    tried(lambda changes: holds_its_values(mutated(model, changes), tmp_path / "fuzzed.json"), part, of=2000)
+
+
+def holds_its_values(content: bytes, file: Path) -> None:
+    """Hold a model that is read against the JSON of its file."""
     file.write_bytes(content)
     found = accepted(lambda: load_model(file))
     if not isinstance(found, FittedRobot):
@@ -262,14 +268,17 @@ OTHERS: dict[str, tuple[bytes, Callable[[Path, Robot], object]]] = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", OTHERS)
-@checked(500)
-@given(changes=MUTATIONS)
-def test_other_files(tmp_path_factory: pytest.TempPathFactory, kuka: Robot, kind: str, changes: list) -> None:
+@in_parts
+def test_other_files(tmp_path: Path, kuka: Robot, kind: str, part: int) -> None:
     """Cameras, points, distances and targets: no error but a typed one."""
     content, read = OTHERS[kind]
-    file = tmp_path_factory.getbasetemp() / f"fuzzed{'.json' if kind == 'camera' else '.csv'}"
-    file.write_bytes(mutated(content, changes))
-    accepted(lambda: read(file, kuka))
+    file = tmp_path / f"fuzzed{'.json' if kind == 'camera' else '.csv'}"
+
+    def is_read_or_refused(changes: list) -> None:
+        file.write_bytes(mutated(content, changes))
+        accepted(lambda: read(file, kuka))
+
+    tried(is_read_or_refused, part, of=760)
 
 
 @pytest.mark.long

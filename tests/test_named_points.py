@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import kuka as true_kuka
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
@@ -42,12 +41,6 @@ GRID = {
     f"p{i}": (x, y, z)
     for i, (x, y, z) in enumerate((x, y, z) for z in (0.0, 0.05) for x in (0.0, 0.03, 0.06) for y in (0.0, 0.03, 0.07))
 }
-
-
-@pytest.fixture(scope="module")
-def machine() -> sim.TrueMachine:
-    """Return a machine whose lengths are off by a millimetre and angles by a milliradian."""
-    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
 
 
 def contacts(machine: sim.TrueMachine, robot: Robot, *, sockets: Any = SOCKETS, each: int = 25, noise: float = 0.0) -> Any:

@@ -22,12 +22,6 @@ AWAY = MOVE @ FIRST
 
 
 @pytest.fixture(scope="module")
-def machine() -> sim.TrueMachine:
-    """Return a machine whose lengths are off by a millimetre and angles by a milliradian."""
-    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
-
-
-@pytest.fixture(scope="module")
 def folder(machine: sim.TrueMachine, kuka: Robot, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a model whose base drifted, one of two stations, and rows of a place five metres away."""
     path = tmp_path_factory.mktemp("places")

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from machines import kuka as true_kuka
 from placed_arms import FIRST, MOVE, NOISE, TOOL, measured, transform
 from scipy.spatial.transform import Rotation
 
@@ -18,12 +17,6 @@ from pincal.model.catalogue import BaseDrift
 from pincal.model.effects import GEOMETRIC
 from pincal.robot.robot import Robot
 from pincal.validate.accuracy import error_summary
-
-
-@pytest.fixture(scope="module")
-def machine() -> sim.TrueMachine:
-    """Return a machine whose lengths are off by a millimetre and angles by a milliradian."""
-    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
 
 
 @pytest.fixture(scope="module")

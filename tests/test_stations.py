@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from machines import kuka as true_kuka
 from placed_arms import transform
 
 from pincal import simulate as sim
@@ -49,12 +48,6 @@ GRID = {f"p{i}": (0.04 * (i % 4), 0.05 * (i // 4), 0.0) for i in range(12)}
 
 BASES = (transform((0.1, -0.2, 1.0), (2.0, 0.5, -0.3)), transform((0.0, 0.1, -2.0), (-1.0, 3.0, 0.2)))
 TOOLS = ((0.05, 0.03, 0.12), (-0.08, 0.02, 0.2))
-
-
-@pytest.fixture(scope="module")
-def machine() -> sim.TrueMachine:
-    """Return a machine whose lengths are off by a millimetre and angles by a milliradian."""
-    return true_kuka().draw_errors(np.random.default_rng(4), sigma_length=1e-3, sigma_angle=1e-3)
 
 
 def tracked(
