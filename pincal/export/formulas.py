@@ -148,9 +148,10 @@ def formulas_of(calibrated: FittedRobot) -> Formulas:
     """Return the formulas of a calibrated model, traced through the code of its effects.
 
     Raises:
-        BadInputError: naming the effect that can't be expressed as a formula.
+        BadInputError: naming what can't be expressed as a formula: an effect, or closed loops.
     """
     model = calibrated.model
+    _refuse_loops(model.chain.robot)
     values = calibrated.model_values
     chain = model.chain
     n = model.chain.robot.n_joints
@@ -230,6 +231,21 @@ def _bases(
         return found
 
     return either_way(added)
+
+
+def _refuse_loops(robot: Robot) -> None:
+    """Refuse an arm with closed loops.
+
+    Raises:
+        BadInputError: with their names, and what represents them.
+    """
+    if robot.closures:
+        raise BadInputError(
+            f"{robot.name}: positions in its closed loops "
+            f"({', '.join(loop.name for loop in robot.closures)}) are found by iteration, not by "
+            "formulas; --urdf and --mjcf have the loops, and pincal compensate corrects its "
+            "programs"
+        )
 
 
 def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions:
