@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from command_line import run
 from linkages import WAYS, four_bar, palletizer, rod_arm
 from pairs import in_pairs
 from test_model import (
@@ -331,24 +329,3 @@ def test_names_of_parameters_are_those_that_loops_leave(looped: Robot) -> None:
     assert not of_passive & {"theta", "k_z"} and "a" in of_passive
     assert {f"{closure.name}.{symbol}" for closure in looped.closures for symbol in "xy"} <= set(model.names)
     assert {"rod_foot.a", "joint_3.theta", "joint_3.k_z"} <= set(model.names) and "rod_foot.d" not in model.names
-
-
-def test_a_note_on_loops_is_printed_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In the summary, which has it; where a command is refused, before the refusal."""
-    robot, table = tmp_path / "robot.urdf", tmp_path / "t.csv"
-    robot.write_bytes(palletizer())
-    assert run("simulate", robot, "--tip", "tool0", "--poses", "20", "--seed", "1", "--out", table, "--quiet") == 0
-    capsys.readouterr()
-    assert run("check", robot, table, "--tip", "tool0", "--cell", "none") == 0
-    told = capsys.readouterr()
-    assert "through the loops closed by rod_head" in " ".join(told.out.split())
-    assert "loops" not in told.err
-
-    header, rows = table.read_text().split("\n", 1)
-    table.write_text("\n".join([header.replace(",z", ",zz"), rows]))
-    # A process reads the same content once, and warns of the same file once.
-    robot = tmp_path / "again.urdf"
-    robot.write_bytes(palletizer().replace(b"</robot>", b"<!-- again --></robot>"))
-    assert run("check", robot, table, "--tip", "tool0", "--cell", "none") == 3
-    told = capsys.readouterr()
-    assert "through the loops closed by rod_head" in told.err.splitlines()[0]

@@ -151,7 +151,6 @@ def formulas_of(calibrated: FittedRobot) -> Formulas:
         BadInputError: naming what can't be expressed as a formula: an effect, or closed loops.
     """
     model = calibrated.model
-    _refuse_loops(model.chain.robot)
     values = calibrated.model_values
     chain = model.chain
     n = model.chain.robot.n_joints
@@ -250,6 +249,7 @@ def _refuse_loops(robot: Robot) -> None:
 
 def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions:
     robot = chain.robot
+    _refuse_loops(robot)
     own = chain.robot.own_joints
     q, approach = np.zeros((2, 1, robot.n_joints), object)
     q[0, own], approach[0, own] = (
