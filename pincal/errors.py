@@ -143,6 +143,10 @@ class PincalWarning(UserWarning):
         super().__init__(printable(str(message), LONGEST))
 
 
+class RobotWarning(PincalWarning):
+    """What was noticed of a robot's description; its notes, and so results, have it, too."""
+
+
 @contextmanager
 def needed(
     package: str, what: str, *, install: str = "", error: type[BadInputError] = BadInputError
@@ -217,6 +221,6 @@ def few(items: Sequence[object] | np.ndarray, most: int) -> str:
     return ", ".join(map(str, items[:most])) + (", ..." if len(items) > most else "")
 
 
-def warn(text: str) -> None:
+def warn(text: str, kind: type[PincalWarning] = PincalWarning) -> None:
     """Issue a `PincalWarning`."""
-    warnings.warn(text, PincalWarning, stacklevel=3)
+    warnings.warn(text, kind, stacklevel=3)

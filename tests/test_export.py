@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from _pytest.mark import ParameterSet
 from command_line import run
+from linkages import palletizer
 from pairs import one_in_three
 from scipy.spatial.transform import Rotation
 from test_catalogue import ARMS, chain_of, conditions_of, surrounded, units_of
@@ -35,7 +36,7 @@ from pincal.model.chain import Chain, MomentFrame
 from pincal.model.conditions import Conditions
 from pincal.model.effect import Effect, Locus, Term
 from pincal.model.effect_registry import EFFECTS as KNOWN
-from pincal.model.effects import ELASTIC, BaseFrame, ToolFrame
+from pincal.model.effects import ELASTIC, GEOMETRIC, BaseFrame, ToolFrame
 from pincal.model.model import Model
 from pincal.parameters import FRAME_SYMBOLS, Parameter, estimate_of
 from pincal.robot.robot import Robot
@@ -516,6 +517,15 @@ def test_an_effect_that_can_not_be_carried_is_refused_by_name(
     model = Model(Chain.of(kuka), (EFFECTS["gear_ratio"](kuka.joint_names), cls("joint_1")))
     with pytest.raises(BadInputError, match=f"^{cls.name}: .*{why}"):
         export_model(calibrated_of(model, np.full(2, 1e-3)), format)
+
+
+@pytest.mark.parametrize("format", ["c", "python", "page"])
+def test_loops_are_refused_as_formulas_in_words(format: str) -> None:
+    """Their positions are found by iteration; the message says what carries them."""
+    robot = Robot.from_urdf(palletizer(), tip="tool0")
+    model = Model(Chain.of(robot), GEOMETRIC)
+    with pytest.raises(BadInputError, match=r"closed loops \(rod_head, .* --urdf and --mjcf"):
+        export_model(calibrated_of(model, np.zeros(model.n_parameters)), format)
 
 
 def test_an_effect_from_outside_is_exported_too(kuka: Robot, rng: np.random.Generator) -> None:

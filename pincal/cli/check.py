@@ -13,7 +13,7 @@ import click
 from pincal.cli.arguments import group, option, verb, words_given, words_to_repeat
 from pincal.cli.cell_defaults import words_beyond_cell, written_cell
 from pincal.cli.common import CalibrationOptions, GeneralOptions, InputOptions, verbose_option
-from pincal.cli.outputs import print_json, problem_report
+from pincal.cli.outputs import print_json, problem_report, robot_notes_in_result
 from pincal.errors import Exit
 
 if TYPE_CHECKING:
@@ -113,9 +113,10 @@ def run_check(
     from pincal.cli.inputs import prepare
     from pincal.cli.progress import log_step
 
-    prepared = prepare(source, chosen)
-    log_step("analysing what these poses can identify")
-    found = precheck(prepared.robot, prepared.tables, prepared.options)
+    with robot_notes_in_result():
+        prepared = prepare(source, chosen)
+        log_step("analysing what these poses can identify")
+        found = precheck(prepared.robot, prepared.tables, prepared.options)
     if then is not None:
         then(prepared.robot)
     if as_json:

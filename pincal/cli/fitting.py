@@ -26,7 +26,7 @@ from pincal.cli.common import (
 )
 from pincal.cli.fit_output import FitOutput
 from pincal.cli.identity_options import HEADING, IdentityOptions
-from pincal.cli.outputs import print_json, provenance, require_accuracy
+from pincal.cli.outputs import print_json, provenance, require_accuracy, robot_notes_in_result
 from pincal.cli.result_place import results_option
 from pincal.cli.robot_priors import load_prior
 from pincal.errors import BadInputError, Exit, IdentificationError
@@ -234,7 +234,7 @@ def run_fit(arguments: FitArguments, run: Callable[..., FitOutput]) -> Exit:
     if arguments.view:
         # Before the fit.
         _VIEWS.only("--view", "pincal.viewer")
-    with output_folder(arguments.out) as draft:
+    with robot_notes_in_result(), output_folder(arguments.out) as draft:
         inputs = _Inputs.read(arguments)
         output = inputs.fit(run, split).with_identity(arguments.identity.given)
         log_step("writing the model")

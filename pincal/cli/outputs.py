@@ -7,8 +7,9 @@ import os
 import platform
 import shlex
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from itertools import groupby
 from pathlib import Path
@@ -18,7 +19,14 @@ import click
 
 from pincal.atomic import replacing
 from pincal.cli.cell_defaults import cell_files
-from pincal.errors import AccuracyGateError, OutputError, counted, printable
+from pincal.errors import (
+    AccuracyGateError,
+    OutputError,
+    PincalError,
+    RobotWarning,
+    counted,
+    printable,
+)
 from pincal.thresholds import Count
 from pincal.units import format_joint, range_of_joint
 
@@ -50,6 +58,30 @@ def echo_notes(notes: Iterable[Note | str], *, quiet: bool) -> None:
     for note in doubts_first(notes) if not quiet else ():
         if not note.is_doubt:
             click.echo(f"pincal: note: {note}", err=True)
+
+
+@contextmanager
+def robot_notes_in_result() -> Iterator[None]:
+    """Leave notes on the robot to the result, which has them; before an error they are printed, as
+    they may be the cause.
+    """
+    held: list[tuple[Warning | str, type[Warning]]] = []
+    with warnings.catch_warnings():
+        show = warnings.showwarning
+
+        def hold(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, RobotWarning):
+                held.append((message, category))
+            else:
+                show(message, category, *where, **more)
+
+        warnings.showwarning = hold
+        try:
+            yield
+        except PincalError:
+            for message, category in held:
+                show(message, category, "", 0)
+            raise
 
 
 def provenance(files: Sequence[Path], *, seed: int | None = None) -> dict[str, Any]:

@@ -148,7 +148,7 @@ def formulas_of(calibrated: FittedRobot) -> Formulas:
     """Return the formulas of a calibrated model, traced through the code of its effects.
 
     Raises:
-        BadInputError: naming the effect that can't be expressed as a formula.
+        BadInputError: naming what can't be expressed as a formula: an effect, or closed loops.
     """
     model = calibrated.model
     values = calibrated.model_values
@@ -232,8 +232,24 @@ def _bases(
     return either_way(added)
 
 
+def _refuse_loops(robot: Robot) -> None:
+    """Refuse an arm with closed loops.
+
+    Raises:
+        BadInputError: with their names, and what represents them.
+    """
+    if robot.closures:
+        raise BadInputError(
+            f"{robot.name}: positions in its closed loops "
+            f"({', '.join(loop.name for loop in robot.closures)}) are found by iteration, not by "
+            "formulas; --urdf and --mjcf have the loops, and pincal compensate corrects its "
+            "programs"
+        )
+
+
 def _symbolic_conditions(chain: Chain, payload_centre: np.ndarray) -> Conditions:
     robot = chain.robot
+    _refuse_loops(robot)
     own = chain.robot.own_joints
     q, approach = np.zeros((2, 1, robot.n_joints), object)
     q[0, own], approach[0, own] = (

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pincal.errors import BadInputError, RobotFileError, counted, few, nearest_first, warn
+from pincal.errors import (
+    BadInputError,
+    RobotFileError,
+    RobotWarning,
+    counted,
+    few,
+    nearest_first,
+    warn,
+)
 from pincal.robot.closure import Closure
 from pincal.robot.dh import DhFrames, dh_frames
 from pincal.robot.kinematics import Kinematics
@@ -530,7 +538,7 @@ def _notes(
             f"{shown}",
         )
     for note in notes:
-        warn(f"{tree.origin}: {note}")
+        warn(f"{tree.origin}: {note}", RobotWarning)
     return notes
 
 

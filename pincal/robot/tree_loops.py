@@ -242,7 +242,7 @@ def linkage_notes(linkage: Linkage, choice: Choice) -> tuple[str, ...]:
         [choice.names[i] for i in joints] for joints in (linkage.passive, linkage.drivers)
     )
     verb = "follow" if len(passive) > 1 else "follows"
-    loops = " and ".join(closure.name for closure in linkage.closures)
+    loops = ", ".join(closure.name for closure in linkage.closures)
     notes: tuple[str, ...] = (
         f"{', '.join(passive)} {verb} from {', '.join(drivers)} through the loops closed "
         f"by {loops}",

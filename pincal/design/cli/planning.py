@@ -27,7 +27,7 @@ from pincal.cli.common import (
     type_option,
     xacro_option,
 )
-from pincal.cli.outputs import print_json
+from pincal.cli.outputs import print_json, robot_notes_in_result
 from pincal.cli.quantities import ANGLE, DURATION, LENGTH, masses
 from pincal.design.cli.acceptance_planning import (
     AcceptancePlanOptions,
@@ -282,20 +282,30 @@ def design(arguments: DesignArguments) -> Exit:
         return _acceptance(arguments)
     if arguments.driven.motion is not None:
         return _motion(arguments, arguments.driven.motion)
+    return _poses(arguments)
+
+
+def _poses(arguments: DesignArguments) -> Exit:
+    """Choose single poses, write them, and print what they are worth.
+
+    Raises:
+        click.UsageError: if their number does not follow from the arguments.
+    """
     from pincal.design.pose_design import design_poses
 
     if arguments.poses is None and arguments.accuracy is None:
         raise click.UsageError(
             "give --poses N, --accuracy for as many as are needed, or --motion DURATION for an IMU"
         )
-    robot = _robot(arguments)
-    found = design_poses(
-        robot,
-        _request(arguments, robot),
-        _options(arguments, robot),
-        rig=_rig(arguments),
-        limits=_limits(robot, arguments),
-    )
+    with robot_notes_in_result():
+        robot = _robot(arguments)
+        found = design_poses(
+            robot,
+            _request(arguments, robot),
+            _options(arguments, robot),
+            rig=_rig(arguments),
+            limits=_limits(robot, arguments),
+        )
     _write(arguments, robot, found, sensor=found.rig.sensor)
     return Exit.DONE
 
@@ -329,7 +339,8 @@ def _check(arguments: DesignArguments) -> Exit:
 
     wanted = arguments.health
     is_model = Path(arguments.robot).suffix == ".json"
-    known = load_model(arguments.robot).robot_model() if is_model else _robot(arguments)
+    with robot_notes_in_result():
+        known = load_model(arguments.robot).robot_model() if is_model else _robot(arguments)
     payloads = tuple(arguments.instrument.payload or ())
     given = {name: value for name, value in vars(wanted).items() if name != "check"}
     request = CheckRequest(
