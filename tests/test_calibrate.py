@@ -451,7 +451,7 @@ def test_normal_equations_are_those_of_the_whole_jacobian(curved):
 
 
 def test_what_is_asked_at_the_end_of_a_fit_needs_no_further_linearisation(kuka, noisy, monkeypatch):
-    """The problem remembers the latest normal equations, for the same values, columns and row weights only."""
+    """The problem remembers the latest normal equations; of other row weights only the change is summed."""
     fit = fit_tables(kuka, noisy[0], OPTIONS)
     again = replace(fit.problem)
     counted = []
@@ -466,7 +466,8 @@ def test_what_is_asked_at_the_end_of_a_fit_needs_no_further_linearisation(kuka, 
     np.testing.assert_array_equal(covariance(again, fit.solution.weights), known)
     assert counted
     fewer = np.where(np.arange(len(fit.problem)) < 20, 0.0, fit.solution.weights)
-    np.testing.assert_array_equal(covariance(fit.problem, fewer), covariance(again, fewer))
+    whole = covariance(again, fewer)
+    np.testing.assert_allclose(covariance(fit.problem, fewer), whole, atol=1e-9 * np.diag(whole).max())
     assert not np.array_equal(covariance(fit.problem, fewer), known)
 
 

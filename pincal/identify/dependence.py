@@ -293,9 +293,8 @@ class _FittedStation:
             (residuals, *jacobian.dense_columns())
             for _, residuals, jacobian in few.linearise_shared(self.values, self.free)
         ]
-        columns = np.concatenate(
-            [np.concatenate([residuals[None], J]) for residuals, J, _ in pieces], axis=2
-        )
+        parts = [np.concatenate([residuals[None], J]) for residuals, J, _ in pieces]
+        columns = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=2)
         columns *= few.weights / self.sigma
         return columns, pieces[0][2]
 
@@ -612,7 +611,8 @@ def _largest_factor(
     none is significant.
 
     The reference is the same rows in any order, by its first two moments. Rows with one number in
-    ``at_once``, shape (n,), from 0 on, are always in one block; default: each row has its own.
+    ``at_once``, shape (n,), from 0 on and ascending, are always in one block; default: each row has
+    its own.
     """
     at_once = np.arange(scores.shape[1]) if at_once is None else at_once
     try:
@@ -630,15 +630,15 @@ def _largest_factor(
     for length in (1, *_LENGTHS):
         if instants < CRITERIA.fewest_blocks * length:
             break
-        within = at_once < instants // length * length
-        block = at_once[within] // length
-        of_blocks = np.add.reduceat(
-            u[:, within], np.flatnonzero(np.diff(block, prepend=-1)), axis=1
-        )
-        rows = np.bincount(block)
+        cuts = np.searchsorted(at_once, length * np.arange(instants // length + 1))
+        rows = np.diff(cuts)
         count = int(rows @ (rows - 1))
+        if not count:
+            continue
+        within = slice(0, int(cuts[-1]))
+        of_blocks = np.add.reduceat(u[:, within], cuts[:-1], axis=1)
         beyond = float(np.sum(of_blocks**2)) - own[within].sum() - count * mean
-        sure = beyond / np.sqrt(2.0 * max(count, 1) * spread)
+        sure = beyond / np.sqrt(2.0 * count * spread)
         if sure > surest:
             surest = sure
             factor = 1.0 + beyond / own[within].sum()

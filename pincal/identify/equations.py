@@ -71,6 +71,7 @@ class Linearised:
         normals: the latest normal equations of batches at these values, by number, perhaps with
             other robust weights.
         sums: contributions of batches for the latest noise, and the squares of their residuals.
+        posteriors: the latest posterior at these values, by noise and robust weights.
         weighed: the same point with other robust weights, from whose rows the squares are summed.
     """
 
@@ -84,6 +85,7 @@ class Linearised:
     squares_first: bool = False
     normals: dict[int, Normal] = field(default_factory=dict)
     sums: dict[_Key, _Sums] = field(default_factory=dict)
+    posteriors: dict[tuple[bytes, bytes], Posterior] = field(default_factory=dict)
     weighed: Linearised | None = None
 
     def reweighted(self, robust: np.ndarray) -> Linearised:
@@ -97,11 +99,19 @@ class Linearised:
         those of the rows here, and its normal equations are computed on demand.
         """
         robust = np.where(rows, 0.0, self.robust)
-        return replace(self, robust=robust, normals={}, sums={}, weighed=self)
+        return replace(self, robust=robust, normals={}, sums={}, posteriors={}, weighed=self)
 
     def moved_to(self, values: np.ndarray) -> Linearised:
         """Return the problem at other values, its squares computed before its normal equations."""
-        return replace(self, values=values, squares_first=True, normals={}, sums={}, weighed=None)
+        return replace(
+            self,
+            values=values,
+            squares_first=True,
+            normals={},
+            sums={},
+            posteriors={},
+            weighed=None,
+        )
 
     @property
     def may_be_carried(self) -> bool:
@@ -131,7 +141,7 @@ class Linearised:
         """
         if np.array_equal(free, self.free):
             return self
-        found = replace(self, free=free, normals={}, sums={}, weighed=None)
+        found = replace(self, free=free, normals={}, sums={}, posteriors={}, weighed=None)
         if [batch.first for batch in found._batches] == [batch.first for batch in self._batches]:
             for k, normal in self.normals.items():
                 places = self._batches[k].places[0]
@@ -142,7 +152,9 @@ class Linearised:
         """Return the same point with the columns of these parameters, shape (P,), of which it may
         then be narrowed to some.
         """
-        found = replace(self, free=free, squares_first=False, normals={}, sums={}, weighed=None)
+        found = replace(
+            self, free=free, squares_first=False, normals={}, sums={}, posteriors={}, weighed=None
+        )
         if found._are_kept:
             # Known from here on.
             assert found._normals
@@ -151,7 +163,7 @@ class Linearised:
     def release(self) -> None:
         """Free the memory of many stations' equations; they are recomputed on demand."""
         if not self._are_kept and self._squares:
-            for kept in (self.normals, self.sums, self._posteriors):
+            for kept in (self.normals, self.sums, self.posteriors):
                 kept.clear()
 
     @cached_property
@@ -193,8 +205,8 @@ class Linearised:
 
     @cached_property
     def _point(self) -> bytes:
-        """What normal equations depend on."""
-        return b"".join(array.tobytes() for array in (self.values, self.free, self.robust))
+        """What normal equations depend on besides robust weights."""
+        return self.values.tobytes() + self.free.tobytes()
 
     @cached_property
     def _squares(self) -> list[StationSquares]:
@@ -271,20 +283,16 @@ class Linearised:
             + self.problem.beliefs.square(self.values, self.sizes)
         )
 
-    @cached_property
-    def _posteriors(self) -> dict[bytes, Posterior]:
-        return {}
-
     def posterior(self, sigma: np.ndarray) -> Posterior:
         """Return the posterior for standard deviations of all blocks of readings, shape
         (blocks,).
         """
-        key = sigma.tobytes()
-        if key not in self._posteriors:
+        key = sigma.tobytes(), self.robust.tobytes()
+        if key not in self.posteriors:
             found = self._sum(sigma)
-            self._posteriors.clear()
-            self._posteriors[key] = found
-        return self._posteriors[key]
+            self.posteriors.clear()
+            self.posteriors[key] = found
+        return self.posteriors[key]
 
     def _sum(self, sigma: np.ndarray) -> Posterior:
         return self._assembled([found for found, _ in self._contributions(sigma)])

@@ -12,6 +12,7 @@ from pincal.errors import BadInputError, MeasurementError
 from pincal.identify.beliefs import (
     bounds_of,
     declared_noise,
+    excited_of,
     is_frame,
     of_sensors,
     priors_of,
@@ -19,8 +20,9 @@ from pincal.identify.beliefs import (
     require_named,
 )
 from pincal.identify.believed import Earlier
-from pincal.identify.fit import ModelFit, Priors
+from pincal.identify.fit import ModelFit, Priors, Solution
 from pincal.identify.many_rows import some_of
+from pincal.identify.noise import Noise
 from pincal.identify.options import Options, StationOptions
 from pincal.identify.problem import Problem, effects_at
 from pincal.identify.solve import Course, likeliest_values, solve
@@ -82,18 +84,48 @@ def begin(
     options = replace(options, unturned=unturned(problem, released))
     priors = priors_of(problem, options)
     noise = declared_noise(problem, options)
-    frames = is_frame(problem)
-    course = Course(options.loss, rough=True, executor=executor)
-    nominal = solve(
-        problem, values, frames & released, priors, noise, replace(course, label="base and tool")
-    )
-    lens = of_sensors(problem) & released
-    if np.any(lens & ~frames):
-        free = frames & released | lens
-        nominal = solve(
-            problem, nominal.values, free, priors, noise, replace(course, label="camera")
-        )
+    nominal = _fitted_frames(problem, values, released, (priors, noise), options, executor)
     return ModelFit(problem, nominal, nominal, priors, noise, (), options), whole
+
+
+def _fitted_frames(
+    problem: Problem,
+    values: np.ndarray,
+    released: np.ndarray,
+    known: tuple[Priors, Noise],
+    options: Options,
+    executor: Executor | None,
+) -> Solution:
+    """Return the fit of base and tool alone from start values, shape (P,), with the lens of
+    a camera.
+
+    Args:
+        problem: the stations.
+        values: shape (P,).
+        released: shape (P,), parameters that a fit releases.
+        known: priors and noise.
+        options: of the calibration.
+        executor: as for :func:`begin`.
+    """
+    free = is_frame(problem) & released
+    lens = of_sensors(problem) & released & ~free
+    course = Course(options.loss, rough=True, executor=executor)
+    of_next = None if lens.any() else _columns_of_all(problem, released, options)
+    first = replace(course, label="base and tool", columns=of_next)
+    found = solve(problem, values, free, *known, first)
+    if lens.any():
+        camera = replace(course, label="camera")
+        found = solve(problem, found.values, free | lens, *known, camera)
+    return found
+
+
+def _columns_of_all(problem: Problem, released: np.ndarray, options: Options) -> np.ndarray | None:
+    """Return the parameters that the fit of everything begins with, shape (P,), where it begins at
+    the end of the fit of base and tool and remembers what was linearised there; None elsewhere.
+    """
+    free = released & excited_of(problem)
+    is_next = options.stages == "joint" and options.earlier is None
+    return free if is_next and problem.work.remembers(int(free.sum())) else None
 
 
 def _joined(problem: Problem, placed: Sequence[tuple[Station, np.ndarray]]) -> np.ndarray:

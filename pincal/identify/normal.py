@@ -119,7 +119,8 @@ class Work:
     Attributes:
         stations: the stations.
         remembered: the latest normal equations of a single station, by number of its batch, for
-            what they depend on: those at the end of a fit are asked for again and again.
+            what they depend on besides robust weights: those at the end of a fit are asked for
+            again and again.
     """
 
     stations: tuple[Station, ...]
@@ -129,10 +130,17 @@ class Work:
         """Send the stations alone."""
         return Work, (self.stations,)
 
+    def remembers(self, parameters: int) -> bool:
+        """Return whether the normal equations of so many parameters are remembered: small ones of
+        a single station.
+        """
+        size = 8 * len(self.stations[0].block_rows) * parameters**2
+        return len(self.stations) == 1 and size <= _MOST_REMEMBERED
+
     def remember(self, point: bytes, normals: dict[int, Normal]) -> None:
-        """Remember small normal equations of a single station for what they depend on."""
-        size = sum(normal.H.nbytes for normal in normals.values())
-        if len(self.stations) == 1 and size <= _MOST_REMEMBERED:
+        """Remember normal equations for what they depend on, if they are small."""
+        if self.remembers(normals[0].g.shape[-1]):
+            self.remembered.pop(point, None)
             self.remembered[point] = dict(normals)
             for oldest in list(self.remembered)[:-_REMEMBERED]:
                 del self.remembered[oldest]

@@ -123,20 +123,23 @@ def _evaluated(effects: Sequence[Effect], chain: Chain, conditions: Conditions) 
     past = next((table for table in here if table.chain is chain.token), None)
     known = {} if past is None else past.of_effect
     keys = [key_of(effect) for effect in effects]
-    found = [
-        known.get(key) or _of_effect(effect, chain, conditions)
-        for key, effect in zip(keys, effects, strict=True)
-    ]
-    asked = dict(zip(keys, found, strict=True))
+    found = [known.get(key) for key in keys]
+    complete = [each for each in found if each is not None]
+    if len(complete) == len(found):
+        return complete
+    asked = {
+        key: _of_effect(effect, chain, conditions) if each is None else each
+        for key, effect, each in zip(keys, effects, found, strict=True)
+    }
     # Rows of several set-ups are joined afresh each time, so a cache of them would never be used.
-    if conditions.setup is None and (past is None or not asked.keys() <= known.keys()):
+    if conditions.setup is None:
         # Current requests take precedence over earlier ones.
         of_effect = next(
             (kept for kept in (known | asked, asked) if _numbers(kept) <= _MOST_NUMBERS), {}
         )
         newest = _Table(conditions, chain.token, of_effect)
         chain.kept.tables = _kept(newest, [table for table in tables if table is not past])
-    return found
+    return [asked[key] for key in keys]
 
 
 def _kept(newest: _Table, earlier: Sequence[_Table]) -> tuple[_Table, ...]:
