@@ -122,7 +122,7 @@ def among_what() -> Iterator[Any]:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("what", "is_of_all"), among_what())
+@pytest.mark.parametrize(("what", "is_of_all"), list(among_what()))
 def test_what_is_wrong_with_a_table_is_named(
     kuka: Robot, table: Measurements, what: str, is_of_all: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -63,13 +63,13 @@ def check_held_out(result: dict) -> None:
     assert after <= GOOD * NOISE_M * 3**0.5 < before
 
 
-@pytest.mark.parametrize("path", of_each_kind(PUBLISHED))
+@pytest.mark.parametrize("path", list(of_each_kind(PUBLISHED)))
 def test_published_robots_are_calibrated_with_defaults(published_robots: Path, path: str, tmp_path: Path) -> None:
     """As they are published, most without masses: held-out poses are predicted as well as the noise allows."""
     check_held_out(calibrated(published_robots / path, PUBLISHED[path], tmp_path))
 
 
-@pytest.mark.parametrize(("name", "tip", "base"), of_each_kind(ARMS))
+@pytest.mark.parametrize(("name", "tip", "base"), list(of_each_kind(ARMS)))
 def test_arms_of_example_robot_data_are_calibrated_with_defaults(
     name: str, tip: str | None, base: str | None, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
