@@ -19,7 +19,7 @@ from command_line import run
 from test_calibrate import paper_table
 from test_cli_stations import URDF, tracked, written
 from test_examples import EXAMPLES
-from test_examples import run as run_example
+from test_examples import started as run_example
 from test_spread import TASK, Parcel, die, nap, opened
 
 from pincal import GEOMETRIC, Options, Robot, calibrate, load_plugin, plugins

@@ -175,16 +175,21 @@ def made(kuka: Robot, tmp_path_factory: pytest.TempPathFactory) -> Made:
     return Made(calibrated, export_model(calibrated, "page", frame="base").text, folder / "arm.py", at)
 
 
-def by_page(made: Made, name: str, text: bytes, folder: Path) -> tuple[bytes, list[str]]:
-    """Return a file as the page corrects it, and how each row ended."""
-    given = json.dumps(text.decode("latin-1")).replace("<", "\\u003c")
+def by_page(made: Made, name: str, text: bytes, folder: Path) -> tuple[bytes, list[str] | None]:
+    """Return a file as the page corrects it, and how each row ended; what it says where it refuses the file."""
+    return each_by_page(made, [(name, text)], folder)[0]
+
+
+def each_by_page(made: Made, files: list[tuple[str, bytes]], folder: Path) -> list[tuple[bytes, list[str] | None]]:
+    """Return files as one page corrects them, as :func:`by_page` does one."""
+    given = json.dumps([(name, text.decode("latin-1")) for name, text in files]).replace("<", "\\u003c")
     code = (
         "const o = { payload: 60, temperature: 0, time: 0, target: 0, frame: 'base', start: [.2, .6, -.4, .3, .9, -.2] };"
-        f"try {{ const r = correct({json.dumps(name)}, {given}, o); return [r.text, r.rows.map((row) => row.status)]; }}"
-        "catch (error) { return [error.message, null]; }"
+        f"return {given}.map(([name, text]) => {{ try {{"
+        "const r = correct(name, text, o); return [r.text, r.rows.map((row) => row.status)]; }"
+        "catch (error) { return [error.message, null]; } });"
     )
-    found, rows = answered(made.page, code, folder)
-    return found.encode("latin-1"), rows
+    return [(found.encode("latin-1"), rows) for found, rows in answered(made.page, code, folder)]
 
 
 def by_python(made: Made, text: bytes, folder: Path) -> tuple[bytes, int, str]:
@@ -269,7 +274,7 @@ def test_a_table_of_poses_comes_back_in_its_own_way(made: Made, names: tuple[str
 def test_what_can_not_be_read_is_refused_by_name(made: Made, tmp_path: Path) -> None:
     """With what to do; the Python file ends with 3 and writes nothing."""
     joints = ",".join(made.calibrated.model.chain.robot.joint_names)
-    for text, words in (
+    texts = [
         (b"", "header"),
         (b"joint_1,joint_2\n0,0\n", 'no column for joint'),
         (f"{joints}\n0,0,0,0,0\n".encode(), "line 2: 5 cells; expected 6"),
@@ -278,18 +283,16 @@ def test_what_can_not_be_read_is_refused_by_name(made: Made, tmp_path: Path) -> 
         (f"{joints.replace('joint_1', 'joint_1 [mm]')}\n0,0,0,0,0,0\n".encode(), "[mm] is not a unit of it"),
         (b"x,y,z\n1,1,1\n", "orientation"),
         (b"x,y,z,A,B,C,rx,ry,rz\n1,1,1,0,0,0,0,0,0\n", "delete one of them"),
-    ):  # fmt: skip
+    ]  # fmt: skip
+    kinds = [("a.tp", "a FANUC binary"), ("t.xlsx", "save it as CSV"), ("weld.urp", "a packed PolyScope program")]
+    files = [*(("table.csv", text) for text, _ in texts), *((name, b"whatever") for name, _ in kinds)]
+    refusals = each_by_page(made, files, tmp_path)
+    for (text, words), (refused, rows) in zip(texts, refusals[: len(texts)], strict=True):
         _, code, said = by_python(made, text, tmp_path)
-        refused, rows = by_page(made, "table.csv", text, tmp_path)
         assert code == 3 and words in said and "Traceback" not in said
         assert rows is None and words in refused.decode("latin-1")
     assert not (tmp_path / "out.csv").exists()
-    for name, words in (
-        ("a.tp", "a FANUC binary"),
-        ("t.xlsx", "save it as CSV"),
-        ("weld.urp", "a packed PolyScope program"),
-    ):
-        refused, rows = by_page(made, name, b"whatever", tmp_path)
+    for (_, words), (refused, rows) in zip(kinds, refusals[len(texts) :], strict=True):
         assert rows is None and words in refused.decode() and "pincal compensate model.json" in refused.decode()
 
 

@@ -123,7 +123,7 @@ def compared(jobs: list[Job], made: tuple[Path, str], folder: Path, capsys: Any)
 
 @pytest.mark.long
 @ROOMS
-@pytest.mark.parametrize("count", [COUNT // 3, pytest.param(COUNT, marks=pytest.mark.rates)])
+@pytest.mark.parametrize("count", [COUNT // 6, pytest.param(COUNT, marks=pytest.mark.rates)])
 @pytest.mark.parametrize("language", LANGUAGES)
 def test_the_page_writes_what_the_command_writes(
     language: str, count: int, made: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]

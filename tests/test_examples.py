@@ -1,9 +1,12 @@
 """The examples run without a screen and print what they claim."""
 
+import io
 import os
 import re
+import runpy
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -15,8 +18,24 @@ EXAMPLES = ROOT / "examples"
 NUMBER = r"([-+]?\d+\.?\d*(?:e[-+]?\d+)?)"
 
 
-def run(name: str, *arguments: str, folder: Path, exit_code: int = 0, first: Path | None = None) -> str:
-    """Run an example in a folder of its own, finding modules in another first; return what it printed, or its errors."""
+def run(name: str, *arguments: str, folder: Path, exit_code: int = 0) -> str:
+    """Run an example in a folder of its own, as if by itself; return what it printed, or its errors."""
+    out, errors, code = io.StringIO(), io.StringIO(), None
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(errors):
+        patch.chdir(folder)
+        patch.delenv("DISPLAY", raising=False)
+        patch.setattr(sys, "argv", [str(EXAMPLES / name), *arguments])
+        patch.setattr(sys, "path", [str(EXAMPLES), *sys.path])
+        try:
+            runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        except SystemExit as ended:
+            code = ended.code
+    assert (code or 0) == exit_code, errors.getvalue()
+    return errors.getvalue() if exit_code else out.getvalue()
+
+
+def started(name: str, *arguments: str, folder: Path, exit_code: int = 0, first: Path | None = None) -> str:
+    """Run an example in a process of its own, finding modules in a folder first; return what it printed, or its errors."""
     paths = [
         *([] if first is None else [str(first)]),
         str(Path(pincal.__file__).resolve().parents[1]),
@@ -138,7 +157,7 @@ def test_a_cluster_that_is_not_installed_is_named(words: list[str], absent: str,
         "import importlib.util as u; f = u.find_spec\n"
         f"u.find_spec = lambda name, *rest: None if name == {absent!r} else f(name, *rest)\n"
     )
-    said = run("on_a_cluster.py", *words, folder=tmp_path, exit_code=2, first=tmp_path)
+    said = started("on_a_cluster.py", *words, folder=tmp_path, exit_code=2, first=tmp_path)
 
     assert f"{absent} is not installed: run pip install" in said and "Traceback" not in said
 
@@ -159,8 +178,8 @@ def test_any_arm_is_calibrated_to_the_noise(tmp_path: Path, seed: str) -> None:
 
 @pytest.mark.long
 def test_any_arm_leaves_nothing_behind_without_a_folder(tmp_path: Path) -> None:
-    """Without ``--out`` the files are temporary."""
-    run("any_6r_arm.py", folder=tmp_path)
+    """Without ``--out`` the files are temporary, also of a process of its own."""
+    started("any_6r_arm.py", folder=tmp_path)
 
     assert list(tmp_path.iterdir()) == []
 
@@ -265,7 +284,7 @@ def test_images_without_opencv_say_what_to_install(tmp_path: Path, monkeypatch: 
     (tmp_path / "cv2.py").write_text("raise ImportError", encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
 
-    assert "pip install opencv-python-headless" in run("camera_images.py", folder=tmp_path, exit_code=3)
+    assert "pip install opencv-python-headless" in started("camera_images.py", folder=tmp_path, exit_code=3)
 
 
 @pytest.mark.long

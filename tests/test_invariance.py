@@ -179,12 +179,12 @@ def test_a_bearing_is_found_where_it_is() -> None:
                 (validated, "skew 0"),
                 (diagnosed, "skew 0"),
                 (designed, "skew 0"),
-                (calibrated, "skew 1"),
                 (calibrated, "skew 0 wobble"),
                 (calibrated, "kuka"),
                 (discovered, "skew 0"),
             ]
         ),
+        pytest.param(calibrated, "skew 1", marks=[pytest.mark.long, pytest.mark.rates]),
     ],
 )
 def test_a_verb_says_the_same_of_the_same_machine(

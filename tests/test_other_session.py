@@ -287,8 +287,10 @@ def test_discovery_over_two_days_names_the_drive_whose_curve_changed(curve: int)
     assert own == ([("transmission_error", DRIVES[0], "tuesday")] if curve == 7 else [])
 
 
+# The tests above hold the same of drawn arms, and an example finds the curves of this arm.
 @pytest.mark.long
 @pytest.mark.first
+@pytest.mark.products
 def test_the_drives_of_a_ur10_on_another_day(shared_data: Path) -> None:
     """A model of series A on B: it holds where A had poses; the pan's curve, anew from 60 rows, brings most."""
     robot = Robot.from_urdf("ur10")
