@@ -18,7 +18,7 @@ from pincal.discover.score_tests import score_test
 from pincal.identify.equations import Linearised
 from pincal.identify.fit import without
 from pincal.identify.jacobian import Jacobian, SharedColumns
-from pincal.identify.normal import accumulate, accumulate_at
+from pincal.identify.normal import accumulate, accumulate_at, near
 from pincal.identify.posterior import Nonzero, Posterior
 from pincal.identify.problem import extended
 from pincal.identify.quadratic import Form
@@ -264,7 +264,10 @@ def test_products_of_candidates_with_each_other_are_taken_when_they_are_asked_fo
 
 
 def test_readings_whose_rows_are_independent_are_weighed_beside_correlated_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Positions are independent, orientations drift: products by readings and by rows are those of dense columns."""
+    """Positions are independent, orientations drift: products by readings and by rows are those of dense columns.
+
+    So is the slope beside products of other values.
+    """
     monkeypatch.setattr("pincal.identify.jacobian._COLUMNS", 7)
     rng = np.random.default_rng(9)
     q = ROBOT.random_configurations(90, rng)
@@ -288,6 +291,12 @@ def test_readings_whose_rows_are_independent_are_weighed_beside_correlated_ones(
         expected = np.tensordot(J[:, rows], J[:, rows], axes=((1, 2), (1, 2)))
         np.testing.assert_allclose(found.H[b] / np.outer(scale, scale), expected / np.outer(scale, scale), atol=1e-12)
         np.testing.assert_allclose(found.g[b] / scale, np.tensordot(J[:, rows], r[rows]) / scale, rtol=1e-9, atol=1e-15)
+
+    there = accumulate(weighed.station, 1.1 * fit.values, free, np.ones(90))
+    known = near(weighed.station, np.array([0, 90]), fit.values, free, robust, there)
+    np.testing.assert_array_equal(known.H, there.H)
+    np.testing.assert_allclose(known.g, found.g, rtol=1e-9, atol=1e-9 * np.abs(found.g).max())
+    np.testing.assert_allclose(known.squares.blocks, found.squares.blocks, rtol=1e-12)
 
     order, ends = np.argsort(np.arange(90) % 3, kind="stable"), np.array([0, 30, 60, 90])
     noise, parts = fit.solution.estimated, weighed.station.select(order)

@@ -194,7 +194,7 @@ def test_the_likelihood_of_a_noise_along_the_rows_is_that_of_its_covariance() ->
     place = np.sort(rng.choice(80, n, replace=False)).astype(float)
     columns = rng.standard_normal((1 + P, m, n))
     precision, values = np.array([0.0, 0.0, 0.5, 4.0, 30.0]), rng.standard_normal(P)
-    # A parameter that moves no reading adds a constant, which is left out.
+    # A parameter that moves no reading adds a constant, and so do the sizes of the priors, which are left out.
     idle = np.insert(columns, 3, 0.0, axis=0), place, np.insert(precision, 2, 7.0), np.insert(values, 2, 1.0)
     likelihood = _RestrictedLikelihood.of(*idle)
     phi, share = 0.9, 0.7
@@ -206,7 +206,7 @@ def test_the_likelihood_of_a_noise_along_the_rows_is_that_of_its_covariance() ->
         V = np.exp(log) * of_rows @ of_rows.T
         H = J @ np.linalg.solve(V, J.T) + np.diag(precision)
         pull = J @ np.linalg.solve(V, r) - precision * values
-        volume = np.linalg.slogdet(V)[1] + np.linalg.slogdet(H)[1]
+        volume = np.linalg.slogdet(V)[1] + np.linalg.slogdet(H)[1] - np.sum(np.log(precision[2:]))
         return float(volume + r @ np.linalg.solve(V, r) - pull @ np.linalg.solve(H, pull))
 
     expected = least(misfit)
@@ -215,6 +215,20 @@ def test_the_likelihood_of_a_noise_along_the_rows_is_that_of_its_covariance() ->
     of_rows = np.eye(m * n)
     independent = least(misfit)
     assert likelihood.white == pytest.approx(independent, abs=1e-4)
+
+
+def test_more_parameters_than_readings_are_told_by_their_axes() -> None:
+    """Their likelihood differs from that of each of them by a constant."""
+    rng = np.random.default_rng(8)
+    n, m, P = 15, 2, 70
+    columns = rng.standard_normal((1 + P, m, n))
+    precision, values = rng.uniform(0.5, 50.0, P), 0.1 * rng.standard_normal(P)
+    place = np.arange(n, dtype=float)
+    whole = _RestrictedLikelihood(columns, place, precision, values)
+    few = _RestrictedLikelihood.of(columns, place, precision, values)
+    assert len(few.columns) == 1 + m * n
+    found = [(few.misfit(*at) - whole.misfit(*at)) for at in ((0.0, 1.0), (2.0, 3.0), (-2.0, 0.5))]
+    np.testing.assert_allclose(found, few.white - whole.white, atol=1e-6)
 
 
 def test_rows_in_any_order_of_a_table_are_one_fit(kuka: Robot) -> None:

@@ -38,7 +38,7 @@ from pincal.discover.score_tests import score_test_given_nuisances
 from pincal.discover.steps import History, SearchState, SearchStep, listed
 from pincal.discover.wave_numbers import WAVES
 from pincal.identify.arrivals import shares_stops, with_arrivals
-from pincal.identify.calibrate import Tolerance, refit
+from pincal.identify.calibrate import Tolerance, refit, told_by
 from pincal.identify.choices import deviance
 from pincal.identify.dependence import with_blocks
 from pincal.identify.fit import Ending, ModelFit, without
@@ -446,7 +446,7 @@ def fit_all_rows(state: SearchState, search: Search) -> SearchState:
     start: dict[Effect, np.ndarray] = dict(chosen.values())
     effects = _exchanged(fit.options.effects, by)
     fit = with_arrivals(fit) if noise is None else weighed(fit, noise)
-    state = _with_others(state, by, refit(fit, effects, start=start))
+    state = _with_others(state, by, refit(fit, effects, start=start, until=told_by(fit)))
     return state.changed(state.fit, state.steps, (), ())
 
 

@@ -40,7 +40,7 @@ from pincal.discover.steps import (
     refine_time_constants,
     reject_outliers_again,
 )
-from pincal.identify.calibrate import Tolerance, refit, reweighted_by_order
+from pincal.identify.calibrate import Tolerance, refit, reweighted_by_order, told_by
 from pincal.identify.choices import deviance
 from pincal.identify.criteria import CRITERIA
 from pincal.identify.dependence import is_dependent, serial_noise, with_serial
@@ -104,7 +104,7 @@ def discover_effects(
         return found
     log.info("the residuals depend on the order of the rows: repeating with weighted rows")
     found = searched(refit(with_serial(fit, noise), fit.options.effects, start={}))
-    return found.fitted_again(reweighted_by_order(found.final))
+    return found.fitted_again(reweighted_by_order(found.final, Tolerance.TOLD))
 
 
 def _noise_of_order(found: History, policy: Policy) -> tuple[Serial | None, ...] | None:
@@ -165,7 +165,9 @@ def _withdraw_steps_in_time(
             continue
         gone = {effect.identity for step in following for effect in step.effects}
         kept = [effect for effect in found.final.options.effects if effect.identity not in gone]
-        if _is_changed_midway(refit(found.final, kept, start={}), variable):
+        if _is_changed_midway(
+            refit(found.final, kept, start={}, until=told_by(found.final)), variable
+        ):
             withdrawn = _without(found, names, is_shifted)
             return _without(found, following, is_shifted) if withdrawn is found else withdrawn
     return found

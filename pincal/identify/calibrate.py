@@ -83,6 +83,10 @@ class Tolerance(Enum):
 
     ROUGH = "close to convergence, outliers only down-weighted"
     CLOSE = "to within the resolution of a test, without further features"
+    TOLD = (
+        "to within the resolution of a test, with features excited only by deviations if the data "
+        "require them"
+    )
     NEAR = (
         "to convergence, with features excited only by deviations if the data require them at "
         "its start"
@@ -94,6 +98,7 @@ class Tolerance(Enum):
 _LAST_STAGES = {
     Tolerance.ROUGH: (),
     Tolerance.CLOSE: ("final",),
+    Tolerance.TOLD: ("final", "with features excited only by deviations"),
     Tolerance.NEAR: ("final",),
     Tolerance.SETTLED: ("final", "with features excited only by deviations"),
 }
@@ -449,6 +454,16 @@ def refit(
     return _solved(begun, begun.values if start is None else begun.solution, until=until)
 
 
+def told_by(fit: ModelFit) -> Tolerance:
+    """Return how closely a last fit has to converge to tell what it shows.
+
+    Where rows are correlated along their order, noise and outliers follow each step, and the fit
+    comes to rest late, by steps that no test resolves.
+    """
+    is_along_rows = any(station.serial is not None for station in fit.problem.stations)
+    return Tolerance.TOLD if is_along_rows else Tolerance.SETTLED
+
+
 def refitted_without(fit: ModelFit, effects: Iterable[Effect]) -> ModelFit:
     """Fit the same readings without some effects of a fit, all others jointly.
 
@@ -474,9 +489,9 @@ def reweighted_by_stops(fit: ModelFit) -> ModelFit:
     return fit if found is fit else refit(found, fit.options.effects, start={})
 
 
-def reweighted_by_order(fit: ModelFit) -> ModelFit:
+def reweighted_by_order(fit: ModelFit, until: Tolerance = Tolerance.SETTLED) -> ModelFit:
     """Return a fit with rows weighted by the correlated noise that its residuals show along their
-    order; perhaps none.
+    order; perhaps none. ``until`` is how closely the weighted fit converges.
     """
     found = serial_noise(fit)
     if not any(
@@ -484,7 +499,9 @@ def reweighted_by_order(fit: ModelFit) -> ModelFit:
         for serial in (*found, *(station.serial for station in fit.problem.stations))
     ):
         return fit
-    return placed_at_mean(refit(with_serial(fit, found), fit.options.effects, start={}))
+    return placed_at_mean(
+        refit(with_serial(fit, found), fit.options.effects, start={}, until=until)
+    )
 
 
 def with_bearings(fit: ModelFit) -> ModelFit:
@@ -526,7 +543,7 @@ def _solved(
     for name in _LAST_STAGES[until]:
         missed, begun = _is_missed(replace(fit, solution=fitted), released, point)
         if missed or name == "final":
-            short = _CLOSE if until is Tolerance.CLOSE else SETTLED
+            short = _CLOSE if until in (Tolerance.CLOSE, Tolerance.TOLD) else SETTLED
             free = released if missed else fitted.free
             fitted, point = solved(name, begun, free, short=short, ahead=until is Tolerance.NEAR)
         if not missed and fitted.iterations <= 1:

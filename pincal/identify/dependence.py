@@ -70,6 +70,8 @@ _NEAR_SHARE: Scale = 0.05
 _ROUGH: Scale = 0.5
 # First steps of both.
 _STEPS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+# Squares of what a sum of parameters moves, in units of the noise, below which it is left out.
+_FAINT: Scale = 1e-7
 # Relative change of the variance whose effect a closed form tells well enough, and the number of
 # its corrections.
 _SAME: Scale = 3e-3
@@ -398,6 +400,23 @@ def _by_reading(
     return np.repeat(phi, sizes), np.repeat(share, sizes)
 
 
+def _axes(columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the principal axes of what parameters of unit size move, given their columns, shape
+    (P, R), as rows, shape (K, R), and their values along these, shape (K,).
+
+    Axes of less than ``_FAINT`` of the noise are left out.
+    """
+    P, R = columns.shape
+    is_wide = R < P
+    squares, axes = np.linalg.eigh(columns.T @ columns if is_wide else columns @ columns.T)
+    seen = squares > max(_FAINT, 1e-15 * float(squares.max(initial=0.0)))
+    axes = axes[:, seen]
+    if not is_wide:
+        return axes.T @ columns, axes.T @ values
+    lengths = np.sqrt(squares[seen])
+    return lengths[:, None] * axes.T, axes.T @ (values @ columns) / lengths
+
+
 @dataclass(frozen=True)
 class _Remembered:
     """A noise that is correlated along the rows: its gain over an independent one, in 2
@@ -429,12 +448,24 @@ class _RestrictedLikelihood:
     def of(
         cls, columns: np.ndarray, position: np.ndarray, precision: np.ndarray, values: np.ndarray
     ) -> _RestrictedLikelihood:
-        """Return that of columns without those that move no reading, as of pieces of curves where
-        no row is: these add a constant.
+        """Return that of as few columns as move the readings, but for a constant: parameters with
+        priors are told by their sums, the axes of what they move, of which mostly few are more than
+        rounding.
         """
         moves = np.any(columns[1:], axis=(1, 2))
-        kept = columns[np.append(True, moves)]
-        return cls(kept, position, precision[moves], values[moves])
+        is_known = moves & (precision > 0.0)
+        free = columns[1:][moves & ~is_known]
+        J = columns[1:][is_known].reshape(int(is_known.sum()), -1)
+        sizes = precision[is_known] ** -0.5
+        sums, at = _axes(J * sizes[:, None], values[is_known] / sizes)
+        kept = np.concatenate([columns[:1], free, sums.reshape(-1, *columns.shape[1:])])
+        size = len(free)
+        return cls(
+            kept,
+            position,
+            np.append(np.zeros(size), np.ones(len(sums))),
+            np.append(values[moves & ~is_known], at),
+        )
 
     @cached_property
     def white(self) -> float:

@@ -25,6 +25,7 @@ from pincal.identify.normal import (
     accumulate_at,
     believed,
     contribution,
+    near,
     reweighted,
     squares,
     summed,
@@ -73,6 +74,8 @@ class Linearised:
         sums: contributions of batches for the latest noise, and the squares of their residuals.
         posteriors: the latest posterior at these values, by noise and robust weights.
         weighed: the same point with other robust weights, from whose rows the squares are summed.
+        near: normal equations of batches of a single station each at values near by, whose H then
+            stands for that of these values; slope and squares are exact. Default: all is.
     """
 
     problem: Problem
@@ -87,6 +90,7 @@ class Linearised:
     sums: dict[_Key, _Sums] = field(default_factory=dict)
     posteriors: dict[tuple[bytes, bytes], Posterior] = field(default_factory=dict)
     weighed: Linearised | None = None
+    near: tuple[Normal, ...] | None = None
 
     def reweighted(self, robust: np.ndarray) -> Linearised:
         """Return the same point with other robust weights; stations whose weights are unchanged are
@@ -134,6 +138,21 @@ class Linearised:
                 there.normals[k] = normal.carried(step, found, None)
         there.problem.work.remember(there._point, there.normals)
         return there
+
+    def exactly(self) -> Linearised:
+        """Return the same point with normal equations that are its own."""
+        if self.near is None:
+            return self
+        return replace(self, squares_first=False, normals={}, sums={}, weighed=None, near=None)
+
+    def known_normals(self) -> tuple[Normal, ...] | None:
+        """Return the normal equations of each batch, if they are kept, summed, and of a single
+        station each.
+        """
+        is_single = all(len(of.stations) == 1 for of in self._batches)
+        if not self._are_kept or not is_single or len(self.normals) < len(self._batches):
+            return None
+        return tuple(self.normals[k] for k in range(len(self._batches)))
 
     def narrowed(self, free: np.ndarray) -> Linearised:
         """Return the same point with fewer free parameters, shape (P,); known normal equations are
@@ -187,19 +206,21 @@ class Linearised:
     def _normals(self) -> list[Normal]:
         """The normal equations of the stations of each batch."""
         normals = self.normals
-        if not normals:
+        if not normals and self.near is None:
             normals |= self.problem.work.remembered.get(self._point, {})
         every = range(len(self._batches))
         robust = [self.robust[batch.rows] for batch in self._batches]
         todo = [
             k for k in every if k not in normals or not np.array_equal(normals[k].robust, robust[k])
         ]
+        sum_of = reweighted if self.near is None else near
+        known = normals if self.near is None else dict(enumerate(self.near))
         works = (
-            of.work(reweighted, self.values, self.free[of.places[0]], robust[k], normals.get(k))
+            of.work(sum_of, self.values, self.free[of.places[0]], robust[k], known.get(k))
             for k, of in ((k, self._batches[k]) for k in todo)
         )
         normals |= zip(todo, self._done(works), strict=True)
-        if todo:
+        if todo and self.near is None:
             self.problem.work.remember(self._point, normals)
         return [normals[k] for k in every]
 

@@ -224,13 +224,10 @@ class Jacobian:
         for at in _runs(group[apart]):
             own = span(apart[at])
             G[block(own, own)] += A[at] @ A[at].T
-        g[span(apart)] += A @ np.ascontiguousarray(residuals).ravel()
+        self.add_slope(residuals, g)
         spans = [span(family.places) for family in self.families]
         meant = [set(group[family.places].tolist()) for family in self.families]
         for i, (family, rows, mine) in enumerate(zip(self.families, spans, meant, strict=True)):
-            g[rows] += _times(family.basis, np.sum(family.column * residuals, axis=0)[:, None])[
-                :, 0
-            ]
             near = (
                 slice(None) if groups is None else np.flatnonzero(np.isin(group[apart], list(mine)))
             )
@@ -246,6 +243,14 @@ class Jacobian:
         ]
         if sparse:
             mirror(G, np.sort(np.concatenate(sparse)))
+
+    def add_slope(self, residuals: np.ndarray, g: np.ndarray) -> None:
+        """Add J r to g, shape (F,), for residuals r of shape (m, n)."""
+        A = np.ascontiguousarray(self.dense).reshape(len(self.dense), residuals.size)
+        g[span(self.places)] += A @ np.ascontiguousarray(residuals).ravel()
+        for family in self.families:
+            moved = np.sum(family.column * residuals, axis=0)[:, None]
+            g[span(family.places)] += _times(family.basis, moved)[:, 0]
 
     def add_products(self, others: Jacobian, S: np.ndarray) -> None:
         """Add J K^T to S, shape (F, F'), for other columns K of the same readings."""

@@ -414,6 +414,40 @@ def reweighted(
     return replace(past, H=H, g=g, squares=squares, robust=robust)
 
 
+def near(
+    station: Station,
+    ends: np.ndarray,
+    values: np.ndarray,
+    free: np.ndarray,
+    robust: np.ndarray,
+    there: Normal,
+) -> Normal:
+    """Return the normal equations of a station with H of those ``there``, at values near by; other
+    arguments as for :func:`accumulate_each`.
+
+    Slope and squares are exact. Where rows are correlated they take a tenth of the time of H.
+    """
+    blocks = station.block_rows
+    g = np.zeros_like(there.g)
+    row_squares = np.empty((len(blocks), len(station)))
+    every = slice(0, station.reading_size)
+    for piece, residuals, jacobian in station.linearise_correlated(values, free):
+        residuals = station.uncorrelated(residuals[None], piece)[0]
+        weights = station.weights[piece]
+        row_squares[:, piece] = _row_squares(residuals, blocks, weights)
+        for b, rows in enumerate(blocks):
+            # Readings of other blocks may move these where rows of a stop are correlated.
+            pull = np.zeros((1, *residuals.shape))
+            pull[0, rows] = residuals[rows] * (weights * robust[piece]) ** 2
+            if station.is_correlated:
+                station.uncorrelate(pull, piece, every, transposed=True)
+            jacobian.add_slope(pull[0], g.reshape(len(blocks), -1)[b])
+    known = believed(station, values, free)
+    beliefs = np.array([0.0 if known is None else known.square])
+    found = StationSquares(summed(row_squares, ends, robust), row_squares, beliefs)
+    return replace(there, g=g, squares=found, robust=robust, believed=known)
+
+
 def squares(
     station: Station, ends: np.ndarray, values: np.ndarray, robust: np.ndarray
 ) -> StationSquares:

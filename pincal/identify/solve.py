@@ -28,6 +28,8 @@ from pincal.identify.noise import (
     rounding,
     usual_sizes,
 )
+from pincal.identify.normal import Normal
+from pincal.identify.posterior import Posterior
 from pincal.identify.problem import Problem
 from pincal.thresholds import Count, Scale
 from pincal.units import readable_unit
@@ -39,6 +41,10 @@ log = logging.getLogger(__name__)
 # nothing to gain.
 SETTLED: Scale = 1e-3
 _ROUGH: Scale = 0.1
+# After a step that moves them by less than this, products of the columns are much the same.
+_ALIKE: Scale = 0.1
+# The same, to the length of a step after which they were not.
+_SHRUNK: Scale = 0.3
 # A step that moves them by less than this changes nothing that is told, and is not taken.
 _STILL: Scale = 1e-9
 # The same in standard deviations of parameters, which are smaller than a short step if there are
@@ -172,6 +178,9 @@ class _Run:
         columns: shape (P,), parameters whose columns are needed where the fit ends.
         is_last: whether the step ends a fit whose last point gets more columns than others.
         is_short: whether the part of it that was taken is too short to matter.
+        near: the latest normal equations that were summed, where rows are correlated: their H
+            stands for that of the points after short steps.
+        alike: length of steps after which it does.
         held: shape (F,), free parameters that a bound stopped.
         damping: for the next step; 0 while full steps succeed.
         was_refused: whether steps from the previous point were refused.
@@ -193,6 +202,9 @@ class _Run:
         self.course = course
         self.judge = Judge(problem, free, noise, course.loss)
         self.is_along_rows = any(station.serial is not None for station in problem.stations)
+        self.wanted = np.inf
+        self.near: tuple[Normal, ...] | None = None
+        self.alike: float = _ALIKE
         # Outliers are known if robust weights are.
         self.hard = isinstance(start, Linearised)
         if not isinstance(start, Linearised):
@@ -205,7 +217,6 @@ class _Run:
             self.point = replace(start.narrowed(free), executor=course.executor, sigma=declared)
         self.judged = self.judge.at(self.point, hard=self.hard)
         self.iterations = 0
-        self.wanted = np.inf
         self.columns = free if course.columns is None else course.columns
         self.is_last = False
         self.is_short = False
@@ -226,6 +237,7 @@ class _Run:
             ended = self.ending()
             if ended is None:
                 self.reweigh()
+        self.point = self.point.exactly()
         if not self.course.rough and self.is_beyond_normal_equations():
             values, extra = polish(self.point, self.priors.bounds, self.judged.sigma)
             self.point = self.linearised(values, self.point.robust, self.judged.sigma)
@@ -233,15 +245,21 @@ class _Run:
             return Ending.EXACT
         return ended or Ending.BUDGET
 
+    def gauss_newton(self) -> tuple[np.ndarray, float]:
+        """Return the step from the latest point, shape (F,), and its square; also note what bounds
+        stopped.
+        """
+        posterior = self.point.posterior(self.judged.sigma)
+        step, self.held = posterior.step_within(self.priors.bounds[self.free])
+        return step, posterior.square(step)
+
     def rests(self) -> bool:
         """Return whether the fit starts where another ended, and no step from there is worth
         taking.
         """
         if not self.hard or self.course.rough:
             return False
-        posterior = self.point.posterior(self.judged.sigma)
-        step, self.held = posterior.step_within(self.priors.bounds[self.free])
-        self.wanted = self.length(posterior.square(step))
+        self.wanted = self.length(self.gauss_newton()[1])
         self.is_short = self.wanted < _STILL
         return self.is_short
 
@@ -252,11 +270,14 @@ class _Run:
         before = self.judged
         posterior = here.posterior(before.sigma)
         step, self.held = posterior.step_within(self.priors.bounds[free])
+        if self.is_along_rows and self.is_whole and here.near is None:
+            self.near = here.known_normals()
         longer = self.accelerated(step, posterior.metric)
         self.wanted = self.length(posterior.square(step))
         self.is_last = (
             self.course.rough and self.wanted < _ROUGH and not np.array_equal(self.columns, free)
         )
+        known = posterior if self.is_along_rows else None
         del posterior
         self.point = self.moved(longer, step)
         self.judged = self.judge.at(self.point, hard=self.hard)
@@ -267,16 +288,19 @@ class _Run:
         )
         if refused or np.max(np.abs(self.judged.sigma / before.sigma - 1.0)) > _STEADY:
             self.history = []
-        # A whole step is as long as wanted; of another one the length takes all rows again.
         is_as_wanted = np.array_equal(self.point.values[free], here.values[free] + step)
-        shortest = self.shortest()
-        self.is_short = self.wanted < shortest or (
-            not self.is_last
-            and not is_as_wanted
-            and self.length(self.point.posterior(self.judged.sigma).square(taken)) < shortest
+        self.is_short = self.wanted < self.shortest() or (
+            not self.is_last and not is_as_wanted and self.length_of(taken, known) < self.shortest()
         )
         if self.course.ahead and self.iterations < _TRIALS:
             self.is_short = self.is_near()
+
+    def length_of(self, taken: np.ndarray, known: Posterior | None) -> float:
+        """Return the length of the part of a step that was taken, shape (F,), which takes all rows
+        again; ``known`` tells it where rows are correlated, as these take longest.
+        """
+        posterior = self.point.posterior(self.judged.sigma) if known is None else known
+        return self.length(posterior.square(taken))
 
     def shortest(self) -> float:
         """Return the length of a step below which none matters, in standard deviations."""
@@ -422,6 +446,7 @@ class _Run:
         """Return the problem at values; if ``sigma``, the noise so far, is the declared one, it
         will be used again.
         """
+        is_near = self.near is not None and self.wanted < self.alike
         likely = (
             sigma if sigma is not None and np.array_equal(sigma, self.judge.noise.known) else None
         )
@@ -434,6 +459,7 @@ class _Run:
             self.course.executor,
             likely,
             squares_first,
+            near=self.near if is_near else None,
         )
 
     def length(self, square: float) -> float:
@@ -453,34 +479,45 @@ class _Run:
             longer: the accelerated step, shape (F,).
             step: the Gauss-Newton step.
         """
+        trial = _Trial(self)
+        # The equations here are rarely needed again.
+        self.point.release()
+        if longer is not step and trial.succeeds(longer):
+            return trial.there
+        if self.point.near is not None and not trial.succeeds(step):
+            # The products changed too much since they were summed.
+            self.alike = _SHRUNK * self.wanted
+            self.point = self.point.exactly()
+            step, square = self.gauss_newton()
+            self.wanted = self.length(square)
+            trial = _Trial(self)
+        if trial.is_open.any() and not self.is_taken(step, trial):
+            # Fits without a successful step stay here.
+            return self.point if trial.is_open.all() else trial.at(np.zeros(len(step)))
+        return trial.there
+
+    def is_taken(self, step: np.ndarray, trial: _Trial) -> bool:
+        """Return whether the Gauss-Newton step, or one that is damped or halved, succeeds."""
         here = self.point
         sigma = self.judged.sigma
         bounds = self.priors.bounds[self.free]
-        trial = _Trial(self)
-        # The equations here are rarely needed again.
-        here.release()
-        if longer is not step and trial.succeeds(longer):
-            return trial.there
         damping = self.damping
         for _ in range(_MOST if np.isfinite(here.sizes[here.free]).any() else 0):
             if damping:
                 step = here.posterior(sigma).step_within(bounds, damping)[0]
             self.damping = damping / _LESS if damping > _FIRST else 0.0
             if trial.succeeds(step):
-                return trial.there
+                return True
             # Correcting from the end of a full step may lead on into another valley.
             if damping:
                 there = trial.there
                 worse = trial.there.objective(sigma) / max(here.objective(sigma), 1e-300)
                 repair = _REPAIR * (1.0 + damping) * max(worse, 1.0)
                 if trial.succeeds(step + there.posterior(sigma).step_within(bounds, repair)[0]):
-                    return trial.there
+                    return True
             damping = max(_FIRST, _MORE * damping)
         self.damping = damping
-        if any(trial.succeeds(step * 0.5**k) for k in range(_HALVINGS)):
-            return trial.there
-        # Fits without a successful step stay here.
-        return here if trial.is_open.all() else trial.at(np.zeros(len(step)))
+        return any(trial.succeeds(step * 0.5**k) for k in range(_HALVINGS))
 
 
 class _Trial:
