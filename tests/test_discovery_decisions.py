@@ -57,6 +57,10 @@ class Told:
         left = self.beside | {((i,), (k,)): p_value for (i, k), p_value in self.left.items()}
         return ScoreResult(200.0, 1, left.get((tuple(which), tuple(given)), 1e-12), 0.0)
 
+    def chances_given_each(self, which: Sequence[int], others: Sequence[Sequence[int]]) -> np.ndarray:
+        """Return the p-values of what the test says given each of the others."""
+        return np.array([self.score_given(which, given).p_value for given in others])
+
     def left_out(self, which: int) -> Unfitted:
         """Return that it predicts if it is not silent."""
         return Unfitted(0.0 if which in self.silent else 5.0)

@@ -158,17 +158,17 @@ class CandidateTable:
         """Return the candidates that explain the data as well: the best adds little to
         one of them.
         """
-        found = []
-        for i in self.cheapest():
-            row = self.rows[i]
-            worse = self.rows[i].cost - self.rows[best].cost
-            if i == best or not row.score.rank or worse >= policy.near_tie:
-                continue
-            if self.p_value_given([best], [i]) > (
-                policy.told_apart if worse < policy.tie else policy.adds_nothing
-            ):
-                found.append(row.effect)
-        return found
+        costs = np.array([row.cost for row in self.rows]) - self.rows[best].cost
+        close = [
+            i
+            for i in self.cheapest()
+            if i != best and self.rows[i].score.rank and costs[i] < policy.near_tie
+        ]
+        chances = self.tests.chances_given_each(
+            self.rows[best].which, [self.rows[i].which for i in close]
+        )
+        limits = np.where(costs[close] < policy.tie, policy.told_apart, policy.adds_nothing)
+        return [self.rows[i].effect for i in np.array(close, int)[chances > limits]]
 
     def parts(self, whole: int, policy: Policy) -> list[int]:
         """Return the lower-rank simple curves of a joint's position that together are equivalent to

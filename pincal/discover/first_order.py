@@ -24,7 +24,7 @@ from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.special import fdtrc
@@ -33,6 +33,29 @@ from pincal.discover.products import Information, RowPart
 from pincal.discover.score_numbers import TESTING
 from pincal.identify.quadratic import ROUNDING, SEEN, Factor
 from pincal.model.effect import Effect
+from pincal.thresholds import Count
+
+# Numbers that are worked on at once where candidates are tested in pairs (16 MB).
+_MOST_NUMBERS: Count = 2_000_000
+
+_Numbers = np.ndarray | float
+
+
+class _Belief(NamedTuple):
+    """A choice of the uncertain sizes of priors.
+
+    Attributes:
+        size: factor on these.
+        more: shape (N,), information that it adds.
+        cost: -2 log of its posterior probability, relative to the most probable choice.
+        factor, slope: of what remains of the information on them, see :class:`Doubted`.
+    """
+
+    size: float
+    more: np.ndarray
+    cost: float
+    factor: Factor
+    slope: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -179,6 +202,12 @@ class ScoreTests:
             found += part.products(n + some, n + others)
         return found
 
+    def _between(self, some: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Return the products of J candidates' columns with K others, shape (J, K)."""
+        if self._inner is None:
+            return self._from_rows(some, others)
+        return np.asarray(self._inner[some[:, None], others])
+
     def _rows(self, at: np.ndarray, j: np.ndarray) -> np.ndarray:
         """Return the products of columns, by index among all N + C, with candidates' columns j, by
         block, shape (B, len(at), J).
@@ -218,32 +247,55 @@ class ScoreTests:
         taken = self.model.factor.half(self.cross[:, j]).T
         return taken, self.g[j] - taken @ self.model.slope
 
-    @cached_property
-    def _beliefs(self) -> list[tuple[float, Self]]:
-        """The tests with each choice of the uncertain sizes, if any, and -2 log of its posterior
-        probability up to a constant.
+    def _projections(self, j: np.ndarray) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
+        """Yield, for each choice of the uncertain sizes, its cost, and H and b' of J columns as of
+        :meth:`_projection`; once if no size is uncertain.
         """
-        found = []
-        for factor, cost in TESTING.mass_beliefs:
-            more = self.unsure * self.precision[: self.n_model] * (factor**-2.0 - 1.0)
-            tests = replace(
-                self, unsure=np.zeros_like(self.unsure), model=self.model.believing(factor, more)
-            )
-            evidence = 0.5 * (tests.model.factor.log_det - tests.model.slope @ tests.model.slope)
-            evidence += np.count_nonzero(self.unsure) * np.log(factor)
-            found.append((cost + 2.0 * float(evidence), tests))
-        least = min(cost for cost, _ in found)
-        return [(cost - least, tests) for cost, tests in found]
+        if not self.unsure.any():
+            yield 0.0, *self._projection(j)
+            return
+        doubted = self.model.doubted(self.unsure)
+        cross = self.cross[:, j]
+        first = doubted.factor.half(cross[doubted.known])
+        rest = cross[doubted.unsure] - doubted.across.T @ first
+        b = self.g[j] - first.T @ doubted.slope
+        for belief in self._beliefs:
+            last = belief.factor.half(rest)
+            yield belief.cost, np.concatenate([first, last]).T, b - last.T @ belief.slope
 
-    def likeliest(self, which: Sequence[int]) -> tuple[float, Self]:
-        """Return the tests with the most probable uncertain sizes given some candidates, and their
-        cost.
+    @cached_property
+    def _beliefs(self) -> list[_Belief]:
+        """Each choice of the uncertain sizes, if any."""
+        doubted = self.model.doubted(self.unsure)
+        found = []
+        for size, cost in TESTING.mass_beliefs:
+            more = self.unsure * self.precision[: self.n_model] * (size**-2.0 - 1.0)
+            factor, slope = doubted.with_sizes(more[doubted.unsure])
+            evidence = 0.5 * (factor.log_det - slope @ slope) + len(slope) * np.log(size)
+            found.append(_Belief(size, more, cost + 2.0 * float(evidence), factor, slope))
+        least = min(belief.cost for belief in found)
+        return [belief._replace(cost=belief.cost - least) for belief in found]
+
+    def likeliest(self, which: Sequence[int]) -> Self:
+        """Return the tests with the most probable uncertain sizes given some candidates."""
+        if not self.unsure.any():
+            return self
+        k = self._given_sizes(which)[0]
+        belief = self._beliefs[k]
+        model = self.model.believing(belief.size, belief.more)
+        return replace(self, unsure=np.zeros_like(self.unsure), model=model)
+
+    def _given_sizes(self, which: Sequence[int]) -> tuple[int, float, np.ndarray, np.ndarray]:
+        """Return the number of the most probable choice of uncertain sizes given some candidates,
+        its cost, and S' and b' of their J columns with it, shape (J, J) and (J,).
 
         The cost is relative to the most probable sizes without the candidates.
         """
-        if not self.unsure.any():
-            return 0.0, self
-        return min(self._beliefs, key=lambda belief: belief[0] - belief[1].gain(which)[0])
+        j = self.places(which)
+        inner = self.inner_of(which)
+        each = [(cost, inner - H @ H.T, b) for cost, H, b in self._projections(j)]
+        k = min(range(len(each)), key=lambda k: each[k][0] - float(self._gains(j, *each[k][1:])[0]))
+        return k, *each[k]
 
     def within(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and S' and b' of these, shape (J, J)
@@ -260,13 +312,8 @@ class ScoreTests:
         if len(which) == 1:
             gains, ranks, _ = self._alone
             return float(gains[which[0]]), int(ranks[which[0]])
-        if self.unsure.any():
-            found = [(cost, *tests.gain(which)) for cost, tests in self._beliefs]
-            cost, gain, rank = min(found, key=lambda belief: belief[0] - belief[1])
-            return gain - cost, rank
-        j, S, b = self.within(which)
-        roots, seen = self._roots(j, S)
-        return float(np.sum((b @ roots[:, seen]) ** 2)), int(np.count_nonzero(seen))
+        gain, rank = self._likeliest_gains(self.places(which), self.inner_of(which))
+        return float(gain), int(rank)
 
     @cached_property
     def _alone(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -277,26 +324,63 @@ class ScoreTests:
         trials = np.array([effect.trials for effect in self.effects])
         gains = np.zeros(len(sizes))
         ranks = np.zeros(len(sizes), int)
-        if self.unsure.any():
-            each = [(tests._alone[0] - cost, tests._alone[1]) for cost, tests in self._beliefs]
-            gains, ranks = (np.array(of) for of in zip(*each, strict=True))
-            best = np.argmax(gains, axis=0), np.arange(len(sizes))
-            gains = gains[best]
-            ranks = ranks[best]
-        for size in () if self.unsure.any() else np.unique(sizes):
+        for size in np.unique(sizes):
             some = np.flatnonzero(sizes == size)
             j = np.array([self.columns[i] for i in some])
-            (taken, b) = self._projection(j.ravel())
-            taken = taken.reshape(*j.shape, -1)
             inner = np.array([self.own(i) for i in some.tolist()])
-            roots, seen = self._roots(j, inner - taken @ taken.swapaxes(1, 2))
-            gains[some] = np.sum(np.einsum("gi,gik->gk", b.reshape(j.shape), roots) ** 2, axis=1)
-            ranks[some] = seen.sum(axis=1)
+            gains[some], ranks[some] = self._likeliest_gains(j, inner)
         return (
             gains,
             ranks,
             np.minimum(trials * chance_of(gains, ranks, self.squares, self.dof), 1.0),
         )
+
+    def _likeliest_gains(self, j: np.ndarray, inner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return T and rank, as of :meth:`gain`, of sets of J columns.
+
+        Args:
+            j: shape (..., J), the columns.
+            inner: shape (..., J, J), their products with each other.
+        """
+        columns, at = np.unique(j, return_inverse=True)
+        at = at.reshape(j.shape)
+        gains = np.full(j.shape[:-1], -np.inf)
+        ranks = np.zeros(j.shape[:-1], int)
+        for cost, taken, b in self._projections(columns):
+            H = taken[at]
+            gained, seen = self._gains(j, inner - H @ H.swapaxes(-1, -2), b[at])
+            is_more = gained - cost > gains
+            gains = np.where(is_more, gained - cost, gains)
+            ranks = np.where(is_more, seen, ranks)
+        return gains, ranks
+
+    def _gains(self, j: np.ndarray, S: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return T and rank of sets of J columns, given S' and b' of each, shape (..., J, J) and
+        (..., J).
+        """
+        roots, seen = self._roots(j, S)
+        return np.sum(np.einsum("...i,...ik->...k", b, roots) ** 2, axis=-1), seen.sum(axis=-1)
+
+    def _gains_beside(
+        self, which: Sequence[int], others: Sequence[Sequence[int]]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return T and rank of some candidates together with each of several sets of others."""
+        own = self.places(which)
+        places = [self.places(of) for of in others]
+        sizes = np.array([len(j) for j in places])
+        columns, at = np.unique(np.concatenate(places), return_inverse=True)
+        across = np.split(self._between(own, columns)[:, at], np.cumsum(sizes)[:-1], axis=1)
+        inner = self.inner_of(which)
+        gains = np.zeros(len(others))
+        ranks = np.zeros(len(others), int)
+        for some in _alike(sizes, self.n_model * (len(own) + sizes)):
+            j = np.array([np.append(own, places[k]) for k in some])
+            both = [
+                np.block([[inner, across[k]], [across[k].T, self.inner_of(others[k])]])
+                for k in some
+            ]
+            gains[some], ranks[some] = self._likeliest_gains(j, np.array(both))
+        return gains, ranks
 
     def whitening(self, which: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the J columns of some candidates, and W, shape (J, rank), with T = |b' W|^2 for b'
@@ -325,7 +409,7 @@ class ScoreTests:
         The model with and without the candidates is refitted, to first order, without each block,
         with the uncertain sizes that are most probable with the candidates.
         """
-        tests = self.likeliest(which)[1]
+        tests = self.likeliest(which)
         fits = tests.model.without_block
         return np.array([tests._gain_left_out(k, *fit, which) for k, fit in enumerate(fits)])
 
@@ -457,13 +541,34 @@ class ScoreTests:
         self, which: Sequence[int], given: Sequence[int], groups: int = 1
     ) -> ScoreResult:
         """Return the test of some candidates given others in the model."""
-        both, rank_both = self.gain(sorted({*which, *given}))
-        alone, rank_alone = self.gain(given)
-        gain = both - alone
-        rank = max(rank_both - rank_alone, 0)
-        squares = max(self.squares - alone, 1e-6 * self.squares)
-        chance = float(chance_of(gain, rank, squares, self.dof - rank_alone))
-        return self._judged(gain, rank, chance, squares, groups)
+        both = self.gain(sorted({*which, *given}))
+        gain, rank, squares, chance = self._beyond(both, self.gain(given))
+        return self._judged(float(gain), int(rank), float(chance), float(squares), groups)
+
+    def chances_given_each(
+        self, which: Sequence[int], others: Sequence[Sequence[int]]
+    ) -> np.ndarray:
+        """Return the p-value of some candidates given each of several sets of others in the model,
+        shape (sets,): as of :meth:`score_given`, with one pass over the rows for all.
+        """
+        if not others:
+            return np.zeros(0)
+        gains, ranks = zip(*map(self.gain, others), strict=True)
+        alone = np.array(gains), np.array(ranks)
+        return np.asarray(
+            np.minimum(self._beyond(self._gains_beside(which, others), alone)[3], 1.0)
+        )
+
+    def _beyond(
+        self, both: tuple[_Numbers, _Numbers], alone: tuple[_Numbers, _Numbers]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return gain and rank of candidates given others, the squares that these leave, and the
+        p-value, from T and rank of both together and of the others alone.
+        """
+        gain = np.asarray(both[0] - alone[0])
+        rank = np.maximum(both[1] - alone[1], 0)
+        squares = np.maximum(self.squares - alone[0], 1e-6 * self.squares)
+        return gain, rank, squares, chance_of(gain, rank, squares, self.dof - alone[1])
 
     def p_value_of_any(self, which: Sequence[int]) -> float:
         """Return the smaller p-value of all candidates together and of the best one alone,
@@ -501,15 +606,24 @@ class ScoreTests:
         It is corrected for the places or frequencies among which they were chosen. Unlike a p-value
         it depends on the width of their priors.
         """
-        cost, tests = self.likeliest(which)
-        j, S, b = tests.within(which)
-        size = self.sizes[self.n_model + j]
-        prior = np.outer(size, size) * tests.prior(which)
+        _, cost, S, b = self._given_sizes(which)
+        size = self.sizes[self.n_model + self.places(which)]
+        prior = np.outer(size, size) * self.prior(which)
         information = np.outer(size, size) * S + prior
         step = np.linalg.solve(information, size * b)
         spread = np.linalg.slogdet(prior)[1] - np.linalg.slogdet(information)[1]
         trials = sum(float(np.log(self.effects[i].trials)) for i in which)
         return float(0.5 * ((size * b) @ step + spread - cost)) - trials
+
+
+def _alike(sizes: np.ndarray, numbers: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the indices of sets of one size, as many at once as are worked on in little memory,
+    given how many numbers each takes.
+    """
+    for size in np.unique(sizes):
+        some = np.flatnonzero(sizes == size)
+        at_once = max(_MOST_NUMBERS // max(int(numbers[some[0]]), 1), 1)
+        yield from np.split(some, range(at_once, len(some), at_once))
 
 
 def _summed(blocks: np.ndarray) -> np.ndarray:

@@ -23,6 +23,47 @@ _COPIES: Count = 12
 
 
 @dataclass(frozen=True, eq=False)
+class Doubted:
+    """Information on parameters with priors of uncertain sizes, all others of a model fitted to
+    them: what remains to be done for each choice of these sizes.
+
+    Attributes:
+        known: shape (K,), indices of the others.
+        unsure: shape (U,), indices of these.
+        factor: of the information on the others, K by K.
+        slope: shape (K,), their gradient in its units.
+        across: shape (K, U), its half of what both share.
+        rest: what remains for these, U by U.
+    """
+
+    known: np.ndarray
+    unsure: np.ndarray
+    factor: Factor
+    slope: np.ndarray
+    across: np.ndarray
+    rest: Form
+
+    @classmethod
+    def of(cls, H: np.ndarray, g: np.ndarray, is_unsure: np.ndarray) -> Doubted:
+        """Return it of the information, shape (N, N), and gradient of rows and priors."""
+        known = np.flatnonzero(~is_unsure)
+        unsure = np.flatnonzero(is_unsure)
+        factor = Factor.of(H[known[:, None], known])
+        slope = factor.half(g[known])
+        across = factor.half(H[known[:, None], unsure])
+        left = H[unsure[:, None], unsure] - across.T @ across
+        rest = Form.of(left, g[unsure] - across.T @ slope)
+        return cls(known, unsure, factor, slope, across, rest)
+
+    def with_sizes(self, more: np.ndarray) -> tuple[Factor, np.ndarray]:
+        """Return factor and gradient in its units of what remains, with the information, shape
+        (U,), that a choice of sizes adds.
+        """
+        factor = Factor.of(self.rest.H + np.diag(more))
+        return factor, factor.half(self.rest.g)
+
+
+@dataclass(frozen=True, eq=False)
 class Information:
     """Information of rows and priors on the N parameters of a model, by block of poses; the same
     for all candidates.
@@ -34,6 +75,7 @@ class Information:
         slot: the latest of :attr:`without_block`, of this or of one in the caches, and whose it is:
             each is as large as the blocks.
         variants: cache of the same with other uncertain sizes.
+        doubts: cache of the same with uncertain sizes still to be chosen.
         parts: cache of the same without some parameters, the oldest first.
     """
 
@@ -42,6 +84,7 @@ class Information:
     more: np.ndarray | None = None
     slot: list[Any] = field(default_factory=list, repr=False)
     variants: dict[float, Information] = field(default_factory=dict, init=False, repr=False)
+    doubts: dict[bytes, Doubted] = field(default_factory=dict, init=False, repr=False)
     parts: dict[bytes, Information] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -83,6 +126,15 @@ class Information:
             # The same array, not its like.
             vars(self.variants[factor])["rows"] = self.rows
         return self.variants[factor]
+
+    def doubted(self, is_unsure: np.ndarray) -> Doubted:
+        """Return the same with the sizes of some parameters' priors, a mask of shape (N,), still to
+        be chosen.
+        """
+        if (key := is_unsure.tobytes()) not in self.doubts:
+            H = self._with_priors(self.rows.H.copy())
+            self.doubts[key] = Doubted.of(H, self.rows.g + self.prior.g, is_unsure)
+        return self.doubts[key]
 
     def without(self, model: np.ndarray, gone: np.ndarray, values: np.ndarray) -> Information:
         """Return the same of some parameters, ``model``, with the others, ``gone``, set from
