@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import run
 from scipy.spatial.transform import Rotation
 
 from pincal import simulate as sim
+from pincal.builtin import kuka_urdf_path
 from pincal.calibration.calibration import run_calibration
 from pincal.calibration.fitted_robot import FittedRobot, load_model
 from pincal.errors import BadInputError, MeasurementError, PincalWarning
@@ -28,6 +30,7 @@ from pincal.robot.robot import Robot
 from pincal.sensors.lens import Lens
 from pincal.sensors.row_samples import sample_rows
 from pincal.sensors.setup import KnownDistance, NamedPoints, Setup
+from pincal.validate.given_lengths import Contradiction, contradicted_lengths
 
 SOCKETS = {"a": (1.6, 0.3, 0.8), "b": (1.6, -0.4, 0.8), "c": (1.2, 0.9, 1.2), "d": (1.3, 0.0, 1.6)}
 ANCHORS = {"n": (3.0, 2.0, 0.3), "e": (2.5, -3.0, 1.0), "w": (-2.0, 2.5, 2.0), "s": (0.5, 0.4, 3.5)}
@@ -155,6 +158,55 @@ def test_a_known_distance_sets_the_scale(machine: sim.TrueMachine, kuka: Robot) 
 
     assert lengths[1] - lengths[0] == pytest.approx(1e-3, rel=0.3)
     assert sigma[0] > 3.0 * sigma[1]
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-3, -2e-2])
+def test_a_wrong_distance_between_sockets_is_named(off: float, machine: sim.TrueMachine, kuka: Robot) -> None:
+    """With the distance that readings and the arm's own lengths say; a right one is left in peace, and so is another one."""
+    table = contacts(machine, kuka, noise=5e-5)
+    true = {pair: float(np.linalg.norm(np.subtract(*(SOCKETS[name] for name in pair)))) for pair in ("ab", "cd")}
+    gaps = (KnownDistance("a", "b", true["ab"] + off), KnownDistance("c", "d", true["cd"]))
+    fit = fit_tables(kuka, table, Options(effects=GEOMETRIC, sigma=5e-5, setup=Setup(distances=gaps)))
+    found = list(contradicted_lengths(fit, {"": table}))
+
+    assert [one.given.first for one in found] == (["a"] if off else [])
+    assert all(abs(one.found - true["ab"]) < 4.0 * one.sigma < 2e-4 for one in found)
+
+
+def test_the_doubt_of_a_distance_stands_first(machine: sim.TrueMachine, kuka: Robot) -> None:
+    """Before that of residuals that no arm has, of which it is the reason."""
+    table = contacts(machine, kuka, noise=5e-5)
+    length = float(np.linalg.norm(np.subtract(SOCKETS["a"], SOCKETS["b"])))
+    gaps = (KnownDistance("a", "b", length + 0.05),)
+    result = run_calibration(kuka, table, Options(effects=GEOMETRIC, sigma=5e-5, setup=Setup(distances=gaps))).result
+    doubts = [note.text for note in result.warnings if note.is_doubt]
+
+    assert doubts[0].startswith(f"a and b were given as {1e3 * length + 50.0:.7g} mm apart; without that,")
+    assert any("too large for any calibrated arm" in doubt for doubt in doubts[1:])
+
+
+def test_a_real_distance_is_confirmed(shared_data: Path) -> None:
+    """Of the Panda's artefact 50 mm were stated; 52 mm are doubted, with what the readings say, which is 50 mm to 0.1."""
+    with warnings.catch_warnings(action="ignore", category=PincalWarning):
+        robot = Robot.from_urdf("panda")
+    table = read_measurements(shared_data / "panda_sockets" / "panda_3.csv", robot.joint_names)
+
+    def doubted(length: float) -> list[Contradiction]:
+        gaps = (KnownDistance("backcenter/0", "backcenter/1", length),)
+        fit = fit_tables(robot, table, Options(effects=ELASTIC, setup=Setup(distances=gaps)))
+        return list(contradicted_lengths(fit, {"": table}))
+
+    assert doubted(0.05) == []
+    assert [abs(one.found - 0.05) < 1e-4 for one in doubted(0.052)] == [True]
+
+
+def test_sockets_farther_apart_than_the_arm_reaches_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A number in millimetres without its unit, before anything is fitted."""
+    out = tmp_path / "t.csv"
+    assert run("simulate", kuka_urdf_path(), "--sockets", "2", "--poses", "20", "--seed", "1", "--out", out, "--quiet") == 0
+    given = ("--socket-distance", "socket_1", "socket_2", "50")
+    assert run("calibrate", kuka_urdf_path(), out, *given, "--out", tmp_path / "out") == 3
+    assert "write 50mm if millimetres are meant" in capsys.readouterr().err
 
 
 def test_sockets_that_the_fit_never_saw_are_judged_by_their_mean(machine: sim.TrueMachine, kuka: Robot) -> None:

@@ -26,6 +26,7 @@ from pincal.units import format_readable, format_small, show_chance
 from pincal.validate.accuracy import pose_error_sizes
 from pincal.validate.agreement import computed, implausible
 from pincal.validate.gathered import Gathering, bump_in, gathering_of, in_common
+from pincal.validate.given_lengths import contradicted_lengths
 from pincal.validate.lack_of_fit import LackOfFit
 from pincal.validate.midway import change_in
 from pincal.validate.misfit import MISFIT, is_informative
@@ -59,6 +60,10 @@ class CaveatKind(Enum):
         "size, as the readings suggest. Measure more of the joints' ranges for more"
     )
     CONTRADICTED = "{what}"
+    WRONG_LENGTH = (
+        "{points} were given as {given} apart; without that, these readings and the robot's own "
+        "lengths say {found}: measure the distance again"
+    )
     NOT_CONVERGED = (
         "the fit did not converge ({how}); check the noise, and look for rows that do not "
         "belong to this robot"
@@ -453,16 +458,22 @@ def _steadiness(station: Station) -> np.ndarray:
 
 
 def findings_on_plausibility(fit: ModelFit, tables: Iterable[Measurements]) -> list[Caveat]:
-    """Return the stations at which the residuals are larger or smaller than those of
-    any real arm.
+    """Return the stations at which the residuals are larger or smaller than those of any real arm,
+    behind given lengths that may be the reason.
     """
+    tables = list(tables)
+    named = {s.name: table for s, table in zip(fit.problem.stations, tables, strict=True)}
+    lengths = [
+        Caveat(CaveatKind.WRONG_LENGTH, found.figures) for found in contradicted_lengths(fit, named)
+    ]
     kinds = (CaveatKind.OWN_MODEL, CaveatKind.OWN_POSE)
     own = [
         Caveat(kinds[is_nominal], {"left": left}, name) for name, is_nominal, left in computed(fit)
     ]
-    return [
+    too_large = [
         Caveat(CaveatKind.IMPLAUSIBLE, {"how": how}, name) for name, how in implausible(fit, tables)
-    ] + own
+    ]
+    return [*lengths, *too_large, *own]
 
 
 def findings_on_outliers(

@@ -383,8 +383,10 @@ def _without_explained(found: Sequence[Caveat], n_stations: int) -> list[Caveat]
     kept = [
         one for one in kept if one.kind is not CaveatKind.IMPLAUSIBLE or one.station not in stepped
     ]
-    # Then what rejects the calibration, which its verdict refers to.
-    return sorted(kept, key=lambda one: (one.kind is not CaveatKind.STEP, one.kind not in UNUSABLE))
+    # A wrong length may be why the residuals are too large, too. Then what rejects the
+    # calibration, which its verdict refers to.
+    causes = (CaveatKind.STEP, CaveatKind.WRONG_LENGTH)
+    return sorted(kept, key=lambda one: (one.kind not in causes, one.kind not in UNUSABLE))
 
 
 def _counts(stations: Sequence[AssessedStation]) -> RowCounts:

@@ -51,7 +51,12 @@ from pincal.robot.robot import Robot
 from pincal.robot.se3 import transform
 from pincal.robot.tree import MOVING_TYPES, UrdfTree
 from pincal.sensors.setup import KnownDistance, Setup
+from pincal.thresholds import Scale
 from pincal.units import readable_unit
+
+# Distance of two sockets in which one arm was held, in units of its reach, that none has: with a
+# long tool in opposite directions it is hardly more than 2.
+_FAR: Scale = 3.0
 
 
 @dataclass(frozen=True)
@@ -102,6 +107,7 @@ def prepare(source: InputOptions, chosen: CalibrationOptions) -> Prepared:
     )
     tables = {name: with_payload(table, source.payload) for name, table in tables.items()}
     options = options_of(chosen, tables)
+    _refuse_far(options, robot, tables)
     if unplaced.beside != source.beside:
         robot = load_robot(replace(source, beside=located(robot, source.beside, tables, options)))
     effects = named_effects(chosen.fit.add, options, robot=robot, tables=tables)
@@ -521,6 +527,24 @@ def _refuse_unused(setup: SetupOptions, tables: Mapping[str, Measurements]) -> N
         raise BadInputError(
             f"--noise in {setup.noise[1]}, but {held}; expected a value such as {example}"
         )
+
+
+def _refuse_far(options: Options, robot: Robot, tables: Mapping[str, Measurements]) -> None:
+    """Refuse given distances between sockets that the arm does not span, such as of a number in
+    millimetres.
+
+    Raises:
+        BadInputError: naming the distance.
+    """
+    held = [np.unique(table.socket) for table in tables.values() if table.socket is not None]
+    touched = {str(name) for names in held for name in names}
+    for given in options.setup.distances:
+        if {given.first, given.second} <= touched and given.length > _FAR * robot.reach:
+            raise BadInputError(
+                f"--socket-distance {given.first} {given.second}: {given.length:g} m, which "
+                f"{robot.name} of {robot.reach:.1f} m reach can't have touched; a number without a "
+                f"unit is in metres: write {given.length:g}mm if millimetres are meant"
+            )
 
 
 @dataclass(frozen=True)

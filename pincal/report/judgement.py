@@ -247,6 +247,8 @@ _MEASURED = {
     "order, and calibrate again: without that, drift may be taken for an effect of a joint.",
     CaveatKind.CONTRADICTED: "Check the given values that the readings contradict (the doubt "
     "names them), and calibrate again.",
+    CaveatKind.WRONG_LENGTH: "Measure the distance that the doubt names again, and calibrate "
+    "again: the scale of the whole arm follows it.",
     CaveatKind.OWN_POSE: "Supply the readings of an instrument, or name their columns (--columns).",
     CaveatKind.UNSEEN_DIRECTION: "Add contacts in other directions, and calibrate again.",
     CaveatKind.BLIND: "Measure in more directions and at more places, or with an instrument.",

@@ -46,6 +46,14 @@ class AgreementNumbers:
     implausible_rad: float = number(
         0.02, "rad", _INCURABLE, "residual orientations that no real arm has", "the same arms"
     )
+    given_length: float = number(
+        1e-5,
+        "probability",
+        "test_named_points.py::test_a_wrong_distance_between_sockets_is_named",
+        "that a right distance is as far from what readings and the arm's lengths say, below which "
+        "it is doubted",
+        "one in a hundred thousand calibrations",
+    )
     noisy: float = number(
         5.0,
         "ratio",
