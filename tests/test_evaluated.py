@@ -361,3 +361,16 @@ def test_little_is_kept_of_models_without_an_effect(monkeypatch: pytest.MonkeyPa
     np.testing.assert_array_equal(*gains)
     assert len(tests.model.parts) == 1
     assert np.any(gains[0][0] != gains[0][1])
+
+
+def test_poses_that_nothing_uses_leave_the_memory_at_once():
+    """They do not wait for the collector of cycles: a fit makes them for every pass over its rows."""
+    at = Conditions.at(np.zeros((5, 6)))
+    assert at.at_moments is at
+    known = weakref.ref(at)
+    gc.disable()
+    try:
+        del at
+        assert known() is None
+    finally:
+        gc.enable()

@@ -178,8 +178,8 @@ def _means_of_poses(
     return (
         shares @ residuals,
         poses,
-        np.einsum("pn,jna->jpa", shares, levers),
-        np.einsum("pn,fna->fpa", shares, motions),
+        shares @ levers,
+        shares @ motions,
         shares**2 @ noise,
     )
 
@@ -237,16 +237,27 @@ def _matrices(q: np.ndarray, levers: np.ndarray) -> Iterator[tuple[int | None, n
     """Yield kernels, shape (3N, 3N), each with the number of the length that stands for it in a
     discrepancy, or None for errors of the target, for positions q, shape (N, n), of the drives.
     """
-    n = len(q)
     for k, length in enumerate(DRIVE_LENGTHS):
         of_drives = np.array([alike(of, of, np.array([length]))[0] for of in q.T])
-        yield k, np.einsum("jnm,jna,jmb->namb", of_drives, levers, levers).reshape(3 * n, 3 * n)
+        yield k, _along_levers(of_drives, levers)
     spread = q / np.maximum(q.std(axis=0), _LEAST)
     distance = np.linalg.norm(spread[:, None] - spread, axis=2) / _NEAR
-    near = _matern(distance)
+    near = np.kron(_matern(distance), np.ones((3, 3)))
+    flat = levers.reshape(len(levers), -1)
     # Errors that no pose with other positions of the other joints shares: the shortest length.
-    yield 0, np.einsum("nm,jna,jmb->namb", near, levers, levers).reshape(3 * n, 3 * n)
-    yield None, np.kron(near, np.eye(3))
+    yield 0, near * (flat.T @ flat)
+    yield None, near * np.tile(np.eye(3), (len(q), len(q)))
+
+
+def _along_levers(of_drives: np.ndarray, levers: np.ndarray) -> np.ndarray:
+    """Return the kernel of errors of drives, shape (3N, 3N), for their correlation, shape
+    (n, N, N), and levers, shape (n, N, 3).
+    """
+    found = np.zeros((3, levers.shape[1], 3, levers.shape[1]))
+    for alike_at, lever in zip(of_drives, np.swapaxes(levers, 1, 2), strict=True):
+        # Poses last, which NumPy passes through fastest.
+        found += lever[:, :, None, None] * (alike_at[:, None, :] * lever)
+    return found.transpose(1, 0, 3, 2).reshape(3 * levers.shape[1], -1)
 
 
 def _kernel(

@@ -625,14 +625,17 @@ def _refuse_too_few(tables: dict[str, Measurements], fit: ModelFit) -> None:
     """Refuse a fit with as many parameters as readings, which leaves nothing to estimate the noise
     from.
     """
+    if fit.noise.declared[0] is not None:
+        return
     problem = fit.problem
     fitted = fit.solution
     readings = int(problem.readings(fitted.weights).sum())
     rows = np.count_nonzero(fitted.weights)
-    spent = fitted.posterior.visible_rank
-    if problem.earlier is not None:
+    if problem.earlier is None:
+        spent = fitted.posterior.visible_rank
+    else:
         spent = CRITERIA.readings_left + int(np.sum(fitted.free & ~problem.beliefs.is_earlier))
-    if fit.noise.declared[0] is None and spent >= readings:
+    if spent >= readings:
         raise MeasurementError(
             f"{', '.join(table.source for table in tables.values())}: {rows} training poses give "
             f"{readings} readings, no more than the parameters to be fitted, so the noise can't be "

@@ -159,15 +159,15 @@ class Jacobian:
             ends: shape (S + 1,), boundaries of the parts.
             G: modified in place.
             g: modified in place.
-            weights: W, shape (n,); default: 1.
+            weights: W, shape (n,) or (m, n); default: 1.
         """
         for some in self._at_once(np.diff(ends)):
             here = slice(int(ends[some.start]), int(ends[some.stop]))
             A = self.poses(here)
             r = residuals[:, here]
             if weights is not None:
-                A = A.weighted(weights[here])
-                r = r * weights[here]
+                A = A.weighted(weights[..., here])
+                r = r * weights[..., here]
             if some.stop - some.start == 1:
                 A.add_gram(r, G[some.start], g[some.start])
             else:

@@ -322,6 +322,13 @@ class Judge:
 
         ``hard``: whether outliers, if screened, are known well enough to be excluded.
         """
+        sigma, estimated = self.noise_at(point, hard=hard)
+        return Judgement(sigma, estimated, self.weights(point, sigma, hard=hard))
+
+    def noise_at(self, point: Linearised, *, hard: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return the standard deviations to use and those of the residuals, shape (blocks,) each;
+        arguments as for :meth:`at`.
+        """
         counted = self.counted(point.robust)
         if self.loss == "none" or (hard and self.loss == "screen"):
             is_shared = self.problem.is_shared
@@ -334,8 +341,7 @@ class Judge:
             middle = np.array([chdtri(block.size, 0.5) for block in self.problem.blocks])
             estimated = np.sqrt(_medians(point.row_squares) / middle)
         estimated = np.maximum(estimated, rounding(self.problem))
-        sigma = self.noise.resolved(estimated, counted)
-        return Judgement(sigma, estimated, self.weights(point, sigma, hard=hard))
+        return self.noise.resolved(estimated, counted), estimated
 
     def counted(self, robust: np.ndarray) -> np.ndarray:
         """Return the number of readings that count in each block, shape (blocks,)."""

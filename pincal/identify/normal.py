@@ -526,8 +526,8 @@ def accumulate_at(
         scale = precision[:, piece] * (weights * robust[piece])
         here, inner = _parts_of(piece, ends)
         for some in station.readings_apart:
-            part = station.uncorrelated_jacobian(jacobian, piece, some).weighted(scale[some])
-            part.add_grams(residuals[some] * scale[some], inner, H[here], g[here])
+            part = station.uncorrelated_jacobian(jacobian, piece, some)
+            part.add_grams(residuals[some], inner, H[here], g[here], weights=scale[some])
     blocks = summed(row_squares, ends, robust)
     return Form.of(H, g), StationSquares(blocks, row_squares, np.zeros(n))
 

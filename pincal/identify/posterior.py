@@ -28,8 +28,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky
-from scipy.linalg.lapack import dpotri
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from pincal.identify.quadratic import NULL, Form
 from pincal.parameters import Covariance, root_of
@@ -354,7 +353,7 @@ class Posterior:
         g = self.form.g
         reduced = (g[prior] - F.T @ g[frames]) * D - self.offsets[prior] / D
         step = np.empty(len(g))
-        step[prior] = D * cho_solve((factor, True), reduced, check_finite=False)
+        step[prior] = D * dpotrs(factor, reduced, lower=1)[0]
         step[frames] = inverse @ g[frames] - F @ step[prior]
         return step
 
@@ -406,12 +405,9 @@ class Posterior:
         """
         if self._floor > _ROUNDING or not len(self._parts[0]):
             return None
-        try:
-            return np.asarray(
-                cholesky(self._reduced(), lower=True, overwrite_a=True, check_finite=False)
-            )
-        except np.linalg.LinAlgError:
-            return None
+        # By LAPACK itself: of small matrices SciPy's checks take as long.
+        factor, failed = dpotrf(self._reduced(), lower=1, overwrite_a=1)
+        return None if failed else np.asarray(factor)
 
     def _reduced(self) -> np.ndarray:
         """Return the posterior precision in units of the priors, frames eliminated; column-major
@@ -496,16 +492,15 @@ def eliminate(
     """
     shared = np.flatnonzero(~own)
     own = np.flatnonzero(own)
-    left = form
     alone = Posterior(form, sizes, offsets).part(own)
     across = form.H[..., own[:, None], shared]
-    carried = across
-    if len(own):
-        left = form.part(shared)
-        carried = alone.determined @ across
-        # In place, as a part is a copy.
-        left.H[...] -= _turned(across) @ carried
-        left.g[...] -= _times(_turned(across), alone.step)
+    if not len(own):
+        return form.sum(), Eliminated(alone, across, own, np.arange(len(shared)))
+    carried = alone.determined @ across
+    # In place, as a part is a copy.
+    left = form.part(shared)
+    left.H[...] -= _turned(across) @ carried
+    left.g[...] -= _times(_turned(across), alone.step)
     return left.sum(), Eliminated(alone, carried, own, np.arange(len(shared)))
 
 

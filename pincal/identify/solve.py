@@ -407,7 +407,7 @@ class _Run:
         """Return the solution, its noise estimated with the effective number of parameters."""
         point = self.point
         noise = self.judge.noise
-        spent = point.posterior(self.judge.at(point, hard=True).sigma).spent
+        spent = point.posterior(self.judge.noise_at(point, hard=True)[0]).spent
         degrees = self.judge.degrees(point.robust, *spent)
         estimated = np.maximum(np.sqrt(point.squares / degrees), rounding(self.problem))
         sigma = noise.resolved(estimated, degrees)

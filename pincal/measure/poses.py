@@ -262,6 +262,9 @@ def _labels(q: np.ndarray, within: float) -> np.ndarray:
 
     cells, inverse = np.unique(np.floor(q / within), axis=0, return_inverse=True)
     pairs = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray")
+    if not len(pairs):
+        # No two cells touch, as of poses at random: each is one by itself.
+        return np.asarray(inverse.ravel())
     links = coo_array(
         (np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells))
     )

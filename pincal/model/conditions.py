@@ -122,16 +122,21 @@ class Conditions(Recorded):
         """Whether the arm moves in any of the poses."""
         return self.velocity is not None and bool(np.any(self.velocity))
 
-    @cached_property
+    @property
     def at_moments(self) -> Conditions:
         """The poses that readings depend on: these, or the N K poses at the instants about them,
         row by row.
         """
-        if self.around is None or self.around.q is None:
-            return self
-        n, K, joints = self.around.q.shape
-        rows = np.repeat(np.arange(n), K)
+        # Poses that kept themselves would keep their memory, too.
+        return self if self.around is None or self.around.q is None else self._about_them
+
+    @cached_property
+    def _about_them(self) -> Conditions:
+        """The poses at the instants about these."""
         moving = self.around
+        assert moving is not None and moving.q is not None
+        n, K, joints = moving.q.shape
+        rows = np.repeat(np.arange(n), K)
         return replace(
             replace(self, around=None).select(rows),
             q=np.ascontiguousarray(moving.q.reshape(-1, joints)),

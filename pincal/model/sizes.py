@@ -72,7 +72,13 @@ def _largest_bases(
     least = np.zeros(model.n_parameters)
     for span, effect in zip(model.spans, model.effects, strict=True):
         least[span] = effect.least_moment
+    # Most parameters move their coordinate alike in all poses.
+    always = [p for p, term in state.terms if term.basis is None and term.moment is None]
+    largest[:, always] = 1.0
+    excited[:, always] = True
     for p, term in state.terms:
+        if term.basis is None and term.moment is None:
+            continue
         size = np.ones(len(starts)) if term.basis is None else most(term.basis)
         if term.moment is None:
             excited[:, p] |= size > 0.0
