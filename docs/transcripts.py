@@ -85,9 +85,11 @@ def _commands(text: str) -> list[str]:
 
 def _printed(command: str) -> str:
     """Run a command, and return it with what it printed."""
-    words = shlex.split(command.replace("\\\n", " "), comments=True)
-    if words[0] == "pincal" and "$(" not in command and "|" not in words:
-        text = _called(words[1:])
+    # The first lines of a command are taken here: a process for a pipe would import everything anew.
+    asked, _, count = command.partition(" | head -n ")
+    words = shlex.split(asked.replace("\\\n", " "), comments=True)
+    if words[0] == "pincal" and "$(" not in asked and "|" not in words:
+        text = "".join(_called(words[1:]).splitlines(keepends=True)[: int(count) if count else None])
     else:
         shell = f'pincal() {{ {shlex.quote(sys.executable)} -m pincal "$@"; }}; {command}'
         done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False)

@@ -96,7 +96,7 @@ def ratios(machines: int, poses: int, size: float, *, declared: bool) -> list[fl
 @pytest.mark.parametrize(
     ("declared", "machines"),
     [
-        (True, 4),
+        (True, 2),
         pytest.param(True, 10, marks=pytest.mark.long),
         pytest.param(False, 2, marks=pytest.mark.long),
         pytest.param(False, 5, marks=[pytest.mark.long, pytest.mark.rates]),
@@ -124,7 +124,7 @@ def test_fifty_delivered_robots_are_not_worse_than_their_urdf(poses, size, decla
 @pytest.mark.parametrize(
     ("size", "machines"),
     [
-        (1e-4, 3),
+        (1e-4, 2),
         pytest.param(1e-3, 3, marks=pytest.mark.long),
         *(pytest.param(size, 10, marks=[pytest.mark.long, pytest.mark.rates]) for size in (1e-4, 1e-3)),
     ],

@@ -167,6 +167,7 @@ def test_the_noise_of_contacts_does_not_shrink_the_robot(machine: sim.TrueMachin
     assert abs(scale @ found.values) < 2.0 * np.sqrt(scale @ model.covariance @ scale)
 
 
+@pytest.mark.long
 def test_directions_without_contact_are_named(fit: FittedRobot) -> None:
     """Sockets tell all three directions; a plane across z on the base tells no other, one on a hand that turns tells all."""
     station, values = fit.problem.stations[0], fit.values

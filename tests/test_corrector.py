@@ -344,6 +344,7 @@ def test_a_dropped_file_is_shown_and_saved(made: Made, tmp_path: Path) -> None:
     assert told[3] == "Save weld-corrected.csv" and told[4].encode("latin-1") == found and told[5]
 
 
+@pytest.mark.long
 @ROOMS
 def test_what_the_picture_shows_is_said_in_sentences(made: Made, tmp_path: Path) -> None:
     """Names of joints that are more than their numbers end with a full stop, before what a reader can do."""
@@ -401,6 +402,8 @@ def test_names_of_a_robot_are_no_code_in_the_page(kuka: Robot, tmp_path: Path) -
     assert answered(page, "return JOINTS[0]", tmp_path) == "joint_1" + attack
 
 
+@pytest.mark.long
+@ROOMS
 def test_positions_may_be_in_the_instruments_frame(made: Made, tmp_path: Path) -> None:
     """The page knows where the robot stands, if it stands still; the Python file has the frame it was exported with."""
     calibrated, at = made.calibrated, made.at

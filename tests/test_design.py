@@ -631,6 +631,7 @@ def test_the_command_writes_poses_that_simulate_takes(tmp_path, capsys):
         assert words in text
 
 
+@pytest.mark.long
 def test_the_table_has_degrees_on_request_and_columns_to_fill_in(tmp_path):
     """Rows are the same poses; what the instrument will read is empty, and said to be so by whoever reads it."""
     chosen = ["--poses", 8, "--model", "geometric", "--candidates", 20, "--quiet"]

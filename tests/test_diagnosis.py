@@ -296,7 +296,9 @@ def test_gross_rows_make_the_others_no_rows_of_another_robot(same: tuple[FittedR
     assert not found.changed and "4 of 25 rows are excluded" in found.found.warnings[0].text
 
 
-@pytest.mark.parametrize(("case", "code"), [("null25_heavy_6r", 0), ("offset15_heavy_6r", 6)])
+@pytest.mark.parametrize(
+    ("case", "code"), [pytest.param("null25_heavy_6r", 0, marks=pytest.mark.long), ("offset15_heavy_6r", 6)]
+)
 def test_the_command_says_it_by_its_exit_code(
     change_examples: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str, code: int
 ) -> None:

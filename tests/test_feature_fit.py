@@ -180,7 +180,9 @@ def tangents(fit: FittedFeature) -> np.ndarray:
     return np.asarray(U[:, sizes > 1e-9 * sizes[0]])
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.long if kind in ("circle", "cylinder") else ()) for kind in KINDS]
+)
 def test_the_covariance_is_that_of_many_draws(kind: str) -> None:
     """JCGM 101: squared deviations by the propagated covariance have the mean that their number says, as chi-square."""
     points = true_points(kind)

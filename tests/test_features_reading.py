@@ -106,6 +106,7 @@ def _shifted(mount: np.ndarray, k: int, step: float) -> np.ndarray:
     return np.column_stack([turned, found[:, 3]])
 
 
+@pytest.mark.long
 def test_images_intersect_in_their_points(rng: np.random.Generator) -> None:
     """Images without noise give the places; pixel noise, camera and arm move them as differences of all steps say."""
     robot = cases.robot_with("camera_point")

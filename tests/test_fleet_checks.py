@@ -57,6 +57,7 @@ def test_half_a_year_of_robots(family: Family, of: RobotType) -> None:
     assert np.mean(e) < 1.0 and np.mean(e > 20.0) < 0.05
 
 
+@pytest.mark.long
 def test_a_batch_that_drifts_is_no_robot_that_changed(family: Family, of: RobotType) -> None:
     """A tenth of a millimetre on all robots of one supplier from one week on: named as that, with size, and no robot is."""
     year = Year(family, of, robots=30, seed=4, labels=lambda k: {"supplier": "abc"[k % 3], "hall": str(k % 2)})

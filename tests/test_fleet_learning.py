@@ -59,6 +59,7 @@ def test_machines_that_are_known_exactly_give_their_mean_and_covariance() -> Non
     np.testing.assert_allclose(found.values / PRIOR, x, atol=0.01)
 
 
+@pytest.mark.long
 def test_mean_and_spread_are_right_where_half_of_the_directions_is_never_seen() -> None:
     """Within three standard errors, and what no machine shows stays at the prior."""
     family = Family.drawn(np.random.default_rng(3), parameters=30, unseen=12)

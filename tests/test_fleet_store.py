@@ -290,6 +290,7 @@ def test_rows_are_of_the_machine_and_day_of_their_path(kinds: tuple[Store, list[
         store.last_model("R2")
 
 
+@pytest.mark.long
 def test_files_of_before_checksums_are_held_to_their_rows(kinds: tuple[Store, list[Key]]) -> None:
     """Their ID is a checksum of these. Changed ones are refused, whatever the decoder makes of them."""
     store, keys = kinds

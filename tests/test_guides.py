@@ -49,6 +49,7 @@ def found(arm: Robot) -> Discovery:
     return run_discovery(arm, rows, Options(effects=GEOMETRIC, sigma=_NOISE))
 
 
+@pytest.mark.long
 def test_roll_and_straightness_of_a_guide_are_found(found: Discovery) -> None:
     """As functions of the position along it, down to the noise; tilts alone left 2.4 times that, and a false name."""
     floor = found.report["noise_floor_mm"]

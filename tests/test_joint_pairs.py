@@ -78,6 +78,7 @@ def found(kuka: Robot) -> Discovery:
     return run_discovery(kuka, rows, Options(effects=GEOMETRIC, moment_frame="after"))
 
 
+@pytest.mark.long
 def test_a_wave_of_two_joints_is_found_with_its_orders(found: Discovery) -> None:
     """As one effect without a name, not as scatter; the error at held-out poses is within a quarter of the noise."""
     (step,) = (step for step in found.trail.steps if not step.is_elastic)

@@ -386,8 +386,15 @@ def test_a_clock_that_was_set_on_by_little_has_a_step(logs: Tables, tmp_path: Pa
     np.testing.assert_allclose(parted.q, whole.q[kept], rtol=0.0, atol=2e-3)
 
 
-@pytest.mark.parametrize("by", [0.04, 1.0])
-@pytest.mark.parametrize("which", ["joints", "imu", "tracker"])
+@pytest.mark.parametrize(
+    ("which", "by"),
+    [
+        ("joints", 0.04),
+        ("imu", 1.0),
+        ("tracker", 0.04),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in (("joints", 1.0), ("imu", 0.04), ("tracker", 1.0))),
+    ],
+)
 def test_a_clock_that_was_set_back_by_little_goes_on(logs: Tables, which: str, by: float, tmp_path: Path) -> None:
     """Some stamps then belong to two samples each: from there on they are those of the samples; rows have their places."""
     tables = copied({name: logs[name] for name in ("joints", which if which != "joints" else "tracker")})

@@ -85,10 +85,10 @@ CASES = [(*change, "white") for change in CHANGES] + [(*change, "ar") for change
 
 
 def some_first() -> Iterator[Any]:
-    """Yield cases: a tool and a joint are in the default suite, the instrument and two joints in long runs."""
+    """Yield cases: a tool is in the default suite, the instrument and three joints are in long runs."""
     for k, case in enumerate(CASES):
-        later = pytest.mark.long if k in (1, 3, 7, 9) else (pytest.mark.long, pytest.mark.rates)
-        yield pytest.param(case, marks=() if k in (0, 12) else later)
+        later = pytest.mark.long if k in (1, 3, 7, 9, 12) else (pytest.mark.long, pytest.mark.rates)
+        yield pytest.param(case, marks=() if k == 0 else later)
 
 
 @pytest.mark.parametrize("case", list(some_first()), ids=str)
@@ -187,6 +187,7 @@ def test_drifts_are_no_changes(noise: str) -> None:
     assert alarms == 0 and beta.ppf(0.95, 1, 60) < 0.049
 
 
+@pytest.mark.long
 def test_an_event_that_is_added_is_named_with_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tracker that was set to another wavelength: of what is known nothing explains it; the new event does, alone."""
     every = (*BETWEEN_ROWS, WAVELENGTH)

@@ -305,6 +305,7 @@ def session() -> tuple[MovingArm, dict[str, dict[str, np.ndarray]]]:
     return MovingArm(robot, JointPath.through(joints["time"], q)), tables
 
 
+@pytest.mark.long
 def test_the_clock_of_an_imu_is_found(session: tuple[MovingArm, dict[str, dict[str, np.ndarray]]]) -> None:
     """By its rates alone, whatever its mount: to a millisecond at once, with the mount and the right hand."""
     arm, table = session[0], session[1]["imu"]

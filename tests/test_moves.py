@@ -52,6 +52,7 @@ def fitted(robot: Robot, tables: Mapping[str, Measurements]) -> ModelFit:
     return fit_tables(robot, tables, Options(effects=GEOMETRIC, sigma=SIGMA))
 
 
+@pytest.mark.long
 def test_a_jump_between_two_days_is_named_with_its_interval(robot: Robot) -> None:
     """An offset that came between Tuesday and Wednesday: which one, when, and the truth within three sigma."""
     jump = 4e-4

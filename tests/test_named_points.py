@@ -240,7 +240,11 @@ def test_real_panda_keeps_its_ball_in_a_socket(shared_data: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "case", ["contacts", pytest.param("images, known object", marks=pytest.mark.long), "camera, unknown points"]
+    "case",
+    [
+        *(pytest.param(case, marks=pytest.mark.long) for case in ("contacts", "images, known object")),
+        "camera, unknown points",
+    ],
 )
 def test_model_file_reads_further_rows(case: str, machine: sim.TrueMachine, kuka: Robot, tmp_path: Path) -> None:
     """A model that comes back from its file reads measurements of the same points as it did."""

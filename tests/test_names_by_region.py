@@ -39,6 +39,7 @@ def found(kuka: Robot) -> Discovery:
     return run_discovery(kuka, rows, Options(effects=GEOMETRIC, sigma=SIGMA, moment_frame="after"))
 
 
+@pytest.mark.long
 def test_regions_are_those_of_fits_of_the_others(found: Discovery) -> None:
     """Their means, by calibrate and with the names, are those of fits that leave each fold out; readings count once each."""
     regions = found.findings.regions

@@ -86,6 +86,7 @@ def test_a_declared_noise_of_orientations_counts(kuka: Robot, machine: sim.TrueM
         pincal.diagnose(of_positions, new, sigma_orientation=0.0)
 
 
+@pytest.mark.long
 def test_a_change_is_found_in_rows_of_another_kind(
     kuka: Robot, machine: sim.TrueMachine, of_positions: FittedRobot, of_poses: FittedRobot
 ) -> None:

@@ -156,6 +156,7 @@ def test_an_imu_says_what_the_angles_gained(tmp_path: Path) -> None:
     assert f"{gain.after_mrad:.4f} mrad" in "".join(of.text for of in page.shown)
 
 
+@pytest.mark.long
 @pytest.mark.rooms("pincal/diagnosis", "pincal/report")
 def test_what_has_changed_is_not_said_to_be_unobservable(kuka: Robot) -> None:
     """The page names the change, its alternatives and what would have been noticed; its numbers are those of the file."""

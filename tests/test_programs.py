@@ -145,8 +145,8 @@ def test_a_third_of_the_programs_has_whatever_any_has() -> None:
 @pytest.mark.parametrize(
     "chosen",
     [
+        # A third of them are corrected below before each commit.
         pytest.param(range(2), id="two"),
-        pytest.param(A_THIRD, id="a third", marks=pytest.mark.long),
         pytest.param(range(COUNT), id="all", marks=[pytest.mark.long, pytest.mark.rates]),
     ],
 )

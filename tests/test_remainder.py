@@ -362,9 +362,11 @@ def uneven(kuka: Robot, *effects: Effect) -> FittedRobot:
 @pytest.mark.parametrize(
     ("modes", "frame"),
     [
-        (False, "instrument"),
         (True, "base"),
-        *(pytest.param(*case, marks=pytest.mark.long) for case in ((False, "base"), (True, "instrument"))),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in ((False, "instrument"), (False, "base"), (True, "instrument"))
+        ),
     ],
 )
 def test_exports_have_it(kuka: Robot, modes: bool, frame: str, tmp_path: Path, rng: np.random.Generator) -> None:

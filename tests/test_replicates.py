@@ -271,6 +271,7 @@ def soft(kuka):
     return run_calibration(kuka, rows, Options(effects=GEOMETRIC))
 
 
+@pytest.mark.long
 def test_a_missing_effect_is_told_without_any_declared_noise(kuka, soft):
     """Geometry alone does not fit a robot that bends; with elasticity it does, and RP is the same."""
     lacking = soft.result

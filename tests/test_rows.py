@@ -471,7 +471,10 @@ def test_a_bump_of_a_drive_is_told_by_its_joint_and_place(kuka: Robot, draws: in
 
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore::pincal.errors.PincalWarning")
-@pytest.mark.parametrize(("kind", "seed", "words"), [("tool_exchanged", 45002, "tool"), ("remastered", 45001, "axis_2")])
+@pytest.mark.parametrize(
+    ("kind", "seed", "words"),
+    [("tool_exchanged", 45002, "tool"), pytest.param("remastered", 45001, "axis_2", marks=pytest.mark.rates)],
+)
 def test_names_beside_a_change_midway_are_taken_back(kind: str, seed: int, words: str) -> None:
     """What is other midway is told with its line, and nothing that it looks like is said of the robot."""
     case = draw_rows_case(kind, seed)

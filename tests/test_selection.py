@@ -145,7 +145,7 @@ def test_small_tables_of_a_bent_arm_keep_its_elasticity() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.rates) for seed in (2, 3))])
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.rates) for seed in (0, 2, 3))])
 def test_no_step_makes_other_poses_worse(seed: int) -> None:
     """160 poses of an arm whose drives have waves: at other poses no change of the model costs a tenth."""
     robot, rows, clean = waving_ur5(seed)

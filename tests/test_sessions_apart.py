@@ -87,6 +87,7 @@ def test_an_instrument_displaced_between_a_cool_and_a_warm_session_is_no_expansi
     assert names(found) == [] and len(steps(found)) == 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize(
     ("pause", "drift"), [(1.0, 1e-4), *(pytest.param(*case, marks=pytest.mark.long) for case in ((0.0, 1e-4), (3.0, 2e-4)))]
@@ -99,6 +100,7 @@ def test_a_drift_that_goes_on_in_both_sessions_is_named(pause: float, drift: flo
     assert steps(found) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", SEEDS[:2])
 def test_an_arm_that_is_warmer_in_the_second_session_has_expanded(seed: int) -> None:
     """Its links grow and nothing else moves: no step of the set-up explains that."""

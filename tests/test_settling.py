@@ -84,7 +84,7 @@ def test_it_is_one_effect(hidden: sim.HiddenEffect, start: ExponentialDrift, siz
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [1, 3])
+@pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.rates)])
 def test_many_rows_tell_the_same_of_it(seed: int) -> None:
     """Of 6000 rows 4000 choose, and would tell a curve of the time from a time constant that is a third off."""
     hidden, _, size = CASES[0]

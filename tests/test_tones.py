@@ -109,6 +109,7 @@ def test_the_price_is_in_the_test(machine: sim.TrueMachine) -> None:
     assert searched.ebic == pytest.approx(known.ebic + 2.0 * np.log(50.0))
 
 
+@pytest.mark.long
 def test_a_stage_is_found_at_its_order(machine: sim.TrueMachine) -> None:
     """A ripple of 60 urad is named with its joint, and its order to a tenth of what the range of the joint resolves."""
     (found,) = named(machine, measured(machine, sim.GearRipple(joint="joint_2", size=6e-5, order=161.3)))

@@ -46,7 +46,7 @@ def doubts(run: Calibration) -> list[str]:
     return [str(note) for note in run.result.warnings if _WARNING in str(note)]
 
 
-@pytest.mark.parametrize("turn", [0.0, 1e-5, *(pytest.param(turn, marks=pytest.mark.long) for turn in (1e-6, 1e-4))])
+@pytest.mark.parametrize("turn", [1e-5, *(pytest.param(turn, marks=pytest.mark.long) for turn in (0.0, 1e-6, 1e-4))])
 def test_a_raster_in_one_orientation_ends_near_the_arm_and_says_what_is_open(turn: float) -> None:
     """Residuals fit a target that is metres away better than one nearby if rounding alone turns the tool."""
     robot = gantry(*_ALONG, *_WRIST)

@@ -149,6 +149,7 @@ def test_visits_that_scatter_more_than_drives_do_are_a_doubt() -> None:
     assert not result_of(usual, NOISE).doubts
 
 
+@pytest.mark.long
 def test_repeats_within_a_stop_show_the_instrument() -> None:
     """They share the arrival of the drives, so they have to agree with the declared noise."""
     table, _ = Visited(dwell=4, arrival=6e-5).table(8)
