@@ -166,11 +166,11 @@ def run_calibration(
     result = result_of(
         fitted.fit,
         fitted.stations,
-        seconds=time.perf_counter() - begun,
         notes=fitted.notes,
         left_out=tuple(left_out),
         validated=validated,
     )
+    result = replace(result, seconds=time.perf_counter() - begun)
     calibrated, result = stated(fitted.fit, result, result.verdict_of())
     return Calibration(fitted.robot, fitted.stations, calibrated, result, fitted.notes, validated)
 

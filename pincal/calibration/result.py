@@ -283,31 +283,33 @@ def result_of(
     fit: ModelFit,
     rows: Sequence[StationRows],
     *,
-    seconds: float,
     notes: Sequence[Note] = (),
     left_out: Sequence[LeftOut] = (),
     validated: Validated | None = None,
     arrivals: float | None = None,
+    parameters: tuple[ParameterRow, ...] | None = None,
 ) -> Result:
-    """Assemble the result of a calibration that took some seconds, with the rows of each station.
+    """Assemble the result of a calibration, with the rows of each station; how long it took is yet
+    to be told.
 
     Notes on robot and data are listed before others of their severity. Errors by cross-validation
     are ``validated``; if stations were predicted by models of the others, ``left_out``, these are
     the held-out errors. ``arrivals`` is to what all drives stop, if a search has shown that this
-    explains what exceeds the declared noise [rad].
+    explains what exceeds the declared noise [rad]. ``parameters`` are the rows of the parameters,
+    which take longest of a thousand; default: those of the fit.
     """
     stations = _to_assess(fit, rows, left_out, validated)
     assessed = _Assessed(fit, stations, is_left_out=bool(left_out))
     found = assessed.findings(arrivals)
     error = _errors(stations)
-    parameters = parameter_rows(fit)
+    parameters = parameter_rows(fit) if parameters is None else parameters
     return Result(
         noise=noise_of(fit),
         rows=_counts(stations),
         parameters=parameters,
         chi2_p_value=assessed.p_value,
         iterations=fit.iterations,
-        seconds=seconds,
+        seconds=0.0,
         **_solved(fit.solution),
         outliers=tuple(line for station in stations for line in station.outliers),
         correlations=_correlations(fit, parameters),

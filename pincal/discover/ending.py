@@ -331,7 +331,9 @@ def _as_suggested(state: SearchState, step: SearchStep, search: Search) -> Searc
     return state
 
 
-def widened(trail: History, last: ModelFit | None = None) -> ModelFit:
+def widened(
+    trail: History, last: ModelFit | None = None, *, untold: float | None = None
+) -> ModelFit:
     r"""Return the last fit of a discovery with a covariance that includes the uncertainty of its
     model.
 
@@ -353,20 +355,24 @@ def widened(trail: History, last: ModelFit | None = None) -> ModelFit:
     bearings the same of each direction and place separately, :math:`e_b`. The fit's own parameters
     add their effective number p. So the covariance is that of noise with a variance
     :math:`1 + (e_m + e_c + e_b) / p` times as large. ``last`` is the fit with what has no name as
-    well; default: that in which the search ended.
+    well; default: that in which the search ended; ``untold`` is :func:`untold_of`, where known.
+    """
+    fit = trail.final if last is None else last
+    noise = float(np.mean((fit.solution.estimated / fit.solution.sigma) ** 2))
+    beyond = noise * (untold_of(trail) if untold is None else untold)
+    return with_blocks(fit, 1.0 + beyond / max(fit.solution.effective, 1.0))
+
+
+def untold_of(trail: History) -> float:
+    """Return what errors of the model add to the variance of the rows, see :func:`widened`, summed
+    over readings, in units of the residual noise.
     """
     named = trail.final
-    fit = named if last is None else last
     few, _ = sampled(named, trail.policy)
-    rows = len(fit.problem) / max(len(few.problem), 1)
-    noise = float(np.mean((fit.solution.estimated / fit.solution.sigma) ** 2))
+    rows = len(named.problem) / max(len(few.problem), 1)
     features = score_test_given_nuisances(few, missing_features(few))
-    beyond = (
-        (of_masses(few, features) + of_candidates(trail.last) + of_bearings(features))
-        * rows
-        * noise
-    )
-    return with_blocks(fit, 1.0 + beyond / max(fit.solution.effective, 1.0))
+    beyond = of_masses(few, features) + of_candidates(trail.last) + of_bearings(features)
+    return beyond * rows
 
 
 def of_masses(fit: ModelFit, tests: ScoreTests) -> float:

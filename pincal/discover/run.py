@@ -45,7 +45,7 @@ from pincal.discover.discovery_file import (
 )
 from pincal.discover.drive_curves import notes_on_repeats
 from pincal.discover.elastic import significant_compliances
-from pincal.discover.ending import note_on_joints, widened
+from pincal.discover.ending import note_on_joints, untold_of, widened
 from pincal.discover.findings import bootstrap_last, findings_of
 from pincal.discover.loop import discover_effects, withdraw_names_at_change
 from pincal.discover.names_by_region import doubt_of_regions, regions_by_names
@@ -271,6 +271,7 @@ class _Ended:
         named: its history.
         trail: the same, with what entered without a name.
         rest: what entered without a name; None if nothing did.
+        untold: what errors of the model of names add to the variance of the rows.
         fit: its last fit, with the uncertainty of its model; as in the URDF if no effect was found
             and the readings do not improve the robot.
         validated: the errors of this fit at rows that were held out; None without any.
@@ -285,6 +286,7 @@ class _Ended:
     named: History
     trail: History
     rest: SmoothRest | None
+    untold: float
     fit: ModelFit
     validated: Validated | None
     gaps: tuple[Stage, ...]
@@ -302,7 +304,8 @@ class _Ended:
         rest = None
         if remainder and not is_kept:
             trail, rest = with_remainder(named)
-        fit = harmless if is_kept else widened(named, trail.final)
+        untold = 0.0 if is_kept else untold_of(named)
+        fit = harmless if is_kept else widened(named, trail.final, untold=untold)
         traces = partial_residuals(trail)
         # Rows that the first model could not describe may be sound.
         fit = replace(fit, nominal=nominal_without_outliers(fit))
@@ -325,7 +328,9 @@ class _Ended:
             approach_from=origins or None,
             arrivals=arrivals,
         )
-        return cls(first, named, trail, rest, fit, validated, gaps, traces, arrivals, findings)
+        return cls(
+            first, named, trail, rest, untold, fit, validated, gaps, traces, arrivals, findings
+        )
 
     @property
     def lighter(self) -> _Ended:
@@ -350,16 +355,17 @@ class _Ended:
         more += [] if self.rest is None else [Note(Severity.NOTE, note_on_remainder(self.rest))]
         notes = doubts_first([*notes, *filter(None, more)])
         given = partial(result_of, rows=first.stations, notes=notes, left_out=left_out)
-        given = partial(given, seconds=0.0, arrivals=self.arrivals)
+        given = partial(given, arrivals=self.arrivals)
         result = given(self.fit, validated=self.validated)
         # The search decides whether the model is inadequate; whether it is adequate, the rule
         # common to all commands.
         incomplete = findings.verdict is Verdict.NOT_ADEQUATE
         verdict = result.verdict_of(incomplete=incomplete)
         if self.rest is not None:
-            named = widened(self.named)
+            named = widened(self.named, untold=self.untold)
             validated = Validated.of(named, first.stations, first.folds)
-            verdict = given(named, validated=validated).verdict_of(incomplete=incomplete)
+            of_names = given(named, validated=validated, parameters=())
+            verdict = of_names.verdict_of(incomplete=incomplete)
         known, result = stated(self.fit, result, verdict)
         final = Calibration(first.robot, first.stations, known, result, notes, self.validated)
         findings = changed(findings, verdict=verdict, warnings=result.warnings)

@@ -31,6 +31,7 @@ from pincal.identify.dependence import placed_at_mean
 from pincal.identify.fit import ModelFit
 from pincal.identify.folds import Folds
 from pincal.model.catalogue.remainder import SmoothRemainder
+from pincal.model.effect import Effect
 from pincal.sensors.row_samples import sample_rows
 from pincal.validate.misfit import MISFIT
 
@@ -80,11 +81,10 @@ def with_remainder(trail: History) -> tuple[History, SmoothRest | None]:
     """
     if _is_explained(trail.final) or not _reads_enough(trail.final):
         return trail, None
-    fit = _alike(trail.final)
-    folds = Folds.of(fit.problem, ("regions",)).of_way
+    folds = Folds.of(trail.final.problem, ("regions",)).of_way
     if "regions" not in folds:
         return trail, None
-    found = _found(fit, RegionJudge(trail, folds["regions"]))
+    found = _found(trail.final, RegionJudge(trail, folds["regions"]))
     if found is None:
         return trail, None
     for effect in found.rest.effects:
@@ -113,10 +113,10 @@ def _found(fit: ModelFit, judge: RegionJudge) -> _Tried | None:
     rows = np.arange(len(fit.problem))
     some = rows[sample_rows(len(rows), REMAINDER.judged)]
     is_part = len(some) < len(rows)
-    few = fit.select(some) if is_part else fit
+    few = _alike(fit.select(some) if is_part else fit)
     for one in _tried(few, judge.select(some) if is_part else judge):
         if one.regions.is_nowhere_worse:
-            whole = _judged(fit, one.rest.effects, judge) if is_part else one
+            whole = _by_all(fit, one, judge) if is_part else one
             if whole is not None and whole.regions.is_nowhere_worse:
                 return whole
     return None
@@ -152,7 +152,29 @@ def _judged(
     """Return a remainder with its fit, if all regions that are left out are predicted better with
     it.
     """
-    after = _fitted(fit, effects)
+    return _predicting(_fitted(fit, effects), effects, judge)
+
+
+def _by_all(fit: ModelFit, one: _Tried, judge: RegionJudge) -> _Tried | None:
+    """Return a remainder that some rows tell, fitted to all, as :func:`_judged` does; by these rows
+    it is known near enough, and so is what is then left of the noise of the joints.
+    """
+    few = one.after
+    effects = one.rest.effects
+    noise = joint_noise(few)
+    start: dict[Effect, np.ndarray] = {
+        effect: few.values[few.problem.places_at(effect)] for effect in effects
+    }
+    plain = _unweighed(fit)
+    begun = plain if noise is None else weighed(plain, noise)
+    after = refit(begun, [*fit.options.effects, *effects], start=start, until=Tolerance.CLOSE)
+    return _predicting(placed_at_mean(after), effects, judge)
+
+
+def _predicting(
+    after: ModelFit, effects: tuple[SmoothRemainder, ...], judge: RegionJudge
+) -> _Tried | None:
+    """Return a remainder with its fit, if it predicts."""
     regions = judge.regions(after)
     if regions is None or not regions.predicts:
         return None
@@ -165,11 +187,18 @@ def _alike(fit: ModelFit) -> ModelFit:
 
     What drives lack in common looks like noise of the joints, row by row.
     """
+    plain = _unweighed(fit)
+    if plain is fit:
+        return fit
+    return refit(plain, fit.options.effects, start={}, until=Tolerance.CLOSE)
+
+
+def _unweighed(fit: ModelFit) -> ModelFit:
+    """Return a fit, not refitted, whose rows are not weighted by joint noise."""
     stations = fit.problem.stations
     if fit.is_declared or all(of.whitening is None or of.arrival is not None for of in stations):
         return fit
-    plain = fit.over(replace(station, whitening=None) for station in stations)
-    return refit(plain, fit.options.effects, start={}, until=Tolerance.CLOSE)
+    return fit.over(replace(station, whitening=None) for station in stations)
 
 
 def _fitted(fit: ModelFit, effects: Sequence[SmoothRemainder]) -> ModelFit:
